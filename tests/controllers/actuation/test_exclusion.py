@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from faults import FAILED, ChangedSolver
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, simple_model
@@ -108,10 +109,11 @@ def coils(**changes) -> TestCase:
     return validate(TestCase, {**TESTCASE, **changes}, "coils.yaml")
 
 
-def mpc(verdicts=(None, None), case=None, **options):
+def mpc(verdicts=(None, None), case=None, changed=lambda n, found: found, **options):
     options = {"step_s": None, "horizon_h": 24.0, "free_response": {"name": "persistence"}, **options}
     built = build_controller("thermoforce_mpc", options, case or coils(), model(verdicts))
-    return ThermoForceMPC(built.model, built.config, free_response=OutdoorResponse())
+    solver = ChangedSolver(built.config, changed)
+    return ThermoForceMPC(built.model, built.config, free_response=OutdoorResponse(), solver=solver)
 
 
 def observation(plant=None, T_C=None) -> Observation:
@@ -169,8 +171,13 @@ def test_the_group_reaches_model_file_layout_and_programme(tmp_path):
     assert coils().layout.exclusive == ((HEAT, COOL),)
     model(exclusive=((HEAT, COOL),)).save(tmp_path / "model")
     assert load_model(tmp_path / "model").layout.exclusive == ((HEAT, COOL),)
-    assert mpc()._formulation.machinery.exclusive == ((HEAT, COOL),), "also to a model that was identified without it"
-    assert mpc(case=coils(exclusive=[]))._formulation.machinery.exclusive == ()
+    seen = observation()
+
+    def exclusive(controller):
+        return controller.instance(controller.predictor.context(seen), seen.history).machinery.exclusive
+
+    assert exclusive(mpc()) == ((HEAT, COOL),), "also to a model that was identified without it"
+    assert exclusive(mpc(case=coils(exclusive=[]))) == ()
 
 
 @pytest.mark.slow
@@ -193,22 +200,15 @@ def test_in_closed_loop_one_coil_acts_in_a_step_and_the_room_is_kept(actuation):
         assert np.count_nonzero(step.plan.u[:, 0]) <= 1
 
 
-class Failing:
-    def __init__(self, u=None) -> None:
-        self.u = u
-
-    def solve(self, problem, guess=None) -> Solution:
-        if self.u is None:
-            return Solution(False, np.empty(0), "failed", 0, "failed on purpose")
-        return Solution(True, np.repeat(self.u[:, None], problem.n_steps, axis=1), "given", 1, "")
+def always(*levels: float):
+    """Every solution is these levels."""
+    return lambda n, found: Solution(True, np.repeat(np.array(levels)[:, None], 24, axis=1), "given", 1, "")
 
 
 def test_a_rule_that_would_heat_and_cool_does_one_of_them():
     """The set-points of the on/off rules, 0.3 K inside a band of 0.4 K, overlap."""
     seen = observation(T_C=21.2)
-    free, bound = mpc(case=coils(exclusive=[])), mpc()
-    for controller in (free, bound):
-        controller._planners.base = replace(controller._planners.base, solver=Failing())
+    free, bound = (mpc(case=case, changed=lambda n, found: FAILED) for case in (coils(exclusive=[]), coils()))
     assert acting(free.plan(seen)) == {HEAT, COOL}, "else this tries nothing"
     plan = bound.plan(seen)
     assert plan.status is PlanStatus.THERMOSTAT
@@ -217,16 +217,14 @@ def test_a_rule_that_would_heat_and_cool_does_one_of_them():
 
 
 def test_a_solution_that_has_both_on_is_not_followed_in_both():
-    controller = mpc(guard={"enabled": False})
-    controller._planners.base = replace(controller._planners.base, solver=Failing(np.array([0.4, 0.9])))
+    controller = mpc(changed=always(0.4, 0.9), guard={"enabled": False})
     plan = controller.plan(observation(T_C=21.2))
     assert acting(plan) == {COOL}
     assert "heating_coil: excluded by cooling_coil" in plan.why
 
 
 def test_the_guard_comes_before_the_plan():
-    controller = mpc()
-    controller._planners.base = replace(controller._planners.base, solver=Failing(np.array([0.0, 1.0])))
+    controller = mpc(changed=always(0.0, 1.0))
     plan = controller.plan(observation(T_C=17.0))
     assert plan.status is PlanStatus.GUARD
     assert acting(plan) == {HEAT}

@@ -11,11 +11,17 @@ from light_office import LightOffice
 from mpc_problems import N, random_operator, random_problem, unit_responses
 from scipy.optimize import linprog
 
+from controllers.actuation.actuators import Actuators
+from controllers.actuation.choice import choose_actuation
 from controllers.actuation.room_setpoints import room_blocks
 from controllers.checks import ControllerConfigError
+from controllers.monitoring.zone_sensor_state import Sensed
+from controllers.monitoring.zone_sensors import Zones
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
-from controllers.mpc.margins import LearnedMargin
+from controllers.mpc.margin_rules import LearnedMargin
+from controllers.mpc.readings import Readings
+from controllers.mpc.solved import FirstStep
 from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import Cooling, ProblemShape, Weights, every_step
@@ -231,9 +237,15 @@ def test_a_room_that_fell_below_its_reserve_does_not_wait_for_its_heat(model):
     night = Observation(office.past(mpc.step_s), office.forecast(mpc.horizon_s, mpc.step_s))
     assert night.boundary.lower_C[0, 0] == 15.0
 
-    def first_band(missed: LearnedMargin) -> tuple[float, float]:
-        known = missed.meeting(night.boundary.lower_C, night.boundary.upper_C)
-        first, *_ = mpc._room_blocks(night, 0, 0.1, np.array([16.1]), np.array([15.2]), known)
+    mode = choose_actuation(config.actuation, model.only.power, model.only.operator.heat_input)
+    first_step = FirstStep(config, Actuators(model.layout, [mode.actuation]), mpc.step_s)
+    level, T_free_C, none = np.array([[0.1]]), np.array([[16.1]]), np.zeros((1, 1))
+    plan = Plan((), PlanStatus.SOLVED, "", u=level, T_free_C=T_free_C, T_forced_K=none)
+    readings = Readings(night, night.boundary, Zones((Sensed(15.2),)), None)
+
+    def first_band(learned: LearnedMargin) -> tuple[float, float]:
+        known = learned.meeting(night.boundary.lower_C, night.boundary.upper_C)
+        ((first, *_),) = first_step.demands(plan, readings, known)
         return first.band_C[0]
 
     assert first_band(LearnedMargin.nothing(1))[0] == pytest.approx(15.03)

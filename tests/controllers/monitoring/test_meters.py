@@ -42,9 +42,9 @@ def judged(stuck: dict[str, tuple[int, int]], meters: Meters | None = None, **si
         ahead = Boundary(
             TIME_S[now : now + 2], true["T_out_C"][now : now + 2], true["solar_W_m2"][now : now + 2], *[nothing] * 5
         )
-        states, found = meters.judged(states, meters.believed(states, history), ahead)
+        states, found = meters.validate(states, meters.mask_rejected(states, history), ahead)
         said.append(found)
-    return said, meters.believed(states, history)
+    return said, meters.mask_rejected(states, history)
 
 
 def test_a_record_that_is_sound_is_believed():
@@ -110,7 +110,7 @@ def test_a_shared_machine_at_its_capacity_is_believed():
             )  # fmt: skip
             ahead = Boundary(TIME_S[now : now + 2], T_OUT[now : now + 2], SUN[now : now + 2],
                              *[np.zeros((2, 2))] * 3, *[np.zeros((1, 2))] * 2, names=SHARED)  # fmt: skip
-            states, found = meters.judged(states, record, ahead)
+            states, found = meters.validate(states, record, ahead)
         said.append("power_W has been" in found.why)
     assert said == [False, True]
 

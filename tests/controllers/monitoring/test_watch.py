@@ -234,9 +234,15 @@ def test_predictions_from_before_a_return_do_not_count_against_the_effect():
     now = 20 * DAY_S
     judged = np.array([Judged(now - h * HOUR_S, 0, -0.2, 0.1, 0.4) for h in range(24)])
     state = WatchState(tracks=(Track(judged=judged),))
-    assert "less effect" in watch._less_effect(state, now)
-    assert watch._less_effect(state, now + HOUR_S) == "", "every 6 h"
-    assert watch._less_effect(replace(state, returned_s=now - 12 * HOUR_S), now) == ""
+    house = SimpleHouse()
+
+    def alarm(state: WatchState, now: float) -> str:
+        house.reset(now, DAY_S)
+        return watch.validate(state, house.past(HOUR_S), None, None).alarm
+
+    assert "less effect" in alarm(state, now)
+    assert alarm(state, now + HOUR_S) == "", "every 6 h"
+    assert alarm(replace(state, returned_s=now - 12 * HOUR_S), now) == ""
 
 
 def record(asked: list[float], u: list[float], heat_W: list[float] | None = None) -> tuple[list, Record]:
@@ -263,7 +269,7 @@ def test_low_levels_that_nobody_asked_for_are_a_fault_within_a_day():
     asked, seen = record([0.0] * 24, [0.13] * 24)
     found = {}
     for hour, (time_s, level) in enumerate(asked, start=1):
-        state = watch.asked(state, time_s, level)
+        state = watch.record_request(state, time_s, level)
         found[hour] = level_fault(state.asked, seen.slice(0, hour))
     assert found[6] == ""
     assert "0.00 was asked for on average in the last 8 h" in found[8]

@@ -12,7 +12,8 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.mpc.controller import MPCState
-from controllers.mpc.margins import OF_LOOPS, LearnedMargin, learned_K, of_plans
+from controllers.mpc.margin_rules import OF_LOOPS, LearnedMargin, learned_K, of_plans
+from controllers.mpc.margins import Margins
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
@@ -107,13 +108,13 @@ def second_plan(T_C: float, used: float, **options: Any) -> tuple[MPCState, Boun
 def test_a_plan_keeps_what_was_missed_inside_the_bound_that_it_protects():
     state, boundary = second_plan(20.8, 0.3)
     expected = 0.25 * (boundary.lower_C[0, 0] - 20.8 - ALLOWED_K)
-    assert state.missed.reserve_K[:, 0].tolist() == pytest.approx([expected, 0.0])
-    assert not second_plan(20.8, 1.0)[0].missed.reserve_K.any(), "the machine had no more to give"
-    assert not second_plan(24.5, 0.3)[0].missed.reserve_K.any(), (
+    assert state.margins.learned.reserve_K[:, 0].tolist() == pytest.approx([expected, 0.0])
+    assert not second_plan(20.8, 1.0)[0].margins.learned.reserve_K.any(), "the machine had no more to give"
+    assert not second_plan(24.5, 0.3)[0].margins.learned.reserve_K.any(), (
         "no actuator protects the upper bound of a heated house"
     )
-    assert not second_plan(20.8, 0.3, reserve=False)[0].missed.reserve_K.any()
-    assert not second_plan(20.8, 0.3, backoff_violation_K=None)[0].missed.reserve_K.any()
+    assert not second_plan(20.8, 0.3, reserve=False)[0].margins.learned.reserve_K.any()
+    assert not second_plan(20.8, 0.3, backoff_violation_K=None)[0].margins.learned.reserve_K.any()
 
 
 def test_the_bounds_of_a_problem_move_inside_by_what_was_learned():
@@ -123,8 +124,8 @@ def test_the_bounds_of_a_problem_move_inside_by_what_was_learned():
     seen = Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S))
     context = mpc.predictor.context(seen)
     plain, kept = (
-        mpc._formulation.problem(mpc.model.operator, context, seen.history, 0.0, np.zeros(1), missed)
-        for missed in (None, replace(LearnedMargin.nothing(1), reserve_K=np.array([[0.2], [0.0]])))
+        mpc.instance(context, seen.history, Margins(learned=learned))
+        for learned in (LearnedMargin.nothing(1), replace(LearnedMargin.nothing(1), reserve_K=np.array([[0.2], [0.0]])))
     )
     np.testing.assert_allclose(kept.lower_C - plain.lower_C, 0.2)
     np.testing.assert_array_equal(kept.upper_C, plain.upper_C)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from faults import ChangedResponse
+from faults import ChangedResponse, ChangedSolver
 from simple_house import FIXED_W, GAIN_K, PER_U_W, OutdoorResponse, SimpleHouse, simple_model
 from waiting import wait_for
 
@@ -27,9 +27,11 @@ from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 
-def controller(free=None, **options) -> ThermoForceMPC:
+def controller(free=None, changed=None, **options) -> ThermoForceMPC:
+    """A controller; its solutions may be `changed(number of the solve, solution)`."""
     config = MPCConfig(**{"step_s": None, "horizon_h": 24.0, **options})
-    return ThermoForceMPC(simple_model(), config, free_response=free or OutdoorResponse())
+    solver = changed and ChangedSolver(config, changed)
+    return ThermoForceMPC(simple_model(), config, free_response=free or OutdoorResponse(), solver=solver)
 
 
 def observation(house: SimpleHouse | None = None) -> Observation:
@@ -108,24 +110,14 @@ def test_every_plan_is_finite_inside_limits_and_one_step_long(solver, mode):
     assert plan.why
 
 
-class FailingSolver:
-    def __init__(self, inner, failing: set[int]) -> None:
-        self.inner, self.failing, self.calls = inner, failing, 0
-
-    def solve(self, problem, guess=None) -> Solution:
-        self.calls += 1
-        if self.calls - 1 in self.failing:
-            return Solution(False, np.empty(0), "Restoration_Failed", 7, "Ipopt ended with Restoration_Failed")
-        return self.inner.solve(problem, guess)
-
-
-def failing(mpc: ThermoForceMPC, steps: set[int]) -> ThermoForceMPC:
-    mpc._planners.base = replace(mpc._planners.base, solver=FailingSolver(mpc._planners.base.solver, steps))
-    return mpc
+def failing(steps: set[int]) -> ThermoForceMPC:
+    """A controller whose solver fails in some steps."""
+    failed = Solution(False, np.empty(0), "Restoration_Failed", 7, "Ipopt ended with Restoration_Failed")
+    return controller(changed=lambda n, found: failed if n in steps else found)
 
 
 def test_failed_solves_go_down_the_ladder_and_are_counted_and_explained():
-    house, mpc = SimpleHouse(), failing(controller(), set(range(10, 16)))
+    house, mpc = SimpleHouse(), failing(set(range(10, 16)))
     result = run_closed_loop(house, mpc, house.period("x"))
     status = [step.plan.status for step in result.steps]
     assert status[10:16] == [PlanStatus.SHIFTED] * 3 + [PlanStatus.THERMOSTAT] * 3
@@ -136,7 +128,7 @@ def test_failed_solves_go_down_the_ladder_and_are_counted_and_explained():
 
 
 def test_the_shifted_plan_is_dropped_when_the_zone_is_not_where_it_was_predicted():
-    mpc = failing(controller(), {1})
+    mpc = failing({1})
     state = mpc.plan(observation()).state
     later = observation(SimpleHouse(T_start_C=12.0))
     later = Observation(
@@ -187,15 +179,8 @@ def test_a_broken_forecast_without_a_substitute_falls_back_with_a_reason(action)
     assert plan.blocks[0].u in ((0.0,), (1.0,))
 
 
-class Raising:
-    def solve(self, problem, guess=None):
-        raise KeyError("no such status")
-
-
 def test_a_solver_that_raises_is_a_failed_solve():
-    mpc = controller()
-    mpc._planners.base = replace(mpc._planners.base, solver=Raising())
-    plan = mpc.plan(observation())
+    plan = controller(changed=lambda n, found: _raise(KeyError("no such status"))).plan(observation())
     assert plan.status is PlanStatus.THERMOSTAT
     assert plan.why.startswith("the solver failed (KeyError: 'no such status')")
 
@@ -263,9 +248,7 @@ def test_comfort_is_planned_for_quantiles_and_the_side_that_acting_keeps_has_its
     config = MPCConfig(step_s=None, horizon_h=24.0, free_response={"substitutes": False}, **options)
     mpc = ThermoForceMPC(model, config, free_response=OutdoorResponse())
     seen = observation()
-    problem = mpc._formulation.problem(
-        model.operator, mpc.predictor.context(seen), seen.history, peak_W=0.0, offset_K=np.zeros(1)
-    )
+    problem = mpc.instance(mpc.predictor.context(seen), seen.history)
     np.testing.assert_allclose(problem.lower_C - seen.boundary.lower_C[:, 1:], inside[0], atol=1e-9)
     np.testing.assert_allclose(seen.boundary.upper_C[:, 1:] - problem.upper_C, inside[1], atol=1e-9)
 
@@ -287,7 +270,7 @@ def test_planned_power_follows_the_return_water_expected_over_the_zone():
     plain = controller().plan(seen)
     mpc = ThermoForceMPC(powered, MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
     context = mpc.predictor.context(seen)
-    problem = mpc._formulation.problem(mpc.model.operator, context, history, peak_W=0.0, offset_K=np.zeros(1))
+    problem = mpc.instance(context, history)
     zone = np.clip(context.free.median_C[0], seen.boundary.lower_C[0, 1:], seen.boundary.upper_C[0, 1:])
     above = 5.0 if (history.u > 0.02).any() else 9.0
     expected = model.only.power.parts(seen.boundary.T_out_C[:-1])[1] * (1 + 0.01 * (zone + above - 30.0))

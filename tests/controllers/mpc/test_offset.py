@@ -44,15 +44,20 @@ def test_the_offset_is_the_mean_of_recent_errors_and_limited():
     state = plan.state
     assert isinstance(state, MPCState)
     assert state.good is not None
-    assert state.offset_K.tolist() == [0.0], "nothing was planned before"
+    assert state.margins.offset_K.tolist() == [0.0], "nothing was planned before"
+
+    def offset_K(before: MPCState) -> np.ndarray:
+        return mpc.plan(observation, replace(before, last_s=None)).state.margins.offset_K
+
     cold = replace(state.good, time_s=start.time_s - HOUR_S, T_zone_C=np.full_like(state.good.T_zone_C, 20.0))
     off = replace(state, good=cold)
     error = observation.T_zone_C - 20.0
-    assert mpc._offset_K(off, observation) == pytest.approx((1 - np.exp(-1 / 6)) * error)
+    assert offset_K(off) == pytest.approx((1 - np.exp(-1 / 6)) * error)
     far = replace(off, good=replace(off.good, T_zone_C=off.good.T_zone_C - 30.0))
-    assert mpc._offset_K(far, observation).tolist() == [0.3]
-    old = replace(off, offset_K=np.array([0.1]), good=replace(off.good, time_s=start.time_s - 3 * HOUR_S))
-    assert mpc._offset_K(old, observation).tolist() == [0.1], "a plan of three hours ago says nothing of this step"
+    assert offset_K(far).tolist() == [0.3]
+    margins = replace(state.margins, offset_K=np.array([0.1]))
+    old = replace(off, margins=margins, good=replace(off.good, time_s=start.time_s - 3 * HOUR_S))
+    assert offset_K(old).tolist() == [0.1], "a plan of three hours ago says nothing of this step"
 
 
 @pytest.mark.parametrize(("gain", "held"), [(1.0, False), (20.0, True)])
@@ -65,7 +70,7 @@ def test_in_a_fast_zone_the_end_of_a_step_meets_the_bound_that_held_during_it(ga
     boundary: Boundary = house.forecast(mpc.horizon_s, HOUR_S)
     history: Record = house.past(HOUR_S)
     context = mpc.predictor.context(Observation(history, boundary))
-    problem = mpc._formulation.problem(mpc.model.operator, context, history, 0.0, np.zeros(1))
+    problem = mpc.instance(context, history)
     drops = np.flatnonzero((boundary.lower_C[0, :-1] == 21.0) & (boundary.lower_C[0, 1:] == 15.0))
     assert drops.size
     assert (problem.lower_C[0, drops] >= 21.0).all() == held

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from faults import FaultyHouse, shifted
+from faults import FAILED, ChangedSolver, FaultyHouse, shifted
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from two_houses import SHARED, TWO, TwoHouses, reordered, two_model, two_observation
 
@@ -14,10 +14,9 @@ from controllers import MPCConfig, ThermoForceMPC
 from controllers.monitoring.single_actuator import single_actuator_records
 from controllers.monitoring.watch_state import WatchState
 from controllers.monitoring.watch_tests import applied_levels
-from controllers.mpc.model_watch import _later
+from controllers.mpc.model_watch import later_state
 from controllers.mpc.no_model import NoModelController
 from controllers.mpc.state import MPCState
-from controllers.optimisation.solution import Solution
 from controllers.rules.pi import PIController
 from controllers.rules.thermostat import Thermostat
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation, PlanStatus
@@ -26,6 +25,7 @@ from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.predictor import PredictorState
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
@@ -34,9 +34,11 @@ LAYOUT = Layout(TWO, (1, 1), (0, 1), (0, 1), (0.0,) * 2, (0.0,) * 2, (60.0, 40.0
 RADIATOR, FLOOR = range(2)
 
 
-def mpc(model: ThermalModel | None = None, free=None, **options) -> ThermoForceMPC:
+def mpc(model: ThermalModel | None = None, free=None, fails=False, **options) -> ThermoForceMPC:
+    """A controller; `fails`: its solver does, but for the first solve."""
     config = MPCConfig(**{"step_s": None, "horizon_h": 24.0, **options})
-    return ThermoForceMPC(model or two_model(), config, free_response=free or OutdoorResponse())
+    solver = ChangedSolver(config, lambda n, found: FAILED if fails and n else found)
+    return ThermoForceMPC(model or two_model(), config, free_response=free or OutdoorResponse(), solver=solver)
 
 
 def level(plan, actuator: int) -> float | None:
@@ -210,13 +212,8 @@ def test_two_silent_sensors_leave_the_building_to_native_control():
         mpc().predictor.context(seen)
 
 
-class Failing:
-    def solve(self, problem, guess=None) -> Solution:
-        return Solution(False, np.empty(0), "failed", 0, "failed on purpose")
-
-
 def test_after_a_failed_solve_each_actuator_falls_back_by_its_own_zone():
-    controller, seen = mpc(), two_observation()
+    controller, seen = mpc(fails=True), two_observation()
     plan = controller.plan(seen)
     later = replace(
         seen,
@@ -227,7 +224,6 @@ def test_after_a_failed_solve_each_actuator_falls_back_by_its_own_zone():
     T[:, -1] = plan.T_zone_C[:, 0]
     T[1, -1] -= 0.9
     later = replace(later, history=replace(later.history, T_zone_C=T))
-    controller._planners.base = replace(controller._planners.base, solver=Failing())
     after = controller.plan(later, plan.state)
     assert after.acting == (PlanStatus.SHIFTED, PlanStatus.THERMOSTAT)
     assert after.status is PlanStatus.THERMOSTAT
@@ -388,13 +384,13 @@ def test_the_predictor_of_those_that_went_on_is_kept_when_one_returns():
     history, weather = seen.history.slice(0, seen.history.n_steps - 1), seen.boundary
     before = Observation(history, replace(weather, time_s=weather.time_s - HOUR_S))
     older = mpc().predictor.context(before, None).state
-    assert _later(state, older) == replace(state, forced=None)
-    assert _later(older, state) is state
-    assert _later(None, older) is older
+    assert later_state(state, older) == replace(state, forced=None)
+    assert later_state(older, state) is state
+    assert later_state(None, older) is older
 
 
 def test_a_plan_made_without_a_reading_is_not_followed_when_the_sensor_is_back():
-    controller, seen = mpc(), two_observation()
+    controller, seen = mpc(fails=True), two_observation()
     blind = controller.plan(silenced(seen, 0))
     later = replace(
         seen,
@@ -404,7 +400,6 @@ def test_a_plan_made_without_a_reading_is_not_followed_when_the_sensor_is_back()
     T = later.history.T_zone_C.copy()
     T[:, -1] = blind.T_zone_C[:, 0]
     later = replace(later, history=replace(later.history, T_zone_C=T))
-    controller._planners.base = replace(controller._planners.base, solver=Failing())
     assert controller.plan(later, blind.state).acting == (PlanStatus.THERMOSTAT, PlanStatus.SHIFTED)
 
 
@@ -432,7 +427,7 @@ def test_the_gain_in_a_zone_without_a_reading_sees_the_mean_of_the_others():
         states = []
         for history in (known, silent):
             state = predictor.followed(history.slice(0, begun))
-            states.append(predictor._estimator.update(state, history).forced_K)
+            states.append(predictor.followed(history, PredictorState(state)).forced_K)
         np.testing.assert_allclose(states[1], states[0], atol=1e-12)
         assert np.abs(states[0]).max() > 1.0
 

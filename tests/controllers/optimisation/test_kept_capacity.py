@@ -109,20 +109,19 @@ def test_the_limit_follows_the_outdoor_temperature_and_what_was_lacking():
     plant, mpc = TwoHouses(shared=True), metered()
     plant.reset(10 * 86400.0, 2 * 86400.0)
     first = mpc.plan(seen(plant, mpc, [0.5, 0.5], [2500.0, 2500.0]))
-    assert first.state.kept.tolist() == [0.0]
+    assert first.state.margins.unused.tolist() == [0.0]
     plant.advance([1.0, 0.4], HOUR_S)
     # The capacity is 5000 W / 0.8 at 0 °C in one house and 5000 W / 0.6 in the other; all of their mean is given.
     T_C = float(plant.houses[0].past(HOUR_S).T_out_C[-2])
     full_W, most_W = 5000.0 - 100.0 * T_C, (5000.0 / 0.8 + 5000.0 / 0.6) / 2
     lacking = [most_W - 0.5 * 0.7 * full_W, 0.5 * 0.7 * full_W]
     observation = seen(plant, mpc, [1.0, 0.7], lacking)
-    kept = mpc.plan(observation, first.state).state.kept
-    assert kept.tolist() == pytest.approx([0.12])
+    margins = mpc.plan(observation, first.state).state.margins
+    assert margins.unused.tolist() == pytest.approx([0.12])
     enough = [0.9 * most_W - 0.7 * full_W, 0.7 * full_W]
-    assert mpc.plan(seen(plant, mpc, [1.0, 0.7], enough), first.state).state.kept.tolist() == [0.0]
+    assert mpc.plan(seen(plant, mpc, [1.0, 0.7], enough), first.state).state.margins.unused.tolist() == [0.0]
 
     context = mpc.predictor.context(observation)
-    nothing = np.zeros(2)
-    problem = mpc._formulation.problem(mpc.planning_operator, context, observation.history, 0.0, nothing, kept=kept)
+    problem = mpc.instance(context, observation.history, margins)
     ahead_C = observation.boundary.T_out_C[:-1]
     np.testing.assert_allclose(problem.capacity[0], 0.88 / (1.0 - ahead_C / 50.0), rtol=1e-9)

@@ -8,17 +8,22 @@ from itertools import groupby
 
 import numpy as np
 import pytest
-from faults import ChangedResponse, FaultyHouse
+from faults import ChangedResponse, ChangedSolver, FaultyHouse
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from waiting import wait_for
 
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
+from controllers.mpc.planner import build_solver
+from controllers.mpc.readings import ReadingsFilter
 from controllers.mpc.state import MPCState
+from controllers.optimisation.qp import QPSolver
+from controllers.optimisation.qp_backends import Clarabel, Piqp, QPConfig
 from controllers.optimisation.solution import Solution
 from thermoforce_mpc.data import HOUR_S, FreeForecast, Observation, Plan, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
+CONFIG = MPCConfig(step_s=None, horizon_h=24.0)
 # Long enough for what does answer, on any machine.
 SOON_S = 3.0
 
@@ -27,27 +32,17 @@ class Panic(BaseException):
     """As a compiled library raises it."""
 
 
-def mpc(free=None, **options) -> ThermoForceMPC:
+def mpc(free=None, changed=lambda n, found: found, **options) -> ThermoForceMPC:
+    """A controller whose solutions are `changed(number of the solve, solution)`."""
     config = MPCConfig(**{"step_s": None, "horizon_h": 24.0, **options})
-    return ThermoForceMPC(simple_model(), config, free_response=free or OutdoorResponse())
+    solver = ChangedSolver(config, changed)
+    return ThermoForceMPC(simple_model(), config, free_response=free or OutdoorResponse(), solver=solver)
 
 
 def observation() -> Observation:
     house = SimpleHouse()
     house.reset(10 * 86400.0, 2 * 86400.0)
     return Observation(house.past(HOUR_S), house.forecast(24 * HOUR_S, HOUR_S))
-
-
-class Solver:
-    """The controller's solver, with `acts(number of the call, its solution)` in between."""
-
-    def __init__(self, controller: ThermoForceMPC, acts) -> None:
-        self.inner, self.acts, self.calls = controller._planners.base.solver, acts, 0
-        controller._planners.base = replace(controller._planners.base, solver=self)
-
-    def solve(self, problem, guess=None):
-        self.calls += 1
-        return self.acts(self.calls - 1, self.inner.solve(problem, guess))
 
 
 def raising(error: BaseException):
@@ -82,9 +77,7 @@ def released():
     ids=["key", "memory", "exit", "panic", "nothing", "nan", "above", "below", "short", "status"],
 )
 def test_no_answer_of_a_solver_acts_unchecked(acts, says):
-    controller = mpc()
-    Solver(controller, acts)
-    plan = controller.plan(observation())
+    plan = mpc(changed=acts).plan(observation())
     assert plan.status is PlanStatus.THERMOSTAT
     assert plan.acting == (PlanStatus.THERMOSTAT,)
     assert says in plan.why
@@ -93,9 +86,9 @@ def test_no_answer_of_a_solver_acts_unchecked(acts, says):
 
 
 def test_a_solver_that_hangs_is_left_behind_within_its_time_and_another_one_takes_over(released):
-    controller = mpc(deadline={"solve_s": SOON_S})
+    hanging = lambda n, found: found if n else released.wait(30.0)  # noqa: E731
+    controller = mpc(changed=hanging, deadline={"solve_s": SOON_S})
     seen = observation()
-    Solver(controller, lambda n, found: released.wait(30.0))
     plan = controller.plan(seen)
     assert plan.status is PlanStatus.THERMOSTAT
     assert "the solver failed (no answer within 3 s)" in plan.why
@@ -157,12 +150,17 @@ def ended_early(solution_of):
 
 
 def test_levels_of_a_solver_that_stopped_early_act_where_they_cost_no_more_than_what_else_there_is():
+    config = QPConfig()
+
     def planned(acts) -> Plan:
-        controller = mpc()
-        backends = controller._planners.base.solver._solve_with
-        for name in tuple(backends):
-            backends[name] = acts(backends[name])
-        return controller.plan(observation())
+        def solver(operator, machinery):
+            backends = {"piqp": acts(Piqp(config)), "clarabel": acts(Clarabel(config))}
+            shape = build_solver(CONFIG, operator, machinery).shape
+            return QPSolver(operator, shape, config, backends)
+
+        return ThermoForceMPC(simple_model(), CONFIG, free_response=OutdoorResponse(), solver=solver).plan(
+            observation()
+        )
 
     optimal = mpc().plan(observation())
     plan = planned(ended_early(lambda found: found))
@@ -178,8 +176,7 @@ def test_levels_of_a_solver_that_stopped_early_act_where_they_cost_no_more_than_
 
 
 def test_the_ladder_is_climbed_down_and_up_again_and_each_level_is_named():
-    controller = mpc()
-    Solver(controller, lambda n, found: raising(RuntimeError("broken")) if 10 <= n < 20 else found)
+    controller = mpc(changed=lambda n, found: raising(RuntimeError("broken")) if 10 <= n < 20 else found)
     house = SimpleHouse()
     result = run_closed_loop(house, controller, house.period("x"))
     status = [step.plan.status for step in result.steps]
@@ -199,18 +196,17 @@ def test_after_failures_on_end_it_starts_without_what_it_kept():
             kept.append(state)
             return self.forecast(free_C, history, boundary), len(kept)
 
-    controller = mpc(Following(lambda n, found: found), fallback={"cold_after": 2})
-    Solver(controller, lambda n, found: raising(RuntimeError("broken")) if n in (1, 2) else found)
+    broken = lambda n, found: raising(RuntimeError("broken")) if n in (1, 2) else found  # noqa: E731
+    controller = mpc(Following(lambda n, found: found), broken, fallback={"cold_after": 2})
     state, seen = None, observation()
     for _ in range(5):
         state = controller.plan(seen, state).state
     assert [item is None for item in kept] == [True, False, False, True, False]
 
 
-def test_an_error_of_the_controller_itself_releases_the_building():
-    controller = mpc()
-    controller._sensing.judged = lambda *given: raising(ZeroDivisionError("a defect"))
-    plan = controller.plan(observation())
+def test_an_error_of_the_controller_itself_releases_the_building(monkeypatch):
+    monkeypatch.setattr(ReadingsFilter, "clean", lambda *given, **options: raising(ZeroDivisionError("a defect")))
+    plan = mpc().plan(observation())
     assert plan.status is PlanStatus.NATIVE
     assert plan.why == "no decision was made (ZeroDivisionError: a defect): native control"
     assert [block.u for block in plan.blocks] == [(None,)]
@@ -237,10 +233,10 @@ def test_minimum_times_hold_over_all_levels_and_every_action_is_inside_limits(se
 
     controller = mpc(
         ChangedResponse(lambda n, found: found if rng.random() < 0.7 else raising(ValueError("broken"))),
+        broken,
         actuation={"mode": "duty", "min_on_s": 900.0, "min_off_s": 900.0},
         fallback={"stand_back": "rule"},
     )
-    Solver(controller, broken)
     house = FaultyHouse(noisy)
     result = run_closed_loop(house, controller, house.period("x"))
     found = {step.plan.status for step in result.steps}

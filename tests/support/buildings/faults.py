@@ -8,9 +8,13 @@ from dataclasses import replace
 import numpy as np
 from simple_house import OutdoorResponse, SimpleHouse, outdoor_C
 
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.planner import build_solver
+from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import MPCProblem
 from controllers.optimisation.solution import Solution, Solver
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, FreeForecast, Measurement, Record
+from thermoforce_mpc.model.operator.building import BuildingOperator
 
 
 class FaultyHouse(SimpleHouse):
@@ -77,14 +81,22 @@ def shifted(off_K: float) -> ChangedResponse:
 
 
 class ChangedSolver:
-    """A solver, with `changed(number of the call, solution)` in between."""
+    """Builds the solvers that `config` names, with `changed(number of the call, solution)` in between."""
 
-    def __init__(self, inner: Solver, changed: Callable[[int, Solution], Solution]) -> None:
-        self.inner, self.changed, self.calls = inner, changed, 0
+    def __init__(self, config: MPCConfig, changed: Callable[[int, Solution], Solution]) -> None:
+        self.config, self.changed, self.calls = config, changed, 0
+
+    def __call__(self, operator: BuildingOperator, machinery: EquipmentLayout) -> Solver:
+        return _Changed(self, build_solver(self.config, operator, machinery))
+
+
+class _Changed:
+    def __init__(self, by: ChangedSolver, inner: Solver) -> None:
+        self.by, self.inner = by, inner
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
-        self.calls += 1
-        return self.changed(self.calls - 1, self.inner.solve(problem, guess))
+        self.by.calls += 1
+        return self.by.changed(self.by.calls - 1, self.inner.solve(problem, guess))
 
 
 FAILED = Solution(False, np.empty(0), "failed", 0, "failed on purpose")
