@@ -108,8 +108,8 @@ class BoptestClient:
         endpoint, answer = f"GET {self.url}/testcases", self._transport.call("GET", "testcases").payload
         if not isinstance(answer, list):
             raise ProtocolError(endpoint, f"not a list of test cases: {answer!r:.120}")
-        found = [self._mapping(endpoint, item).get("testcaseid") for item in answer]
-        return tuple(sorted(self._text(endpoint, name, "testcaseid") for name in found))
+        names = [self._mapping(endpoint, item).get("testcaseid") for item in answer]
+        return tuple(sorted(self._text(endpoint, name, "testcaseid") for name in names))
 
     def name(self) -> str:
         """Name of the test case as reported by the service."""
@@ -144,12 +144,12 @@ class BoptestClient:
 
         def parse(answer: Any) -> Scenario:
             at = self._at("scenario")
-            told = self._mapping(at, answer)
+            values = self._mapping(at, answer)
             for name in Scenario.__dataclass_fields__:
                 kind = int if name == "seed" else str
-                if not (told.get(name) is None or (isinstance(told[name], kind) and told[name] is not True)):
-                    raise ProtocolError(at, f"{name} is {told[name]!r:.120}, expected {kind.__name__} or null")
-            return Scenario.from_json(told)
+                if not (values.get(name) is None or (isinstance(values[name], kind) and values[name] is not True)):
+                    raise ProtocolError(at, f"{name} is {values[name]!r:.120}, expected {kind.__name__} or null")
+            return Scenario.from_json(values)
 
         return self._get("scenario", parse)
 
@@ -165,32 +165,32 @@ class BoptestClient:
             answer = self._mapping(self._at("scenario"), payload)
             if scenario.time_period is None:
                 return {}
-            return self._timed("scenario", self._numbers("scenario", answer.get("time_period")))
+            return self._with_time("scenario", self._numbers("scenario", answer.get("time_period")))
 
         # A refusal of a named period is an answer: the service does not know it.
-        found = self._put("scenario", scenario.as_json(), parse, refusals=2 if scenario.time_period is None else 0)
+        values = self._put("scenario", scenario.as_json(), parse, refusals=2 if scenario.time_period is None else 0)
         self._transport.in_a_run = True
-        return found
+        return values
 
     def initialize(self, start_time_s: float, warmup_period_s: float) -> dict[str, float]:
         """Start at `start_time_s` after `warmup_period_s` under embedded control; returns the first measurements."""
         body = {"start_time": start_time_s, "warmup_period": warmup_period_s}
 
         def parse(payload: Any) -> dict[str, float]:
-            return self._timed("initialize", self._numbers("initialize", payload))
+            return self._with_time("initialize", self._numbers("initialize", payload))
 
-        found = self._put("initialize", body, parse, refusals=0)
+        values = self._put("initialize", body, parse, refusals=0)
         self._transport.in_a_run = True
-        return found
+        return values
 
     def step(self) -> float:
         """Length of a step, s."""
 
         def parse(answer: Any) -> float:
-            found = self._number(self._at("step"), answer)
-            if not (math.isfinite(found) and found > 0.0):
+            step_s = self._number(self._at("step"), answer)
+            if not (math.isfinite(step_s) and step_s > 0.0):
                 raise ProtocolError(self._at("step"), f"not a length of a step: {answer!r:.120}")
-            return found
+            return step_s
 
         return self._get("step", parse)
 
@@ -226,14 +226,14 @@ class BoptestClient:
         except Moved:
             raise
         except _LOST as lost:
-            found = self._state_after(lost)
-            if not found:
+            end_state = self._state_after(lost)
+            if not end_state:
                 raise _NotSimulated(lost.endpoint, f"{lost.message}; the step was not simulated") from lost
             _LOG.warning("%s; the step was simulated, its end is read from the record", lost)
-            return self._timed("advance", found)
+            return self._with_time("advance", end_state)
         if answer.message and not answer.message.startswith(("Advanced simulation", "End of test case")):
             _LOG.warning("advance: %s", answer.message)
-        return {} if over else self._timed("advance", state)
+        return {} if over else self._with_time("advance", state)
 
     def go_on_from(self, time_s: float, step_s: float) -> dict[str, float]:
         """Take the test up at `time_s`, when the last answer was received; `step_s` is the step in force.
@@ -247,15 +247,15 @@ class BoptestClient:
         self.time_s, self._step_s = time_s, step_s
         self._transport.in_a_run = True
         lost = ConnectionLost(self._at("advance"), "the process that controlled this test ended")
-        found = self._state_after(lost)
-        return self._timed("results", found) if found else {}
+        end_state = self._state_after(lost)
+        return self._with_time("results", end_state) if end_state else {}
 
     def forecast(
         self, point_names: Sequence[str], horizon_s: float, interval_s: float, *, patiently: bool = True
     ) -> dict[str, list[float]]:
         """Forecast of each point and strictly increasing 'time', s, from now to `horizon_s` every `interval_s`.
 
-        Where it is not asked for `patiently`, a request that failed is not repeated.
+        Where `patiently` is false, a request that failed is not repeated.
         """
         body = {"point_names": list(point_names), "horizon": horizon_s, "interval": interval_s}
 
@@ -338,14 +338,14 @@ class BoptestClient:
             ).payload
             testid = self._text(f"POST {self.url}/{path}", self._mapping(path, answer).get("testid"), "testid")
         except UnknownTest as error:
-            offered = self._offered()
+            offered = self._available_testcases()
             raise UnknownTest(error.endpoint, f"no test case '{self.testcase}'{offered}", error.status) from error
         except BaseException:
             self._transport.close()
             raise
         return testid
 
-    def _offered(self) -> str:
+    def _available_testcases(self) -> str:
         """Available test cases, for an error message; empty if the service does not list them."""
         try:
             return f"; the service offers {', '.join(self.testcases())}"
@@ -361,7 +361,7 @@ class BoptestClient:
                 raise ServiceTimeout(f"GET {self.url}/status/{self.testid}", f"still '{status}' after {timeout_s:g} s")
             time.sleep(min(_POLL_S, timeout_s))
 
-    def _timed(self, what: str, state: dict[str, float]) -> dict[str, float]:
+    def _with_time(self, what: str, state: dict[str, float]) -> dict[str, float]:
         """The state in the answer to `what`, which must contain a finite 'time'."""
         if not math.isfinite(state.get("time", math.nan)):
             raise ProtocolError(self._at(what), "the measurements have no time")
@@ -410,18 +410,18 @@ class BoptestClient:
         return f"{self.url}/{what}/{self.testid}"
 
     def _points(self, what: str) -> dict[str, Point]:
-        """Points of a list; one of them at least must tell its unit, which JSON of another kind does not."""
+        """Points of a list; one of them at least must have a unit, which JSON of another kind does not."""
         at = self._at(what)
 
         def parse(payload: Any) -> dict[str, Point]:
-            told = {
+            entries = {
                 name: self._mapping(f"{at}: {name}", data)
                 for name, data in self._mapping(at, payload).items()
                 if name != "time"
             }
-            if not any("Unit" in data for data in told.values()):
+            if not any("Unit" in data for data in entries.values()):
                 raise ProtocolError(at, f"not a list of points: {payload!r:.120}")
-            return {name: Point.from_json(name, data) for name, data in told.items()}
+            return {name: Point.from_json(name, data) for name, data in entries.items()}
 
         return self._get(what, parse)
 
@@ -451,7 +451,7 @@ class BoptestClient:
         return {key: self._number(at, value) for key, value in self._mapping(at, answer).items()}
 
     def _series(self, what: str, answer: Any, names: Sequence[str]) -> dict[str, list[float]]:
-        """Values of `names` at the instants 'time', which never fall; none where nothing is told."""
+        """Values of `names` at the instants 'time', which never fall; none where none are recorded."""
         endpoint = f"PUT {self._at(what)}"
         mapping = self._mapping(endpoint, answer)
         missing = [name for name in names if name not in mapping]

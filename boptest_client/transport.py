@@ -104,13 +104,13 @@ class Transport:
 
     def patiently(
         self,
-        ask: Callable[[], _Result],
+        request: Callable[[], _Result],
         *,
         passing: tuple[type[Exception], ...] = _PASSING,
         refusals: int = _REFUSALS,
         most_s: float = math.inf,
     ) -> _Result:
-        """The result of `ask`, repeated with growing pauses while it fails in a way that may pass.
+        """The result of `request`, repeated with growing pauses while it fails in a way that may pass.
 
         Args:
             passing: errors that may pass; a refused request is repeated `refusals` times.
@@ -129,10 +129,10 @@ class Transport:
             return isinstance(error, passing) and not isinstance(error, Moved)
 
         def over(state: tenacity.RetryCallState) -> bool:
-            # The pauses that were asked for count too: a clock of tests may make them shorter.
+            # The requested pauses count too: a clock of tests may make them shorter.
             return max(state.seconds_since_start or 0.0, state.idle_for) >= patience_s
 
-        def tell(state: tenacity.RetryCallState) -> None:
+        def log_retry(state: tenacity.RetryCallState) -> None:
             error = state.outcome.exception() if state.outcome else None
             _LOG.warning("%s (asking again in %.2g s)", error, state.upcoming_sleep)
 
@@ -141,10 +141,10 @@ class Transport:
             stop=over,
             wait=tenacity.wait_exponential(multiplier=c.backoff_s, max=c.longest_pause_s),
             sleep=c.sleep,
-            before_sleep=tell,
+            before_sleep=log_retry,
             reraise=True,
         )
-        return retrying(ask)
+        return retrying(request)
 
     def call(
         self, method: Method, path: str, body: dict[str, Any] | None = None, *, most_s: float = math.inf
@@ -313,13 +313,13 @@ def _reason(content: Any, text: str) -> str:
 
 def _never_connected(error: BaseException) -> bool:
     """Whether the request failed before a connection was made (name not found, refused, no route)."""
-    seen: BaseException | None = error
-    while seen is not None:
+    cause: BaseException | None = error
+    while cause is not None:
         # Compared by name, since urllib3 is not a direct dependency.
-        if type(seen).__name__ in ("NewConnectionError", "NameResolutionError", "ConnectTimeoutError"):
+        if type(cause).__name__ in ("NewConnectionError", "NameResolutionError", "ConnectTimeoutError"):
             return True
-        reason = getattr(seen, "reason", None)
-        seen = reason if isinstance(reason, BaseException) else seen.__context__
+        reason = getattr(cause, "reason", None)
+        cause = reason if isinstance(reason, BaseException) else cause.__context__
     return False
 
 

@@ -39,8 +39,8 @@ class FilesConnection:
         now = datetime.now(UTC)
         until = now + timedelta(seconds=seconds)
         # In whole seconds, rounded up: what is to hold for a while must not end before.
-        said = {"levels": dict(levels), "from": _text(now), "until": _text(until + timedelta(microseconds=999_999))}
-        write_whole(self._levels, json.dumps(said, ensure_ascii=False) + "\n")
+        content = {"levels": dict(levels), "from": _text(now), "until": _text(until + timedelta(microseconds=999_999))}
+        write_whole(self._levels, json.dumps(content, ensure_ascii=False) + "\n")
 
     def close(self) -> None:
         """Nothing is open."""

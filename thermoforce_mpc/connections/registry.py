@@ -18,7 +18,7 @@ from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.scenario.signatures import called, options_model, unfit
 
 REGISTRY: Registry[Callable[..., Connection]] = Registry(
-    "connection", "connections", {"files": FilesConnection}, ConfigError, lambda found: unfit(found, ())
+    "connection", "connections", {"files": FilesConnection}, ConfigError, lambda entry: unfit(entry, ())
 )
 
 
@@ -31,7 +31,7 @@ def build_connection(name: str, options: Mapping[str, Any]) -> Connection:
     make = REGISTRY.find(name)
     config = validate(options_model(make, ()), options, f"options of connection '{name}'")
     connection = called(make, config, {})
-    lacking = [one for one in ("measurements", "forecast", "write", "close") if not hasattr(connection, one)]
+    lacking = [method for method in ("measurements", "forecast", "write", "close") if not hasattr(connection, method)]
     if lacking:
         raise ConfigError(f"connection '{name}': has no {', '.join(lacking)}; see thermoforce_mpc.protocols.Connection")
     checked: Connection = connection

@@ -111,16 +111,16 @@ class Boundary:
         # Temperatures go straight between two rows; what follows a schedule holds until the next row.
         held = np.clip(np.searchsorted(at_s, time_s + CLOCK_ROUNDING_S, side="right") - 1, 0, at_s.size - 1)
 
-        def line(given: str | float | None) -> Array:
-            return np.interp(time_s, at_s, series(df, given, "forecast"))
+        def line(source: str | float | None) -> Array:
+            return np.interp(time_s, at_s, series(df, source, "forecast"))
 
-        def step(given: str | float | None) -> Array:
-            return series(df, given, "forecast")[held]
+        def step(source: str | float | None) -> Array:
+            return series(df, source, "forecast")[held]
 
         sun = np.zeros(time_s.size) if solar is None else line(solar)
-        found = cls(time_s, line(outdoor), sun, step(occupancy), step(lower), step(upper), step(price), step(emission))
-        found._check_bounds(stamps(time_s, record.origin))
-        return found
+        ahead = cls(time_s, line(outdoor), sun, step(occupancy), step(lower), step(upper), step(price), step(emission))
+        ahead._check_bounds(stamps(time_s, record.origin))
+        return ahead
 
     def _check_bounds(self, at: pd.Index) -> None:
         """Raises `DataError` where a bound is no room temperature in °C, or the lower one is above the upper."""

@@ -64,13 +64,13 @@ def seconds_at(origin: pd.Timestamp, time: pd.Timestamp | str, what: str) -> flo
     if at.tz is not None and origin.tz is None:
         raise DataError(f"{what} '{time}' has a time zone and the record has none: write it without")
     if at.tz is None and origin.tz is not None:
-        there = at.tz_localize(origin.tz, ambiguous=True, nonexistent="NaT")
-        if not isinstance(there, pd.Timestamp):  # NaT
+        localised = at.tz_localize(origin.tz, ambiguous=True, nonexistent="NaT")
+        if not isinstance(localised, pd.Timestamp):  # NaT
             raise DataError(
                 f"{what} '{time}' does not exist in {origin.tz}, where summer time begins: name a time before or after "
                 "that hour"
             )
-        at = there
+        at = localised
     return float((at - origin).total_seconds())
 
 
@@ -94,8 +94,8 @@ def column(df: pd.DataFrame, name: str, what: str) -> NDArray[np.float64]:
             are.
     """
     if name not in df.columns:
-        known = [str(key) for key in df.columns]
-        raise DataError(f"{what}: no column '{name}'{suggestion(str(name), known)}; there are {', '.join(known)}")
+        names = [str(key) for key in df.columns]
+        raise DataError(f"{what}: no column '{name}'{suggestion(str(name), names)}; there are {', '.join(names)}")
     if isinstance(df[name], pd.DataFrame):
         raise DataError(f"{what}: there are {df[name].shape[1]} columns '{name}'; give each a name of its own")
     try:
@@ -104,8 +104,8 @@ def column(df: pd.DataFrame, name: str, what: str) -> NDArray[np.float64]:
         raise DataError(f"{what}: column '{name}' holds a cell that is no number ({error})") from error
 
 
-def series(df: pd.DataFrame, given: str | float | None, what: str) -> NDArray[np.float64]:
+def series(df: pd.DataFrame, source: str | float | None, what: str) -> NDArray[np.float64]:
     """A column by name, one number for all rows, or NaN for all where None is given; shape (n,). Raises `DataError`."""
-    if isinstance(given, str):
-        return column(df, given, what)
-    return np.full(len(df), np.nan if given is None else float(given))
+    if isinstance(source, str):
+        return column(df, source, what)
+    return np.full(len(df), np.nan if source is None else float(source))

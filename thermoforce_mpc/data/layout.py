@@ -51,8 +51,8 @@ class Layout:
             raise DataError(f"layout: home {self.home} or machine_of {self.machine_of} names what is not there")
         for zone, area in zip(self.names.zones, self.floor_area_m2, strict=True):
             if area <= 0.0:
-                of = "" if Z == 1 else f" of {zone}"
-                raise DataError(f"layout: floor_area_m2{of} is {area:g} m²: it must be above 0, or NaN if not known")
+                where = "" if Z == 1 else f" of {zone}"
+                raise DataError(f"layout: floor_area_m2{where} is {area:g} m²: it must be above 0, or NaN if not known")
         for group in self.exclusive:
             if len(group) < 2 or len(set(group)) != len(group) or not all(0 <= a < A for a in group):
                 raise DataError(f"layout: exclusive {group}: expected two or more of {A} actuators, each once")
@@ -99,7 +99,7 @@ class Layout:
         return [(a, b) for group in self.exclusive for a in group for b in group if a != b]
 
     def excluded(self, wanted: Sequence[float | None]) -> dict[int, int]:
-        """The actuators that may not do what is asked of them, each with the one that excludes it.
+        """The actuators that may not do what is `wanted` of them, each with the one that excludes it.
 
         Native control of one leaves all of its group to native control, which alone knows what it does there. Otherwise
         the one that is wanted most acts (of equals the first), and the others are off.
@@ -107,16 +107,16 @@ class Layout:
         Args:
             wanted: how much each actuator is wanted (A,), 0 where it is off anyway, None for native control.
         """
-        found: dict[int, int] = {}
-        left, native = list(wanted), [a for a, one in enumerate(wanted) if one is None]
+        excluded_by: dict[int, int] = {}
+        left, native = list(wanted), [a for a, level in enumerate(wanted) if level is None]
         for by in native:  # grows with those that are left to native control here
             for a in {a for group in self.exclusive if by in group for a in group if left[a] is not None}:
-                left[a], found[a] = None, found.get(by, by)
+                left[a], excluded_by[a] = None, excluded_by.get(by, by)
                 native.append(a)
         for group in self.exclusive:
             acting = [a for a in group if left[a]]
             kept = max(acting, key=lambda a: left[a] or 0.0, default=-1)
             for a in acting:
                 if a != kept:
-                    left[a], found[a] = 0.0, kept
-        return found
+                    left[a], excluded_by[a] = 0.0, kept
+        return excluded_by

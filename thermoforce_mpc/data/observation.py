@@ -56,7 +56,7 @@ class FreeForecast:
     """A free response over `N` steps, of one zone as a method gives it, or of all Z zones (`stacked`).
 
     `quantiles_C` °C has shape (Q, N) or (Q, Z, N) for the increasing `levels` (Q,); `note` says what made it, and
-    `doubt` why it was not the method asked for; empty where it was.
+    `doubt` why it was not the configured method; empty where it was.
     """
 
     levels: Array

@@ -184,16 +184,16 @@ class DaskEngine:
         Those that come later compare themselves, with each task.
         """
         threads = self._client.nthreads()
-        found = self._client.run(look, on_error="return")
-        for worker, (there, told) in ((w, f) for w, f in found.items() if isinstance(f, tuple)):
-            differs = difference(environment(), there)
+        answers = self._client.run(look, on_error="return")
+        for worker, (versions, omp_threads) in ((w, f) for w, f in answers.items() if isinstance(f, tuple)):
+            differs = difference(environment(), versions)
             if differs:
                 raise ConfigError(f"worker {worker} has {differs}; start it in the environment of this client")
-            if wrong := more_threads(threads.get(worker, 1), told):
+            if wrong := more_threads(threads.get(worker, 1), omp_threads):
                 raise ConfigError(f"worker {worker} {wrong}")
-        for worker, error in ((w, f) for w, f in found.items() if isinstance(f, BaseException)):
+        for worker, error in ((w, f) for w, f in answers.items() if isinstance(f, BaseException)):
             raise ConfigError(f"worker {worker} cannot load thermoforce-mpc of this version: {_first_line(error)}")
-        return len(found)
+        return len(answers)
 
     def _dashboard(self) -> str:
         if not self._client.scheduler_info().get("services", {}).get("dashboard"):

@@ -71,7 +71,7 @@ async def _identity(address: str, within_s: float) -> dict[str, Any]:
 
     comm = await connect(address, timeout=within_s, **Security().get_connection_args("client"))
     try:
-        found: dict[str, Any] = await send_recv(comm, op="identity")
-        return found
+        identity: dict[str, Any] = await send_recv(comm, op="identity")
+        return identity
     finally:
         comm.abort()

@@ -33,13 +33,13 @@ def look() -> tuple[dict[str, str], str]:
     return environment(), threads()
 
 
-def more_threads(n: int, told: str) -> str:
-    """What is wrong with a worker of `n` threads whose libraries were `told` theirs; empty where each has one."""
-    if n == 1 and told == "1":
+def more_threads(n: int, omp_threads: str) -> str:
+    """What is wrong with a worker of `n` threads whose `OMP_NUM_THREADS` is `omp_threads`; empty where each has one."""
+    if n == 1 and omp_threads == "1":
         return ""
     return (
-        f"computes on {n} threads with OMP_NUM_THREADS '{told}', so that results depend on it: start workers with "
-        "--nthreads 1 and OMP_NUM_THREADS=1 (a nanny sets it)"
+        f"computes on {n} threads with OMP_NUM_THREADS '{omp_threads}', so that results depend on it: start workers "
+        "with --nthreads 1 and OMP_NUM_THREADS=1 (a nanny sets it)"
     )
 
 
@@ -56,11 +56,11 @@ def perform(order: Order) -> Answer:
         raise WrongWorker(f"worker {worker.address} {wrong}")
     mine = worker.get_current_task()
 
-    def told(share: float) -> None:
+    def report(share: float) -> None:
         state: Any = worker.state.tasks.get(mine)
         if state is None or state.state == "cancelled":
             raise _Cancelled
         worker.log_event(order.topic, {"key": order.key, "share": share})
 
     worker.log_event(order.topic, {"key": order.key})
-    return answer_to(order.payload, told)
+    return answer_to(order.payload, report)

@@ -75,9 +75,9 @@ def gather(
     waiting: dict[int, list[Request]] = {}
     while outcomes:
         requests = waiting
-        for i, given in outcomes.items():
+        for i, received in outcomes.items():
             try:
-                requests[i] = computations[i].send(given)  # type: ignore[arg-type]  # None begins a generator
+                requests[i] = computations[i].send(received)  # type: ignore[arg-type]  # None begins a generator
             except StopIteration as end:
                 results[i] = end.value
         if not requests:
@@ -86,10 +86,10 @@ def gather(
         if len(waiting) == len(requests):
             waiting = {}
         requests = {i: requests[i] for i in sorted(requests) if i not in waiting}
-        found = yield [request for several in requests.values() for request in several]
+        answers = yield [request for several in requests.values() for request in several]
         outcomes, at = {}, 0
         for i, several in requests.items():
-            outcomes[i] = found[at : at + len(several)]
+            outcomes[i] = answers[at : at + len(several)]
             at += len(several)
     return [results[i] for i in range(len(computations))]
 
@@ -164,20 +164,20 @@ class DirectHandler:
         groups: dict[int, list[int]] = {}
         for i, request in enumerate(requests):
             groups.setdefault(-1 - i if request.items is None else id(request.owner), []).append(i)
-        found: dict[int, Outcome] = {}
+        by_index: dict[int, Outcome] = {}
         for group in groups.values():
             spent = 0.0 if self.strangers else time.monotonic() - began
             outcomes = self._group([requests[i] for i in group], spent)
-            found.update(zip(group, outcomes, strict=True))
-        return [found[i] for i in range(len(requests))]
+            by_index.update(zip(group, outcomes, strict=True))
+        return [by_index[i] for i in range(len(requests))]
 
     def _group(self, requests: list[Request], spent: float) -> list[Outcome]:
         """Outcomes of requests that one call can answer."""
-        whole = self._made(_joined(requests), spent)
+        whole = self._outcome(_joined(requests), spent)
         if len(requests) == 1:
             return [whole]
         if whole.error is not None or len(whole.value) != sum(len(request.items or ()) for request in requests):
-            return [self._made(request, spent) for request in requests]
+            return [self._outcome(request, spent) for request in requests]
         out, at, each = [], 0, whole.seconds / max(len(whole.value), 1)
         for request in requests:
             n = len(request.items or ())
@@ -185,7 +185,7 @@ class DirectHandler:
             at += n
         return out
 
-    def _made(self, request: Request, spent: float) -> Outcome:
+    def _outcome(self, request: Request, spent: float) -> Outcome:
         began = time.perf_counter()
         call = request.call if request.items is None else lambda: request.call(request.items)
         left = None if request.seconds is None else request.seconds - spent

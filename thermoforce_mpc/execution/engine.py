@@ -92,10 +92,10 @@ def payload_of(function: Callable[..., Any], inputs: Any, results: tuple[Any, ..
     return pickle.dumps((function, inputs, results), protocol=pickle.HIGHEST_PROTOCOL)
 
 
-def answer_to(payload: bytes, told: Callable[[float], None]) -> Answer:
+def answer_to(payload: bytes, report: Callable[[float], None]) -> Answer:
     """Make the call of `payload_of` in this process; every error becomes an answer."""
     began = time.perf_counter()
-    token = _teller.set(_Teller(told))
+    token = _teller.set(_Teller(report))
     try:
         function, inputs, results = pickle.loads(payload)
         value = pickle.dumps(function(inputs, *results), protocol=pickle.HIGHEST_PROTOCOL)
@@ -122,14 +122,14 @@ def tell(share: float) -> None:
 
 
 class _Teller:
-    def __init__(self, told: Callable[[float], None]) -> None:
-        self._told, self._last = told, time.monotonic()
+    def __init__(self, report: Callable[[float], None]) -> None:
+        self._report, self._last = report, time.monotonic()
 
     def tell(self, share: float) -> None:
         now = time.monotonic()
         if now - self._last >= _SHARE_EVERY_S:
             self._last = now
-            self._told(float(share))
+            self._report(float(share))
 
 
 _teller: ContextVar[_Teller | None] = ContextVar("teller", default=None)

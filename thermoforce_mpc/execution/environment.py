@@ -17,14 +17,14 @@ _PACKAGES = ("casadi", "distributed", "numpy", "torch")
 @functools.cache
 def environment() -> dict[str, str]:
     """Versions in this process, by name; `source` is the fingerprint of this package's code."""
-    found = {"thermoforce-mpc": VERSION, "source": source_fingerprint()}
-    found["python"] = f"{sys.version_info.major}.{sys.version_info.minor}"
+    versions = {"thermoforce-mpc": VERSION, "source": source_fingerprint()}
+    versions["python"] = f"{sys.version_info.major}.{sys.version_info.minor}"
     for package in _PACKAGES:
         try:
-            found[package] = importlib.metadata.version(package)
+            versions[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+            versions[package] = "not installed"
+    return versions
 
 
 def threads() -> str:

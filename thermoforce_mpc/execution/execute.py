@@ -148,7 +148,7 @@ def collect(
     watcher: Watcher | None = None,
     on_value: Callable[[Any], None] = lambda value: None,
 ) -> list[Any]:
-    """The values of all tasks, in their order; the first failure ends the rest. `on_value` is told them as they come.
+    """The values of all tasks, in their order; the first failure ends the rest. `on_value` gets them as they come.
 
     Raises:
         ThermoForceError: that of the task, of its kind.
@@ -176,12 +176,14 @@ def run_all(
 ) -> list[R]:
     """`function` of every case, in the order of `cases`; nothing is kept, and the first failure ends the rest.
 
-    `on_done` is told the number of cases done so far and the value of the latest.
+    `on_done` is called with the number of cases done so far and the value of the latest.
 
     Raises:
         ThermoForceError, TaskFailed: as `collect`.
     """
-    tasks = [Task(str(n), f"{function.__name__} {n + 1} of {len(cases)}", function, one) for n, one in enumerate(cases)]
+    tasks = [
+        Task(str(n), f"{function.__name__} {n + 1} of {len(cases)}", function, case) for n, case in enumerate(cases)
+    ]
     done = 0
 
     def count(value: R) -> None:

@@ -106,15 +106,15 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         super().reset(seed=seed)
         for unknown in sorted(set(options or {}) - set(_RESET_OPTIONS)):
             raise ConfigError(f"reset: unknown option '{unknown}'; known: {', '.join(_RESET_OPTIONS)}")
-        given = (options or {}).get("start_time")
-        if given is not None and not (isinstance(given, int | float | np.number) and 0 <= given < np.inf):
-            raise ConfigError(f"reset: start_time: {given!r}: expected seconds since 1 January")
+        start_s = (options or {}).get("start_time")
+        if start_s is not None and not (isinstance(start_s, int | float | np.number) and 0 <= start_s < np.inf):
+            raise ConfigError(f"reset: start_time: {start_s!r}: expected seconds since 1 January")
         self._running = False  # until the plant stands at the new start
-        self.start_time = self._episodes.start_s(self.np_random) if given is None else float(given)
+        self.start_time = self._episodes.start_s(self.np_random) if start_s is None else float(start_s)
         self._view.begin(self.start_time, self._episodes.warmup_period, self.max_episode_length, self.scenario)
         self.objective_integrand, self.episode_rewards, self._trace = 0.0, [], []
         self._last, self._kpis, self._running = None, {}, True
-        return self._observed()
+        return self._observe()
 
     def step(self, action: Any) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
         """Apply `action` for one step; returns observation, reward, terminated, truncated and info.
@@ -129,13 +129,13 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         """
         if not self._running:
             raise ResetNeeded("no episode is running: call reset() first")
-        wanted = np.asarray(action, dtype=np.float64)
-        if wanted.shape != self.action_space.shape or not np.isfinite(wanted).all():
+        requested = np.asarray(action, dtype=np.float64)
+        if requested.shape != self.action_space.shape or not np.isfinite(requested).all():
             raise ConfigError(
                 f"action {action!r}: expected {self.action_space.shape[0]} finite numbers "  # type: ignore[index]
                 f"({', '.join(self.action_names)})"
             )
-        applied = np.minimum(np.maximum(wanted, self._view.action_space.low), self._view.action_space.high)
+        applied = np.minimum(np.maximum(requested, self._view.action_space.low), self._view.action_space.high)
         self._view.act(applied)
         self._kpis = {}
         reward = float(self.get_reward())
@@ -143,7 +143,7 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         state = {"time": self._view.now_s} if self.render_mode is None else self._view.state()
         if self.render_mode is not None:
             self._trace.append((state, applied))
-        observation, info = self._observed()
+        observation, info = self._observe()
         terminated = bool(self.compute_terminated(state, reward))
         truncated = bool(self.compute_truncated(state, reward))
         self._running = not (terminated or truncated)
@@ -208,7 +208,7 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         """Release the plant; safe to call twice."""
         self._view.close()
 
-    def _observed(self) -> tuple[Observed, dict[str, Any]]:
+    def _observe(self) -> tuple[Observed, dict[str, Any]]:
         observation, self._last, missing = self._view.box.inside(self._view.observe(), self._last)
         kpis = self.get_kpis()
         info = {"time_s": self._view.now_s, "missing": missing}

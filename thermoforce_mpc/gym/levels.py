@@ -73,7 +73,7 @@ class LevelsView:
                 raise ConfigError(f"{name}: {value!r} s: expected {least:g} s or more")
         if not every_s >= step_s or abs(every_s / step_s - round(every_s / step_s)) > 1e-9:
             raise ConfigError(f"forecast_every: {every_s!r} s: expected a whole number of steps of {step_s:g} s")
-        if any(isinstance(one.actuator, RoomSetpoints) for one in testcase.points.actuators):
+        if any(isinstance(point.actuator, RoomSetpoints) for point in testcase.points.actuators):
             raise ConfigError(
                 f"test case '{testcase.name}' is run by room set-points, not by levels: choose convention='boptest' "
                 "with url=…, where their points are actions"
@@ -93,8 +93,8 @@ class LevelsView:
         for back in range(1, self._behind + 1):
             entries += [(f"{name}-{back * step_s:g}s", pair) for name, pair in (*sampled, *acted)]
         for name in _FORECAST:
-            one = name in ("T_out_C", "solar_W_m2")
-            labels = [name] if one else [names.label(name, row) for row in range(names.rows(name))]
+            is_weather = name in ("T_out_C", "solar_W_m2")
+            labels = [name] if is_weather else [names.label(name, row) for row in range(names.rows(name))]
             entries += [(f"{label}+{k * step_s:g}s", _BOUNDS[name]) for label in labels for k in self._offsets]
         self.box = ObservationBox.of(entries)
 
@@ -152,12 +152,12 @@ class LevelsView:
     def state(self) -> dict[str, float]:
         """Time, temperatures, levels and comfort bounds now."""
         names, coming = self._layout.names, self._coming()
-        found = {"time": self.now_s, "T_out_C": float(self._now.T_out_C)}
-        found |= {names.label("T_zone_C", z): float(T) for z, T in enumerate(self._now.T_zone_C)}
+        values = {"time": self.now_s, "T_out_C": float(self._now.T_out_C)}
+        values |= {names.label("T_zone_C", z): float(T) for z, T in enumerate(self._now.T_zone_C)}
         zones = len(names.zones)
         for i, name in enumerate(("lower_C", "upper_C"), start=1):
-            found |= {names.label(name, z): float(coming[2 + i * zones + z, 0]) for z in range(zones)}
-        return found
+            values |= {names.label(name, z): float(coming[2 + i * zones + z, 0]) for z in range(zones)}
+        return values
 
     def snapshot(self) -> _State:
         """See `View.snapshot`."""
@@ -170,10 +170,10 @@ class LevelsView:
 
     def branched(self) -> LevelsView:
         """See `View.branched`; both plants share what no step changes."""
-        here = self.snapshot()
+        snapshot = self.snapshot()
         other = copy.copy(self)
         other._plant = copy.copy(self._plant)
-        other.restore(here)
+        other.restore(snapshot)
         return other
 
     def close(self) -> None:

@@ -109,8 +109,8 @@ def levels_env(
         plant |= {"kind": "boptest", "url": url}
     if fmu is not None:
         plant |= {"kind": "fmu", "path": fmu}
-    given = {"testcase": testcase, "plant": plant, "controller": {"name": "native"}, "baselines": []}
-    chosen = load_scenario(None, {**given, "seed": plant_seed})
+    content = {"testcase": testcase, "plant": plant, "controller": {"name": "native"}, "baselines": []}
+    chosen = load_scenario(None, {**content, "seed": plant_seed})
     described = validate_scenario(chosen)
     episodes = Episodes(
         step_period=float(step_period),

@@ -58,9 +58,9 @@ class PointsView:
         self._source, self._actions, self._step_s = source, tuple(actions), step_s
         for name in actions:
             if name not in source.inputs or not name.endswith("_u"):
-                known = [key for key in source.inputs if key.endswith("_u")]
+                names = [key for key in source.inputs if key.endswith("_u")]
                 raise ConfigError(
-                    f"actions: unknown input '{name}'{suggestion(name, known)}; known: {', '.join(known)}"
+                    f"actions: unknown input '{name}'{suggestion(name, names)}; known: {', '.join(names)}"
                 )
         if not actions:
             raise ConfigError("actions: give at least one input")
@@ -68,10 +68,10 @@ class PointsView:
             if np.shape(bounds) != (2,):
                 raise ConfigError(f"observations: '{name}' is {bounds!r}: expected a pair of lower and upper bound")
             if name != "time" and name not in source.measurements and name not in source.forecasts:
-                known = ["time", *source.measurements, *source.forecasts]
+                names = ["time", *source.measurements, *source.forecasts]
                 raise ConfigError(
-                    f"observations: '{name}' is neither measured nor forecast{suggestion(name, known)}; "
-                    f"known: {', '.join(known)}"
+                    f"observations: '{name}' is neither measured nor forecast{suggestion(name, names)}; "
+                    f"known: {', '.join(names)}"
                 )
         self._measured = [name for name in observations if name in source.measurements]
         self._forecast = [name for name in observations if name in source.forecasts and name not in self._measured]
@@ -85,16 +85,16 @@ class PointsView:
         self._n_ahead = int(self._predictive_s / step_s + 1e-9) + 1
         self._n_behind = int((regressive_s or 0.0) / step_s + 1e-9)
         self._modulo = float(observations["time"][1]) if "time" in observations else None
-        of = {name: (float(low), float(high)) for name, (low, high) in observations.items()}
-        entries = [("time", of["time"])] if "time" in of else []
-        entries += [(name, of[name]) for name in self._measured]
+        bounds_of = {name: (float(low), float(high)) for name, (low, high) in observations.items()}
+        entries = [("time", bounds_of["time"])] if "time" in bounds_of else []
+        entries += [(name, bounds_of[name]) for name in self._measured]
         entries += [
-            (f"{name}_regr_{int(k * step_s)}", of[name])
+            (f"{name}_regr_{int(k * step_s)}", bounds_of[name])
             for name in self._measured
             for k in range(1, self._n_behind + 1)
         ]
         entries += [
-            (f"{name}_pred_{int(k * step_s)}", of[name]) for name in self._forecast for k in range(self._n_ahead)
+            (f"{name}_pred_{int(k * step_s)}", bounds_of[name]) for name in self._forecast for k in range(self._n_ahead)
         ]
         if not entries:
             raise ConfigError("observations: give at least one point")
@@ -152,9 +152,9 @@ class PointsView:
 
     def state(self) -> dict[str, float]:
         """Time and observed measurements now; zone temperatures in K also in °C, as `T_zone_C[name]`."""
-        found = dict(zip(self._measured, self._past[:, 0].tolist(), strict=True))
-        zones = {f"T_zone_C[{name}]": T - ZERO_C_K for name, T in found.items() if name.startswith("reaTZon")}
-        return {"time": self.now_s} | found | zones
+        measured = dict(zip(self._measured, self._past[:, 0].tolist(), strict=True))
+        zones = {f"T_zone_C[{name}]": T - ZERO_C_K for name, T in measured.items() if name.startswith("reaTZon")}
+        return {"time": self.now_s} | measured | zones
 
     def snapshot(self) -> _State:
         """See `View.snapshot`."""
@@ -167,9 +167,9 @@ class PointsView:
 
     def branched(self) -> PointsView:
         """See `View.branched`."""
-        here, other = self.snapshot(), copy.copy(self)
+        snapshot, other = self.snapshot(), copy.copy(self)
         other._source = self._source.branched()  # type: ignore[attr-defined]
-        other.restore(here)
+        other.restore(snapshot)
         return other
 
     def close(self) -> None:

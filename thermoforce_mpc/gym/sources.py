@@ -184,7 +184,7 @@ class ServiceSource:
         with _failures(), ExitStack() as stopping:
             stopping.enter_context(self._client)
             inputs = self._client.inputs()
-            self.inputs: Mapping[str, Limits] = {name: (one.minimum, one.maximum) for name, one in inputs.items()}
+            self.inputs: Mapping[str, Limits] = {name: (point.minimum, point.maximum) for name, point in inputs.items()}
             self.measurements: Sequence[str] = tuple(self._client.measurements())
             self.forecasts: Sequence[str] = tuple(self._client.forecast_points())
             stopping.pop_all()
@@ -203,9 +203,9 @@ class ServiceSource:
 
     def begin(self, start_s: float, warmup_s: float, step_s: float, scenario: Mapping[str, Any]) -> None:
         """See `Source.begin`; raises `ConfigError` for a key that BOPTEST's scenarios do not have."""
-        known = [name for name in Scenario.__dataclass_fields__ if name != "time_period"]
-        for unknown in sorted(set(scenario) - set(known)):
-            raise ConfigError(f"scenario: unknown key '{unknown}'; known: {', '.join(known)}")
+        keys = [name for name in Scenario.__dataclass_fields__ if name != "time_period"]
+        for unknown in sorted(set(scenario) - set(keys)):
+            raise ConfigError(f"scenario: unknown key '{unknown}'; known: {', '.join(keys)}")
         with _failures():
             self._now = self._client.initialize(start_s, warmup_s)
             self._client.set_step(step_s)
@@ -215,10 +215,10 @@ class ServiceSource:
     def advance(self, inputs: Mapping[str, float]) -> None:
         """See `Source.advance`."""
         with _failures():
-            found = self._client.advance(inputs)
-        if not found:
+            answer = self._client.advance(inputs)
+        if not answer:
             raise PlantError(f"the service's scenario is over at {self.now_s:g} s")
-        self._now = found
+        self._now = answer
 
     def measured(self, names: Sequence[str]) -> Array:
         """See `Source.measured`."""
@@ -227,14 +227,14 @@ class ServiceSource:
     def past(self, names: Sequence[str], time_s: Array) -> Array:
         """See `Source.past`."""
         with _failures():
-            found = self._client.results(names, max(float(time_s.min()), 0.0), self.now_s)
-        return np.array([np.interp(time_s, found["time"], found[name]) for name in names])
+            answer = self._client.results(names, max(float(time_s.min()), 0.0), self.now_s)
+        return np.array([np.interp(time_s, answer["time"], answer[name]) for name in names])
 
     def forecast(self, names: Sequence[str], horizon_s: float, interval_s: float) -> Array:
         """See `Source.forecast`."""
         with _failures():
-            found = self._client.forecast(names, horizon_s, interval_s)
-        return np.array([found[name] for name in names])
+            answer = self._client.forecast(names, horizon_s, interval_s)
+        return np.array([answer[name] for name in names])
 
     def kpis(self) -> dict[str, float]:
         """See `Source.kpis`."""

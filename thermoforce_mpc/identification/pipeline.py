@@ -71,7 +71,7 @@ def identify(
             power that no building of this area gives are left out.
         step_s: step of the returned operator, s; by default the step of the data.
         source: what the model card says the data are; by default the times of the records.
-        progress: told each stage in a few words, for example `print`.
+        progress: called with each stage in a few words, for example `print`.
 
     Returns:
         Operator, electric power (where measured), linear free model (where there are runs) and model cards. Their notes
@@ -91,10 +91,10 @@ def identify(
     if not runs and not pairs:
         raise DataError("nothing to identify from: give at least one run or pair")
     if layout is None:
-        given = (runs[0] if runs else pairs[0].a).names
-        if not given.single:
-            raise DataError(f"the records have {given}: say what acts where (layout)")
-        layout = replace(Layout.single(mode, lowest, floor_area_m2), names=given)
+        names = (runs[0] if runs else pairs[0].a).names
+        if not names.single:
+            raise DataError(f"the records have {names}: say what acts where (layout)")
+        layout = replace(Layout.single(mode, lowest, floor_area_m2), names=names)
     _check_names(layout, [*runs, *(h for p in pairs for h in (p.a, p.b))])
     labels = [f"run {i}" if len(runs) > 1 else "run" for i in range(len(runs))]
     data = {name: data_hash(h) for name, h in named(labels, runs, pairs)}
@@ -112,11 +112,13 @@ def identify(
     for a, (sign, home) in enumerate(zip(layout.signs, layout.home, strict=True)):
         parts = [h.part(home, [a], [layout.machine_of[a]]) for h in histories]
         try:
-            heat_input, told = identified_heat_input(parts, config, sign, layout.lowest[a], alone=len(layout.home) == 1)
+            heat_input, heat_notes = identified_heat_input(
+                parts, config, sign, layout.lowest[a], alone=len(layout.home) == 1
+            )
         except DataError as error:
-            raise DataError(f"{_who(layout, a)}{error}") from error
+            raise DataError(f"{_message_prefix(layout, a)}{error}") from error
         heat_inputs.append(heat_input)
-        notes.append([*gaps, *pair_gaps, *told])
+        notes.append([*gaps, *pair_gaps, *heat_notes])
     level_sd, advice = np.zeros(len(layout.home)), [""] * len(layout.home)
     for a, heat_input in enumerate(heat_inputs):
         if not levels_only(heat_input, layout, a, config):
@@ -159,17 +161,17 @@ def identify(
             alone=len(layout.home) == 1,
             level_sd=float(level_sd[a]),
         )
-        who = _who(layout, a)
+        prefix = _message_prefix(layout, a)
         try:
-            zone, fit = identify_zone(task, config, lambda text, who=who: say(who + text))  # type: ignore[misc]
+            zone, fit = identify_zone(task, config, lambda text, prefix=prefix: say(prefix + text))  # type: ignore[misc]
         except DataError as error:
-            raise DataError(f"{who}{error}") from error
-        zones.append(_advised(zone, advice[a]))
+            raise DataError(f"{prefix}{error}") from error
+        zones.append(_with_advice(zone, advice[a]))
         fits.append(fit)
     return assembled(layout, zones, fits, power, config)
 
 
-def _who(layout: Layout, a: int) -> str:
+def _message_prefix(layout: Layout, a: int) -> str:
     """Actuator `a` and its zone, as messages begin; empty where there is one of each."""
     names = layout.names
     return "" if names.single else f"{names.actuators[a]} on {names.zones[layout.home[a]]}: "
@@ -186,20 +188,20 @@ def _powers(
         DataError: that of the only machine cannot be fitted.
     """
     machines = layout.names.machines
-    found: list[PowerModel | None] = []
+    powers: list[PowerModel | None] = []
     unfitted: dict[int, str] = {}
     for m, name in enumerate(machines):
         try:
-            found.append(power_of_machine(histories, config, layout, m))
+            powers.append(power_of_machine(histories, config, layout, m))
         except DataError as error:
             if len(machines) == 1:
                 raise
-            found.append(None)
+            powers.append(None)
             unfitted[m] = f"{name}: {error}; its power is left out"
-    return found, unfitted
+    return powers, unfitted
 
 
-def _advised(zone: ZoneModel, advice: str) -> ZoneModel:
+def _with_advice(zone: ZoneModel, advice: str) -> ZoneModel:
     """`zone` with this advice first in a verdict that is below the bar."""
     verdict = zone.card.competence
     if not advice or verdict is None or verdict.competent:
@@ -259,7 +261,7 @@ def identify_many(
     """Identify buildings of any layouts and records of any lengths.
 
     A model is that of `identify`, whatever the others are. Buildings are taken one at a time, when the next result is
-    asked for, so that memory holds one; `research.bench.identify_many` shows where the time goes.
+    requested, so that memory holds one; `benchmarks.bench.identify_many` shows where the time goes.
 
     Args:
         buildings: records and options of each.
@@ -282,6 +284,6 @@ def identify_many(
             )
         except DataError as error:
             reason, refused = str(error), True
-        except Exception as error:  # told in its place; the others continue
+        except Exception as error:  # returned in its place; the others continue
             reason = f"{type(error).__name__}: {error}"
         yield Identified(building.name, model, reason, refused, perf_counter() - began)

@@ -212,10 +212,10 @@ def _train_on_pairs(
     cases = [Case(pair_regression(p, fit.heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
     mean, scale = normalisation(histories)
 
-    def linear(found: ModeFit) -> OperatorParameters:
+    def linear(mode_fit: ModeFit) -> OperatorParameters:
         return to_operator(
-            found.log_tau,
-            found.gains,
+            mode_fit.log_tau,
+            mode_fit.gains,
             step_s=fit.step_s,
             bounds_h=weak.bounds_h(),
             sign=fit.sign,

@@ -188,25 +188,28 @@ def _joint_model(
     splits = held_out(cases, config)
     training = {order: training_data(cases, splits, order, sign) for order in config.orders()}
 
-    def judged(chosen: IdentificationConfig) -> dict[int, Fitted]:
+    def fit_orders(chosen: IdentificationConfig) -> dict[int, Fitted]:
         priors = (mode_priors(order, chosen, heat_input, floor_area_m2, share) for order in chosen.orders())
-        return {of.order: fit_and_judge(cases, splits, training[of.order], of, config) for of in priors}
+        return {
+            order_priors.order: fit_and_judge(cases, splits, training[order_priors.order], order_priors, config)
+            for order_priors in priors
+        }
 
-    def error_K(found: dict[int, Fitted]) -> float:
-        best = found[choose_order(found)]
+    def error_K(fits: dict[int, Fitted]) -> float:
+        best = fits[choose_order(fits)]
         return held_out_rmse_K(cases, splits, best.fit, sign)
 
-    candidates = judged(config)
+    candidates = fit_orders(config)
     if config.start_slope_K_per_h is None and held_out_h(cases, splits) >= _LEAST_HELD_OUT_H:
         # Heat that reaches the air at once is not that of a slab; which it is shows in the held-out predictions.
         most_K = _CLEARLY_BETTER * error_K(candidates)
         for slope in DIRECT_SLOPES_K_PER_H:
-            direct = judged(config.model_copy(update={"start_slope_K_per_h": slope}))
+            direct = fit_orders(config.model_copy(update={"start_slope_K_per_h": slope}))
             direct_K = error_K(direct)
             if direct_K < most_K:
                 candidates, most_K = direct, direct_K
-                told = f"the zone responds at once: initial slope from a prior of {slope[0]:g} ± {slope[1]:g} K/h"
-                notes = [*(note for note in notes if not note.startswith("the zone responds")), told]
+                slope_note = f"the zone responds at once: initial slope from a prior of {slope[0]:g} ± {slope[1]:g} K/h"
+                notes = [*(note for note in notes if not note.startswith("the zone responds")), slope_note]
     order = choose_order(candidates)
     priors = candidates[order].priors
     final = fit_joint([c.regression for c in cases], priors, config, sign)
@@ -240,8 +243,8 @@ def _joint_model(
     shape: dict[str, float] = {}
     if power is not None and heat_input.heat is None and heat_input.lowest == 0.0:
         regressions = [_by_level(case, heat_input) for case in cases]
-        shape, told_of_shape = level_shape(histories, regressions, final, priors, config, power, sign)
-        notes = [*notes, *told_of_shape]
+        shape, shape_notes = level_shape(histories, regressions, final, priors, config, power, sign)
+        notes = [*notes, *shape_notes]
     explained = explained_share(cases, operator)
     verdict = None
     if runs:

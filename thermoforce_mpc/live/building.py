@@ -81,7 +81,7 @@ class LiveBuilding:
             DataError: it cannot be used, or ends more than a day before.
             PlantError: the connection failed.
         """
-        table = self._asked("measurements")
+        table = self._call("measurements")
         measured = read_measurements(table, self._rules, step_s=self._step_s).served()
         record = measured.record
         if record.origin.tz is None:
@@ -98,11 +98,11 @@ class LiveBuilding:
         """The forecast from the last `record` on; see `Plant.forecast`."""
         assert self._measured is not None
         try:
-            return read_forecast(self._asked("forecast"), self._measured).head(round(horizon_s / interval_s))
+            return read_forecast(self._call("forecast"), self._measured).head(round(horizon_s / interval_s))
         except (InputError, PlantError) as error:
             raise NoForecast(str(error)) from error
 
-    def _asked(self, what: str) -> Any:
+    def _call(self, what: str) -> Any:
         try:
             return getattr(self.connection, what)()
         except Exception as error:  # somebody's connection may raise anything
@@ -134,10 +134,10 @@ def _with_applied(record: Record, applied: Sequence[Applied]) -> Array:
     """Levels (A, n) of `record`; where they were not measured, the mean of what was set over the whole step."""
     u, step_s = np.array(record.u), record.step_s
     total, known_s = np.zeros(u.shape), np.zeros(u.shape)
-    for one in applied:
-        begun = np.maximum(record.time_s[:-1], one.start_s)
-        shared_s = np.clip(np.minimum(record.time_s[1:], one.start_s + one.duration_s) - begun, 0.0, None)
-        for a, level in enumerate(one.u):
+    for action in applied:
+        begun = np.maximum(record.time_s[:-1], action.start_s)
+        shared_s = np.clip(np.minimum(record.time_s[1:], action.start_s + action.duration_s) - begun, 0.0, None)
+        for a, level in enumerate(action.u):
             if level is not None:
                 total[a] += level * shared_s
                 known_s[a] += shared_s

@@ -178,8 +178,8 @@ class _Loop:
         model = getattr(controller, "model", None)
         if model is not None and model.names != record.names:
             raise DataError(f"the model is of {model.names}, the map of {record.names}: another building?")
-        given, _, gaps = self._forecasts.now(record)
-        plan = controller.plan(Observation(record, given), self._state)
+        forecast, _, gaps = self._forecasts.now(record)
+        plan = controller.plan(Observation(record, forecast), self._state)
         plan, after = replace(plan, state=None), plan.state
         blocks, refused = checked_blocks(plan, controller.step_s, controller.step_s, building.lowest, record.names)
         if any(band is not None for block in blocks for band in block.band_C):
@@ -194,9 +194,9 @@ class _Loop:
         try:
             return self._decision(instant)
         except Exception as error:  # nobody is there to start it again: the next step may be better
-            known = isinstance(error, ThermoForceError)
-            _LOG.warning("no decision at %s: %s", instant, error, exc_info=None if known else error)
-            why = f"the building's own control: {error if known else f'{type(error).__name__}: {error}'}"
+            expected = isinstance(error, ThermoForceError)
+            _LOG.warning("no decision at %s: %s", instant, error, exc_info=None if expected else error)
+            why = f"the building's own control: {error if expected else f'{type(error).__name__}: {error}'}"
             native = Block.native(len(self._building.names), self._controller.step_s)
             return Decision(instant, Plan((native,), PlanStatus.NATIVE, why), (native,))
 
@@ -270,6 +270,7 @@ class _Loop:
             return
         now_s = self._building.time_s(self._clock.now())
         self._applied = [
-            replace(one, duration_s=min(one.duration_s, max(now_s - one.start_s, 0.0))) for one in self._applied
+            replace(action, duration_s=min(action.duration_s, max(now_s - action.start_s, 0.0)))
+            for action in self._applied
         ]
         self._keep(*self._decided)

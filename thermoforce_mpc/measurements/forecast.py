@@ -33,12 +33,14 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Bo
     """
     rules, record = measured.map, measured.record
     names = record.names
-    given = {key: value for key, value in rules.forecast if value is not None}
-    ours = rules.model_copy(update={key: value for key, value in given.items() if key in ("time", "outdoor", "sun")})
+    overrides = {key: value for key, value in rules.forecast if value is not None}
+    ours = rules.model_copy(
+        update={key: value for key, value in overrides.items() if key in ("time", "outdoor", "sun")}
+    )
     of_zones = [rules.zones[name] for name in names.zones]
-    zones = [(given.get("lower", zone.lower), given.get("upper", zone.upper)) for zone in of_zones]
+    zones = [(overrides.get("lower", zone.lower), overrides.get("upper", zone.upper)) for zone in of_zones]
     machines = [rules.machines.get(name, MappedMachine()) for name in names.machines]
-    prices = [given.get("price", machine.price) for machine in machines]
+    prices = [overrides.get("price", machine.price) for machine in machines]
     weather = [ours.outdoor, *([s for s in (ours.sun.signal, ours.sun.humidity) if s] if ours.sun else [])]
     signals = [s for s in (*weather, *(bound for pair in zones for bound in pair), *prices) if isinstance(s, Signal)]
     columns = [column for signal in signals for column in signal.columns]
@@ -62,41 +64,41 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Bo
     outdoor = read.outdoor(ours.outdoor)
     solar, _ = sunlight(ours, read, grid_s, record.origin)
     bounds = [
-        [_bound(read, f"{name} of {zone}", one) for name, one in zip(("lower", "upper"), pair, strict=True)]
+        [_bound(read, f"{name} of {zone}", limit) for name, limit in zip(("lower", "upper"), pair, strict=True)]
         for zone, pair in zip(names.zones, zones, strict=True)
     ]
-    price = [_price(read, machine, one) for machine, one in zip(names.machines, prices, strict=True)]
+    price = [_price(read, machine, tariff) for machine, tariff in zip(names.machines, prices, strict=True)]
     nothing = np.zeros((len(names.machines), grid_s.size))
-    found = Boundary(
+    boundary = Boundary(
         grid_s, outdoor, solar, np.zeros((len(names.zones), grid_s.size)), np.array([low for low, _ in bounds]),
         np.array([high for _, high in bounds]), np.array(price), nothing, names=names,
     )  # fmt: skip
-    _complete(found, measured, table.name)
-    return found
+    _check_complete(boundary, measured, table.name)
+    return boundary
 
 
-def _bound(read: SignalReader, what: str, given: float | Temperature | None) -> Array:
-    if given is None:
+def _bound(read: SignalReader, what: str, bound: float | Temperature | None) -> Array:
+    if bound is None:
         raise DataError(f"forecast: no {what}: name a number or a column in the map (zones, or forecast for all zones)")
-    return read.bound(what, given)
+    return read.bound(what, bound)
 
 
-def _price(read: SignalReader, machine: str, given: float | Price | None) -> Array:
-    if given is None:
+def _price(read: SignalReader, machine: str, price: float | Price | None) -> Array:
+    if price is None:
         raise DataError(f"forecast: no price of {machine}: name a number or a column in the map (machines or forecast)")
-    return read.price(f"price of {machine}", given)
+    return read.price(f"price of {machine}", price)
 
 
-def _complete(found: Boundary, measured: Measurements, name: str) -> None:
+def _check_complete(boundary: Boundary, measured: Measurements, name: str) -> None:
     """Refuse a forecast with gaps; raises `DataError` with signal and time."""
-    stamps = pd.DatetimeIndex(measured.record.origin + pd.to_timedelta(found.time_s, unit="s"))
+    stamps = pd.DatetimeIndex(measured.record.origin + pd.to_timedelta(boundary.time_s, unit="s"))
     for signal in ("T_out_C", "solar_W_m2", "lower_C", "upper_C", "price_per_kWh"):
-        missing = np.flatnonzero(~np.isfinite(np.atleast_2d(getattr(found, signal))).all(axis=0))
+        missing = np.flatnonzero(~np.isfinite(np.atleast_2d(getattr(boundary, signal))).all(axis=0))
         if missing.size:
             raise DataError(
-                f"{name}: {signal} is missing at {missing.size} of {found.time_s.size} instants, first at "
+                f"{name}: {signal} is missing at {missing.size} of {boundary.time_s.size} instants, first at "
                 f"{stamps[missing[0]]}: fill the gap, or end the file before it"
             )
-    if (found.lower_C > found.upper_C).any():
-        row = int(np.argmax((found.lower_C > found.upper_C).any(axis=0)))
+    if (boundary.lower_C > boundary.upper_C).any():
+        row = int(np.argmax((boundary.lower_C > boundary.upper_C).any(axis=0)))
         raise DataError(f"{name}: at {stamps[row]} the lower bound is above the upper one (lower and upper of the map)")

@@ -37,9 +37,9 @@ def actuator_levels(rules: MeasurementMap, read: SignalReader, heat: Array, powe
         heat: heat of the actuators as mapped (A, n), W.
         power: power of the machines (M, n), W.
     """
-    told: list[str] = []
+    notes: list[str] = []
     if not rules.actuators:
-        return np.full((1, read.grid_s.size - 1), np.nan), told
+        return np.full((1, read.grid_s.size - 1), np.nan), notes
     machine_of = rules.layout.machine_of
     actuators: Mapping[str, MappedActuator] = rules.actuators
     rows = []
@@ -66,7 +66,7 @@ def actuator_levels(rules: MeasurementMap, read: SignalReader, heat: Array, powe
         rows.append(np.clip(level, lowest, 1.0))
         how = "as given" if actuator.full_W else "the 99th percentile of the steps in which it ran"
         less = f" above {actuator.off_W:g} W" if actuator.off_W else ""
-        told.append(
+        notes.append(
             f"level of {name}: metered {what}{less} over {span:.0f} W ({how}); {cut} steps above that are cut to 1"
         )
-    return np.array(rows), told
+    return np.array(rows), notes

@@ -108,10 +108,10 @@ def read_measurements(
     if isinstance(files, pd.DataFrame):
         tables = [raw_table(files, rules.time.column, columns, "table")]
     else:
-        given = [files] if isinstance(files, str | Path) else list(files)
-        paths = found_files(given, most_bytes)
+        patterns = [files] if isinstance(files, str | Path) else list(files)
+        paths = found_files(patterns, most_bytes)
         tables = [read_table(path, rules.time.column, columns, rules.csv) for path in paths]
-    return _measured(tables, timed(tables, rules.time), rules, step_s)
+    return _from_table(tables, timed(tables, rules.time), rules, step_s)
 
 
 def _rules(map: str | Path | Mapping[str, Any] | MeasurementMap) -> MeasurementMap:
@@ -120,7 +120,7 @@ def _rules(map: str | Path | Mapping[str, Any] | MeasurementMap) -> MeasurementM
     return validate(MeasurementMap, map, "map") if isinstance(map, Mapping) else load_map(Path(map))
 
 
-def _measured(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap, step_s: float | None) -> Measurements:
+def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap, step_s: float | None) -> Measurements:
     names, layout = rules.names, rules.layout
     origin = new_year(table.index, tables[0].name)
     time_s = seconds_since(origin, table.index, tables[0].name)

@@ -64,7 +64,7 @@ class SignalReader:
         """Irradiance at the boundaries (n + 1,), W/m²."""
         readings, unit, flags = self._readings("sun", signal, screening.SOLAR)
         values = around(readings, self.grid_s, self._step_s, self._coverage)
-        return self._told("sun", signal, unit, readings, values, flags)
+        return self._summarised("sun", signal, unit, readings, values, flags)
 
     def humidity(self, key: str, signal: Humidity) -> Array:
         """Relative humidity at the boundaries (n + 1,), 0 to 1."""
@@ -82,30 +82,30 @@ class SignalReader:
         """Mean water temperature of the steps (n,), °C; None where it is not measured."""
         return None if signal is None else self._mean(key, signal, screening.WATER)
 
-    def bound(self, key: str, given: float | Temperature | None) -> Array:
+    def bound(self, key: str, source: float | Temperature | None) -> Array:
         """Comfort bound at the boundaries (n + 1,), °C: a number, or the last reading of a column."""
-        return self._scheduled(key, given, screening.BOUND)
+        return self._scheduled(key, source, screening.BOUND)
 
-    def price(self, key: str, given: float | Price | None) -> Array:
+    def price(self, key: str, source: float | Price | None) -> Array:
         """Price at the boundaries (n + 1,), per kWh: a number, or the last reading of a column."""
-        return self._scheduled(key, given, screening.PRICE)
+        return self._scheduled(key, source, screening.PRICE)
 
     def _sample(self, key: str, signal: Signal, rules: Rules) -> Array:
         readings, unit, flags = self._readings(key, signal, rules)
-        return self._told(key, signal, unit, readings, sampled(readings, self.grid_s), flags)
+        return self._summarised(key, signal, unit, readings, sampled(readings, self.grid_s), flags)
 
-    def _scheduled(self, key: str, given: float | Signal | None, rules: Rules) -> Array:
-        if not isinstance(given, Signal):
-            return np.full(self.grid_s.size, np.nan if given is None else float(given))
-        readings, unit, flags = self._readings(key, given, rules)
-        return self._told(key, given, unit, readings, held(readings, self.grid_s), flags)
+    def _scheduled(self, key: str, source: float | Signal | None, rules: Rules) -> Array:
+        if not isinstance(source, Signal):
+            return np.full(self.grid_s.size, np.nan if source is None else float(source))
+        readings, unit, flags = self._readings(key, source, rules)
+        return self._summarised(key, source, unit, readings, held(readings, self.grid_s), flags)
 
     def _mean(self, key: str, signal: Signal, rules: Rules) -> Array:
         readings, unit, flags = self._readings(key, signal, rules)
         lasts = durations_s(readings.time_s, readings.longest_s, self._marks) if readings.values.size else np.empty(0)
         starts = readings.time_s - (lasts if self._marks == "end" else 0.0)
         values = means(starts, lasts, readings.values, self.grid_s, self._coverage)
-        return self._told(key, signal, unit, readings, values, flags)
+        return self._summarised(key, signal, unit, readings, values, flags)
 
     def _readings(self, key: str, signal: Signal, rules: Rules) -> tuple[Readings, Rules, tuple[Flag, ...]]:
         """The readings of a signal that hold, in the unit inside, its rules, and what was flagged."""
@@ -118,16 +118,16 @@ class SignalReader:
         flags: list[Flag] = []
         if (endless := np.isinf(values)).any():
             flags.append(Flag("range", int(endless.sum()), f"an infinite one at {self._at(int(np.argmax(endless)))}"))
-        known = np.isfinite(values)
-        values, time_s, raw = values[known], time_s[known], raw[known]
+        finite = np.isfinite(values)
+        values, time_s, raw = values[finite], time_s[finite], raw[finite]
         if declared.endswith(COUNTER) and values.size > 1:
             values, time_s, raw, of_counter = _from_counter(values, time_s, raw, self._marks, self._when)
             flags += of_counter
         name = f"{key} (column {' + '.join(signal.columns)})"
         if values.size:
-            holds, found = screened(time_s, values, raw, rules, name, declared or rules.unit, self._at)
+            holds, flagged = screened(time_s, values, raw, rules, name, declared or rules.unit, self._at)
             values, time_s = values[holds], time_s[holds]
-            flags += found
+            flags += flagged
         return Readings(time_s, values, longest_s(time_s, self._step_s, signal.hold_h)), rules, tuple(flags)
 
     def _at(self, row: int) -> str:
@@ -136,16 +136,16 @@ class SignalReader:
     def _when(self, at_s: float) -> str:
         return self._at(int(np.searchsorted(self._time_s, at_s)))
 
-    def _told(
+    def _summarised(
         self, key: str, signal: Signal, rules: Rules, readings: Readings, values: Array, flags: tuple[Flag, ...]
     ) -> Array:
         """`values`, noted among the summaries."""
-        known = np.isfinite(values)
+        finite = np.isfinite(values)
         least, median, most = (
-            np.quantile(values[known], (0.0, 0.5, 1.0)).tolist() if known.any() else (float("nan"),) * 3
+            np.quantile(values[finite], (0.0, 0.5, 1.0)).tolist() if finite.any() else (float("nan"),) * 3
         )
-        doubt = _doubt(rules, readings, median, most) if known.any() else "never measured: check the column"
-        edges = np.flatnonzero(np.diff(np.concatenate([[True], known, [True]]).astype(int)))
+        doubt = _doubt(rules, readings, median, most) if finite.any() else "never measured: check the column"
+        edges = np.flatnonzero(np.diff(np.concatenate([[True], finite, [True]]).astype(int)))
         gaps = edges[1::2] - edges[0::2]
         self.summaries.append(
             SignalSummary(
@@ -155,7 +155,7 @@ class SignalReader:
                 rules.unit,
                 int(readings.values.size),
                 usual_s(readings.time_s),
-                float(known.mean()),
+                float(finite.mean()),
                 float(gaps.max() * self._step_s / HOUR_S) if gaps.size else 0.0,
                 least,
                 median,
@@ -187,18 +187,18 @@ def _doubt(rules: Rules, readings: Readings, median: float, most: float) -> str:
     return ""
 
 
-def _intervals_s(time_s: Array, known: NDArray[np.bool_], hold_h: float | None, marks: str) -> Array:
-    """Lengths (n,) of the intervals of energies that stand at the rows `time_s` (n,) where they are `known`, s.
+def _intervals_s(time_s: Array, measured: NDArray[np.bool_], hold_h: float | None, marks: str) -> Array:
+    """Lengths (n,) of the intervals of energies that stand at the rows `time_s` (n,) where they are `measured`, s.
 
     An interval reaches from row to row where cells beside are empty by chance, and from reading to reading where other
     columns have rows of their own (a table joined of several): of both what is nearer to the column's usual distance.
     """
     rows = durations_s(time_s, longest_s(time_s, 0.0, hold_h), marks)
-    read_s = time_s[known]
+    read_s = time_s[measured]
     if read_s.size < 2:
         return rows
     own, usual = durations_s(read_s, longest_s(read_s, 0.0, hold_h), marks), usual_s(read_s)
-    rows[known] = np.where(np.abs(own - usual) < np.abs(rows[known] - usual), own, rows[known])
+    rows[measured] = np.where(np.abs(own - usual) < np.abs(rows[measured] - usual), own, rows[measured])
     return rows
 
 

@@ -29,8 +29,8 @@ def sunlight(
     if rules.sun.humidity is None:
         return clear, ("irradiance: that of a clear sky, every day; clouds count as a disturbance",)
     humidity = np.clip(read.humidity("sun.humidity", rules.sun.humidity), 0.0, 1.0)
-    told = "irradiance: clear sky times one clearness per day, from the relative humidity; RMSE of a day about 0.16"
-    return sunlight_from_humidity(grid_s, humidity, sun), (told,)
+    note = "irradiance: clear sky times one clearness per day, from the relative humidity; RMSE of a day about 0.16"
+    return sunlight_from_humidity(grid_s, humidity, sun), (note,)
 
 
 def clear_sky(rules: MeasurementMap, time_s: Array, origin: pd.Timestamp) -> tuple[Array, Sun]:

@@ -73,30 +73,30 @@ def _finite(value: Any) -> Any:
 
 def of_clock(zone: str, rows_every_s: float, step_s: float) -> list[str]:
     """What is assumed about clock and step, in words."""
-    told = [] if zone else ["the time stamps have no time zone (time.zone): every day is taken to have 24 h"]
+    notes = [] if zone else ["the time stamps have no time zone (time.zone): every day is taken to have 24 h"]
     if rows_every_s > step_s * 1.01:
-        told.append(
+        notes.append(
             f"rows come every {rows_every_s / 60.0:g} min, the step is {step_s / 60.0:g} min: fast effects are not seen"
         )
-    return told
+    return notes
 
 
 def missing(rules: MeasurementMap, record: Record, conditions: Boundary) -> tuple[str, ...]:
     """What the table does not hold, and what follows."""
-    found = []
+    notes = []
     if not rules.actuators:
-        found.append("no actuator: nothing can be said about the effect of acting")
+        notes.append("no actuator: nothing can be said about the effect of acting")
     if rules.sun is None:
-        found.append("no irradiance (sun): the sun counts as a disturbance; sun.estimate makes one from the clear sky")
+        notes.append("no irradiance (sun): the sun counts as a disturbance; sun.estimate makes one from the clear sky")
     for m, machine in enumerate(record.names.machines):
         if not np.isfinite(record.power_W[m]).any():
-            found.append(f"no power of {machine} (machines.{machine}.power): nothing can be planned for it")
+            notes.append(f"no power of {machine} (machines.{machine}.power): nothing can be planned for it")
         if not np.isfinite(conditions.price_per_kWh[m]).any():
-            found.append(f"no price of {machine} (machines.{machine}.price): a plan needs one, here or in the forecast")
+            notes.append(f"no price of {machine} (machines.{machine}.price): a plan needs one, here or in the forecast")
     for z, zone in enumerate(record.names.zones):
         if not np.isfinite(conditions.lower_C[z]).any() or not np.isfinite(conditions.upper_C[z]).any():
-            found.append(f"no comfort bounds of {zone} (lower, upper): a plan needs them, here or in the forecast")
+            notes.append(f"no comfort bounds of {zone} (lower, upper): a plan needs them, here or in the forecast")
     hours = record.n_steps * record.step_s / HOUR_S
     if hours < 3 * 24.0:
-        found.append(f"only {hours:.0f} h: a model needs about three days of probing or weeks of operation")
-    return tuple(found)
+        notes.append(f"only {hours:.0f} h: a model needs about three days of probing or weeks of operation")
+    return tuple(notes)

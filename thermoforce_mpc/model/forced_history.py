@@ -105,15 +105,15 @@ def held_C(T_zone_C: Array) -> Array:
 
     A zone that was never measured has the mean of the others, 0 where none was.
     """
-    known = np.isfinite(T_zone_C).any(axis=1)
+    measured = np.isfinite(T_zone_C).any(axis=1)
     held = np.zeros_like(T_zone_C)
-    if known.any():
-        held[known] = [_held(row) for row in T_zone_C[known]]
-        held[~known] = held[known].mean(axis=0)
+    if measured.any():
+        held[measured] = [_forward_filled(row) for row in T_zone_C[measured]]
+        held[~measured] = held[measured].mean(axis=0)
     return held
 
 
-def _held(values: Array) -> Array:
+def _forward_filled(values: Array) -> Array:
     """`values` (n,), not all NaN, with each gap filled by the last finite value (at the start, by the first)."""
     finite = np.isfinite(values)
     index = np.maximum.accumulate(np.where(finite, np.arange(values.size), -1))

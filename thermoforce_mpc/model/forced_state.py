@@ -91,21 +91,21 @@ class ForcedStateEstimator:
             DataError: see `forced_history`.
         """
         state = state.since(float(history.time_s[0])) if state else None
-        known = state.time_s.size if state else 0
+        n_known = state.time_s.size if state else 0
         if (
             state is None
-            or known > history.time_s.size
-            or not np.array_equal(history.time_s[:known], state.time_s)
-            or (known == 1 and history.n_steps)  # F starts from the first day, not yet known
+            or n_known > history.time_s.size
+            or not np.array_equal(history.time_s[:n_known], state.time_s)
+            or (n_known == 1 and history.n_steps)  # F starts from the first day, not yet known
         ):
             forced = forced_history(self._operator, history, initial_force=self._initial_force)
             zones, actuators, order = self._operator.shape
             return ForcedState(history.time_s, forced, np.zeros((zones, actuators * order, actuators * order)))
-        if known == history.time_s.size:
+        if n_known == history.time_s.size:
             return state
         operator = self._operator.resampled(history.step_s)
         rows, covariance = [state.forced_K[:, :, -1]], state.covariance
-        for t in range(known - 1, history.n_steps):
+        for t in range(n_known - 1, history.n_steps):
             forced, covariance = self._advanced(operator, history, t, rows[-1], covariance, state.expected)
             rows.append(forced)
         forced_K = np.concatenate([state.forced_K, np.stack(rows[1:], axis=2)], axis=2)

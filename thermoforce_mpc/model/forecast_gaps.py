@@ -35,8 +35,8 @@ def lengthened(boundary: Boundary, n_steps: int, step_s: float) -> Boundary:
     later = boundary.time_s[-1] + step_s * np.arange(1, missing + 1)
     values: dict[str, Any] = {"time_s": np.append(boundary.time_s, later)}
     for name in CONDITIONS[1:]:
-        given = getattr(boundary, name)
-        values[name] = np.concatenate([given, np.full((*given.shape[:-1], missing), np.nan)], axis=-1)
+        signal = getattr(boundary, name)
+        values[name] = np.concatenate([signal, np.full((*signal.shape[:-1], missing), np.nan)], axis=-1)
     return replace(boundary, **values)
 
 
@@ -63,9 +63,9 @@ def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tup
         for row in range(len(out)):
             if not missing[row].any():
                 continue
-            found, how = _row(name, row, out[row], boundary, history, last)
+            complete, how = _row(name, row, out[row], boundary, history, last)
             if how:
-                out[row] = found
+                out[row] = complete
                 label = boundary.names.label(name, row) if np.ndim(getattr(boundary, name)) == 2 else name
                 notes.append(f"{label} at {missing[row].sum()} of {missing[row].size} instants by {how}")
         filled[name] = out.reshape(np.shape(getattr(boundary, name)))
@@ -85,19 +85,19 @@ def _row(
     """One row (N + 1,) of a signal without gaps, and the means by which they were filled."""
     out, time_s, how = values.copy(), boundary.time_s, []
 
-    def fill(found: Array, by: str) -> None:
-        new = np.isnan(out) & np.isfinite(found)
+    def fill(candidates: Array, by: str) -> None:
+        new = np.isnan(out) & np.isfinite(candidates)
         if new.any():
-            out[new] = found[new]
+            out[new] = candidates[new]
             how.append(by)
 
     weather = name in WEATHER
     if weather:
         fill(_between(time_s, out), "interpolation")
     if last is not None:
-        given = np.atleast_2d(getattr(last, name))[row]
+        forecast = np.atleast_2d(getattr(last, name))[row]
         hours = (time_s[0] - last.time_s[0]) / HOUR_S
-        fill(_at(time_s, last.time_s, given), f"the last forecast ({hours:g} h old)")
+        fill(_at(time_s, last.time_s, forecast), f"the last forecast ({hours:g} h old)")
     # Of the record only the weather is known; of the other signals, what forecasts say of the day before.
     sources = [(time_s, out)]
     if last is not None:
@@ -105,43 +105,45 @@ def _row(
     if weather:
         sources.append((history.time_s, getattr(history, name)))
     for day in range(1, _DAYS_BEFORE + 1):
-        for source_s, known in sources:
+        for source_s, source in sources:
             if np.isnan(out).any():
-                fill(_at(time_s - day * DAY_S, source_s, known.copy()), "the day before" if day == 1 else "days before")
+                fill(
+                    _at(time_s - day * DAY_S, source_s, source.copy()), "the day before" if day == 1 else "days before"
+                )
     if weather and np.isnan(out).any():
         fill(_mean_of_hour(time_s, history, name), "the mean of the record at that hour")
-    known_at = np.flatnonzero(np.isfinite(out))
-    if known_at.size and np.isnan(out).any() and name not in ("occupancy", "emission_kg_per_kWh"):
-        before = np.maximum(np.searchsorted(known_at, np.arange(out.size), side="right") - 1, 0)
-        fill(out[known_at[before]], "the value before")
+    finite_at = np.flatnonzero(np.isfinite(out))
+    if finite_at.size and np.isnan(out).any() and name not in ("occupancy", "emission_kg_per_kWh"):
+        before = np.maximum(np.searchsorted(finite_at, np.arange(out.size), side="right") - 1, 0)
+        fill(out[finite_at[before]], "the value before")
     return out, " and ".join(dict.fromkeys(how))
 
 
 def _between(time_s: Array, values: Array) -> Array:
     """Values (n,) with gaps of up to 6 h between two known ones filled by a straight line."""
-    known = np.flatnonzero(np.isfinite(values))
-    if known.size < 2:
+    finite = np.flatnonzero(np.isfinite(values))
+    if finite.size < 2:
         return values
-    after = np.searchsorted(time_s[known], time_s)
-    inside = (after > 0) & (after < known.size)
-    after = np.clip(after, 1, known.size - 1)
-    gap_s = time_s[known[after]] - time_s[known[after - 1]]
-    line = np.interp(time_s, time_s[known], values[known])
+    after = np.searchsorted(time_s[finite], time_s)
+    inside = (after > 0) & (after < finite.size)
+    after = np.clip(after, 1, finite.size - 1)
+    gap_s = time_s[finite[after]] - time_s[finite[after - 1]]
+    line = np.interp(time_s, time_s[finite], values[finite])
     return np.where(inside & (gap_s <= BRIDGED_GAP_H * HOUR_S), line, values)
 
 
-def _at(time_s: Array, known_s: Array, known: Array) -> Array:
-    """Values of `known` (k,) at `known_s` at the instants `time_s` (n,); NaN where there is none at that instant."""
-    index = np.clip(np.searchsorted(known_s, time_s - _SAME_S), 0, known_s.size - 1)
-    return np.where(np.abs(known_s[index] - time_s) <= _SAME_S, known[index], np.nan)
+def _at(time_s: Array, source_s: Array, source: Array) -> Array:
+    """Values of `source` (k,) at `source_s` at the instants `time_s` (n,); NaN where there is none at that instant."""
+    index = np.clip(np.searchsorted(source_s, time_s - _SAME_S), 0, source_s.size - 1)
+    return np.where(np.abs(source_s[index] - time_s) <= _SAME_S, source[index], np.nan)
 
 
 def _mean_of_hour(time_s: Array, history: Record, name: str) -> Array:
     """Mean of the record at the hour of the day of each instant (n,); NaN where it was never measured then."""
     values = getattr(history, name)
-    known = np.isfinite(values)
+    measured = np.isfinite(values)
     hour = (history.time_s % DAY_S // HOUR_S).astype(int)
-    total = np.bincount(hour[known], weights=values[known], minlength=24)
-    count = np.bincount(hour[known], minlength=24)
+    total = np.bincount(hour[measured], weights=values[measured], minlength=24)
+    count = np.bincount(hour[measured], minlength=24)
     means = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     return np.asarray(means[(time_s % DAY_S // HOUR_S).astype(int)])

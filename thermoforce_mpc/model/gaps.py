@@ -59,28 +59,28 @@ def gapless(history: Record) -> bool:
 def long_gaps(history: Record, name: str) -> NDArray[np.bool_]:
     """Return which instants of the weather signal `name` lie in a gap longer than 6 h, shape (n + 1,)."""
     time_s, values = history.time_s, getattr(history, name)
-    known = np.isfinite(values)
-    if not known.any():
+    measured = np.isfinite(values)
+    if not measured.any():
         return np.ones(time_s.size, dtype=bool)
-    return ~known & (_gap_s(time_s, time_s[known]) > BRIDGED_GAP_H * HOUR_S)
+    return ~measured & (_gap_s(time_s, time_s[measured]) > BRIDGED_GAP_H * HOUR_S)
 
 
 def _weather(history: Record, ahead: Boundary | None, name: str) -> tuple[Array, str]:
     """Return the signal without gaps, shape (n + 1,), and a note."""
     time_s, values = history.time_s, getattr(history, name)
     missing = ~np.isfinite(values)
-    at_s, known = time_s[~missing], values[~missing]
+    at_s, measured = time_s[~missing], values[~missing]
     if ahead is not None:
         later = np.isfinite(getattr(ahead, name)) & (ahead.time_s > (at_s[-1] if at_s.size else -np.inf))
-        at_s, known = np.append(at_s, ahead.time_s[later]), np.append(known, getattr(ahead, name)[later])
-    if not known.size:
+        at_s, measured = np.append(at_s, ahead.time_s[later]), np.append(measured, getattr(ahead, name)[later])
+    if not measured.size:
         raise DataError(f"history: {name} was never measured and no forecast of it is given; check the sensor")
-    line = np.interp(time_s, at_s, known)
+    line = np.interp(time_s, at_s, measured)
     long = missing & (_gap_s(time_s, at_s) > BRIDGED_GAP_H * HOUR_S)
     note = f"{name}: {_count(missing)} by linear interpolation"
     if long.any():
         note = f"{name}: {_count(missing)}, {long.sum()} of them from the same hour of the nearest day"
-        line[long] = _same_hour(time_s[long], at_s, known, line[long], 0.5 * history.step_s)
+        line[long] = _same_hour(time_s[long], at_s, measured, line[long], 0.5 * history.step_s)
     return np.where(missing, line, values), note
 
 
@@ -91,33 +91,33 @@ def _gap_s(time_s: Array, known_s: Array) -> Array:
     return np.asarray(ends[after + 1] - ends[after])
 
 
-def _same_hour(time_s: Array, known_s: Array, known: Array, otherwise: Array, within_s: float) -> Array:
-    """Return for each of `time_s` (n,) the known value (k,) a whole number of days away: nearest day, past first."""
-    found = np.full(time_s.size, np.nan)
-    days = int(np.ceil((max(known_s[-1], time_s[-1]) - min(known_s[0], time_s[0])) / DAY_S)) + 1
+def _same_hour(time_s: Array, measured_s: Array, measured: Array, otherwise: Array, within_s: float) -> Array:
+    """For each of `time_s` (n,) the value of `measured` (k,) a whole number of days away: nearest day, past first."""
+    filled = np.full(time_s.size, np.nan)
+    days = int(np.ceil((max(measured_s[-1], time_s[-1]) - min(measured_s[0], time_s[0])) / DAY_S)) + 1
     for day in range(1, days + 1):
         for shift_s in (-day * DAY_S, day * DAY_S):
-            wanted = time_s + shift_s
-            index = np.clip(np.searchsorted(known_s, wanted - within_s), 0, known_s.size - 1)
-            matches = np.isnan(found) & (np.abs(known_s[index] - wanted) <= within_s)
-            found[matches] = known[index[matches]]
-        if not np.isnan(found).any():
+            shifted_s = time_s + shift_s
+            index = np.clip(np.searchsorted(measured_s, shifted_s - within_s), 0, measured_s.size - 1)
+            matches = np.isnan(filled) & (np.abs(measured_s[index] - shifted_s) <= within_s)
+            filled[matches] = measured[index[matches]]
+        if not np.isnan(filled).any():
             break
-    return np.where(np.isnan(found), otherwise, found)
+    return np.where(np.isnan(filled), otherwise, filled)
 
 
 def _levels(u: Array, step_s: float) -> Array:
     """Return `u` (n,) with unknown levels replaced by the mean of those around, else of all, else 0."""
-    known = np.isfinite(u)
+    finite = np.isfinite(u)
     reach = max(1, round(LEVELS_AROUND_H * HOUR_S / step_s))
-    total = np.concatenate([[0.0], np.cumsum(np.where(known, u, 0.0))])
-    count = np.concatenate([[0], np.cumsum(known)])
+    total = np.concatenate([[0.0], np.cumsum(np.where(finite, u, 0.0))])
+    count = np.concatenate([[0], np.cumsum(finite)])
     steps = np.arange(u.size)
     first, last = np.maximum(steps - reach, 0), np.minimum(steps + reach + 1, u.size)
     near = count[last] - count[first]
-    everywhere = float(u[known].mean()) if known.any() else 0.0
+    everywhere = float(u[finite].mean()) if finite.any() else 0.0
     mean = np.where(near > 0, (total[last] - total[first]) / np.maximum(near, 1), everywhere)
-    return np.where(known, u, mean)
+    return np.where(finite, u, mean)
 
 
 def _count(missing: NDArray[np.bool_]) -> str:

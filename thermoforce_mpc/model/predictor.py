@@ -236,7 +236,7 @@ class Predictor:
     def contexting(
         self, observation: Observation, state: PredictorState | None = None
     ) -> Computation[PredictionContext]:
-        """`context` as a computation: the forecasts of all zones are asked for together."""
+        """`context` as a computation: the forecasts of all zones are requested together."""
         boundary = observation.boundary
         observation.check_begin()
         if not boundary.n_steps:
@@ -251,24 +251,24 @@ class Predictor:
         free_C = history.T_zone_C - forced.sum(axis=(1, 3))
         zones = range(len(self._free_responses))
         kept = before.free or (None,) * len(zones)
-        known = np.isfinite(free_C).any(axis=1)
-        if not known.any():
+        has_readings = np.isfinite(free_C).any(axis=1)
+        if not has_readings.any():
             raise DataError("the zone temperature was never measured in the history: nothing to forecast from")
-        measured, states = np.flatnonzero(known).tolist(), list(kept)
+        measured, states = np.flatnonzero(has_readings).tolist(), list(kept)
         forecasts = [following(self._free_responses[z], free_C[z], history, boundary, kept[z]) for z in measured]
-        found, forecast_s = yield from timed(gather(forecasts))
+        results, forecast_s = yield from timed(gather(forecasts))
         answers = []
-        for z, (answer, states[z]) in zip(measured, found, strict=True):
+        for z, (answer, states[z]) in zip(measured, results, strict=True):
             answers.append(checked_forecast(answer, boundary.n_steps, self._free_responses[z].name))
-        unmeasured = tuple(np.flatnonzero(~known).tolist())
-        free = _with_mean(FreeForecast.stacked(answers), known)
+        unmeasured = tuple(np.flatnonzero(~has_readings).tolist())
+        free = _with_mean(FreeForecast.stacked(answers), has_readings)
         for z in unmeasured:
-            said = f"{history.names.label('T_zone_C', z)}: never measured, the mean free response of the other zones"
-            note = f"{note}, {said}" if note else f"bridged {said}"
+            remark = f"{history.names.label('T_zone_C', z)}: never measured, the mean free response of the other zones"
+            note = f"{note}, {remark}" if note else f"bridged {remark}"
         followed = self._estimator.expect(followed, float(boundary.time_s[1]), free)
         now_C = np.empty(len(zones))
-        now_C[known] = [row[np.isfinite(row)][-1] for row in free_C[known]]
-        now_C[~known] = now_C[known].mean()
+        now_C[has_readings] = [row[np.isfinite(row)][-1] for row in free_C[has_readings]]
+        now_C[~has_readings] = now_C[has_readings].mean()
         starts = np.concatenate([now_C[:, None], free.median_C[:, :-1]], axis=1)
         features = feature_matrix(starts, boundary.T_out_C[:-1], boundary.solar_W_m2[:-1], boundary.time_s[:-1])
         return PredictionContext(
@@ -296,10 +296,10 @@ class Predictor:
         return estimate
 
 
-def _with_mean(free: FreeForecast, known: NDArray[np.bool_]) -> FreeForecast:
-    """The forecasts of the `known` zones (Z,) set among all, with the mean of theirs for the others."""
-    if known.all():
+def _with_mean(free: FreeForecast, measured: NDArray[np.bool_]) -> FreeForecast:
+    """The forecasts of the `measured` zones (Z,) set among all, with the mean of theirs for the others."""
+    if measured.all():
         return free
-    quantiles_C = np.repeat(free.quantiles_C.mean(axis=1, keepdims=True), known.size, axis=1)
-    quantiles_C[:, known] = free.quantiles_C
+    quantiles_C = np.repeat(free.quantiles_C.mean(axis=1, keepdims=True), measured.size, axis=1)
+    quantiles_C[:, measured] = free.quantiles_C
     return replace(free, quantiles_C=quantiles_C)

@@ -54,15 +54,15 @@ class Limits:
         Without a heat or power model: 500 W per m² of floor area; without a floor area, no limit.
         """
         most_W = limits.LOAD_W_PER_M2 * (floor_area_m2 or np.inf)
-        found = cls((-most_W, most_W), (-most_W, most_W), lowest)
+        allowed = cls((-most_W, most_W), (-most_W, most_W), lowest)
         if model is None:
-            return found
+            return allowed
         heads = [model.operator.of_actuator(a) for a in range(len(model.operator.actuators))]
-        found = replace(found, lowest=min(head.heat_input.lowest for head in heads))
+        allowed = replace(allowed, lowest=min(head.heat_input.lowest for head in heads))
         if all(head.heat_input.heat is not None for head in heads):
             full_W = [head.sign * head.heat_input.largest() * head.heat_input.reference_W for head in heads]
             ends = [share * each for share in limits.LOAD_RANGE for each in full_W]
-            found = replace(found, heat_W=(min(ends), max(ends)))
+            allowed = replace(allowed, heat_W=(min(ends), max(ends)))
         if all(power is not None for power in model.power):
             most_W = max(
                 float(load(np.ones(2), np.array(load.T_out_range_C)).max())
@@ -70,8 +70,8 @@ class Limits:
                 for load in (power.load, power.cooling)  # type: ignore[union-attr]
                 if load is not None
             )
-            found = replace(found, power_W=(limits.POWER_RANGE[0] * most_W, limits.POWER_RANGE[1] * most_W))
-        return found
+            allowed = replace(allowed, power_W=(limits.POWER_RANGE[0] * most_W, limits.POWER_RANGE[1] * most_W))
+        return allowed
 
     def range(self, name: str) -> tuple[float, float]:
         """Return the lowest and highest value of the signal `name` of a `Record` or `Measurement`, in its unit."""
@@ -105,13 +105,13 @@ def screened(measurement: Measurement, allowed: Limits, history: Record) -> tupl
         allowed: plausible ranges.
         history: accepted readings so far, which limit the change of the zone temperature.
     """
-    found: dict[str, Any] = {}
+    cleaned: dict[str, Any] = {}
     notes: list[str] = []
     names = measurement.names
     for name in _UNITS:
-        given = np.atleast_1d(getattr(measurement, name))
-        refused = np.zeros(given.size, dtype=bool)
-        for row, value in enumerate(given):
+        readings = np.atleast_1d(getattr(measurement, name))
+        refused = np.zeros(readings.size, dtype=bool)
+        for row, value in enumerate(readings):
             label = names.label(name, row) if name in _BY_ROWS else name
             note = _refusal(measurement, name, row, float(value), label, allowed, history)
             refused[row] = note is not None
@@ -120,9 +120,9 @@ def screened(measurement: Measurement, allowed: Limits, history: Record) -> tupl
             elif name in _ALWAYS and np.isnan(value):
                 notes.append(f"{label} was not measured")
         if refused.any():
-            kept = np.where(refused, np.nan, given)
-            found[name] = kept if name in _BY_ROWS else float(kept[0])
-    return replace(measurement, **found), tuple(notes)
+            kept = np.where(refused, np.nan, readings)
+            cleaned[name] = kept if name in _BY_ROWS else float(kept[0])
+    return replace(measurement, **cleaned), tuple(notes)
 
 
 def _refusal(
@@ -203,12 +203,12 @@ def _jumps(time_s: Array, T_zone_C: Array) -> NDArray[np.bool_]:
     """Return which zone temperatures (n,) are implausibly far from the last accepted one; False for NaN."""
     wrong = np.zeros(time_s.size, dtype=bool)
     # Shortcut: no two neighbours are far apart.
-    known = np.flatnonzero(np.isfinite(T_zone_C))
-    steps = np.abs(np.diff(T_zone_C[known]))
+    finite = np.flatnonzero(np.isfinite(T_zone_C))
+    steps = np.abs(np.diff(T_zone_C[finite]))
     if not (steps > _reach_K(0.0)).any():
         return wrong
-    at_s, accepted = float(time_s[known[0]]), float(T_zone_C[known[0]])
-    for i in known:
+    at_s, accepted = float(time_s[finite[0]]), float(T_zone_C[finite[0]])
+    for i in finite:
         reach_K = _reach_K(float(time_s[i]) - at_s)
         if abs(T_zone_C[i] - accepted) > reach_K:
             wrong[i] = True

@@ -14,7 +14,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 
-if TYPE_CHECKING:  # pvlib is loaded only where the sun is asked for
+if TYPE_CHECKING:  # pvlib is loaded only where the sun is needed
     from thermoforce_mpc.boundary.weather.solar import Sun
 
 # Full sun on a facade, and the most that a vertical plane receives, W/m².
@@ -51,11 +51,11 @@ class SunOnSensor:
 
         Instants without irradiance take it from their neighbours.
         """
-        known = np.isfinite(solar_W_m2)
-        if not known.any():
+        measured = np.isfinite(solar_W_m2)
+        if not measured.any():
             return np.zeros(len(time_s))
-        if not known.all():
-            solar_W_m2 = np.interp(time_s, np.asarray(time_s)[known], np.asarray(solar_W_m2)[known])
+        if not measured.all():
+            solar_W_m2 = np.interp(time_s, np.asarray(time_s)[measured], np.asarray(solar_W_m2)[measured])
         facade = facade_W_m2(time_s, solar_W_m2, self.latitude_deg, self.noon_s, (self.azimuth_deg,))
         return np.asarray(self.full_K / FULL_SUN_W_M2 * lagged(facade, time_s, self.lag_s)[:, 0])
 
@@ -81,10 +81,10 @@ def facade_W_m2(
     """Irradiance on vertical planes (n, planes) from that on the horizontal (n,), W/m²; sun as in `sun_at`."""
     from pvlib import irradiance
 
-    found = np.zeros((len(time_s), len(azimuths_deg)))
+    facades = np.zeros((len(time_s), len(azimuths_deg)))
     lit = np.flatnonzero(np.asarray(solar_W_m2) > 0.0)
     if not lit.size:
-        return found
+        return facades
     time_s, solar_W_m2 = np.asarray(time_s)[lit], np.asarray(solar_W_m2)[lit]
     sun = sun_at(time_s, latitude_deg, noon_s)
     zenith, azimuth = np.rad2deg(sun.zenith), np.rad2deg(sun.azimuth)
@@ -94,8 +94,8 @@ def facade_W_m2(
         for plane in azimuths_deg
     ]
     on_planes = np.stack([np.asarray(plane["poa_global"]) for plane in planes], axis=-1)
-    found[lit] = np.clip(np.nan_to_num(on_planes), 0.0, _MOST_W_M2)
-    return found
+    facades[lit] = np.clip(np.nan_to_num(on_planes), 0.0, _MOST_W_M2)
+    return facades
 
 
 def lagged(signals: Array, time_s: Array, lag_s: float) -> Array:

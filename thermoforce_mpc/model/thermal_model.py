@@ -55,15 +55,15 @@ class ThermalModel:
 
     def __post_init__(self) -> None:
         zones, actuators, _ = self.operator.shape
-        for what, found, expected in (
+        for what, length, expected in (
             ("free", len(self.free), zones),
             ("cards", len(self.cards), actuators),
             ("power", len(self.power), len(self.machines)),
             ("machine_of", len(self.machine_of), actuators),
             ("shares", len(self.shares), actuators),
         ):
-            if found != expected:
-                raise DataError(f"thermal model: {what} has {found} entries, expected {expected}")
+            if length != expected:
+                raise DataError(f"thermal model: {what} has {length} entries, expected {expected}")
         if not all(0 <= m < len(self.machines) for m in self.machine_of):
             raise DataError(f"thermal model: machine_of {self.machine_of}: there are {len(self.machines)} machines")
         if self.exclusive:
@@ -145,8 +145,8 @@ class ThermalModel:
     def sun_on_sensors(self) -> tuple[SunOnSensor | None, ...]:
         """Sun on the sensor of each zone (Z,), as identified with the first actuator that found any."""
         cards = zip(self.operator.home, self.cards, strict=True)
-        found = [(home, card.sun_on_sensor) for home, card in cards if card.sun_on_sensor is not None]
-        return tuple(next((sun for home, sun in found if home == z), None) for z in range(len(self.operator.zones)))
+        by_home = [(home, card.sun_on_sensor) for home, card in cards if card.sun_on_sensor is not None]
+        return tuple(next((sun for home, sun in by_home if home == z), None) for z in range(len(self.operator.zones)))
 
     def in_rooms(self, record: Record, sun: Sequence[SunOnSensor | None] | None = None) -> Record:
         """`record` with the temperatures of the rooms: without the `sun` on sensors (Z,), by default the model's."""
@@ -154,9 +154,9 @@ class ThermalModel:
         if not any(parts):
             return record
         T = np.array(record.T_zone_C)
-        for z, one in enumerate(parts):
-            if one is not None:
-                T[z] -= one.part_K(record.time_s, record.solar_W_m2)
+        for z, part in enumerate(parts):
+            if part is not None:
+                T[z] -= part.part_K(record.time_s, record.solar_W_m2)
         return replace(record, T_zone_C=T)
 
     def predict(
@@ -193,31 +193,33 @@ class ThermalModel:
         """The model in a few lines: source, operator, effect of a day with its uncertainty, verdict, notes."""
         lines = [f"identified from {self.cards[0].source}"]
         for a, name in enumerate(self.operator.actuators):
-            lines += self._of_actuator(a, "" if self.names.single else f"{name}: ")
+            lines += self._actuator_lines(a, "" if self.names.single else f"{name}: ")
         if not self.names.single:
             pairs = len(list(self.operator.each()))
             lines.append(f"{pairs} pairs with an effect, {self.operator.n_trained} trained parameters in all")
         for m, power in enumerate(self.power):
-            of = "" if len(self.power) == 1 else f"{self.machines[m]}: "
+            prefix = "" if len(self.power) == 1 else f"{self.machines[m]}: "
             if power is None:
-                lines.append(f"{of}electric power was not measured: the model predicts, but energy cannot be planned")
+                lines.append(
+                    f"{prefix}electric power was not measured: the model predicts, but energy cannot be planned"
+                )
             else:
-                lines.append(f"{of}electric power: RMSE {power.rmse_W:.0f} W, R² {power.r2:.3f}")
+                lines.append(f"{prefix}electric power: RMSE {power.rmse_W:.0f} W, R² {power.r2:.3f}")
         for a, card in enumerate(self.cards):
-            of = "" if len(self.cards) == 1 else f"{self.operator.actuators[a]}: "
+            prefix = "" if len(self.cards) == 1 else f"{self.operator.actuators[a]}: "
             verdict = card.competence
-            lines.append(of + ("competence: not judged" if verdict is None else verdict.in_words()))
-            lines += [f"{of}note: {note}" for note in card.notes]
+            lines.append(prefix + ("competence: not judged" if verdict is None else verdict.in_words()))
+            lines += [f"{prefix}note: {note}" for note in card.notes]
         return "\n".join(lines)
 
-    def _of_actuator(self, a: int, who: str) -> list[str]:
+    def _actuator_lines(self, a: int, prefix: str) -> list[str]:
         zone = self.actuator(a)
         operator, uncertainty = zone.operator, zone.card.uncertainty
         hours = ", ".join(f"{tau:.2g} h" for tau in operator.time_constants_h)
-        lines = [f"{who}operator of order {operator.order} ({hours}), {operator.parameters_in_words}"]
+        lines = [f"{prefix}operator of order {operator.order} ({hours}), {operator.parameters_in_words}"]
         if "step_response_24h_K" in uncertainty:
             effect, sd = uncertainty["step_response_24h_K"], uncertainty["step_response_24h_sd_K"]
-            lines.append(f"{who}a day at full level changes the zone by {operator.sign * effect:+.1f} ± {sd:.1f} K")
+            lines.append(f"{prefix}a day at full level changes the zone by {operator.sign * effect:+.1f} ± {sd:.1f} K")
         return lines
 
     def save(self, folder: Path | str, *, overwrite: bool = False) -> Path:
@@ -277,5 +279,5 @@ def _check_proofs(proofs: Mapping[tuple[str, str], Certificate], where: str) -> 
     """Raise `ArtifactError` for the first pair that fails its certificate."""
     for (zone, actuator), proof in proofs.items():
         if not proof.certified:
-            of = "" if len(proofs) == 1 else f" of {actuator} on {zone}"
-            raise ArtifactError(f"{where}the operator{of} fails its certificate: {'; '.join(proof.reasons)}")
+            of_pair = "" if len(proofs) == 1 else f" of {actuator} on {zone}"
+            raise ArtifactError(f"{where}the operator{of_pair} fails its certificate: {'; '.join(proof.reasons)}")

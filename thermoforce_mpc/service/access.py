@@ -48,9 +48,9 @@ class Token:
 
     def check(self, header: str | None) -> None:
         """Raise `Refusal` (401) unless `header` holds the token; takes as long for any wrong token of its length."""
-        scheme, _, given = (header or "").partition(" ")
+        scheme, _, credentials = (header or "").partition(" ")
         # Compared in any case, so that the time taken does not depend on the scheme.
-        same = hmac.compare_digest(given.strip().encode("utf-8", "replace"), self._token)
+        same = hmac.compare_digest(credentials.strip().encode("utf-8", "replace"), self._token)
         if scheme.lower() != _SCHEME or not same:
             raise Refusal(401, "This service needs the header 'Authorization: Bearer TOKEN' with its token.")
 

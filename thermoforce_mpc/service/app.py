@@ -109,19 +109,19 @@ def create_app(
         sessions.stop(testid)
         return Response("OK", 200, mimetype="text/plain")
 
-    def add(one: Endpoint) -> None:
+    def add(endpoint: Endpoint) -> None:
         def answer(testid: str | None = None) -> Response:
-            body = _body(request) if one.body is not None else {}
+            body = _body(request) if endpoint.body is not None else {}
             # Up to BOPTEST 0.6 a container ran one test case, and paths had no test id.
             with sessions.using(sessions.lone() if testid is None else testid) as session:
-                reply = one.answer(session, body)
+                reply = endpoint.answer(session, body)
             return _envelope(200, reply.message, reply.payload)
 
-        for path in (f"/{one.verb}", f"/{one.verb}/<testid>"):
-            app.add_url_rule(path, f"{one.method} {path}", answer, methods=[one.method])
+        for path in (f"/{endpoint.verb}", f"/{endpoint.verb}/<testid>"):
+            app.add_url_rule(path, f"{endpoint.method} {path}", answer, methods=[endpoint.method])
 
-    for one in ENDPOINTS:
-        add(one)
+    for endpoint in ENDPOINTS:
+        add(endpoint)
 
     @app.errorhandler(Refusal)
     def refused(error: Refusal) -> Response:
@@ -140,12 +140,12 @@ def create_app(
 
     @app.errorhandler(HTTPException)
     def http_error(error: HTTPException) -> Response:
-        asked = f"{request.method} {request.path[:80]}"
+        attempt = f"{request.method} {request.path[:80]}"
         if isinstance(error, NotFound):
-            return _envelope(404, f"{asked}: no such endpoint; /openapi.json lists all.", None)
+            return _envelope(404, f"{attempt}: no such endpoint; /openapi.json lists all.", None)
         if isinstance(error, MethodNotAllowed):
             methods = [name for name in error.valid_methods or () if name not in ("HEAD", "OPTIONS")]
-            answer = _envelope(405, f"{asked}: use {' or '.join(sorted(methods))}.", None)
+            answer = _envelope(405, f"{attempt}: use {' or '.join(sorted(methods))}.", None)
             answer.headers["Allow"] = ", ".join(error.valid_methods or ())
             return answer
         return _envelope(error.code or 500, error.description or error.name, None)
@@ -195,7 +195,7 @@ def _body(request: Request) -> dict[str, Any]:
 def _deeper(value: Any, levels: int) -> bool:
     """Whether `value` nests deeper than `levels`."""
     below = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    return levels < 0 or any(_deeper(one, levels - 1) for one in below if isinstance(one, dict | list))
+    return levels < 0 or any(_deeper(item, levels - 1) for item in below if isinstance(item, dict | list))
 
 
 def _form(request: Request, text: bytes) -> dict[str, Any]:

@@ -18,10 +18,10 @@ _NUMBER_OR_NULL: Schema = {"type": ["number", "null"]}
 
 
 def _object(properties: Mapping[str, Schema], required: tuple[str, ...] = (), *, closed: bool = False) -> Schema:
-    found: Schema = {"type": "object", "properties": dict(properties)}
+    schema: Schema = {"type": "object", "properties": dict(properties)}
     if required:
-        found["required"] = list(required)
-    return found | ({"additionalProperties": False} if closed else {})
+        schema["required"] = list(required)
+    return schema | ({"additionalProperties": False} if closed else {})
 
 
 def _number(description: str, low: float | None = None, high: float | None = None) -> Schema:
@@ -35,8 +35,8 @@ def _number(description: str, low: float | None = None, high: float | None = Non
     }
 
 
-def _names(known: Mapping[str, Any], what: str) -> Schema:
-    name: Schema = {"type": "string", "enum": [*known, "time"]}
+def _names(points: Mapping[str, Any], what: str) -> Schema:
+    name: Schema = {"type": "string", "enum": [*points, "time"]}
     return {"anyOf": [{"type": "array", "items": name}, name], "description": f"names of {what}"}
 
 

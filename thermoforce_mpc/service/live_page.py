@@ -83,11 +83,11 @@ def serve_page(view: Callable[[], Mapping[str, Any]], port: int, on_ready: Calla
 
 
 def _one_by_one(view: Callable[[], Mapping[str, Any]]) -> Callable[[], Mapping[str, Any]]:
-    """`view`, asked by one thread at a time."""
+    """`view`, called by one thread at a time."""
     lock = threading.Lock()
 
-    def asked() -> Mapping[str, Any]:
+    def locked_view() -> Mapping[str, Any]:
         with lock:
             return view()
 
-    return asked
+    return locked_view

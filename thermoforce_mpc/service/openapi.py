@@ -34,10 +34,10 @@ def document(*, token: bool) -> dict[str, Any]:
         for verb in ("select", "select-async"):
             operation = _bare("Start a test", chosen, token, ("name",), body={"type": "object"})
             paths[f"{prefix}/{{name}}/{verb}"] = {"post": operation}
-    for one in ENDPOINTS:
-        for path, names in ((f"/{one.verb}/{{testid}}", ("testid",)), (f"/{one.verb}", ())):
-            paths.setdefault(path, {})[one.method.lower()] = _operation(one, token, names)
-    found: dict[str, Any] = {
+    for endpoint in ENDPOINTS:
+        for path, names in ((f"/{endpoint.verb}/{{testid}}", ("testid",)), (f"/{endpoint.verb}", ())):
+            paths.setdefault(path, {})[endpoint.method.lower()] = _operation(endpoint, token, names)
+    specification: dict[str, Any] = {
         "openapi": "3.1.0",
         "info": {
             "title": f"{TESTCASE} by thermoforce-mpc",
@@ -48,13 +48,13 @@ def document(*, token: bool) -> dict[str, Any]:
         "paths": paths,
     }
     if token:
-        found["components"] = {"securitySchemes": {"token": {"type": "http", "scheme": "bearer"}}}
-        found["security"] = [{"token": []}]
-    return found
+        specification["components"] = {"securitySchemes": {"token": {"type": "http", "scheme": "bearer"}}}
+        specification["security"] = [{"token": []}]
+    return specification
 
 
-def _operation(one: Endpoint, token: bool, names: tuple[str, ...]) -> dict[str, Any]:
-    return _bare(one.summary, _envelope(one.payload), token, names, one.body)
+def _operation(endpoint: Endpoint, token: bool, names: tuple[str, ...]) -> dict[str, Any]:
+    return _bare(endpoint.summary, _envelope(endpoint.payload), token, names, endpoint.body)
 
 
 def _bare(
@@ -76,17 +76,17 @@ def _bare(
         refused = _envelope({"type": "null"})
         schema = {"anyOf": [refused, _UNKNOWN]} if status == 400 else refused
         responses[str(status)] = _response(_REASONS[status], schema)
-    found: dict[str, Any] = {"summary": summary, "responses": responses}
+    operation: dict[str, Any] = {"summary": summary, "responses": responses}
     if names:
-        found["parameters"] = [
+        operation["parameters"] = [
             {"name": name, "in": "path", "required": True, "schema": {"type": "string"}} for name in names
         ]
     if body is not None:
-        found["requestBody"] = {
+        operation["requestBody"] = {
             "required": bool(body.get("required")),
             "content": {kind: {"schema": body} for kind in ("application/json", *_FORMS)},
         }
-    return found
+    return operation
 
 
 def _response(description: str, schema: Schema, kind: str = "application/json") -> dict[str, Any]:

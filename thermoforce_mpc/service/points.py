@@ -29,8 +29,8 @@ class PointInfo:
 
     def as_json(self, *, limits: bool) -> dict[str, str | float | None]:
         """As JSON object, with limits (inputs and measurements) or without (forecast points)."""
-        said: dict[str, str | float | None] = {"Description": self.description, "Unit": self.unit}
-        return said | {"Minimum": self.minimum, "Maximum": self.maximum} if limits else said
+        content: dict[str, str | float | None] = {"Description": self.description, "Unit": self.unit}
+        return content | {"Minimum": self.minimum, "Maximum": self.maximum} if limits else content
 
 
 _OVERWRITE_UNIT = {"oveHeaPumY": "1", "oveTSet": "K", "ovePum": "1", "oveFan": "1"}

@@ -33,9 +33,9 @@ def level(name: str, value: Any) -> Level | None:
     """Level given in a request; None for null, '' and 'none' (perfect forecast). Raises `Refusal`."""
     if value in (None, "", "none"):
         return None
-    for known in LEVELS:
-        if value == known:
-            return known
+    for choice in LEVELS:
+        if value == choice:
+            return choice
     raise Refusal(400, f"Invalid {name} {value!r}; expected one of none, {', '.join(LEVELS)}.")
 
 

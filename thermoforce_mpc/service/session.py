@@ -318,7 +318,7 @@ def _seed(value: Any) -> int | None:
     return int(value)
 
 
-def _names(body: Mapping[str, Any], known: Mapping[str, Any], what: str) -> list[str]:
+def _names(body: Mapping[str, Any], points: Mapping[str, Any], what: str) -> list[str]:
     names = body.get("point_names")
     if isinstance(names, str):
         names = [names]
@@ -326,10 +326,10 @@ def _names(body: Mapping[str, Any], known: Mapping[str, Any], what: str) -> list
         raise Refusal(400, f"Invalid point_names {names!r}: expected a list of names of {what}.")
     # Every reply contains time.
     names = [name for name in names if name != "time"]
-    wrong = [name for name in names if name not in known]
+    wrong = [name for name in names if name not in points]
     if wrong:
-        said = ", ".join(wrong[:5]) + (", ..." if len(wrong) > 5 else "")
-        raise Refusal(400, f"Invalid point name(s) {said}: not among the {what} of this test case.")
+        unknown = ", ".join(wrong[:5]) + (", ..." if len(wrong) > 5 else "")
+        raise Refusal(400, f"Invalid point name(s) {unknown}: not among the {what} of this test case.")
     return list(dict.fromkeys(names))
 
 

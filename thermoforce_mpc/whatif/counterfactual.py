@@ -30,14 +30,14 @@ class Counterfactual:
 
     Attributes:
         time_s: start of each step (N,), counted from `origin` where the record has time stamps.
-        u, u_other: levels applied and levels asked about (A, N).
+        u, u_other: levels applied and other levels (A, N).
         measured_C: temperature at the end of each step (Z, N), °C, NaN where it was not measured.
         effect_K: what the other levels change (Z, N), K.
         sd_K: standard deviation of the effect by the identification (Z, N), K; NaN where the model's card has none. The
             errors of all steps are taken to have one sign, so it is rather too wide.
         certified_low_K, certified_high_K: bounds that the certificate proves for the model's effect, whatever the
             weather and the state (Z, N), K.
-        energy_kWh, energy_other_kWh: by the model's power for levels applied and asked about (M,), NaN where a machine
+        energy_kWh, energy_other_kWh: by the model's power for levels applied and other levels (M,), NaN where a machine
             has no power model, or heats and cools and feeds several actuators.
     """
 
@@ -118,7 +118,7 @@ def counterfactual(
 
     Args:
         model: of this building.
-        record: what was measured, a day or more before `start` and over the stretch that is asked about.
+        record: what was measured, a day or more before `start` and over the stretch in question.
         u: other levels in [0, 1] (A, N), (N,) for one actuator, or one level for all.
         start: time stamp, or seconds as in the record; the nearest boundary of the record counts.
         hours: length of the stretch where `u` is one level.
@@ -149,17 +149,17 @@ def counterfactual(
     past, stretch = whole.slice(0, first), whole.slice(first, first + n)
     forced_K = Predictor(model.operator, [_Recorded(np.empty(0))] * len(record.names.zones)).forced_history(whole)
     free_C = whole.T_zone_C - forced_K.sum(axis=(1, 3))
-    known = np.array([_without_gaps(row, name) for row, name in zip(free_C, record.names.zones, strict=True)])
-    recorded = [_Recorded(row[first + 1 :]) for row in known]
-    seen = Record(
-        past.time_s, known[:, : first + 1] + forced_K.sum(axis=(1, 3))[:, : first + 1], past.T_out_C, past.solar_W_m2,
+    filled = np.array([_without_gaps(row, name) for row, name in zip(free_C, record.names.zones, strict=True)])
+    recorded = [_Recorded(row[first + 1 :]) for row in filled]
+    history = Record(
+        past.time_s, filled[:, : first + 1] + forced_K.sum(axis=(1, 3))[:, : first + 1], past.T_out_C, past.solar_W_m2,
         past.u, past.power_W, past.heat_W, past.T_return_C, past.origin, past.names,
     )  # fmt: skip
-    context = Predictor(model.operator, recorded).context(Observation(seen, Boundary.measured(stretch)))
+    context = Predictor(model.operator, recorded).context(Observation(history, Boundary.measured(stretch)))
     applied = np.clip(stretch.u, model.operator.lowest[:, None], 1.0)
     effect = context.effect(levels, applied)
     levels = levels if levels.ndim == 2 else levels[None]
-    low, high = _certified(model, levels - applied, record.step_s)
+    low, high = _certified_bounds(model, levels - applied, record.step_s)
     return Counterfactual(
         time_s=stretch.time_s[:-1],
         origin=record.origin,
@@ -186,13 +186,13 @@ def _boundary(record: Record, start: pd.Timestamp | str | float) -> int:
 
 
 def _without_gaps(free_C: Array, zone: str) -> Array:
-    known = np.flatnonzero(np.isfinite(free_C))
-    if not known.size:
+    finite = np.flatnonzero(np.isfinite(free_C))
+    if not finite.size:
         raise DataError(f"the temperature of zone '{zone}' was never measured: nothing to compare with")
-    return np.asarray(np.interp(np.arange(free_C.size), known, free_C[known]))
+    return np.asarray(np.interp(np.arange(free_C.size), finite, free_C[finite]))
 
 
-def _certified(model: ThermalModel, change: Array, step_s: float) -> tuple[Array, Array]:
+def _certified_bounds(model: ThermalModel, change: Array, step_s: float) -> tuple[Array, Array]:
     """Proven bounds of the effect of `change` (A, N) of the levels on all zones, each (Z, N), K."""
     n = change.shape[1]
     operator = model.operator.resampled(step_s)
@@ -224,15 +224,15 @@ def _identified_sd(model: ThermalModel, change: Array, step_s: float) -> Array:
 
 
 def _energy_kWh(model: ThermalModel, u: Array, stretch: Record) -> Array:
-    found = np.full(len(model.machines), np.nan)
+    energy_kWh = np.full(len(model.machines), np.nan)
     for m, power in enumerate(model.power):
         fed = [a for a, machine in enumerate(model.machine_of) if machine == m]
         if power is None or (len(fed) > 1 and power.cooling is not None):
             continue
         T_out_C, weights = stretch.T_out_C[:-1], model.layout.weights[fed]
         watts = power(u[fed[0]], T_out_C) if len(fed) == 1 else power.of_actuators(u[fed], weights, T_out_C)
-        found[m] = float(watts.sum()) * stretch.step_s / J_PER_KWH
-    return found
+        energy_kWh[m] = float(watts.sum()) * stretch.step_s / J_PER_KWH
+    return energy_kWh
 
 
 def _number(value: float) -> float | None:

@@ -69,14 +69,14 @@ def days_of(record: Record, meter: str, name: str, past: Record | None = None) -
     # Heat that is taken out of a zone is negative in a record: cold that was used is energy like heat.
     total = (record.power_W if meter == "power_W" else np.abs(record.heat_W)).sum(axis=0)
     total = np.where(np.isfinite(total), total, np.nan)
-    known = np.isfinite(total) & np.isfinite(record.T_out_C[:-1])
+    measured = np.isfinite(total) & np.isfinite(record.T_out_C[:-1])
     sunny = np.isfinite(record.solar_W_m2[:-1])
     least_sun = _LEAST_SUN if sunny.any() else 0.0
     rows: list[tuple[int, float, Array, Array, Array]] = []
     left_out = 0
     for day in range(first, last):
         at = slice(offset + (day - first) * k, offset + (day - first + 1) * k)
-        if known[at].mean() < _LEAST_MEASURED or sunny[at].mean() < least_sun:
+        if measured[at].mean() < _LEAST_MEASURED or sunny[at].mean() < least_sun:
             left_out += 1
             continue
         energy = float(np.nanmean(total[at])) * DAY_S / J_PER_KWH
@@ -101,12 +101,12 @@ def days_of(record: Record, meter: str, name: str, past: Record | None = None) -
 
 def _low_passes(record: Record, past: Record | None) -> tuple[Array, Array]:
     """Outdoor temperature and irradiance through each low pass, (lags, n + 1)."""
-    found = []
+    filtered = []
     for name in ("T_out_C", "solar_W_m2"):
-        values = _known(getattr(record, name))
+        values = _interpolated(getattr(record, name))
         before = np.empty(0)
         if past is not None and 0.0 <= record.time_s[0] - past.time_s[-1] <= DAY_S and past.step_s == record.step_s:
-            before = _known(getattr(past, name))
+            before = _interpolated(getattr(past, name))
         joined = np.concatenate([before, values])
         rows = []
         for lag in LAGS_H:
@@ -116,13 +116,13 @@ def _low_passes(record: Record, past: Record | None) -> tuple[Array, Array]:
             pole = np.exp(-record.step_s / HOUR_S / lag)
             start = joined[: max(1, round(DAY_S / record.step_s))].mean()
             rows.append(lfilter([1.0 - pole], [1.0, -pole], joined, zi=[pole * start])[0][before.size :])
-        found.append(np.array(rows))
-    return found[0], found[1]
+        filtered.append(np.array(rows))
+    return filtered[0], filtered[1]
 
 
-def _known(values: Array) -> Array:
+def _interpolated(values: Array) -> Array:
     """`values` with gaps interpolated; the days in which they lie are left out by their own rule."""
-    known = np.flatnonzero(np.isfinite(values))
-    if not known.size:
+    finite = np.flatnonzero(np.isfinite(values))
+    if not finite.size:
         return np.zeros_like(values)
-    return np.asarray(np.interp(np.arange(values.size), known, values[known]))
+    return np.asarray(np.interp(np.arange(values.size), finite, values[finite]))

@@ -88,9 +88,9 @@ class Saving:
     def in_words(self) -> str:
         """The result in one sentence."""
         share = 100.0 / self.baseline_kWh if self.baseline_kWh > 0 else float("nan")
-        of = " of heat" if self.meter == "heat_W" else ""
+        of_heat = " of heat" if self.meter == "heat_W" else ""
         interval = (
-            f"{self.saved_kWh:+.1f} kWh{of} ({share * self.saved_kWh:+.1f} %), {100 * self.level:g} % interval "
+            f"{self.saved_kWh:+.1f} kWh{of_heat} ({share * self.saved_kWh:+.1f} %), {100 * self.level:g} % interval "
             f"{self.low_kWh:+.1f} to {self.high_kWh:+.1f} kWh, over {self.after.n} days"
         )
         if self.claimed:
@@ -347,18 +347,18 @@ def _design(old: Days, new: Days, columns: tuple[tuple[str, int], ...], changed:
 
 def _mean(T_zone_C: Array) -> Array:
     """Mean of the known days of each zone (Z,), NaN where there are none."""
-    known = np.isfinite(T_zone_C)
+    finite = np.isfinite(T_zone_C)
     return np.asarray(
-        np.where(known, T_zone_C, 0.0).sum(axis=1) / np.where(known.any(axis=1), known.sum(axis=1), np.nan)
+        np.where(finite, T_zone_C, 0.0).sum(axis=1) / np.where(finite.any(axis=1), finite.sum(axis=1), np.nan)
     )
 
 
 def _in_words(column: tuple[str, int]) -> str:
     name, lag = column
-    of = {"outdoor": "outdoor temperature", "outdoor squared": "its square", "sun": "sun"}.get(name, name)
+    label = {"outdoor": "outdoor temperature", "outdoor squared": "its square", "sun": "sun"}.get(name, name)
     if name in ("weekend", "change with outdoor", "outdoor squared"):
-        return of
-    return f"{of} of the day" if lag == 0 else f"{of} through {LAGS_H[lag]:g} h of mass"
+        return label
+    return f"{label} of the day" if lag == 0 else f"{label} through {LAGS_H[lag]:g} h of mass"
 
 
 def _notes(old: Days, new: Days, fit: _Fit) -> list[str]:

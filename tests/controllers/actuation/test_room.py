@@ -11,8 +11,8 @@ from light_office import LightOffice
 from mpc_problems import N, random_operator, random_problem, unit_responses
 from scipy.optimize import linprog
 
+from controllers.actuation.actuator import Actuation
 from controllers.actuation.actuators import Actuators
-from controllers.actuation.choice import choose_actuation
 from controllers.actuation.room_setpoints import room_blocks
 from controllers.checks import ControllerConfigError
 from controllers.monitoring.zone_sensor_state import Sensed
@@ -237,14 +237,14 @@ def test_a_room_that_fell_below_its_reserve_does_not_wait_for_its_heat(model):
     night = Observation(office.past(mpc.step_s), office.forecast(mpc.horizon_s, mpc.step_s))
     assert night.boundary.lower_C[0, 0] == 15.0
 
-    mode = choose_actuation(config.actuation, model.only.power, model.only.operator.heat_input)
-    first_step = FirstStep(config, Actuators(model.layout, [mode.actuation]), mpc.step_s)
-    level, T_free_C, none = np.array([[0.1]]), np.array([[16.1]]), np.zeros((1, 1))
-    plan = Plan((), PlanStatus.SOLVED, "", u=level, T_free_C=T_free_C, T_forced_K=none)
+    first_step = FirstStep(config, Actuators(model.layout, [Actuation(config.actuation)]), mpc.step_s)
+    plan = Plan(
+        (), PlanStatus.SOLVED, "", u=np.array([[0.1]]), T_free_C=np.array([[16.1]]), T_forced_K=np.zeros((1, 1))
+    )
     readings = Readings(night, night.boundary, Zones((Sensed(15.2),)), None)
 
-    def first_band(learned: LearnedMargin) -> tuple[float, float]:
-        known = learned.meeting(night.boundary.lower_C, night.boundary.upper_C)
+    def first_band(missed: LearnedMargin) -> tuple[float, float]:
+        known = missed.meeting(night.boundary.lower_C, night.boundary.upper_C)
         ((first, *_),) = first_step.demands(plan, readings, known)
         return first.band_C[0]
 

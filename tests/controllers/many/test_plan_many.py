@@ -19,7 +19,6 @@ from controllers.actuation.actuator import ActuationConfig
 from controllers.checks import ControllerConfigError, PackedState
 from controllers.many.portfolio import Portfolio, plan_many
 from controllers.many.worker import received, sent
-from controllers.mpc.margins import Margins
 from controllers.optimisation.qp_backends import Clarabel
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
@@ -172,8 +171,8 @@ def test_minimum_times_hold_after_a_step_that_was_left_to_the_buildings_own_cont
 
 
 def test_a_state_of_another_building_costs_one_plan():
-    own = plan_many({"b": simple_model()}, {"b": seen()}, config=WEATHER_MODEL)["b"].state
-    other = replace(own, margins=Margins.nothing(1, 2))
+    state = plan_many({"b": simple_model()}, {"b": seen()}, config=WEATHER_MODEL)["b"].state
+    other = replace(state, margins=replace(state.margins, unused=np.zeros(2)))
     with Portfolio({"a": simple_model()}, WEATHER_MODEL) as portfolio:
         first = portfolio.plan({"a": seen()}, {"a": other})["a"]
         assert (first.plan.status, first.state) == (PlanStatus.NATIVE, None)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from controllers.mpc.margins import backoff_K
+from controllers.mpc.margin_rules import backoff_K
 from thermoforce_mpc.data import FreeForecast
 
 LEVELS = np.arange(1, 10) / 10

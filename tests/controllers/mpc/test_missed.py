@@ -124,8 +124,8 @@ def test_the_bounds_of_a_problem_move_inside_by_what_was_learned():
     seen = Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S))
     context = mpc.predictor.context(seen)
     plain, kept = (
-        mpc.instance(context, seen.history, Margins(learned=learned))
-        for learned in (LearnedMargin.nothing(1), replace(LearnedMargin.nothing(1), reserve_K=np.array([[0.2], [0.0]])))
+        mpc.instance(context, seen.history, margins)
+        for margins in (None, Margins(learned=replace(LearnedMargin.nothing(1), reserve_K=np.array([[0.2], [0.0]]))))
     )
     np.testing.assert_allclose(kept.lower_C - plain.lower_C, 0.2)
     np.testing.assert_array_equal(kept.upper_C, plain.upper_C)

@@ -9,8 +9,8 @@ import pytest
 from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.mpc.controller import MPCState
-from thermoforce_mpc.data import HOUR_S, Boundary, Observation, Record
+from controllers.mpc.state import MPCState
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Record
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
@@ -46,8 +46,8 @@ def test_the_offset_is_the_mean_of_recent_errors_and_limited():
     assert state.good is not None
     assert state.margins.offset_K.tolist() == [0.0], "nothing was planned before"
 
-    def offset_K(before: MPCState) -> np.ndarray:
-        return mpc.plan(observation, replace(before, last_s=None)).state.margins.offset_K
+    def offset_K(before: MPCState) -> Array:
+        return mpc.plan(observation, before).state.margins.offset_K
 
     cold = replace(state.good, time_s=start.time_s - HOUR_S, T_zone_C=np.full_like(state.good.T_zone_C, 20.0))
     off = replace(state, good=cold)
@@ -55,8 +55,11 @@ def test_the_offset_is_the_mean_of_recent_errors_and_limited():
     assert offset_K(off) == pytest.approx((1 - np.exp(-1 / 6)) * error)
     far = replace(off, good=replace(off.good, T_zone_C=off.good.T_zone_C - 30.0))
     assert offset_K(far).tolist() == [0.3]
-    margins = replace(state.margins, offset_K=np.array([0.1]))
-    old = replace(off, margins=margins, good=replace(off.good, time_s=start.time_s - 3 * HOUR_S))
+    old = replace(
+        off,
+        margins=replace(off.margins, offset_K=np.array([0.1])),
+        good=replace(off.good, time_s=start.time_s - 3 * HOUR_S),
+    )
     assert offset_K(old).tolist() == [0.1], "a plan of three hours ago says nothing of this step"
 
 

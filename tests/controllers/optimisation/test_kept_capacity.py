@@ -11,7 +11,7 @@ from simple_house import OutdoorResponse
 from two_houses import TwoHouses, two_model
 
 from controllers import MPCConfig, ThermoForceMPC
-from controllers.mpc.margins import learned_share
+from controllers.mpc.margin_rules import learned_share
 from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.problem import ProblemShape, every_step
 from controllers.optimisation.qp import QPConfig, QPSolver
@@ -116,12 +116,12 @@ def test_the_limit_follows_the_outdoor_temperature_and_what_was_lacking():
     full_W, most_W = 5000.0 - 100.0 * T_C, (5000.0 / 0.8 + 5000.0 / 0.6) / 2
     lacking = [most_W - 0.5 * 0.7 * full_W, 0.5 * 0.7 * full_W]
     observation = seen(plant, mpc, [1.0, 0.7], lacking)
-    margins = mpc.plan(observation, first.state).state.margins
-    assert margins.unused.tolist() == pytest.approx([0.12])
+    kept = mpc.plan(observation, first.state).state.margins.unused
+    assert kept.tolist() == pytest.approx([0.12])
     enough = [0.9 * most_W - 0.7 * full_W, 0.7 * full_W]
     assert mpc.plan(seen(plant, mpc, [1.0, 0.7], enough), first.state).state.margins.unused.tolist() == [0.0]
 
     context = mpc.predictor.context(observation)
-    problem = mpc.instance(context, observation.history, margins)
+    problem = mpc.instance(context, observation.history, replace(first.state.margins, unused=kept))
     ahead_C = observation.boundary.T_out_C[:-1]
     np.testing.assert_allclose(problem.capacity[0], 0.88 / (1.0 - ahead_C / 50.0), rtol=1e-9)

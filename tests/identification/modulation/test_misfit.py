@@ -84,4 +84,4 @@ def test_value_and_gradient_are_those_of_the_definition(order, sign):
     value, found = misfit(values.numpy())
     assert value == pytest.approx(float(expected.detach()), rel=1e-10)
     np.testing.assert_allclose(found, gradient, rtol=1e-7, atol=1e-9 * np.abs(gradient).max())
-    assert misfit.judged(values.numpy()).size == sum(e.split.judged.size for e in data)
+    assert misfit.held_out_residuals(values.numpy()).size == sum(e.split.judged.size for e in data)

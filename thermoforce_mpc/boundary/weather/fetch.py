@@ -43,11 +43,11 @@ def fetch_brussels(folder: Path, url: str = URL, fingerprint: str = FINGERPRINT)
     with written(path) as aside:
         aside.write_bytes(content)
         try:
-            found = load_weather(aside).fingerprint
+            downloaded = load_weather(aside).fingerprint
         except WeatherError as error:
             raise WeatherError(f"{url}: did not answer with a weather file ({error})") from error
-        if found != fingerprint:
-            raise WeatherError(f"{url}: holds another weather year ({found}, expected {fingerprint})")
+        if downloaded != fingerprint:
+            raise WeatherError(f"{url}: holds another weather year ({downloaded}, expected {fingerprint})")
     return path
 
 

@@ -51,16 +51,16 @@ def check_plausible(weather: Weather, path: Path) -> None:
 
 
 def _doubts(weather: Weather, mean_C: float, shining: float) -> list[str]:
-    found = []
+    doubts = []
     if not _USUAL_MEAN_C[0] <= mean_C <= _USUAL_MEAN_C[1]:
-        found.append(f"the year's mean temperature is {mean_C:.1f} °C: few people live there")
+        doubts.append(f"the year's mean temperature is {mean_C:.1f} °C: few people live there")
     if shining == 0:
-        found.append("the sun never shines in it: the columns of irradiance are empty")
+        doubts.append("the sun never shines in it: the columns of irradiance are empty")
     changes = np.flatnonzero(np.diff(weather.T_dry_C) != 0)
     stuck = np.diff(np.concatenate([[-1], changes, [weather.T_dry_C.size - 1]]))
     if stuck.max() > _STUCK_H:
         first = int(np.concatenate([[0], changes + 1])[int(stuck.argmax())])
-        found.append(
+        doubts.append(
             f"the temperature is {weather.T_dry_C[first]:g} °C for {int(stuck.max())} hours from day {first // 24 + 1}"
         )
-    return found
+    return doubts

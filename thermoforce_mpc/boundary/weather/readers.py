@@ -128,9 +128,9 @@ def _read_epw(path: Path, name: str, lines: list[str]) -> Weather:
     calendar = np.array([(day.month, day.day, hour) for day in days for hour in range(1, 25)])
     wrong = np.flatnonzero((date != calendar).any(axis=1))
     if wrong.size:
-        found, expected = ("month {:g}, day {:g}, hour {:g}".format(*rows[wrong[0]]) for rows in (date, calendar))
+        actual, expected = ("month {:g}, day {:g}, hour {:g}".format(*rows[wrong[0]]) for rows in (date, calendar))
         raise WeatherError(
-            f"{path}: hourly row {wrong[0] + 1} is {found}, expected {expected}; this reader needs the hours of one "
+            f"{path}: hourly row {wrong[0] + 1} is {actual}, expected {expected}; this reader needs the hours of one "
             "year in order, 1 to 24 a day"
         )
     # Hour 24 of 31 December is midnight, the first row of the year.

@@ -77,8 +77,8 @@ def shared_sd(layout: Layout, a: int) -> float:
     With all at full level it is the reciprocal of their shares' sum, alone it is 1; anything between is as likely. A
     share that is not known (0) counts as the whole machine.
     """
-    wanted = float(layout.weights[layout.fed_by(layout.machine_of[a])].sum())
-    return (1.0 - 1.0 / wanted) / float(np.sqrt(12.0)) if wanted > 1.0 else 0.0
+    share_sum = float(layout.weights[layout.fed_by(layout.machine_of[a])].sum())
+    return (1.0 - 1.0 / share_sum) / float(np.sqrt(12.0)) if share_sum > 1.0 else 0.0
 
 
 def _centred_mean(u: Array, n: int) -> Array:

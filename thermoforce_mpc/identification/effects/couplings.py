@@ -27,8 +27,8 @@ _NEIGHBOUR_SLOPE, _NEIGHBOUR_GAIN = 0.05, 0.3
 _SAME_ZONE_SLOPE_K_PER_H = 60.0
 # A neighbour's effect below this after a day at full level, K, is none.
 _LEAST_EFFECT_K = 0.02
-# Share of the prior standard deviation that must be left for a pair to count as not told by the record.
-_NOT_TOLD = 0.9
+# Share of the prior standard deviation that must be left for a pair to count as unknown from the record.
+_UNINFORMATIVE = 0.9
 
 
 def others_of(layout: Layout, a: int, config: IdentificationConfig) -> list[int]:
@@ -84,7 +84,7 @@ def assembled(
         pairs[home][a] = heads[a]
         if fit is None or layout.actuators_of(home)[0] != a:
             continue  # effects of the others on a zone are those of the fit of its first actuator
-        told = dict(cards[a].uncertainty)
+        uncertainty = dict(cards[a].uncertainty)
         notes = list(cards[a].notes)
         for k, b in enumerate(others_of(layout, a, config)):
             if layout.home[b] == home:
@@ -92,14 +92,14 @@ def assembled(
             answer = step_response(fit.of_other(k), STEP_RESPONSE_H[-1], HOUR_S)
             name = layout.names.actuators[b]
             for hours in STEP_RESPONSE_H:
-                told[f"step_response_{hours}h_K[{name}]"] = layout.signs[b] * float(answer.mean_K[hours])
-                told[f"step_response_{hours}h_sd_K[{name}]"] = float(answer.sd_K[hours])
+                uncertainty[f"step_response_{hours}h_K[{name}]"] = layout.signs[b] * float(answer.mean_K[hours])
+                uncertainty[f"step_response_{hours}h_sd_K[{name}]"] = float(answer.sd_K[hours])
             sd = np.sqrt(np.diagonal(fit.other_covariance[k]))[fit.log_tau.size :]
-            if (sd[1:] > _NOT_TOLD * fit.other_sd[k][1:]).all() and sd.size > 1:
+            if (sd[1:] > _UNINFORMATIVE * fit.other_sd[k][1:]).all() and sd.size > 1:
                 notes.append(f"the record does not tell what {name} does to {layout.names.zones[home]}")
             if answer.mean_K[24] >= _LEAST_EFFECT_K:
                 pairs[home][b] = _padded(_pair(fit, k, zones[a].operator, zones[b].operator, layout.signs[b]), order)
-        cards[a] = replace(cards[a], uncertainty=told, notes=tuple(notes))
+        cards[a] = replace(cards[a], uncertainty=uncertainty, notes=tuple(notes))
     operator = BuildingOperator(
         layout.names.zones, layout.names.actuators, tuple(tuple(row) for row in pairs), layout.home
     )
@@ -117,8 +117,8 @@ def assembled(
 
 def _pair(fit: JointFit, k: int, own: OperatorParameters, head: OperatorParameters, sign: int) -> OperatorParameters:
     """The operator of other actuator `k`, that delivers as `head`, on the zone of `fit`, with the modes of `own`."""
-    tau, found = own.time_constants_h, fit.other_gains[k]
-    steady = np.concatenate([[tau[0] * (found[0] - (found[1:] / tau[1:]).sum())], found[1:]])
+    tau, gains = own.time_constants_h, fit.other_gains[k]
+    steady = np.concatenate([[tau[0] * (gains[0] - (gains[1:] / tau[1:]).sum())], gains[1:]])
     return replace(head, poles=own.poles, gains=sign * steady * (1.0 - own.poles), pole_bounds=own.pole_bounds)
 
 

@@ -63,8 +63,8 @@ def levels_only(heat_input: HeatInput, layout: Layout, a: int, config: Identific
 
     Not so where heat was measured or is the level itself: signed levels, `heat_input: identity`, the map of a radiator.
     """
-    asked = config.method == "joint" and config.heat_input == "auto" and config.radiator_exponent is None
-    return asked and heat_input.heat is None and layout.lowest[a] == 0.0
+    may_be_fitted = config.method == "joint" and config.heat_input == "auto" and config.radiator_exponent is None
+    return may_be_fitted and heat_input.heat is None and layout.lowest[a] == 0.0
 
 
 def outdoor_factor(
@@ -118,17 +118,17 @@ def _log_evidence(
     # The initial slope is that of a slab, a radiator or an air heater, as in `zone`; noise is that of the likeliest.
     slopes = (config.start_slope_K_per_h,) if config.start_slope_K_per_h else (None, *DIRECT_SLOPES_K_PER_H)
     plain = regressions(IDENTITY)
-    tried = [(_solved(plain, of, sign), of) for of in map(priors, slopes)]
-    (_, rms), likeliest = max(tried, key=lambda item: item[0][0])
-    return np.array([_solved(calibrated(regressions(i), rms), likeliest, sign)[0] for i in inputs])
+    solutions = [(_evidence_and_rms(plain, choice, sign), choice) for choice in map(priors, slopes)]
+    (_, rms), likeliest = max(solutions, key=lambda item: item[0][0])
+    return np.array([_evidence_and_rms(calibrated(regressions(i), rms), likeliest, sign)[0] for i in inputs])
 
 
-def _solved(regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> tuple[float, float]:
+def _evidence_and_rms(regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> tuple[float, float]:
     """Log evidence of the linear part at the prior time constants (Laplace), and RMS of its whitened residual."""
     system = System(regressions, priors.order, sign)
     rows = system.rows(priors.log_tau, priors)
-    found = BoundedLeastSquares(rows, system.variables)
-    log_evidence = -0.5 * (found.squares + found.log_determinant)
+    solution = BoundedLeastSquares(rows, system.variables)
+    log_evidence = -0.5 * (solution.squares + solution.log_determinant)
     log_evidence -= float(np.log(priors.gains_at(priors.log_tau)[1]).sum())
-    residual = (rows[:, :-1] @ found.values - rows[:, -1])[: system.n_data]
+    residual = (rows[:, :-1] @ solution.values - rows[:, -1])[: system.n_data]
     return log_evidence, float(np.sqrt(np.mean(residual**2)))

@@ -34,8 +34,8 @@ _EXPONENT_SD = 0.1
 # Estimates are held inside these. Heat is a concave law of the level: per level, part load gives no less than full
 # level. Below 1 an estimate is noise, and would switch an electric heater for a loss that it cannot have.
 _HEAT_RANGE, _EXPONENT_RANGE = (1.0, 2.0), (1.0, 2.0)
-# The data tell an exponent where they leave less than this share of its prior's standard deviation.
-_TOLD = 0.7
+# The data determine an exponent where they leave less than this share of its prior's standard deviation.
+_INFORMATIVE = 0.7
 # Steps at part load from which their heat is estimated.
 _LEAST_STEPS = 4
 _ROUNDS = 8
@@ -134,8 +134,8 @@ def level_shape(
 ) -> tuple[dict[str, float], list[str]]:
     """What the temperature says of the heat over the level, as numbers for the card and notes in words.
 
-    The drives of `regressions` are levels. `config.part_load` asks for the cost of heat at part load,
-    `config.radiator_exponent` for the exponent; both empty where neither is asked for, or nothing was seen of it.
+    The drives of `regressions` are levels. `config.part_load` turns on the cost of heat at part load,
+    `config.radiator_exponent` for the exponent; both empty where neither is on, or the data hold nothing of it.
     """
     if config.radiator_exponent is not None:
         return _exponent(estimate(radiator(config.radiator_exponent), regressions, fit, priors, sign), config)
@@ -145,15 +145,17 @@ def level_shape(
     return _cost(estimate(PART_LOAD, regressions, fit, priors, sign), histories, power)
 
 
-def _exponent(found: Estimate, config: IdentificationConfig) -> tuple[dict[str, float], list[str]]:
+def _exponent(exponent: Estimate, config: IdentificationConfig) -> tuple[dict[str, float], list[str]]:
     assumed = config.radiator_exponent
-    numbers = {EXPONENT: found.value, EXPONENT_SD: found.sd}
-    says = f"exponent of the radiator from the temperature: {found.value:.2f} ± {found.sd:.2f}"
-    if found.sd > _TOLD * _EXPONENT_SD:
-        return numbers, [f"{says}; the data hardly tell it, the {assumed:g} of the data sheet is kept"]
-    if abs(found.value - (assumed or 0.0)) <= 2.0 * found.sd:
-        return numbers, [f"{says}, in agreement with the {assumed:g} in use"]
-    return numbers, [f"{says}, not the {assumed:g} in use: write actuator.exponent: {found.value:.2f} and probe again"]
+    numbers = {EXPONENT: exponent.value, EXPONENT_SD: exponent.sd}
+    summary = f"exponent of the radiator from the temperature: {exponent.value:.2f} ± {exponent.sd:.2f}"
+    if exponent.sd > _INFORMATIVE * _EXPONENT_SD:
+        return numbers, [f"{summary}; the data hardly tell it, the {assumed:g} of the data sheet is kept"]
+    if abs(exponent.value - (assumed or 0.0)) <= 2.0 * exponent.sd:
+        return numbers, [f"{summary}, in agreement with the {assumed:g} in use"]
+    return numbers, [
+        f"{summary}, not the {assumed:g} in use: write actuator.exponent: {exponent.value:.2f} and probe again"
+    ]
 
 
 def _cost(heat: Estimate, histories: Sequence[Record], power: PowerModel) -> tuple[dict[str, float], list[str]]:

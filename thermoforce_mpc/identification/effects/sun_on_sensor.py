@@ -49,7 +49,7 @@ _LEAST_NOISE_K = 0.02
 
 
 @dataclass(frozen=True)
-class _Explained:
+class _Explanation:
     """The records under one set of time constants and disturbances.
 
     `without`: log evidence without sun on the sensor; `gained` (k,): log evidence that each candidate adds;
@@ -79,7 +79,7 @@ def sun_on_sensor(
     resolution_K: float = 0.0,
     others: Sequence[OtherActuator] = (),
 ) -> SunOnSensor | None:
-    """Return the likeliest sun in the readings of a zone sensor, with its probability; None where that cannot be told.
+    """Return the likeliest sun in the readings of a zone sensor, with its probability; None where the data cannot say.
 
     That is so without sun, and where one signed level heats and cools: such levels are means of what the building's own
     loops deliver to a room set-point, and within a step the temperature jumps in a way that no explanation has.
@@ -100,20 +100,20 @@ def sun_on_sensor(
         for run, e in zip(runs, regressions, strict=True)
     ]
     noise_K = float(np.hypot(max(config.sensor_sd_K, _LEAST_NOISE_K), resolution_K / np.sqrt(12.0)))
-    found = []
+    explanations = []
     for scale in _SCALES:
-        disturbed = [_disturbed(e, scale, noise_K) for e in regressions]
+        disturbed = [_with_disturbance(e, scale, noise_K) for e in regressions]
         white = np.concatenate([e.disturbance.whitened(s) for e, s in zip(disturbed, signals, strict=True)])
         size = -sum(e.disturbance.log_determinant for e in disturbed)
         blocks = blocks_of(disturbed, len(_GAINS_SD), 1)
-        found += [_explained(regressions, blocks, white, np.log(hours), size) for hours in _TIME_CONSTANTS_H]
-    best = max(found, key=lambda one: one.evidence)
-    at = int(np.argmax(best.gained))
-    (latitude, lag_s), azimuth = sites[at // len(_AZIMUTHS_DEG)], _AZIMUTHS_DEG[at % len(_AZIMUTHS_DEG)]
+        explanations += [_explain(regressions, blocks, white, np.log(hours), size) for hours in _TIME_CONSTANTS_H]
+    best = max(explanations, key=lambda explanation: explanation.evidence)
+    place = int(np.argmax(best.gained))
+    (latitude, lag_s), azimuth = sites[place // len(_AZIMUTHS_DEG)], _AZIMUTHS_DEG[place % len(_AZIMUTHS_DEG)]
     probability = float(expit(best.odds))
-    full_K = float(best.full_K[at])
+    full_K = float(best.full_K[place])
     # With a probability of less than one, the mean is less and the spread more than those of a sensor in the sun.
-    sd_K = np.sqrt(probability * best.sd_K[at] ** 2 + probability * (1.0 - probability) * full_K**2)
+    sd_K = np.sqrt(probability * best.sd_K[place] ** 2 + probability * (1.0 - probability) * full_K**2)
     return SunOnSensor(probability * full_K, float(sd_K), probability, azimuth, lag_s, latitude, noon_s)
 
 
@@ -141,14 +141,14 @@ def _signals(run: Record, noon_s: float, sites: Sequence[tuple[float, float]]) -
     return np.concatenate(parts, axis=1)
 
 
-def _disturbed(regression: RegressionData, scale: float, noise_K: float) -> RegressionData:
+def _with_disturbance(regression: RegressionData, scale: float, noise_K: float) -> RegressionData:
     assumed = regression.disturbance
     return replace(regression, disturbance=Disturbance(assumed.time_s, scale * assumed.sd_K, assumed.hours, noise_K))
 
 
-def _explained(
+def _explain(
     regressions: Sequence[RegressionData], blocks: Blocks, signals: Array, log_tau: Array, size: float
-) -> _Explained:
+) -> _Explanation:
     """Evidence of the records for these time constants.
 
     `signals`, whitened: surfaces, sensor and target; `size`: log density of the whitening.
@@ -163,15 +163,15 @@ def _explained(
     normal[np.arange(p), np.arange(p)] += sd**-2.0
     normal[:p, -1] += mean / sd**2
     triangle = np.linalg.cholesky(normal[:p, :p])
-    known = solve_triangular(triangle, normal[:p, p:], lower=True, check_finite=False)
-    left = normal[p:, -1] - known.T @ known[:, -1]
-    left[-1] += float(((mean / sd) ** 2).sum())
-    precision = np.diag(normal)[p:-1] - (known[:, :-1] ** 2).sum(axis=0) + _FULL_SD_K**-2.0
-    full_K, sd_K = left[:-1] / precision, precision**-0.5
+    cross = solve_triangular(triangle, normal[:p, p:], lower=True, check_finite=False)
+    reduced = normal[p:, -1] - cross.T @ cross[:, -1]
+    reduced[-1] += float(((mean / sd) ** 2).sum())
+    precision = np.diag(normal)[p:-1] - (cross[:, :-1] ** 2).sum(axis=0) + _FULL_SD_K**-2.0
+    full_K, sd_K = reduced[:-1] / precision, precision**-0.5
     gained = 0.5 * full_K**2 * precision - 0.5 * np.log(precision * _FULL_SD_K**2)
     gained += np.log(2.0) + log_ndtr(full_K / sd_K)  # the sun only adds
-    without = size - 0.5 * float(left[-1]) - float(np.log(np.diag(triangle)).sum() + np.log(sd).sum())
-    return _Explained(without, np.where(full_K <= _MOST_K, gained, -np.inf), full_K, sd_K)
+    without = size - 0.5 * float(reduced[-1]) - float(np.log(np.diag(triangle)).sum() + np.log(sd).sum())
+    return _Explanation(without, np.where(full_K <= _MOST_K, gained, -np.inf), full_K, sd_K)
 
 
 def _priors(regressions: Sequence[RegressionData], log_tau: Array) -> tuple[Array, Array]:

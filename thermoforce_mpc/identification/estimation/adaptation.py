@@ -64,7 +64,7 @@ class AdaptationConfig(StrictModel):
     )
 
     @model_validator(mode="after")
-    def _ordered(self) -> AdaptationConfig:
+    def _check_gain_bounds(self) -> AdaptationConfig:
         low, high = self.gain_bounds
         if not 0 < low <= 1 <= high:
             raise ValueError(f"gain_bounds must be positive and include 1, got {self.gain_bounds}")
@@ -181,7 +181,7 @@ class OnlineAdaptation:
             first = int(np.searchsorted(history.time_s, done_s - 0.5 * history.step_s))
             if first + n > history.n_steps:
                 return replace(state, done_s=done_s)
-            state = self._taken(state, history, first, first + n)
+            state = self._after_block(state, history, first, first + n)
             done_s = float(history.time_s[first + n])
 
     def started(self) -> AdaptationState:
@@ -198,7 +198,7 @@ class OnlineAdaptation:
         log_heat = float(np.log(np.clip(heat, low, high)))
         return self._rebuilt(replace(state, log_factors=log_factors, log_heat=log_heat))
 
-    def _taken(self, state: AdaptationState, history: Record, start: int, stop: int) -> AdaptationState:
+    def _after_block(self, state: AdaptationState, history: Record, start: int, stop: int) -> AdaptationState:
         """Return the state after one block: steps `start` … `stop` − 1."""
         time_s = float(history.time_s[stop])
         known_u = np.isfinite(history.u[0, start:stop])
@@ -207,15 +207,17 @@ class OnlineAdaptation:
             return state.noted(time_s, "not measured", 0.0)
         history, _ = bridged(history)
         fading = float(np.exp((history.time_s[stop] - history.time_s[start]) / DAY_S / self.config.forgetting_days))
-        before, state = state, self._heat_followed(state, history, start, stop, fading, known_u)
+        before, state = state, self._heat_factor_updated(state, history, start, stop, fading, known_u)
         operator = before.model.operator.resampled(history.step_s)
         target, covariance, columns = self._regression(operator, history, start, stop)
         factor = cho_factor(covariance)
         information = columns.T @ cho_solve(factor, columns)
         score = columns.T @ cho_solve(factor, target)
         # Information on the gain after marginalising the time constants' error.
-        known = information[0, 0] - information[0, 1] ** 2 / (information[1, 1] + 1.0 / before.covariance[1, 1])
-        share = float(1.0 - 1.0 / (1.0 + known * self._least[0, 0]))
+        gain_information = information[0, 0] - information[0, 1] ** 2 / (
+            information[1, 1] + 1.0 / before.covariance[1, 1]
+        )
+        share = float(1.0 - 1.0 / (1.0 + gain_information * self._least[0, 0]))
         if share < self.config.least_information:
             return (self._rebuilt(state) or state).noted(time_s, "not informative", share)
         prior = self._faded(before.covariance, fading)
@@ -239,7 +241,7 @@ class OnlineAdaptation:
         regression = run_regression(block, operator.heat_input, self._assumed)
         rest = residuals(regression, np.log(operator.time_constants_h))
         forced = forced_history(single(operator), history)[0, 0, start:stop]
-        T_zone = _held(block.T_zone_C[0])[:-1]
+        T_zone = _interpolated(block.T_zone_C[0])[:-1]
         features = feature_matrix(
             T_zone - forced.sum(axis=1), block.T_out_C[:-1], block.solar_W_m2[:-1], block.time_s[:-1]
         )
@@ -254,7 +256,7 @@ class OnlineAdaptation:
         columns = np.stack([effect, (slower - faster) / (2.0 * _DERIVATIVE_STEP)], axis=1)
         return regression.target - rest.mean - effect, rest.covariance, columns
 
-    def _heat_followed(
+    def _heat_factor_updated(
         self,
         state: AdaptationState,
         history: Record,
@@ -274,10 +276,10 @@ class OnlineAdaptation:
         expected = heat(u[used], history.T_out_C[start:stop][used])
         ratio = float(expected @ Q[used] / (expected @ expected))
         low, high = self.config.gain_bounds
-        found = float(np.log(np.clip(ratio, low, high)))
+        log_ratio = float(np.log(np.clip(ratio, low, high)))
         variance = min(state.heat_variance * fading, self.config.gain_sd**2)
         gain = variance / (variance + _HEAT_SD**2)
-        log_heat = state.log_heat + gain * (found - state.log_heat)
+        log_heat = state.log_heat + gain * (log_ratio - state.log_heat)
         return replace(state, log_heat=log_heat, heat_variance=(1.0 - gain) * variance)
 
     def _bounded(self, state: Array) -> Array:
@@ -332,7 +334,7 @@ def _response(operator: OperatorParameters, drive: Array) -> Array:
     return np.concatenate([[0.0], modes.sum(axis=-1)])
 
 
-def _held(values: Array) -> Array:
+def _interpolated(values: Array) -> Array:
     """Return `values` with gaps filled by linear interpolation."""
-    steps, known = np.arange(values.size), np.isfinite(values)
-    return np.asarray(np.interp(steps, steps[known], values[known]))
+    steps, finite = np.arange(values.size), np.isfinite(values)
+    return np.asarray(np.interp(steps, steps[finite], values[finite]))

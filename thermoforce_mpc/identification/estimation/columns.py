@@ -56,8 +56,8 @@ def other_prior(regression: RegressionData, log_tau: Array) -> tuple[Array, Arra
 def free_columns(regression: RegressionData, log_tau: Array) -> tuple[Array, Array]:
     """Return the columns of the shared free gains (rows, 7q + 1) and of the run's initial state (rows, q + 1)."""
     q = free_time_constants(log_tau).size
-    found = all_columns(regression, log_tau)[:, -(len(FREE_PRIOR) * q + 1) - (q + 1) :]
-    return found[:, : -(q + 1)], found[:, -(q + 1) :]
+    columns = all_columns(regression, log_tau)[:, -(len(FREE_PRIOR) * q + 1) - (q + 1) :]
+    return columns[:, : -(q + 1)], columns[:, -(q + 1) :]
 
 
 def all_columns(regression: RegressionData, log_tau: Array) -> Array:
@@ -134,9 +134,9 @@ def free_time_constants(log_tau: Array) -> Array:
 def free_prior(n_free: int) -> tuple[Array, Array, Array]:
     """Return prior mean, standard deviation and lower bound of the shared free columns, shape (7q + 1,) each."""
     entries = [item[1:] for item in FREE_PRIOR.values() for _ in range(n_free)] + [(0.0, _LEVEL_SD_K, -np.inf)]
-    found = np.array(entries).T
-    found.setflags(write=False)  # shared by all callers
-    return found[0], found[1], found[2]
+    prior = np.array(entries).T
+    prior.setflags(write=False)  # shared by all callers
+    return prior[0], prior[1], prior[2]
 
 
 def start_sd(n_modes: int) -> Array:

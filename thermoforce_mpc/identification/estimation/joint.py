@@ -86,26 +86,26 @@ class JointFit(ModeFit):
 
 def fit_modes(system: System, priors: ModePriors, config: IdentificationConfig) -> ModeFit:
     """Fit as `fit_joint`, without uncertainty and free part: enough to compare models."""
-    return _found(system, priors, config).fit
+    return _posterior_maximum(system, priors, config).fit
 
 
 def fit_joint(
     regressions: Sequence[RegressionData], priors: ModePriors, config: IdentificationConfig, sign: int
 ) -> JointFit:
     """Fit time constants, gains and free part to all regressions jointly; `sign` +1 heating, −1 cooling."""
-    found = _found(System(regressions, priors.order, sign), priors, config)
-    log_tau = found.fit.log_tau
-    rows = found.system.rows(log_tau, priors)
-    values = BoundedLeastSquares(rows, found.system.variables).values
+    maximum = _posterior_maximum(System(regressions, priors.order, sign), priors, config)
+    log_tau = maximum.fit.log_tau
+    rows = maximum.system.rows(log_tau, priors)
+    values = BoundedLeastSquares(rows, maximum.system.variables).values
     r, K = priors.order, regressions[0].others.shape[0]
     free_log_tau = free_time_constants(log_tau)
-    covariance = _joint_covariance(found, priors, rows, values)
+    covariance = _joint_covariance(maximum, priors, rows, values)
     of_tau = np.arange(r)
     of_others = [np.concatenate([of_tau, r + (1 + k) * r + of_tau]) for k in range(K)]
     return JointFit(
         log_tau=log_tau,
-        gains=found.fit.gains,
-        residual_scale=found.fit.residual_scale,
+        gains=maximum.fit.gains,
+        residual_scale=maximum.fit.residual_scale,
         covariance=covariance[: 2 * r, : 2 * r],
         free_log_tau=free_log_tau,
         free_gains=_free_gains(
@@ -118,7 +118,7 @@ def fit_joint(
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Maximum:
     """Maximum of the posterior of `system`, in which disturbances are `scale` times the assumed ones."""
 
     system: System
@@ -126,22 +126,22 @@ class _Found:
     scale: float
 
 
-def _found(system: System, priors: ModePriors, config: IdentificationConfig) -> _Found:
-    found = _searched(system, priors, 1.0, priors.log_tau)
+def _posterior_maximum(system: System, priors: ModePriors, config: IdentificationConfig) -> _Maximum:
+    maximum = _search(system, priors, 1.0, priors.log_tau)
     # If the residuals are far smaller than assumed, refit with smaller disturbances: the data carry more information.
-    scale = min(1.0, config.disturbance_margin * found.fit.residual_scale)
+    scale = min(1.0, config.disturbance_margin * maximum.fit.residual_scale)
     if scale == 1.0 or all(regression.is_pair for regression in system.regressions):
-        return found
+        return maximum
     smaller = System(scaled(system.regressions, scale), system.order, system.sign)
-    return _searched(smaller, priors, scale, found.fit.log_tau)
+    return _search(smaller, priors, scale, maximum.fit.log_tau)
 
 
-def _searched(system: System, priors: ModePriors, scale: float, start: Array) -> _Found:
+def _search(system: System, priors: ModePriors, scale: float, start: Array) -> _Maximum:
     """The maximum of the posterior of `system`, searched from ln(τ/h) `start` (r,)."""
-    found = system.likeliest(priors, start)
-    residual = found.residual[: system.n_data] * _of_each_row(system.regressions, scale)
-    gains = np.maximum(found.values[: priors.order], _LEAST_GAIN)
-    return _Found(system, ModeFit(found.at, gains, float(np.sqrt(np.mean(residual**2)))), scale)
+    likeliest = system.likeliest(priors, start)
+    residual = likeliest.residual[: system.n_data] * _of_each_row(system.regressions, scale)
+    gains = np.maximum(likeliest.values[: priors.order], _LEAST_GAIN)
+    return _Maximum(system, ModeFit(likeliest.at, gains, float(np.sqrt(np.mean(residual**2)))), scale)
 
 
 def _of_each_row(regressions: Sequence[RegressionData], of_runs: float) -> Array:
@@ -161,7 +161,7 @@ def _free_gains(values: Array, n_free: int, *, with_free: bool) -> Array:
     return gains
 
 
-def _joint_covariance(found: _Found, priors: ModePriors, rows: Array, values: Array) -> Array:
+def _joint_covariance(maximum: _Maximum, priors: ModePriors, rows: Array, values: Array) -> Array:
     """Return the error covariance of [ln τ, gains of the own and the other actuators], marginalised over the rest.
 
     Laplace approximation: H = P + D is the Gauss-Newton Hessian of the negative log posterior at its maximum, with P
@@ -169,10 +169,10 @@ def _joint_covariance(found: _Found, priors: ModePriors, rows: Array, values: Ar
     regression, the error covariance is H⁻¹ (P + s² D) H⁻¹: the data were under-weighted, so errors of the prior remain
     in the estimate. It is H⁻¹ for s = 1. `rows` and `values` are those of the system at the maximum.
     """
-    system, r = found.system, priors.order
+    system, r = maximum.system, priors.order
     n, acting = system.n_data, (2 + system.regressions[0].others.shape[0]) * r
-    jacobian = np.concatenate([system.slopes(found.fit.log_tau, priors, values), rows[:, :-1]], axis=1)
-    smaller = min(1.0, likely_scale(found.fit.residual_scale) / found.scale)
+    jacobian = np.concatenate([system.slopes(maximum.fit.log_tau, priors, values), rows[:, :-1]], axis=1)
+    smaller = min(1.0, likely_scale(maximum.fit.residual_scale) / maximum.scale)
     prior = jacobian[n:].T @ jacobian[n:]
     prior[:r, :r] += np.eye(r) / priors.log_tau_sd**2
     data = jacobian[:n]

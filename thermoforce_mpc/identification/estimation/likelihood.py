@@ -63,14 +63,14 @@ class Residuals:
         """
         values = self.disturbance.whitened(np.concatenate([self.columns, residual[:, None]], axis=1))
         p = self.columns.shape[1]
-        W, seen = values[first:, :p], values[first:, p]
+        W, later_residual = values[first:, :p], values[first:, p]
         if p:
             R = triangle(np.concatenate([values[:first], np.eye(p, p + 1)]))
             unknown = solve_triangular(R[:p, :p], W.T, trans="T", check_finite=False)
-            M = cholesky(np.eye(seen.size) + unknown.T @ unknown, lower=True, check_finite=False)
-            white = solve_triangular(M, seen - unknown.T @ R[:p, p], lower=True, check_finite=False)
+            M = cholesky(np.eye(later_residual.size) + unknown.T @ unknown, lower=True, check_finite=False)
+            white = solve_triangular(M, later_residual - unknown.T @ R[:p, p], lower=True, check_finite=False)
             return np.asarray(white), self.disturbance.factor(first) @ M
-        return seen, self.disturbance.factor(first)
+        return later_residual, self.disturbance.factor(first)
 
     def squares(self, residuals: Array) -> Array:
         """rᵀ C⁻¹ r of each column r of `residuals` (rows, k), shape (k,)."""
@@ -91,13 +91,13 @@ class Residuals:
         """
         values = np.concatenate([self.columns[:rows], residual[:rows, None]], axis=1)
         R = triangle(self.disturbance.first(rows).whitened(values))
-        U, found, _ = np.linalg.svd(R[:, :-1], full_matrices=False)
-        seen = U.T @ R[:, -1]
-        rest = float(np.sum((R[:, -1] - U @ seen) ** 2))
+        U, singular_values, _ = np.linalg.svd(R[:, :-1], full_matrices=False)
+        projected = U.T @ R[:, -1]
+        rest = float(np.sum((R[:, -1] - U @ projected) ** 2))
         s2 = np.square(scales)
-        total = s2[:, None] + found**2
-        squares = rest / s2 + (seen**2 / total).sum(axis=1)
-        return np.asarray(-0.5 * (squares + (rows - found.size) * np.log(s2) + np.log(total).sum(axis=1)))
+        total = s2[:, None] + singular_values**2
+        squares = rest / s2 + (projected**2 / total).sum(axis=1)
+        return np.asarray(-0.5 * (squares + (rows - singular_values.size) * np.log(s2) + np.log(total).sum(axis=1)))
 
 
 def residuals(regression: RegressionData, log_tau: Array) -> Residuals:

@@ -96,12 +96,12 @@ def mode_priors(
     rate = (rate[0] * (1.0 - lost[0]), float(np.hypot(rate[1] * (1.0 - lost[0]), rate[0] * lost[1])))
     slope = config.start_slope_K_per_h or (_DELAYED_SLOPE_K_PER_H if order == 3 else _DIRECT_SLOPE_K_PER_H)
     middle = [gain] * (order - 2)
-    known = [slope, *middle, (0.0, 0.0)][:order] if order > 1 else [slope]
+    gain_priors = [slope, *middle, (0.0, 0.0)][:order] if order > 1 else [slope]
     return ModePriors(
         log_tau=np.log(config.time_constants(order)),
         log_tau_sd=config.time_constant_log_sd,
-        gain_mean=np.array([mean for mean, _ in known]),
-        gain_sd=np.array([sd for _, sd in known]),
+        gain_mean=np.array([mean for mean, _ in gain_priors]),
+        gain_sd=np.array([sd for _, sd in gain_priors]),
         slowest_rate=rate,
     )
 

@@ -48,28 +48,28 @@ def minimised(evaluate: Callable[[Array], _P], start: _P, hessian: Array, low: A
         hessian: positive definite estimate of the second derivatives there (n, n).
         low, high: bounds (n,).
     """
-    here, B = start, hessian
+    point, B = start, hessian
     for _ in range(_MAX_STEPS):
-        step = _bounded_step(B, here.gradient, low - here.at, high - here.at)
-        there = _lower(evaluate, here, step)
-        if there is None:
+        step = _bounded_step(B, point.gradient, low - point.at, high - point.at)
+        lower = _lower(evaluate, point, step)
+        if lower is None:
             break
-        moved, turned = there.at - here.at, there.gradient - here.gradient
+        moved, turned = lower.at - point.at, lower.gradient - point.gradient
         if (bend := moved @ turned) > 0.0:
             pull = B @ moved
             B = B + np.outer(turned, turned / bend) - np.outer(pull, pull / (moved @ pull))
-        here = there
-    return here
+        point = lower
+    return point
 
 
-def _lower(evaluate: Callable[[Array], _P], here: _P, step: Array) -> _P | None:
-    """The point after the first of `step`, a half of it, … that lowers the function; None if the minimum is `here`."""
+def _lower(evaluate: Callable[[Array], _P], point: _P, step: Array) -> _P | None:
+    """The point after the first of `step`, a half of it, … that lowers the function; None if the minimum is `point`."""
     for _ in range(_MAX_HALVINGS):
         if np.abs(step).max() <= _SETTLED:
             return None
-        there = evaluate(here.at + step)
-        if there.value <= here.value + _ARMIJO * (here.gradient @ step) + _ROUNDING * abs(here.value):
-            return there
+        candidate = evaluate(point.at + step)
+        if candidate.value <= point.value + _ARMIJO * (point.gradient @ step) + _ROUNDING * abs(point.value):
+            return candidate
         step = 0.5 * step
     return None
 
@@ -81,10 +81,10 @@ def _bounded_step(B: Array, gradient: Array, low: Array, high: Array) -> Array:
     for _ in range(_MAX_SWEEPS):
         largest = 0.0
         for i in range(step.size):
-            wanted = step[i] - (gradient[i] + B[i] @ step) / B[i, i]
-            wanted = min(max(wanted, low[i]), high[i])
-            largest = max(largest, abs(wanted - step[i]))
-            step[i] = wanted
+            coordinate = step[i] - (gradient[i] + B[i] @ step) / B[i, i]
+            coordinate = min(max(coordinate, low[i]), high[i])
+            largest = max(largest, abs(coordinate - step[i]))
+            step[i] = coordinate
         if largest <= _ROUNDING:
             break
     return step

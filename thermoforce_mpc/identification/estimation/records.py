@@ -79,7 +79,7 @@ def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record]
         DataError: nothing usable is left of a run, or more than 10 % of a signal's readings are implausible; gives the
             wrong numbers and what to do.
     """
-    found: list[Record] = []
+    prepared: list[Record] = []
     notes: list[str] = []
     for index, run in enumerate(runs):
         name = f"run {index}" if len(runs) > 1 else "run"
@@ -109,8 +109,8 @@ def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record]
             raise refusals[0] if refusals else DataError(f"{name}: {_never_together(run)}")
         doubts += tuple(f"left out: {error}" for error in refusals)
         notes += [f"{name}: {doubt}" for doubt in doubts]
-        found += used
-    return found, notes
+        prepared += used
+    return prepared, notes
 
 
 def prepared_pairs(pairs: Sequence[Pair], allowed: Limits) -> tuple[list[Pair], list[str]]:
@@ -122,7 +122,7 @@ def prepared_pairs(pairs: Sequence[Pair], allowed: Limits) -> tuple[list[Pair], 
     Raises:
         DataError: more than 10 % of a signal's readings are implausible; names the signal with its numbers.
     """
-    found: list[Pair] = []
+    prepared: list[Pair] = []
     notes: list[str] = []
     for index, pair in enumerate(pairs):
         sides = []
@@ -134,8 +134,8 @@ def prepared_pairs(pairs: Sequence[Pair], allowed: Limits) -> tuple[list[Pair], 
                 doubts += (filled,) if filled else ()
             sides.append(history)
             notes += [f"{name}: {doubt}" for doubt in doubts]
-        found.append(Pair(sides[0], sides[1], label=pair.label))
-    return found, notes
+        prepared.append(Pair(sides[0], sides[1], label=pair.label))
+    return prepared, notes
 
 
 def _plausible(record: Record, allowed: Limits, name: str) -> tuple[Record, tuple[str, ...]]:
@@ -261,12 +261,12 @@ def check_steps(histories: Sequence[Record]) -> None:
 def _check_signals(history: Record, name: str, levels: tuple[float, float] = LEVEL) -> None:
     if history.n_steps < 2:
         raise DataError(f"{name}: {history.n_steps} steps, need at least 2")
-    for zone, known in zip(history.names.zones, np.isfinite(history.T_zone_C), strict=True):
-        of, otherwise = (f" of {zone}", ", or leave the zone out") if len(history.names.zones) > 1 else ("", "")
-        if not known.any():
-            raise DataError(f"{name}: every zone temperature{of} is NaN; check the point of the sensor{otherwise}")
-        if known.mean() < 0.5:
-            share = f"only {100 * known.mean():.0f} % of the zone temperatures{of} were measured"
+    for zone, measured in zip(history.names.zones, np.isfinite(history.T_zone_C), strict=True):
+        of_zone, otherwise = (f" of {zone}", ", or leave the zone out") if len(history.names.zones) > 1 else ("", "")
+        if not measured.any():
+            raise DataError(f"{name}: every zone temperature{of_zone} is NaN; check the point of the sensor{otherwise}")
+        if measured.mean() < 0.5:
+            share = f"only {100 * measured.mean():.0f} % of the zone temperatures{of_zone} were measured"
             raise DataError(f"{name}: {share}, need half")
     rows = history.names.columns(u=history.u)
     for signal, values in {**rows, "T_out_C": history.T_out_C, "solar_W_m2": history.solar_W_m2}.items():

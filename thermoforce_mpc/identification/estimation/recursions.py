@@ -121,18 +121,18 @@ def innovations(values: Array, gain: Array, decay: Array, sd: Array) -> Array:
     """Innovations (n, p) of `values` (n, p) in standard deviations, by gains and decays (n, k) and `sd` (n,)."""
     n, p = values.shape
     k = gain.shape[1]
-    state, seen, out = np.zeros((k, p)), np.empty(p), np.empty((n, p))
+    state, innovation, out = np.zeros((k, p)), np.empty(p), np.empty((n, p))
     for t in range(n):
-        seen[:] = values[t]
+        innovation[:] = values[t]
         for i in range(k):
             for c in range(p):
-                seen[c] -= state[i, c]
+                innovation[c] -= state[i, c]
         for c in range(p):
-            out[t, c] = seen[c] / sd[t]
+            out[t, c] = innovation[c] / sd[t]
         for i in range(k):
             a, b = decay[t, i], decay[t, i] * gain[t, i]
             for c in range(p):
-                state[i, c] = a * state[i, c] + b * seen[c]
+                state[i, c] = a * state[i, c] + b * innovation[c]
     return out
 
 

@@ -43,7 +43,7 @@ class Likeliest(Point):
 
 
 class System:
-    """Rows of the data, then the prior of each column; asked for many time constants and priors.
+    """Rows of the data, then the prior of each column; used at many time constants and priors.
 
     Columns (p,): gains [slope, G_2 … G_r] of the own actuator and of the others, shared free part, initial states run
     by run.
@@ -102,7 +102,7 @@ class System:
         whole[-1, n : n + acting] = target[:acting]
         slowest = first + self._slowest, n + self._slowest
 
-        def solved(log_tau: Array) -> tuple[Likeliest, Array, Array, Array]:
+        def evaluate(log_tau: Array) -> tuple[Likeliest, Array, Array, Array]:
             columns, longer = whole.copy(), np.exp(priors.log_tau[-1] - log_tau[-1])
             whitened_columns(staying.blocks, log_tau, columns.T)
             columns[slowest] *= longer
@@ -117,13 +117,13 @@ class System:
             value, gradient = 0.5 * (residual @ residual + away @ away), slopes @ residual + away / priors.log_tau_sd
             return Likeliest(log_tau, value, gradient, values[first:], residual), slopes, columns, values
 
-        here, slopes, columns, values = solved(start)
+        at_start, slopes, columns, values = evaluate(start)
         # Gauss-Newton Hessian: of what the columns that are not at their bound leave of the slopes.
         slopes -= (slopes @ gone) @ gone.T
         left = triangle(np.concatenate([columns[:-1][values != 0.0], slopes]).T)[-self.order :, -self.order :]
         hessian = left.T @ left + np.eye(self.order) / priors.log_tau_sd**2
         low, high = np.log(priors.bounds_h()).T.copy()
-        return minimised(lambda log_tau: solved(log_tau)[0], here, hessian, low, high)
+        return minimised(lambda log_tau: evaluate(log_tau)[0], at_start, hessian, low, high)
 
     @cached_property
     def _staying(self) -> _Staying:

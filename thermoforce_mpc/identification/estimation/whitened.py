@@ -125,11 +125,11 @@ def whitened_columns(blocks: Blocks, log_tau: Array, out: Array) -> None:
     for b in range(blocks.counts.size):
         n, first, last = blocks.counts[b], blocks.begins[b], blocks.begins[b + 1]
         signals = blocks.signals[blocks.steps[b] : blocks.steps[b + 1]]
-        found = filtered(
+        columns = filtered(
             signals, blocks.signal[:n], pole[:n], blocks.start[:n], own[:n], blocks.lead[:n], lead[:n],
             blocks.rows[first:last],
         )  # fmt: skip
-        white = innovations(found, blocks.gain[first:last], blocks.decay[first:last], blocks.sd[first:last])
+        white = innovations(columns, blocks.gain[first:last], blocks.decay[first:last], blocks.sd[first:last])
         for t in range(last - first):
             for c in range(n):
                 out[first + t, blocks.places[b, c]] = white[t, c]
@@ -159,5 +159,5 @@ def whitened_slopes(blocks: Blocks, log_tau: Array, values: Array, out: Array) -
                 start[i] += blocks.start[c] * value
         first, last = blocks.begins[b], blocks.begins[b + 1]
         signals = blocks.signals[blocks.steps[b] : blocks.steps[b + 1]]
-        found = filter_slopes(signals, weights, turned, start, pole, blocks.rows[first:last])
-        out[first:last] = innovations(found, blocks.gain[first:last], blocks.decay[first:last], blocks.sd[first:last])
+        slopes = filter_slopes(signals, weights, turned, start, pole, blocks.rows[first:last])
+        out[first:last] = innovations(slopes, blocks.gain[first:last], blocks.decay[first:last], blocks.sd[first:last])

@@ -42,7 +42,7 @@ class _Alike:
     steps: NDArray[np.intp]
     rows: NDArray[np.intp]
     train: tuple[Array, Array]
-    judged: tuple[Array, Array]
+    held_out: tuple[Array, Array]
 
 
 def _grouped(data: Sequence[TrainingData]) -> list[_Alike]:
@@ -54,14 +54,14 @@ def _grouped(data: Sequence[TrainingData]) -> list[_Alike]:
         first += places.size
         key = (e.regression.n_steps, *(rows.tobytes() for rows in (e.regression.rows, e.split.train, e.split.judged)))
         groups.setdefault(key, []).append((e, places.reshape(len(e.regression.drives), -1)))
-    found = []
+    stacks = []
     for members in groups.values():
         L = np.stack([e.residuals.whitener() for e, _ in members])
-        left = np.stack([e.regression.target - e.residuals.mean for e, _ in members])
-        target, one = (L @ left[..., None])[..., 0], members[0][0]
-        train, judged = ((L[:, part], target[:, part]) for part in (one.split.train, one.split.judged))
-        found.append(_Alike(np.stack([places for _, places in members]), one.regression.rows, train, judged))
-    return found
+        residual = np.stack([e.regression.target - e.residuals.mean for e, _ in members])
+        target, example = (L @ residual[..., None])[..., 0], members[0][0]
+        train, held_out = ((L[:, part], target[:, part]) for part in (example.split.train, example.split.judged))
+        stacks.append(_Alike(np.stack([places for _, places in members]), example.regression.rows, train, held_out))
+    return stacks
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Misfit:
     def __call__(self, parameters: Array) -> tuple[float, Array]:
         """The misfit and its gradient (P,)."""
         modes, network = self._modes(parameters), parameters[2 * self._r :]
-        drive, seen = self._driven(network)
+        drive, activations = self._drive(network)
         squares, by_g, by_a, by_drive = 0.0, np.zeros(self._r), np.zeros(self._r), np.empty(drive.size)
         for group in self._groups:
             y, slope = responses(drive[group.steps].sum(axis=1), modes.a)
@@ -130,22 +130,22 @@ class Misfit:
             by_g += np.tensordot(by_response, y)
             by_a += modes.g * np.tensordot(by_response, slope)
             by_drive[group.steps] = adjoint(by_response, modes.a, modes.g)[:, None]
-        known, known_by_raw = self._penalty(modes)
-        by_raw = self._pulled(modes, by_a, by_g) + 2.0 * known_by_raw
-        by_network = self._network_gradient(network, seen, by_drive) + 2.0 * self._precision * network
-        value = squares + 2.0 * (known + 0.5 * float(self._precision @ network**2))
+        penalty, penalty_by_raw = self._penalty(modes)
+        by_raw = self._raw_gradient(modes, by_a, by_g) + 2.0 * penalty_by_raw
+        by_network = self._network_gradient(network, activations, by_drive) + 2.0 * self._precision * network
+        value = squares + 2.0 * (penalty + 0.5 * float(self._precision @ network**2))
         return value / self._n, np.concatenate([by_raw, by_network]) / self._n
 
-    def judged(self, parameters: Array) -> Array:
+    def held_out_residuals(self, parameters: Array) -> Array:
         """Whitened residuals of the held-out rows (rows,), always in the same order."""
         modes = self._modes(parameters)
-        drive, _ = self._driven(parameters[2 * self._r :])
-        found = []
+        drive, _ = self._drive(parameters[2 * self._r :])
+        whitened = []
         for group in self._groups:
             y, _ = responses(drive[group.steps].sum(axis=1), modes.a)
-            L, target = group.judged
-            found.append((target - (L @ (y @ modes.g)[:, group.rows, None])[..., 0]).ravel())
-        return np.concatenate(found)
+            L, target = group.held_out
+            whitened.append((target - (L @ (y @ modes.g)[:, group.rows, None])[..., 0]).ravel())
+        return np.concatenate(whitened)
 
     def _modes(self, parameters: Array) -> _Modes:
         """Eq:pole and eq:gain, as `ForcedResponseOperator.poles` and `gains`."""
@@ -156,7 +156,7 @@ class Misfit:
         g = self._start.sign * np.append(s[0] - s[1:] @ w[1:] / w[0], s[1:])
         return _Modes(a, g, s, w, (w - 1.0 / a) / (1.0 - a), (high - low) * share * (1.0 - share), expit(raw_gain))
 
-    def _pulled(self, modes: _Modes, by_a: Array, by_g: Array) -> Array:
+    def _raw_gradient(self, modes: _Modes, by_a: Array, by_g: Array) -> Array:
         """Derivatives by ã and g̃ (2r,) from those by poles and gains."""
         w, dw, s = modes.w, modes.dw, modes.s
         by_s = self._start.sign * by_g
@@ -179,16 +179,16 @@ class Misfit:
         pull = away / self._sd
         return 0.5 * float(away @ away), modes.to_raw(pull[:r] * by_a - pull[r:] / (a * np.log(a)), pull[:r] * by_s)
 
-    def _driven(self, network: Array) -> tuple[Array, tuple[Array, Array]]:
+    def _drive(self, network: Array) -> tuple[Array, tuple[Array, Array]]:
         """Drive m(x) v of each step (N,) of all runs, and the hidden units (N, H) and tanh (N,) that gave it."""
         H = self._hidden
         hidden = np.tanh(self._x @ network[: 4 * H].reshape(H, 4).T + network[4 * H : 5 * H])
         out = np.tanh(hidden @ network[5 * H : 6 * H] + network[6 * H])
         return (1.0 + self._start.gamma * out) * self._heat, (hidden, out)
 
-    def _network_gradient(self, network: Array, seen: tuple[Array, Array], by_drive: Array) -> Array:
+    def _network_gradient(self, network: Array, activations: tuple[Array, Array], by_drive: Array) -> Array:
         """Derivatives by the network's parameters from those by the drive (N,)."""
-        H, (hidden, out) = self._hidden, seen
+        H, (hidden, out) = self._hidden, activations
         by_out = by_drive * self._heat * self._start.gamma * (1.0 - out**2)
         by_hidden = by_out[:, None] * network[5 * H : 6 * H] * (1.0 - hidden**2)
         return np.concatenate([(by_hidden.T @ self._x).ravel(), by_hidden.sum(axis=0), by_out @ hidden, [by_out.sum()]])

@@ -35,8 +35,8 @@ def _features(operator: OperatorParameters, history: Record, feedback: bool) -> 
     forced = 0.0 if feedback else _own_forced(operator, history)
     free = history.T_zone_C[0] - forced
     steps = np.arange(free.size)
-    known = np.isfinite(free)
-    free = np.interp(steps, steps[known], free[known])
+    finite = np.isfinite(free)
+    free = np.interp(steps, steps[finite], free[finite])
     return feature_matrix(free[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
 
 
@@ -66,7 +66,7 @@ def modulate(
     mean, scale = base.feature_mean.copy(), base.feature_scale.copy()
     mean[0], scale[0] = free.mean(), max(float(free.std()), float(LEAST_SCALE[0]))
 
-    def started(fit: ModeFit) -> OperatorParameters:
+    def untrained(fit: ModeFit) -> OperatorParameters:
         return replace(linear(fit), feature_mean=mean, feature_scale=scale)
 
     def regressions(fit: ModeFit, chosen: Sequence[Split]) -> list[TrainingData]:
@@ -77,16 +77,16 @@ def modulate(
             )
         ]
 
-    def known(fit: ModeFit) -> ModePriors:
+    def training_priors(fit: ModeFit) -> ModePriors:
         # The linear fit assumed larger disturbances; training must not change its slow gain.
         if all(c.regression.is_pair for c in cases):
             return priors
         return centred_priors(fit.log_tau, fit.gains, _LINEAR_HELD_SD)
 
-    judged_h = sum(_hours(c.regression, s.judged) for c, s in zip(cases, splits, strict=True))
-    if judged_h < _LEAST_JUDGED_H[base.heat_input.kind]:
-        return replace(started(final), feedback=config.feedback), {"modulation_kept": 0.0}
-    search = train(started(part_fit), regressions(part_fit, splits), known(part_fit), config)
+    held_out_h = sum(_hours(c.regression, s.judged) for c, s in zip(cases, splits, strict=True))
+    if held_out_h < _LEAST_JUDGED_H[base.heat_input.kind]:
+        return replace(untrained(final), feedback=config.feedback), {"modulation_kept": 0.0}
+    search = train(untrained(part_fit), regressions(part_fit, splits), training_priors(part_fit), config)
     scores = {
         "held_out_linear": search.linear_score,
         "held_out_neural": search.score,
@@ -94,10 +94,10 @@ def modulate(
     }
     scores["modulation_kept"] = float(search.worth_it)
     if not scores["modulation_kept"]:
-        return replace(started(final), feedback=config.feedback), scores
+        return replace(untrained(final), feedback=config.feedback), scores
     everything = [whole(c.regression) for c in cases]
     # With feedback, training uses measured temperatures, so there is no recursion; prediction uses predicted ones.
-    trained = train(started(final), regressions(final, everything), known(final), config).operator
+    trained = train(untrained(final), regressions(final, everything), training_priors(final), config).operator
     return replace(trained, feedback=config.feedback), scores
 
 

@@ -83,7 +83,9 @@ def train(
     begin = parameters_to_vector(operator.parameters()).detach().numpy()
     end, losses = minimise(misfit, begin, config)
     vector_to_parameters(torch.from_numpy(end), operator.parameters())
-    return TrainingResult(operator.numpy(), misfit.judged(begin), misfit.judged(end), np.array(losses))
+    return TrainingResult(
+        operator.numpy(), misfit.held_out_residuals(begin), misfit.held_out_residuals(end), np.array(losses)
+    )
 
 
 def minimise(
@@ -111,8 +113,8 @@ def minimise(
         return parameters.detach().numpy(), losses
     # The loss is smooth and deterministic, so L-BFGS needs a fraction of the steps (Nocedal 1980).
     options = {"maxcor": _MEMORY, "maxiter": config.epochs, "maxfun": config.epochs, "gtol": _FLAT, "ftol": _SETTLED}
-    found = minimize(evaluate, start, jac=True, method="L-BFGS-B", options=options)
-    return np.asarray(found.x), losses
+    result = minimize(evaluate, start, jac=True, method="L-BFGS-B", options=options)
+    return np.asarray(result.x), losses
 
 
 def _rms(residual: Array) -> float:

@@ -94,18 +94,18 @@ def probe_schedule(
             measured.
     """
     _check(layout, levels, awake)
-    known, _ = bridged(record)
+    filled, _ = bridged(record)
     silent = ~np.isfinite(record.T_zone_C).any(axis=1)
     if silent.any():
         raise DataError(f"{record.names.zones[int(np.argmax(silent))]}: its temperature was not measured of late")
     usual = np.nanmedian(record.T_zone_C, axis=1)
     lower, upper = _band(lower_C, usual - _BAND_K), _band(upper_C, usual + _BAND_K)
     before = tellings(record, layout, config)
-    told = [telling.tells for telling in before] if competent is None else list(competent)
-    probed = [a for a, enough in enumerate(told) if not enough]
+    sufficient = [telling.tells for telling in before] if competent is None else list(competent)
+    probed = [a for a, enough in enumerate(sufficient) if not enough]
     morning = np.ceil((float(record.time_s[-1]) - awake[0] * HOUR_S) / DAY_S) * DAY_S + awake[0] * HOUR_S
     begin = morning if start_s is None else start_s
-    planner = HandPlanner(known, layout, Designer(config), begin, levels, awake, usual, lower, upper, seed)
+    planner = HandPlanner(filled, layout, Designer(config), begin, levels, awake, usual, lower, upper, seed)
     after = before
     while probed and planner.days < _MOST_DAYS and not (planner.days and all(after[a].tells for a in probed)):
         planner.add_day(probed)
@@ -118,10 +118,10 @@ def probe_schedule(
     )  # fmt: skip
 
 
-def _band(given: Array | None, otherwise: Array) -> Array:
-    if given is None:
-        return otherwise
-    return np.where(np.isfinite(given), given, otherwise)
+def _band(band: Array | None, default: Array) -> Array:
+    if band is None:
+        return default
+    return np.where(np.isfinite(band), band, default)
 
 
 def _check(layout: Layout, levels: Sequence[float], awake: tuple[int, int]) -> None:

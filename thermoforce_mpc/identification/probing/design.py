@@ -91,7 +91,7 @@ class Designer:
         worth = []
         for candidate in candidates:
             going_on = excitation.resumed(candidate.law, candidate.seed)
-            levels = self._imagined(going_on, ahead.n_steps, step_s, start_K, holding)
+            levels = self._simulated_levels(going_on, ahead.n_steps, step_s, start_K, holding)
             worth.append(self._criterion(np.concatenate([history.u[0], levels]), step_s, whitener, rows))
         return candidates[int(np.argmax(worth))], np.array(worth)
 
@@ -170,7 +170,7 @@ class Designer:
             slower.append((up - down) / (2.0 * _STEP) * p.log_tau_sd)
         return np.concatenate([gains, np.stack(slower, axis=1)], axis=1)
 
-    def _imagined(self, excitation: Excitation, n: int, step_s: float, start_K: float, holding: float) -> Array:
+    def _simulated_levels(self, excitation: Excitation, n: int, step_s: float, start_K: float, holding: float) -> Array:
         """Return the levels of an excitation simulated on the prior mean with constant weather, shape (n,)."""
         p = self._priors
         unit = unit_responses(p.log_tau, step_s, np.eye(1, n)[0]) @ p.gains_at(p.log_tau)[0]

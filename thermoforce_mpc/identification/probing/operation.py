@@ -55,9 +55,9 @@ class Telling:
 
     def in_words(self) -> str:
         """One line: what is expected, and why it is not enough."""
-        known = f"effect of {self.actuator} on {self.zone} expected to ± {100 * self.relative_sd:.0f} %"
+        expectation = f"effect of {self.actuator} on {self.zone} expected to ± {100 * self.relative_sd:.0f} %"
         if self.tells:
-            return f"{known}: enough, if the building is about as the priors expect"
+            return f"{expectation}: enough, if the building is about as the priors expect"
         why = []
         if self.levels[1] - self.levels[0] < 0.05:
             why.append(f"its level hardly changes ({self.levels[0]:.2f} to {self.levels[1]:.2f})")
@@ -67,7 +67,7 @@ class Telling:
             why.append(f"it cannot be told apart from {', '.join(self.blurred_by)}, whose levels go with its own")
         if not why:
             why.append("its level goes with weather and time of day")
-        return f"{known}, need {100 * MOST_RELATIVE_SD:.0f} %: the record cannot tell it; {'; '.join(why)}"
+        return f"{expectation}, need {100 * MOST_RELATIVE_SD:.0f} %: the record cannot tell it; {'; '.join(why)}"
 
 
 @dataclass(frozen=True)
@@ -108,11 +108,13 @@ def telling_part(record: Record, layout: Layout, days: float = MOST_DAYS) -> tup
 def _worth(part: Record, layout: Layout, designer: Designer) -> float:
     """Information of a part about all actuators, nats; −inf where too little is known."""
     rows = (np.isfinite(part.u).all(axis=0), np.isfinite(part.T_out_C), np.isfinite(part.solar_W_m2))
-    known = [*(row.mean() for row in rows), *np.isfinite(part.T_zone_C).mean(axis=1)]
-    if min(known) < _LEAST_KNOWN:
+    measured_shares = [*(row.mean() for row in rows), *np.isfinite(part.T_zone_C).mean(axis=1)]
+    if min(measured_shares) < _LEAST_KNOWN:
         return -np.inf
     part, _ = bridged(part)
-    return float(sum(designer.information(part.part(home, [a])) for a, home in enumerate(layout.home)) * min(known))
+    return float(
+        sum(designer.information(part.part(home, [a])) for a, home in enumerate(layout.home)) * min(measured_shares)
+    )
 
 
 def findings(record: Record, layout: Layout) -> list[Finding]:
@@ -136,8 +138,8 @@ def tellings(record: Record, layout: Layout, config: IdentificationConfig | None
         DataError: the weather was never measured.
     """
     designer = Designer(config)
-    known, _ = bridged(record)
-    return [_telling(known, layout, designer, a) for a in range(len(layout.home))]
+    filled, _ = bridged(record)
+    return [_telling(filled, layout, designer, a) for a in range(len(layout.home))]
 
 
 def _telling(record: Record, layout: Layout, designer: Designer, a: int) -> Telling:

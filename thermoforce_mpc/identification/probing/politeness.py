@@ -50,7 +50,7 @@ class Foresight:
     def learn(self, record: Record) -> None:
         """Learn from the last step of `record`, where its readings are complete."""
         start, end = record.T_zone_C[0, -2:]
-        x = np.concatenate([[record.u[0, -1]], self._rest(start, record.T_out_C[-2], record.solar_W_m2[-2])])
+        x = np.concatenate([[record.u[0, -1]], self._other_inputs(start, record.T_out_C[-2], record.solar_W_m2[-2])])
         change = self._sign * (end - start)
         if np.isfinite(x).all() and np.isfinite(change):
             gain = self._covariance @ x / (x @ self._covariance @ x + _NOISE_K**2)
@@ -67,14 +67,14 @@ class Foresight:
         """
         if not np.isfinite(T_zone_C):
             return level
-        rest = float(self._weights[1:] @ self._rest(T_zone_C, T_out_C, solar_W_m2))
+        rest = float(self._weights[1:] @ self._other_inputs(T_zone_C, T_out_C, solar_W_m2))
         towards, behind = (high, low) if self._sign > 0 else (-low, -high)
         room_K = towards - self._sign * T_zone_C - rest
         least_K = behind - self._sign * T_zone_C - rest
-        wanted = max(level, least_K / max(float(self._weights[0]), 1e-6))
-        return float(np.clip(min(wanted, room_K / max(self.effect_K, 1e-6)), 0.0, highest))
+        raised = max(level, least_K / max(float(self._weights[0]), 1e-6))
+        return float(np.clip(min(raised, room_K / max(self.effect_K, 1e-6)), 0.0, highest))
 
-    def _rest(self, T: float, T_out: float, solar: float) -> Array:
+    def _other_inputs(self, T: float, T_out: float, solar: float) -> Array:
         """Regressors besides the level, (3,), in the direction of the actuator."""
         mean = self._mean_C if np.isfinite(self._mean_C) else T
         return self._sign * np.array([mean - T, T_out - T, solar / 100.0])

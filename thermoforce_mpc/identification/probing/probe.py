@@ -157,7 +157,7 @@ class Probing:
 
         Args:
             days: days to probe, from where the last call stopped.
-            enough: asked at the end of every block; True ends the probing.
+            enough: called at the end of every block; True ends the probing.
             on_step: called after every step with the completed fraction of `days`.
 
         Raises:

@@ -52,7 +52,7 @@ EFFECT_H = 8
 # Probing ends early at this relative standard deviation. It is stricter than what three days of probing give on the
 # heat pump test case (0.08 to 0.10), so that they stay three days there.
 WELL_KNOWN_SD = 0.05
-# Probing goes on beyond the days that were asked for while it is larger than this: a model that may act is still a poor
+# Probing goes on beyond the configured days while it is larger than this: a model that may act is still a poor
 # one, and another day of probing is cheap beside a season of its plans.
 SETTLED_SD = 0.3
 # Blocks of the paired test, h; a short held-out part is divided into this many at least.
@@ -85,7 +85,7 @@ class Fold:
     @property
     def runs(self) -> list[tuple[Case, Split]]:
         """Runs with held-out rows."""
-        return _judged(self.cases, self.splits)
+        return _held_out_runs(self.cases, self.splits)
 
 
 @dataclass(frozen=True)
@@ -111,20 +111,20 @@ def held_out_h(cases: Sequence[Case], splits: Sequence[Split]) -> float:
     """Return the held-out hours of runs."""
     return sum(
         _span_h(case.regression.rows[int(split.judged[0]) :], case.regression.step_s)
-        for case, split in _judged(cases, splits)
+        for case, split in _held_out_runs(cases, splits)
     )
 
 
 def held_out_rmse_K(cases: Sequence[Case], splits: Sequence[Split], fit: ModeFit, sign: int) -> float:
     """Return the mean of the held-out RMSE at the judged lead times, K; NaN where no run is held out."""
-    runs = _judged(cases, splits)
+    runs = _held_out_runs(cases, splits)
     if not runs:
         return float("nan")
-    found = _model_errors(runs, fit, sign)
-    return float(np.mean([np.sqrt(np.mean(errors**2)) for errors in found.values() if errors.size]))
+    errors_by_lead = _model_errors(runs, fit, sign)
+    return float(np.mean([np.sqrt(np.mean(errors**2)) for errors in errors_by_lead.values() if errors.size]))
 
 
-def _judged(cases: Sequence[Case], splits: Sequence[Split]) -> list[tuple[Case, Split]]:
+def _held_out_runs(cases: Sequence[Case], splits: Sequence[Split]) -> list[tuple[Case, Split]]:
     """Runs with held-out rows."""
     return [(c, s) for c, s in zip(cases, splits, strict=True) if not c.regression.is_pair and s.judged.size]
 
@@ -189,7 +189,7 @@ def is_settled(verdict: Competence | None) -> bool:
 
 
 def is_well_known(verdict: Competence | None) -> bool:
-    """Return whether probing may end before the days asked for."""
+    """Return whether probing may end before the configured days are over."""
     return verdict is not None and verdict.competent and verdict.relative_sd <= WELL_KNOWN_SD
 
 
@@ -218,8 +218,8 @@ def _innovations(
     regressions, first = [c.regression for c, _ in runs], [int(s.judged[0]) for _, s in runs]
     rests = [[residuals(e, log_tau) for e in regressions] for log_tau in choices]
     left = [
-        [e.target - effect - rest.mean for e, effect, rest in zip(regressions, effects, of, strict=True)]
-        for of in rests
+        [e.target - effect - rest.mean for e, effect, rest in zip(regressions, effects, of_choice, strict=True)]
+        for of_choice in rests
     ]
 
     def likelihoods(choice: int, scales: Sequence[float]) -> Array:
@@ -228,11 +228,11 @@ def _innovations(
 
     scale = _SCALES[int(np.argmax(likelihoods(0, _SCALES)))]
     likeliest = int(np.argmax([likelihoods(choice, [scale])[0] for choice in range(len(choices))]))
-    found = []
+    innovations = []
     for (case, _), n, rest, values in zip(runs, first, rests[likeliest], left[likeliest], strict=True):
         begin = 1 + min(int(np.min(_held_out(case, n, hours)[0], initial=n - 1)) for hours in leads_h)
-        found.append(_Innovations(begin, *rest.scaled(scale).later(values, begin)))
-    return found
+        innovations.append(_Innovations(begin, *rest.scaled(scale).later(values, begin)))
+    return innovations
 
 
 def _errors_of(fold: Fold, priors: ModePriors, sign: int, block_h: float, number: int = 0) -> dict[float, _Errors]:
@@ -302,17 +302,17 @@ def _score(hours: float, errors: _Errors, before: _Errors) -> HorizonScore:
 
 
 def _missed(
-    verdict: Competence, found: dict[float, _Errors], records: Sequence[Record], most_K: Mapping[float, float]
+    verdict: Competence, errors: dict[float, _Errors], records: Sequence[Record], most_K: Mapping[float, float]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the criteria that are missed, and what to do about them."""
     reasons, advice = [], []
     longer = 1.0  # factor on the length of the record
-    judged = []
+    scores = []
     for score in verdict.horizons:
         if score.hours not in JUDGED_H:
             continue
         if np.isfinite(score.model_K):
-            judged.append(score)
+            scores.append(score)
             continue
         reasons.append(
             f"{score.hours:g} h ahead it cannot be judged: no held-out temperature has another {score.hours:g} to "
@@ -320,30 +320,30 @@ def _missed(
         )
         advice.append(_OFTENER)
     if not verdict.relative_sd <= MOST_RELATIVE_SD:
-        known = _above(100 * MOST_RELATIVE_SD, 100 * verdict.relative_sd, 0)
+        percent = _above(100 * MOST_RELATIVE_SD, 100 * verdict.relative_sd, 0)
         need = f"{100 * MOST_RELATIVE_SD:.0f} %"
-        reasons.append(f"the effect of 8 h at full level is known to ± {known} % only, need {need}")
+        reasons.append(f"the effect of 8 h at full level is known to ± {percent} % only, need {need}")
         longer = (verdict.relative_sd / MOST_RELATIVE_SD) ** 2
         advice.append(_levels(records))
-    for score in judged:
+    for score in scores:
         off = f"{score.hours:g} h ahead it errs by {score.model_K:.2f} K"
         if not score.model_K <= most_K[score.hours]:
             off_K, need_K = _above(most_K[score.hours], score.model_K, 2), most_K[score.hours]
             reasons.append(f"{score.hours:g} h ahead it errs by {off_K} K, need {need_K:g} K")
-            advice.append(_signals(found[score.hours], records))
+            advice.append(_signals(errors[score.hours], records))
         worse = score.persistence_t > float(student_t.ppf(WORSE_PROBABILITY, max(score.blocks - 1, 1)))
         if worse and not score.model_K <= MOST_OVER_PERSISTENCE * score.persistence_K:
             reasons.append(f"{off}, an unchanged temperature by {score.persistence_K:.2f} K")
-            advice.append(_signals(found[score.hours], records))
-    needs = [float(student_t.ppf(BETTER_PROBABILITY, max(score.blocks - 1, 1))) for score in judged]
-    if judged and not any(score.better_t > need for score, need in zip(judged, needs, strict=True)):
+            advice.append(_signals(errors[score.hours], records))
+    needs = [float(student_t.ppf(BETTER_PROBABILITY, max(score.blocks - 1, 1))) for score in scores]
+    if scores and not any(score.better_t > need for score, need in zip(scores, needs, strict=True)):
         each = " and ".join(
             f"{score.hours:g} h ahead {score.model_K:.2f} K against {score.weather_K:.2f} K, t = {score.better_t:.1f}, "
             f"need {need:.1f}"
-            for score, need in zip(judged, needs, strict=True)
+            for score, need in zip(scores, needs, strict=True)
         )
         reasons.append(f"it is not shown to predict better than the weather alone: {each}")
-        share = max(np.nan_to_num(score.better_t) / need for score, need in zip(judged, needs, strict=True))
+        share = max(np.nan_to_num(score.better_t) / need for score, need in zip(scores, needs, strict=True))
         if share < _HOPELESS:
             advice.append(_NO_EFFECT)
         else:

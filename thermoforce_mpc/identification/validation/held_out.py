@@ -70,10 +70,10 @@ def identified_heat_input(
     if on < LEAST_RUNNING and not alone and config.heat_input == "auto":
         return IDENTITY, [f"heat input: identity, the actuator was on in {on} steps with measured heat"]
     if float(np.nansum(heat)) < 0.0:
-        found, mode = ("cooling", "heating") if sign > 0 else ("heating", "cooling")
+        metered, mode = ("cooling", "heating") if sign > 0 else ("heating", "cooling")
         raise DataError(
-            f"the measured heat is that of {found}, but the mode is {mode}: {found} says nothing of what {mode} does; "
-            f"record while the building is in use for {mode}, or check the sign of the heat"
+            f"the measured heat is that of {metered}, but the mode is {mode}: {metered} says nothing of what "
+            f"{mode} does; record while the building is in use for {mode}, or check the sign of the heat"
         )
     fit = fit_heat(
         u,
@@ -120,12 +120,12 @@ def _running(u: Array, weights: Array, lowest_level: float | None) -> list[tuple
 
     Levels `u` (A, n) may have been held for the step, or made of on-times that begin together: both are tried.
     """
-    load, found = np.minimum(weights @ u, 1.0), []
+    load, running = np.minimum(weights @ u, 1.0), []
     for lowest in _CYCLES_BELOW if lowest_level is None else (lowest_level,):
-        found.append((lowest, np.minimum(load / lowest, 1.0)))
+        running.append((lowest, np.minimum(load / lowest, 1.0)))
         if lowest < 1.0:
-            found.append((lowest, running_share(u, np.minimum(weights / lowest, 1.0))))
-    return found
+            running.append((lowest, running_share(u, np.minimum(weights / lowest, 1.0))))
+    return running
 
 
 def machine_record(record: Record, layout: Layout, machine: int) -> Record:

@@ -86,7 +86,7 @@ def fit_and_judge(
 ) -> Fitted:
     """Fit to the `training_data` and evaluate on the held-out rows and rollouts."""
     fit, sign = fit_modes(training, priors, config), training.sign
-    judged, blocks, errors = [], [], []
+    whitened, blocks, errors = [], [], []
     for index, (case, split) in enumerate(zip(cases, splits, strict=True)):
         if not split.judged.size:
             continue
@@ -95,13 +95,13 @@ def fit_and_judge(
         after_action = split.judged[follows_action(case.regression, _AFTER_ACTION_H)[split.judged]]
         first = int(split.judged[0])
         white, factor = rest.later(residual, first)
-        judged.append(white[after_action - first])
+        whitened.append(white[after_action - first])
         blocks.append(block_numbers(index, case.regression.rows[after_action], case.regression.step_s))
         # What the rows before a rollout do not predict of it.
         later = [ahead - first for ahead in split.rollouts]
         errors += [factor[np.ix_(ahead, ahead)] @ white[ahead] for ahead in later]
     rollout_rmse_K = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
-    return Fitted(fit, priors, np.concatenate(judged), np.concatenate(blocks), rollout_rmse_K)
+    return Fitted(fit, priors, np.concatenate(whitened), np.concatenate(blocks), rollout_rmse_K)
 
 
 def explained_share(cases: Sequence[Case], operator: OperatorParameters) -> float:

@@ -41,11 +41,11 @@ def rollouts(model: ThermalModel, record: Record) -> Rollouts | None:
     Returns None if a zone has no linear free part (identified from pairs only) or the record is too short.
     """
     n = max(1, round(_ROLLOUT_H * HOUR_S / record.step_s))
-    known = [free for free in model.free if free is not None]
-    if len(known) < len(model.free) or record.n_steps < 2 * n:
+    free_models = [free for free in model.free if free is not None]
+    if len(free_models) < len(model.free) or record.n_steps < 2 * n:
         return None
     record, _ = bridged(model.in_rooms(record))
-    predictor = Predictor(model.operator, [RcFreeResponse(free) for free in known])
+    predictor = Predictor(model.operator, [RcFreeResponse(free) for free in free_models])
     predicted = np.full(record.T_zone_C.shape, np.nan)
     for start in range(n, record.n_steps, n):
         stop = min(start + n, record.n_steps)
@@ -67,15 +67,15 @@ def plot_identification(path: Path, model: ThermalModel, record: Record) -> None
     upper, lower = list(figure.subfigures(2, 1, squeeze=False, height_ratios=[3 * zones + 1, 3 * zones])[:, 0])
     courses = upper.subplots(zones + 1, 1, height_ratios=[3] * zones + [1], squeeze=False, sharex=True)[:, 0]
     days = record.time_s / DAY_S
-    found, rooms = rollouts(model, record), model.in_rooms(record)
+    predictions, rooms = rollouts(model, record), model.in_rooms(record)
     measured = "measured" if rooms is record else "measured, without the sun on the sensor"
     for z, axes in enumerate(courses[:-1]):
         title = "Measured and predicted zone temperature" if zones == 1 else model.operator.zones[z]
         axes.set_title(title, loc="left", pad=22.0)  # above the legend
         axes.plot(days, rooms.T_zone_C[z], color="black", linewidth=1.2, label=measured)
-        if found is not None:
-            label = f"rollouts of {_ROLLOUT_H:g} h, measured weather; RMSE {found.rmse_K[z]:.2f} K"
-            axes.plot(days, found.predicted_C[z], color="tab:red", linewidth=1.2, label=label)
+        if predictions is not None:
+            label = f"rollouts of {_ROLLOUT_H:g} h, measured weather; RMSE {predictions.rmse_K[z]:.2f} K"
+            axes.plot(days, predictions.predicted_C[z], color="tab:red", linewidth=1.2, label=label)
         axes.set_ylabel("zone temperature, °C" if zones == 1 else "°C")
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 0.99), ncols=2, frameon=False, borderaxespad=0.2)
     for a, name in enumerate(model.operator.actuators):
@@ -139,9 +139,9 @@ def step_response_of(model: ThermalModel, z: int, a: int) -> tuple[Array, Array]
     home = model.operator.home[a] == z
     # Effects between zones stand on the card of the zone's first actuator, by the other actuator's name.
     card = model.cards[a if home else model.operator.home.index(z) if z in model.operator.home else a]
-    of = "" if home else f"[{model.operator.actuators[a]}]"
-    means = [card.uncertainty.get(f"step_response_{h}h_K{of}") for h in STEP_RESPONSE_H]
-    sds = [card.uncertainty.get(f"step_response_{h}h_sd_K{of}") for h in STEP_RESPONSE_H]
+    suffix = "" if home else f"[{model.operator.actuators[a]}]"
+    means = [card.uncertainty.get(f"step_response_{h}h_K{suffix}") for h in STEP_RESPONSE_H]
+    sds = [card.uncertainty.get(f"step_response_{h}h_sd_K{suffix}") for h in STEP_RESPONSE_H]
     if any(value is None for value in (*means, *sds)):
         return np.empty(0), np.empty(0)
     sign = model.operator.of_actuator(a).sign if home else 1

@@ -82,12 +82,12 @@ class Price(Signal):
     unit: PriceUnit = "per kWh"
 
 
-def _named(value: Any) -> Any:
+def _text_as_column(value: Any) -> Any:
     return {"column": value} if isinstance(value, str) else value
 
 
-def _number_or_named(value: Any) -> Any:
-    return value if isinstance(value, int | float) else _named(value)
+def _number_or_column(value: Any) -> Any:
+    return value if isinstance(value, int | float) else _text_as_column(value)
 
 
 def _in_celsius(bound: float | Temperature) -> float | Temperature:
@@ -97,15 +97,15 @@ def _in_celsius(bound: float | Temperature) -> float | Temperature:
     return bound
 
 
-OfTemperature = Annotated[Temperature, BeforeValidator(_named, json_schema_input_type=str | Temperature)]
-OfPower = Annotated[Power, BeforeValidator(_named, json_schema_input_type=str | Power)]
-OfLevel = Annotated[Level, BeforeValidator(_named, json_schema_input_type=str | Level)]
+OfTemperature = Annotated[Temperature, BeforeValidator(_text_as_column, json_schema_input_type=str | Temperature)]
+OfPower = Annotated[Power, BeforeValidator(_text_as_column, json_schema_input_type=str | Power)]
+OfLevel = Annotated[Level, BeforeValidator(_text_as_column, json_schema_input_type=str | Level)]
 Bound = Annotated[
     float | Temperature,
-    BeforeValidator(_number_or_named, json_schema_input_type=float | str | Temperature),
+    BeforeValidator(_number_or_column, json_schema_input_type=float | str | Temperature),
     AfterValidator(_in_celsius),
 ]
-OfPrice = Annotated[float | Price, BeforeValidator(_number_or_named, json_schema_input_type=float | str | Price)]
+OfPrice = Annotated[float | Price, BeforeValidator(_number_or_column, json_schema_input_type=float | str | Price)]
 
 
 class Sun(StrictModel):
@@ -123,7 +123,7 @@ class Sun(StrictModel):
         description="irradiance of a clear sky at `site`; with humidity times a clearness of each day "
         "(boundary/weather/clearness.py)",
     )
-    humidity: Annotated[Humidity, BeforeValidator(_named, json_schema_input_type=str | Humidity)] | None = None
+    humidity: Annotated[Humidity, BeforeValidator(_text_as_column, json_schema_input_type=str | Humidity)] | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> Sun:
@@ -141,4 +141,4 @@ class Sun(StrictModel):
         return Irradiance(**self.model_dump(exclude={"estimate", "humidity"}))
 
 
-OfSun = Annotated[Sun, BeforeValidator(_named, json_schema_input_type=str | Sun)]
+OfSun = Annotated[Sun, BeforeValidator(_text_as_column, json_schema_input_type=str | Sun)]

@@ -77,10 +77,10 @@ class Clock(StrictModel):
             raise ValueError(f"since is no date: {self.since}")
         if since.tz is not None or self.zone is None:
             return since
-        there = since.tz_localize(self.zone, ambiguous=True, nonexistent="NaT")
-        if not isinstance(there, pd.Timestamp):  # NaT
+        localised = since.tz_localize(self.zone, ambiguous=True, nonexistent="NaT")
+        if not isinstance(localised, pd.Timestamp):  # NaT
             raise ValueError(f"since does not exist in {self.zone}, where summer time begins: {self.since}")
-        return there
+        return localised
 
 
 class CsvFormat(StrictModel):

@@ -121,12 +121,12 @@ class MeasurementMap(StrictModel):
         return value
 
     @model_validator(mode="after")
-    def _joined(self) -> MeasurementMap:
+    def _check_references(self) -> MeasurementMap:
         for name, actuator in self.actuators.items():
-            for key, known in (("zone", self.zones), ("machine", self.machines)):
-                given = getattr(actuator, key)
-                if given is not None and given not in known:
-                    raise ValueError(f"actuators.{name}.{key}: there is no '{given}'; there are {', '.join(known)}")
+            for key, choices in (("zone", self.zones), ("machine", self.machines)):
+                choice = getattr(actuator, key)
+                if choice is not None and choice not in choices:
+                    raise ValueError(f"actuators.{name}.{key}: there is no '{choice}'; there are {', '.join(choices)}")
             if actuator.zone is None and len(self.zones) > 1:
                 raise ValueError(f"actuators.{name}.zone: say which zone it serves, of {', '.join(self.zones)}")
             if actuator.machine is None and len(self.machines) > 1:
@@ -161,11 +161,13 @@ class MeasurementMap(StrictModel):
         actuators = tuple(self.actuators.values()) or (MappedActuator(),)
         return Layout(
             names=names,
-            signs=tuple(-1 if one.mode == "cooling" else 1 for one in actuators),
-            home=tuple(names.zones.index(one.zone) if one.zone else 0 for one in actuators),
-            machine_of=tuple(names.machines.index(one.machine) if one.machine else 0 for one in actuators),
-            lowest=tuple(-1.0 if one.mode == "both" else 0.0 for one in actuators),
-            shares=tuple(one.share for one in actuators),
+            signs=tuple(-1 if actuator.mode == "cooling" else 1 for actuator in actuators),
+            home=tuple(names.zones.index(actuator.zone) if actuator.zone else 0 for actuator in actuators),
+            machine_of=tuple(
+                names.machines.index(actuator.machine) if actuator.machine else 0 for actuator in actuators
+            ),
+            lowest=tuple(-1.0 if actuator.mode == "both" else 0.0 for actuator in actuators),
+            shares=tuple(actuator.share for actuator in actuators),
             floor_area_m2=tuple(zone.floor_area_m2 or np.nan for zone in self.zones.values()),
         )
 

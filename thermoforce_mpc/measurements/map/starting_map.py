@@ -49,26 +49,26 @@ def starting_map(file: str | Path) -> str:
     form = guessed_form(path)
     head = head_of(path, _ROWS, form)
     stamps, *columns = [str(column) for column in head.columns]
-    found: dict[str, list[str]] = {kind: [] for kind, _ in _WORDS}
+    by_kind: dict[str, list[str]] = {kind: [] for kind, _ in _WORDS}
     for column in columns:
         numbers = as_numbers(head[column], form.decimal)
         kind = next((kind for kind, words in _WORDS if re.search(words, column.lower())), None)
         if kind in (None, "power") and set(numbers.dropna()) == {0.0, 1.0}:
             kind = "level" if re.search(_SWITCHED, column.lower()) else kind
         if kind is not None and numbers.notna().any():
-            found[kind].append(column)
-    if not found["temperature"] and not found["outdoor"]:
+            by_kind[kind].append(column)
+    if not by_kind["temperature"] and not by_kind["outdoor"]:
         raise DataError(f"{path}: none of {', '.join(columns)} looks like a temperature: write the map by hand")
-    return _text(path, stamps, head, form, found)
+    return _text(path, stamps, head, form, by_kind)
 
 
-def _text(path: Path, stamps: str, head: pd.DataFrame, form: CsvFormat, found: dict[str, list[str]]) -> str:
+def _text(path: Path, stamps: str, head: pd.DataFrame, form: CsvFormat, by_kind: dict[str, list[str]]) -> str:
     def temperature(column: str) -> str:
         return f"{{column: {_quoted(column)}, unit: '{_degrees(head[column])}'}}"
 
     has_offset = bool(re.search(r"([+-]\d{2}:?\d{2}|Z)$", str(head.iloc[0, 0]).strip()))
     zone = "  # stamps carry an offset; name the building's zone all the same" if has_offset else ""
-    outdoor = found["outdoor"][:1]
+    outdoor = by_kind["outdoor"][:1]
     counted = pd.api.types.is_numeric_dtype(head.iloc[:, 0])
     lines = [
         f"# Map of {path.name}, guessed from names and sizes of its columns: check every line, then",
@@ -82,21 +82,21 @@ def _text(path: Path, stamps: str, head: pd.DataFrame, form: CsvFormat, found: d
         "# site: {latitude: 50.8, longitude: 4.4}  # for an estimate of the sun",
         f"outdoor: {temperature(outdoor[0]) if outdoor else 'FILL IN  # outdoor temperature'}",
     ]
-    if found["sun"]:
-        lines.append(f"sun: {{column: {_quoted(found['sun'][0])}, unit: W/m²}}")
-    elif found["humidity"]:
-        lines.append(f"# sun: {{estimate: humidity, humidity: {_quoted(found['humidity'][0])}}}  # needs site")
+    if by_kind["sun"]:
+        lines.append(f"sun: {{column: {_quoted(by_kind['sun'][0])}, unit: W/m²}}")
+    elif by_kind["humidity"]:
+        lines.append(f"# sun: {{estimate: humidity, humidity: {_quoted(by_kind['humidity'][0])}}}  # needs site")
     else:
         lines.append("# sun: {estimate: clear_sky}  # needs site")
     lines.append("zones:")
-    rooms = found["temperature"] or ["FILL_IN"]
+    rooms = by_kind["temperature"] or ["FILL_IN"]
     for k, column in enumerate(rooms):
         lines.append(f"  {_name(column)}:")
         lines.append(f"    temperature: {temperature(column) if column in head else column}")
         for key in ("lower", "upper"):
-            given = _quoted(found[key][0]) if found[key] else {"lower": 20, "upper": 24}[key]
-            lines.append(f"    {key}: {given}{'' if k else '  # comfort bound, °C or a column'}")
-    acts, power = found["level"][:1], (found["power"] + found["energy"])[:1]
+            value = _quoted(by_kind[key][0]) if by_kind[key] else {"lower": 20, "upper": 24}[key]
+            lines.append(f"    {key}: {value}{'' if k else '  # comfort bound, °C or a column'}")
+    acts, power = by_kind["level"][:1], (by_kind["power"] + by_kind["energy"])[:1]
     lines += ["actuators:", "  heater:"]
     if len(rooms) > 1:
         lines.append(f"    zone: {_name(rooms[0])}  # the zone that it serves")
@@ -108,13 +108,13 @@ def _text(path: Path, stamps: str, head: pd.DataFrame, form: CsvFormat, found: d
         lines.append("    # level: {column: ..., unit: '%'}  # without it, power over its 99th percentile")
     lines += ["machines:", "  machine:"]
     if power:
-        unit = "W" if power[0] in found["power"] else "Wh counter" if _counts(head[power[0]]) else "Wh per step"
+        unit = "W" if power[0] in by_kind["power"] else "Wh counter" if _counts(head[power[0]]) else "Wh per step"
         unit = "k" + unit if "kw" in power[0].lower() else unit
         lines.append(f"    power: {{column: {_quoted(power[0])}, unit: {unit}}}  # electric power that is paid for")
     else:
         lines.append("    # power: {column: ..., unit: W}  # without it nothing can be planned; without a meter take")
         lines.append("    #   the column of the level, with factor: the W of a reading of 1")
-    price = f"{_quoted(found['price'][0])}" if found["price"] else "0.30"
+    price = f"{_quoted(by_kind['price'][0])}" if by_kind["price"] else "0.30"
     lines.append(f"    price: {price}  # per kWh, a number or a column")
     text = "\n".join(lines)
     spare = [column for column in head.columns[1:] if str(column) not in text]
@@ -142,8 +142,8 @@ def _stamp_format(column: pd.Series) -> list[str]:
 def _written(form: CsvFormat) -> list[str]:
     """The line on how the file is written, where that is not the default."""
     other = {"decimal": f"'{form.decimal}'", "encoding": form.encoding}
-    given = [f"{key}: {value}" for key, value in other.items() if getattr(form, key) != getattr(CsvFormat(), key)]
-    return [f"csv: {{{', '.join(given)}}}"] if given else []
+    options = [f"{key}: {value}" for key, value in other.items() if getattr(form, key) != getattr(CsvFormat(), key)]
+    return [f"csv: {{{', '.join(options)}}}"] if options else []
 
 
 def _counts(column: pd.Series) -> bool:

@@ -54,9 +54,9 @@ def likelier(values: Array, declared: str, kind: str, usual: tuple[float, float]
     middle = np.array([float(np.nanmedian(values))])
     if kind == "level":
         middle = np.array([float(np.nanmax(values))])
-    known = converted(middle, declared)[0]
+    as_declared = converted(middle, declared)[0]
     for unit in units:
         value = converted(middle, unit)[0]
-        if usual[0] <= value <= usual[1] and not np.isclose(value, known):
+        if usual[0] <= value <= usual[1] and not np.isclose(value, as_declared):
             return unit
     return ""

@@ -34,14 +34,14 @@ _SEPARATORS = ",;\t"
 _DAMAGED = (ValueError, OSError, EOFError, LookupError, csv.Error, lzma.LZMAError, zlib.error)
 
 
-def found_files(given: Sequence[str | Path], most_bytes: int = MOST_BYTES) -> list[Path]:
+def found_files(patterns: Sequence[str | Path], most_bytes: int = MOST_BYTES) -> list[Path]:
     """The files of paths and patterns (`data/*.csv`), each once.
 
     Raises:
         DataError: there is none, or they hold more than `most_bytes`.
     """
     files: list[Path] = []
-    for item in given:
+    for item in patterns:
         path = Path(item)
         if path.is_dir():
             raise DataError(f"{path}: is a folder; name its files, as in '{path}/*.csv'")
@@ -100,10 +100,10 @@ def _parquet(path: Path, stamps: str | None, columns: Sequence[str] | None) -> p
         schema = parquet.read_schema(path)
         # The index of a data frame stands among the columns of its file.
         index = [name for name in (schema.pandas_metadata or {}).get("index_columns", []) if isinstance(name, str)]
-        wanted = [stamps] if stamps else index or schema.names[:1]
+        stamp_columns = [stamps] if stamps else index or schema.names[:1]
         columns = schema.names if columns is None else columns
-        known = [name for name in dict.fromkeys([*wanted, *columns]) if name in schema.names]
-        table = parquet.read_table(path, columns=known).to_pandas()
+        present = [name for name in dict.fromkeys([*stamp_columns, *columns]) if name in schema.names]
+        table = parquet.read_table(path, columns=present).to_pandas()
     except (ArrowException, OSError, ValueError) as error:
         raise DataError(f"{path}: no Parquet file that can be read ({_short(error)})") from error
     missing = [name for name in columns if name not in schema.names]
@@ -113,8 +113,8 @@ def _parquet(path: Path, stamps: str | None, columns: Sequence[str] | None) -> p
 
 
 def _csv(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> tuple[pd.DataFrame, int]:
-    separator, names, wanted = _known_header(path, stamps, columns, form)
-    places = sorted(names.index(key) for key in wanted)
+    separator, names, keys = _known_header(path, stamps, columns, form)
+    places = sorted(names.index(key) for key in keys)
     try:
         _check_lines(path, form, separator, len(names))
         df = pd.read_csv(
@@ -137,14 +137,14 @@ def _csv(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat
 def _known_header(
     path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat
 ) -> tuple[str, list[str], list[str]]:
-    """Separator and names of the columns, and which of them are wanted; raises `DataError` where one is not there."""
+    """Separator and names of the columns, and those that are read; raises `DataError` where one is not there."""
     separator, names = _header(path, form)
-    wanted = list(dict.fromkeys([names[0] if stamps is None else stamps, *columns]))
-    for key in wanted:
+    keys = list(dict.fromkeys([names[0] if stamps is None else stamps, *columns]))
+    for key in keys:
         known_column(key, pd.Index(names), str(path))
         if names.count(key) > 1:
             raise DataError(f"{path}: there are {names.count(key)} columns '{key}'; give each a name of its own")
-    return separator, names, wanted
+    return separator, names, keys
 
 
 def _check_lines(path: Path, form: CsvFormat, separator: str, n: int) -> None:

@@ -54,13 +54,13 @@ def raw_table(
 
 def known_column(key: str, columns: pd.Index, name: str) -> str:
     """`key` if it is among `columns` of the table `name`; else raises `DataError`."""
-    known = [str(column) for column in columns]
-    if key not in known:
+    names = [str(column) for column in columns]
+    if key not in names:
         first = "; if that is not the line of column names, set csv.skip_lines or csv.separator of the map"
-        hint = first if len(known) == 1 else ""
+        hint = first if len(names) == 1 else ""
         if key == "FILL IN":
-            raise DataError(f"{name}: the map still says FILL IN; name a column there, one of {', '.join(known)}")
-        raise DataError(f"{name}: no column '{key}'{suggestion(key, known)}; there are {', '.join(known)}{hint}")
+            raise DataError(f"{name}: the map still says FILL IN; name a column there, one of {', '.join(names)}")
+        raise DataError(f"{name}: no column '{key}'{suggestion(key, names)}; there are {', '.join(names)}{hint}")
     return key
 
 

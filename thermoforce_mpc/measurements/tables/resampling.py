@@ -105,5 +105,5 @@ def held(readings: Readings, at_s: Array) -> Array:
     if not readings.values.size:
         return np.full(at_s.size, np.nan)
     last = np.searchsorted(readings.time_s, at_s, side="right") - 1
-    known = (last >= 0) & (at_s - readings.time_s[np.maximum(last, 0)] <= readings.longest_s)
-    return np.where(known, readings.values[np.maximum(last, 0)], np.nan)
+    fresh = (last >= 0) & (at_s - readings.time_s[np.maximum(last, 0)] <= readings.longest_s)
+    return np.where(fresh, readings.values[np.maximum(last, 0)], np.nan)

@@ -105,8 +105,8 @@ def _with_offset(text: pd.Series) -> NDArray[np.bool_]:
 def _localised(table: RawTable, read: pd.Series, clock: Clock, notes: list[str]) -> pd.Series:
     """Stamps of the wall clock as instants, by the rules of the map for the hours of summer time's begin and end."""
     zone = str(clock.zone)
-    there = read.dt.tz_localize(zone, ambiguous=np.ones(len(read), dtype=bool), nonexistent="NaT")
-    lost = np.flatnonzero(there.isna().to_numpy())
+    existing = read.dt.tz_localize(zone, ambiguous=np.ones(len(read), dtype=bool), nonexistent="NaT")
+    lost = np.flatnonzero(existing.isna().to_numpy())
     if lost.size:
         what = (
             f"{table.where(int(lost[0]))}: {read.iloc[lost[0]]} does not exist in {zone}, where summer time begins "
@@ -118,7 +118,7 @@ def _localised(table: RawTable, read: pd.Series, clock: Clock, notes: list[str])
                 "time.nonexistent: gap leaves the rows out"
             )
         notes.append(f"{what}: left out")
-        read = read[there.notna()]
+        read = read[existing.notna()]
     rule = {"infer": "infer", "gap": "NaT"}.get(clock.ambiguous)
     try:
         ambiguous = rule or np.full(len(read), clock.ambiguous == "first")

@@ -56,7 +56,7 @@ class _Issued:
     raw: Array
     adapted: Array
 
-    def kept(self, which: NDArray[np.bool_]) -> _Issued:
+    def select(self, which: NDArray[np.bool_]) -> _Issued:
         """Those of `which` (I,)."""
         return _Issued(self.time_s[which], self.raw[which], self.adapted[which])
 
@@ -132,28 +132,28 @@ class CalibratedFreeResponse:
         # One lead time per hour: those between are nearly identical.
         stride = max(1, round(_EVERY_S / boundary.step_s))
         hourly = slice(stride - 1, None, stride)
-        known = _compared(last, lead_s[hourly], group_of[hourly], free, history)
-        scale = _width(known.window[group_of], known.steering[group_of])
-        median, issued = raw.median_C, known.issued
+        compared = _scored(last, lead_s[hourly], group_of[hourly], free, history)
+        scale = _width(compared.window[group_of], compared.steering[group_of])
+        median, issued = raw.median_C, compared.issued
         if issued is None or not issued.time_s.size or now - issued.time_s[-1] >= _EVERY_S - 1.0:
             up, down = raw.quantiles_C[-1] - median, median - raw.quantiles_C[0]
             new = np.stack([median, np.maximum(up, 1e-6), np.maximum(down, 1e-6)])[None, :, hourly]
             # NaN marks forecasts issued without a known width, which were not adapted.
-            given = np.where(np.isnan(known.window), np.nan, known.steering)[None]
+            adapted = np.where(np.isnan(compared.window), np.nan, compared.steering)[None]
             if issued is None:
-                issued = _Issued(np.array([now]), new, given)
+                issued = _Issued(np.array([now]), new, adapted)
             else:
                 issued = _Issued(
                     np.append(issued.time_s, now),
                     np.concatenate([issued.raw, new]),
-                    np.concatenate([issued.adapted, given]),
+                    np.concatenate([issued.adapted, adapted]),
                 )
         note = f"{raw.note}; interval times {scale.min():.1f} to {scale.max():.1f}"
         forecast = FreeForecast(raw.levels, np.asarray(median + scale * (raw.quantiles_C - median)), note)
-        return forecast, replace(known, issued=issued, latest_s=now, n_steps=n, inner=inner)
+        return forecast, replace(compared, issued=issued, latest_s=now, n_steps=n, inner=inner)
 
 
-def _compared(
+def _scored(
     last: CalibratedState, lead_s: Array, group_of: NDArray[np.intp], free: Array, history: Record
 ) -> CalibratedState:
     """The state after comparing the values since the last call with what forecast them at `lead_s` (K,), s."""
@@ -168,15 +168,15 @@ def _compared(
         return last
     which, lead = np.nonzero(due)
     median, up, down = issued.raw[which, :, lead].T
-    gap = _known(ends[due], history.time_s, free) - median
+    gap = _free_at(ends[due], history.time_s, free) - median
     score = np.abs(gap) / np.where(gap >= 0, up, down)
     group, at = group_of[lead], last.window[group_of[lead]]
     adapted = issued.adapted[which, group]
     inside = score <= _width(at, adapted)
-    judged = np.isfinite(score + adapted + at)
+    scored = np.isfinite(score + adapted + at)
     steering = last.steering.copy()
-    for index in np.unique(group[judged]):
-        share = float(inside[judged & (group == index)].mean())
+    for index in np.unique(group[scored]):
+        share = float(inside[scored & (group == index)].mean())
         steering[index] = np.clip(steering[index] + _STEERING_OF_GROUP[index] * (_INSIDE - share), *_STEERING_RANGE)
     instants, row = np.unique(ends[due], return_inverse=True)
     new = np.full((instants.size, lead_s.size), np.nan)
@@ -185,7 +185,7 @@ def _compared(
     window = np.array([_quantile(values[:, group_of == index], _INSIDE) for index in range(_GROUPS)])
     return replace(
         last,
-        issued=issued.kept(np.asarray((ends[:, -1:] > now + 0.5).any(axis=1))),
+        issued=issued.select(np.asarray((ends[:, -1:] > now + 0.5).any(axis=1))),
         scores=_Scores(np.concatenate([scores.time_s[fresh], instants]), values),
         steering=steering,
         window=window,
@@ -207,7 +207,7 @@ def _width(window: Array | float, steering: Array | float) -> Array:
     return np.nan_to_num(np.clip(window * np.exp(steering), *_SCALE_RANGE), nan=1.0)
 
 
-def _known(ends_s: Array, time_s: Array, free: Array) -> Array:
+def _free_at(ends_s: Array, time_s: Array, free: Array) -> Array:
     """Return the control-free temperature at `ends_s` (N,), NaN if not in the history."""
     index = np.searchsorted(time_s, ends_s - 0.5)
     inside = (index < time_s.size) & (ends_s >= time_s[0] - 0.5)

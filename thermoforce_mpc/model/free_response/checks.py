@@ -64,9 +64,9 @@ def quantiles_from_errors(center: Array, errors: Array) -> Array:
     offsets = np.zeros((LEVELS.size, center.size))
     last = np.zeros(LEVELS.size)
     for lead in range(center.size):
-        known = errors[:, lead][np.isfinite(errors[:, lead])]
-        if known.size >= 8:
-            last = np.quantile(known, LEVELS)
+        finite = errors[:, lead][np.isfinite(errors[:, lead])]
+        if finite.size >= 8:
+            last = np.quantile(finite, LEVELS)
             last = last - np.interp(0.5, LEVELS, last)  # keep the forecast as the median
         offsets[:, lead] = last
     return np.asarray(np.sort(center + offsets, axis=0))

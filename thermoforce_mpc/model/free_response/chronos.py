@@ -107,29 +107,31 @@ class ChronosFreeResponse:
         self, free_C: Array, history: Record, boundary: Boundary, state: object
     ) -> Computation[tuple[FreeForecast, object]]:
         """See `ComputedFreeResponse.following`; raises what `forecast` raises."""
-        (found,) = yield from self.forecasting([(free_C, history, boundary)])
-        return found, None
+        (forecast,) = yield from self.forecasting([(free_C, history, boundary)])
+        return forecast, None
 
     def forecasting(self, tasks: Sequence[Task]) -> Computation[list[FreeForecast]]:
-        """`forecast_many` as a computation: it asks the backbone for the quantiles of all its contexts."""
+        """`forecast_many` as a computation: it requests the quantiles of all its contexts from the backbone."""
         inputs: list[list[Resolution] | FreeForecast] = []
         for i, task in enumerate(tasks):
             again = self._again(inputs[-1], tasks[i - 1], task) if i else None
             inputs.append(again or self._input_of(*task))
-        contexts = [one.context for resolutions in inputs if isinstance(resolutions, list) for one in resolutions]
-        found: Iterator[Array] = iter(())
+        contexts = [
+            resolution.context for resolutions in inputs if isinstance(resolutions, list) for resolution in resolutions
+        ]
+        per_context: Iterator[Array] = iter(())
         if contexts:
-            found = iter((yield from perform(Request(self._model, self._passed, contexts))))
+            per_context = iter((yield from perform(Request(self._model, self._run_backbone, contexts))))
         answers = []
         for of_task, (_, _, boundary) in zip(inputs, tasks, strict=True):
             if isinstance(of_task, FreeForecast):
                 answers.append(of_task)
                 continue
-            quantiles = merged(of_task, [next(found) for _ in of_task])
+            quantiles = merged(of_task, [next(per_context) for _ in of_task])
             answers.append(self._checked(np.sort(quantiles, axis=0), boundary))
         return answers
 
-    def _passed(self, contexts: Sequence[Context]) -> list[Array]:
+    def _run_backbone(self, contexts: Sequence[Context]) -> list[Array]:
         """Quantiles of all contexts in one pass through the frozen backbone."""
         import torch
 
@@ -155,12 +157,12 @@ class ChronosFreeResponse:
     def _too_little(self, free: Array, step_s: float) -> str:
         """Return why persistence is needed, or an empty string."""
         context = free[-self._context_steps :]
-        known, seen_values = int(np.isfinite(free).sum()), int(np.isfinite(context).sum())
+        n_measured, n_recent = int(np.isfinite(free).sum()), int(np.isfinite(context).sum())
         # A day has one boundary more than steps.
-        if known < round(_SHORTEST_HISTORY_S / step_s) + 1:
-            return f"only {(known - 1) * step_s / HOUR_S:g} h of history measured"
-        if seen_values < FEWEST_VALUES:
-            return f"only {seen_values} of the last {context.size} values were measured"
+        if n_measured < round(_SHORTEST_HISTORY_S / step_s) + 1:
+            return f"only {(n_measured - 1) * step_s / HOUR_S:g} h of history measured"
+        if n_recent < FEWEST_VALUES:
+            return f"only {n_recent} of the last {context.size} values were measured"
         return ""
 
     def _resolutions_of(self, free: Array, history: Record, boundary: Boundary) -> list[Resolution]:

@@ -24,7 +24,7 @@ def follow(method: FreeResponse, free_C: Array, history: Record, boundary: Bound
 def following(
     method: FreeResponse, free_C: Array, history: Record, boundary: Boundary, state: object
 ) -> Computation[Answer]:
-    """`follow` as a computation that asks; a method that does not ask is one ask itself."""
+    """`follow` as a computation that yields requests; a method that makes none is one request itself."""
     # By name: checks of a protocol cost more than all else here.
     if hasattr(method, "following"):
         return (yield from cast(ComputedFreeResponse, method).following(free_C, history, boundary, state))

@@ -153,10 +153,10 @@ def _columns(time_s: Array, T_out: Array, solar: Array, step_s: float) -> tuple[
     q = TIME_CONSTANTS_H.size
     hour_angle = 2 * np.pi * time_s / DAY_S
     cosine, sine = np.cos(hour_angle), np.sin(hour_angle)
-    given = (np.ones(time_s.size), cosine, sine, 2 * cosine**2 - 1, 2 * sine * cosine)  # waves once and twice a day
+    waves = (np.ones(time_s.size), cosine, sine, 2 * cosine**2 - 1, 2 * sine * cosine)  # waves once and twice a day
     columns = simulated(
         np.stack([T_out, solar / _SOLAR_UNIT_W_M2], axis=1),
-        np.stack(given, axis=1),
+        np.stack(waves, axis=1),
         np.exp(-step_s / HOUR_S / TIME_CONSTANTS_H),
         np.array([T_out[0], 0.0]),
     )

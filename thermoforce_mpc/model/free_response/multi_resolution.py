@@ -99,13 +99,13 @@ def merged(resolutions: list[Resolution], answers: list[Array]) -> Array:
 
     Coarse ones are interpolated linearly between their instants, starting from the last known value.
     """
-    courses = tuple((one.stride, len(one.context.ahead_weather)) for one in resolutions)
+    courses = tuple((resolution.stride, len(resolution.context.ahead_weather)) for resolution in resolutions)
     total = np.zeros((len(answers[0]), resolutions[0].n_steps))
-    for one, answer, (of_now, of_answer) in zip(
+    for resolution, answer, (of_now, of_answer) in zip(
         resolutions, answers, _shares(courses, resolutions[0].n_steps), strict=True
     ):
         total += answer @ of_answer
-        total += one.now_C * of_now
+        total += resolution.now_C * of_now
     return total
 
 
@@ -117,12 +117,12 @@ def _shares(courses: tuple[tuple[int, int], ...], n_steps: int) -> list[tuple[Ar
     """
     lead = np.arange(1, n_steps + 1)
     reaches = np.array([lead <= stride * ahead for stride, ahead in courses])
-    found = []
+    shares = []
     for (stride, ahead), reached in zip(courses, reaches / reaches.sum(axis=0), strict=True):
         # The answer to step i of its own counts fully at lead i · stride, and less before and after.
         of_each = np.maximum(0.0, 1.0 - np.abs(lead / stride - np.arange(ahead + 1)[:, None])) * reached
-        found.append((of_each[0], of_each[1:]))
-    return found
+        shares.append((of_each[0], of_each[1:]))
+    return shares
 
 
 def _block_means(weather: Array, stride: int, *, pad_before: bool) -> Array:

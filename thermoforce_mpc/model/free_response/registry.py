@@ -77,7 +77,7 @@ _OWN: dict[str, Callable[..., FreeResponse]] = {
 }
 
 REGISTRY: Registry[Callable[..., FreeResponse]] = Registry(
-    "free response", "free_responses", _OWN, ConfigError, lambda found: unfit(found, ("rc",))
+    "free response", "free_responses", _OWN, ConfigError, lambda entry: unfit(entry, ("rc",))
 )
 
 
@@ -88,7 +88,7 @@ def own_options() -> dict[str, dict[str, Any]]:
 
 def options_of(build: Callable[..., FreeResponse]) -> dict[str, Any]:
     """Return the options of a free response with their defaults."""
-    return {key: one.default for key, one in inspect.signature(build).parameters.items() if key != "rc"}
+    return {key: parameter.default for key, parameter in inspect.signature(build).parameters.items() if key != "rc"}
 
 
 def build_free_response(name: str, *, rc: RcParameters | None = None, **options: Any) -> FreeResponse:

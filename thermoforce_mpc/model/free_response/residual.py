@@ -129,9 +129,9 @@ class ResidualFreeResponse:
                 todo.append((free - fit.past_C, history, boundary))
                 ahead.append(fit.ahead_C)
         rests = yield from self.backbone.forecasting(todo)
-        found = [course + rest.quantiles_C for course, rest in zip(ahead, rests, strict=True)]
+        quantiles = [course + rest.quantiles_C for course, rest in zip(ahead, rests, strict=True)]
         k = len(_NAMES)
-        return [np.array(found[i : i + k]) for i in range(0, len(found), k)], rests[0].note
+        return [np.array(quantiles[i : i + k]) for i in range(0, len(quantiles), k)], rests[0].note
 
     def _learn(self, free: Array, history: Record, boundary: Boundary) -> Computation[Weights]:
         """Return weights from one-day trial forecasts over the last week, made with the measured weather."""
@@ -166,8 +166,8 @@ class ResidualFreeResponse:
         keys = [_key(free, history, t, steps) for t in origins]
         new = [(key, t) for key, t in zip(keys, origins, strict=True) if key not in self._errors]
         if new:
-            found, _ = yield from self._candidates([_past_task(free, history, t, steps) for _, t in new])
-            for (key, t), quantiles in zip(new, found, strict=True):
+            candidates, _ = yield from self._candidates([_past_task(free, history, t, steps) for _, t in new])
+            for (key, t), quantiles in zip(new, candidates, strict=True):
                 self._errors[key] = quantiles[:, LEVELS.size // 2] - free[t + 1 : t + steps + 1]
         for key in keys:
             self._errors.move_to_end(key)
@@ -189,8 +189,8 @@ def _key(free: Array, history: Record, origin: int, steps: int) -> tuple[float, 
     All past values are hashed, since an adapted operator or a corrected record changes the past series. Within a run
     the past does not change, so cached trials are found again.
     """
-    known = history.slice(0, origin + steps)
+    past = history.slice(0, origin + steps)
     digest = hashlib.blake2b(free[: origin + steps + 1].tobytes(), digest_size=16)
     for name in SIGNALS:
-        digest.update(getattr(known, name).tobytes())
+        digest.update(getattr(past, name).tobytes())
     return float(history.time_s[origin]), steps, digest.digest()

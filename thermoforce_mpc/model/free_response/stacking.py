@@ -50,6 +50,6 @@ def stacking_weights(
         sum_one = _SUM_WEIGHT * np.sqrt(size)
         A = np.vstack([root, pull * np.eye(k), np.full((1, k), sum_one)])
         b = np.concatenate([np.zeros(k), pull * prior, [sum_one]])
-        found, _ = nnls(A, b)
-        weights[:, lead] = (found / found.sum())[:, None]
+        solution, _ = nnls(A, b)
+        weights[:, lead] = (solution / solution.sum())[:, None]
     return weights

@@ -49,12 +49,12 @@ class SubstituteState:
 class WithSubstitutes:
     """`method`, or the first of linear weather model and persistence that gives a forecast fit to plan with.
 
-    `FreeForecast.doubt` says why another method took its place. The method is asked again at every step.
+    `FreeForecast.doubt` says why another method took its place. The method is tried again at every step.
 
     Args:
-        method: the free response asked first.
-        substitutes: asked in turn where the method fails; without any, its failures are raised, and what is finite is
-            believed.
+        method: the free response tried first.
+        substitutes: tried in turn where the method fails; without any, its failures are raised, and what is finite is
+            taken.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class WithSubstitutes:
             absurd = absurdity(answer, free, history, boundary) if self._substitutes else ""
             if absurd:
                 raise DataError(f"free response '{self.name}' {absurd}")
-        except Exception as error:  # whatever a forecaster does, the next one is asked
+        except Exception as error:  # whatever a forecaster does, the next one is tried
             reasons = [str(error) if isinstance(error, ThermoForceError) else f"{type(error).__name__}: {error}"]
         else:
             return answer, SubstituteState(after)
@@ -120,28 +120,28 @@ class WithSubstitutes:
 
 def absurdity(forecast: FreeForecast, free_C: Array, history: Record, boundary: Boundary) -> str:
     """What is absurd about a forecast (Q, N) after `free_C` (n + 1,), °C, in words; empty where nothing is."""
-    known = np.flatnonzero(np.isfinite(free_C))
+    finite = np.flatnonzero(np.isfinite(free_C))
     # Where the last readings are missing, the temperature has moved on since.
-    last, age = float(free_C[known[-1]]), int(free_C.size - 1 - known[-1])
+    last, age = float(free_C[finite[-1]]), int(free_C.size - 1 - finite[-1])
     median = forecast.median_C
     half_K = 0.5 * (forecast.quantile_C(0.9) - forecast.quantile_C(0.1))
     leads = sorted({max(1, round(hours * HOUR_S / boundary.step_s)) for hours in _LEADS_H})
     allowed = {lead: _allowed_K(free_C, lead + age) for lead in leads if lead <= boundary.n_steps}
     ends = [*allowed, boundary.n_steps]
     largest = dict(zip(ends, [*allowed.values(), max(allowed.values())], strict=True))
-    found = [lead for lead, most in largest.items() if not abs(median[lead - 1] - last) <= most]
+    far = [lead for lead, most in largest.items() if not abs(median[lead - 1] - last) <= most]
     wide = [lead for lead, most in largest.items() if not half_K[lead - 1] <= _WIDEST * most]
-    if not (found or wide):
+    if not (far or wide):
         return ""
-    if found:
-        lead = found[0]
+    if far:
+        lead = far[0]
         hours = lead * boundary.step_s / HOUR_S
-        what = (
+        finding = (
             f"goes from {last:.1f} °C to {median[lead - 1]:.1f} °C in {hours:g} h, where the record changed by less "
             f"than {largest[lead]:.1f} K"
         )
     else:
-        what = f"has an interval of ±{half_K[wide[0] - 1]:.0f} K"
+        finding = f"has an interval of ±{half_K[wide[0] - 1]:.0f} K"
     try:
         other, most, whom = LinearWeather().forecast(free_C, history, boundary).median_C, _FROM_WEATHER_MODEL_K, "that"
     except DataError:
@@ -149,7 +149,7 @@ def absurdity(forecast: FreeForecast, free_C: Array, history: Record, boundary: 
     apart = float(np.abs(median - other).max())
     if apart <= most and not wide:
         return ""
-    return f"{what}; it is {apart:.1f} K from {whom}{' of the linear weather model' if whom == 'that' else ''}"
+    return f"{finding}; it is {apart:.1f} K from {whom}{' of the linear weather model' if whom == 'that' else ''}"
 
 
 def _allowed_K(free_C: Array, lead: int) -> float:

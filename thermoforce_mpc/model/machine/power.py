@@ -153,9 +153,9 @@ def fit_power(
     water = fit_return_water(
         T_return, T_zone, u, lambda factor: fit(factor).quality.rmse_W ** 2 * plain.quality.n_running, full_W=full_W
     )
-    found = plain if water is None else fit(water.factor(T_return))
-    quality = found.quality
-    return PowerModel(found.load, quality.rmse_W, quality.r2, f"fitted to {quality.n_samples} steps", water)
+    best = plain if water is None else fit(water.factor(T_return))
+    quality = best.quality
+    return PowerModel(best.load, quality.rmse_W, quality.r2, f"fitted to {quality.n_samples} steps", water)
 
 
 def fit_both_directions(histories: Sequence[Record], heating: Array, cooling: Array) -> PowerModel:
@@ -175,24 +175,26 @@ def fit_both_directions(histories: Sequence[Record], heating: Array, cooling: Ar
     T_out, power = (
         np.concatenate([values(h) for h in histories]) for values in (lambda h: h.T_out_C[:-1], lambda h: h.power_W[0])
     )
-    known = np.isfinite(heating) & np.isfinite(cooling) & np.isfinite(T_out) & np.isfinite(power)
-    sides = {"heating": np.where(known, heating, math.nan), "cooling": np.where(known, cooling, math.nan)}
-    seen = [name for name, level in sides.items() if np.sum(level > LEVEL_EDGE) >= LEAST_RUNNING]
-    steps = {name: usable_steps(sides[name], T_out, power, f"power of {name}") for name in seen or sides}
-    ends = {name: EndValues.around(of) for name, of in steps.items()}
-    design = np.hstack([of.u[:, None] * ends[name].weights(of.T_out_C) for name, of in steps.items()])
-    load_W = power[known]
+    measured = np.isfinite(heating) & np.isfinite(cooling) & np.isfinite(T_out) & np.isfinite(power)
+    sides = {"heating": np.where(measured, heating, math.nan), "cooling": np.where(measured, cooling, math.nan)}
+    used = [name for name, level in sides.items() if np.sum(level > LEVEL_EDGE) >= LEAST_RUNNING]
+    steps = {name: usable_steps(sides[name], T_out, power, f"power of {name}") for name in used or sides}
+    ends = {name: EndValues.around(side) for name, side in steps.items()}
+    design = np.hstack([side.u[:, None] * ends[name].weights(side.T_out_C) for name, side in steps.items()])
+    load_W = power[measured]
     full = float(np.max(load_W))
-    prior = [one.sloping(POWER_SLOPE.mean_per_K) / (POWER_SLOPE.sd_per_K * full) for one in ends.values()]
+    prior = [end_values.sloping(POWER_SLOPE.mean_per_K) / (POWER_SLOPE.sd_per_K * full) for end_values in ends.values()]
     rows = np.vstack([design / (RESIDUAL_SCALE * full), block_diag(*prior)])
     values = np.concatenate([load_W / (RESIDUAL_SCALE * full), np.zeros(len(ends))])
     solution = lsq_linear(rows, values, bounds=(LEAST_W, np.inf)).x
-    loads = {name: one.load(solution[2 * i : 2 * i + 2], 1.0) for i, (name, one) in enumerate(ends.items())}
-    both = (heating + cooling)[known]
-    quality = Quality.of(design @ solution, Steps(both, T_out[known], load_W, both > LEVEL_EDGE, known))
+    loads = {
+        name: end_values.load(solution[2 * i : 2 * i + 2], 1.0) for i, (name, end_values) in enumerate(ends.items())
+    }
+    both = (heating + cooling)[measured]
+    quality = Quality.of(design @ solution, Steps(both, T_out[measured], load_W, both > LEVEL_EDGE, measured))
     source = f"fitted to {quality.n_samples} steps"
     if len(loads) == 1:
-        source += f" of {seen[0]}; the other direction was hardly used and is taken to cost as much"
+        source += f" of {used[0]}; the other direction was hardly used and is taken to cost as much"
     first = next(iter(loads.values()))
     return PowerModel(
         loads.get("heating", first), quality.rmse_W, quality.r2, source, cooling=loads.get("cooling", first)

@@ -75,11 +75,11 @@ def fit_return_water(
         misfit_of: sum of squared residuals, W², of the load fitted to the measured power with given factors (n,).
         full_W: scale of the power, W: a step's error has a standard deviation of `RESIDUAL_SCALE` times it.
     """
-    known = np.isfinite(T_return_C) & (u > LEVEL_EDGE)
-    if known.sum() < _LEAST_STEPS:
+    running = np.isfinite(T_return_C) & (u > LEVEL_EDGE)
+    if running.sum() < _LEAST_STEPS:
         return None
-    low, high = float(T_return_C[known].min()), float(T_return_C[known].max())
-    reference = float(np.average(T_return_C[known], weights=u[known]))
+    low, high = float(T_return_C[running].min()), float(T_return_C[running].max())
+    reference = float(np.average(T_return_C[running], weights=u[running]))
     above_K = above_zone(T_return_C, T_zone_C, u)
     if not np.isfinite(above_K):
         return None
@@ -91,5 +91,5 @@ def fit_return_water(
         prior = ((per_K - _PRIOR_PER_K) / _PRIOR_SD_PER_K) ** 2
         return misfit_of(water(per_K).factor(T_return_C)) / (RESIDUAL_SCALE * full_W) ** 2 + prior
 
-    found = minimize_scalar(loss, bounds=_BOUNDS_PER_K, method="bounded", options={"xatol": 1e-5})
-    return water(float(found.x))
+    minimum = minimize_scalar(loss, bounds=_BOUNDS_PER_K, method="bounded", options={"xatol": 1e-5})
+    return water(float(minimum.x))

@@ -46,8 +46,8 @@ def modulation_function(params: OperatorParameters) -> ca.Function:
 def step_function(params: OperatorParameters) -> ca.Function:
     """Return `F(t+1)` (paper eq:operator): F (r,) K, u, x (4,) with T − F in it → F_next (r,) K."""
     F, u, x = ca.SX.sym("F", params.order), ca.SX.sym("u"), ca.SX.sym("x", N_FEATURES)
-    seen = ca.vertcat(x[ZONE] + ca.sum1(F), x[ZONE + 1 :]) if params.feedback_active else x
-    drive = modulation_function(params)(seen) * heat_input_expression(params.heat_input, u, x[OUTDOOR])
+    inputs = ca.vertcat(x[ZONE] + ca.sum1(F), x[ZONE + 1 :]) if params.feedback_active else x
+    drive = modulation_function(params)(inputs) * heat_input_expression(params.heat_input, u, x[OUTDOOR])
     F_next = ca.DM(params.poles) * F + ca.DM(params.gains) * drive
     return ca.Function("forced_step", [F, u, x], [F_next], ["F", "u", "x"], ["F_next"])
 

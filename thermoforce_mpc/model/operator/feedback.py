@@ -67,8 +67,8 @@ def feedback_bounds(params: OperatorParameters, n_steps: int) -> FeedbackBounds:
         corners = _pruned(np.concatenate([corners @ step.T for step in steps]) if low < high else corners @ steps[0].T)
         margin = margin * max(float(np.abs(step).sum(axis=0).max()) for step in steps)
         margin += _ROUNDING * float(np.abs(corners).max()) if low < high else 0.0
-    found = np.array(responses)
-    return FeedbackBounds((low, high), found[:, 0], found[:, 1])
+    bounds = np.array(responses)
+    return FeedbackBounds((low, high), bounds[:, 0], bounds[:, 1])
 
 
 def _pruned(corners: Array) -> Array:

@@ -72,8 +72,8 @@ class HeatInput:
     def __call__(self, u: Array, T_out_C: Array) -> Array:
         """Return v for `u` in [0, 1] and `T_out_C` °C (shapes broadcast)."""
         if self.heat is None:
-            known = np.asarray(u, dtype=np.float64) + 0.0 * np.asarray(T_out_C, dtype=np.float64)
-            return known if self.per_K == 0.0 else known * self.outdoor_factor(T_out_C)
+            level = np.asarray(u, dtype=np.float64) + 0.0 * np.asarray(T_out_C, dtype=np.float64)
+            return level if self.per_K == 0.0 else level * self.outdoor_factor(T_out_C)
         return self.heat(u, T_out_C) / self.reference_W
 
     def slope_bounds(self) -> tuple[float, float]:

@@ -89,9 +89,9 @@ class OperatorParameters:
             "feature_scale": (N_FEATURES,),
         }
         for name, shape in shapes.items():
-            found = np.shape(getattr(self, name))
-            if found != shape or 0 in shape:
-                raise DataError(f"operator: {name} has shape {found}, expected {shape} with nothing empty")
+            actual = np.shape(getattr(self, name))
+            if actual != shape or 0 in shape:
+                raise DataError(f"operator: {name} has shape {actual}, expected {shape} with nothing empty")
         for name in (*shapes, "output_bias", "step_s", "gamma"):
             value = np.asarray(getattr(self, name))
             if not (np.isfinite(value).all() and (np.abs(value) <= _LARGEST).all()):

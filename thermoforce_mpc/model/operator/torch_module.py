@@ -81,11 +81,11 @@ class ForcedResponseOperator(nn.Module):
 
     def heat(self, u: Tensor, T_out_C: Tensor) -> Tensor:
         """Return v(u, T_out) of the heat input, differentiable in u; shapes broadcast."""
-        load, of = self.heat_input.heat, self.heat_input
+        load, law = self.heat_input.heat, self.heat_input
         if load is None:
-            if of.per_K == 0.0:
+            if law.per_K == 0.0:
                 return u
-            return u * (1.0 + of.per_K * (torch.clamp(T_out_C, *of.T_out_range_C) - of.reference_C))
+            return u * (1.0 + law.per_K * (torch.clamp(T_out_C, *law.T_out_range_C) - law.reference_C))
         T = torch.clamp(T_out_C, *load.T_out_range_C)
         c0, c1, c2, c3 = load.coefficients
         on = u if load.lowest_level == 1.0 else torch.clamp(u / load.lowest_level, max=1.0)
@@ -108,8 +108,8 @@ class ForcedResponseOperator(nn.Module):
             total = features[..., t, ZONE] + state.sum(-1)
             weather = features[..., t, ZONE + 1 :]
             weather = weather.expand(*torch.broadcast_shapes(total.shape, weather.shape[:-1]), weather.shape[-1])
-            seen = torch.cat([total.expand(weather.shape[:-1])[..., None], weather], dim=-1)
-            drive = self.modulation(seen) * heat[..., t]
+            inputs = torch.cat([total.expand(weather.shape[:-1])[..., None], weather], dim=-1)
+            drive = self.modulation(inputs) * heat[..., t]
             state = self.poles * state + self.gains * drive[..., None]
             out.append(state)
         return torch.stack(out, dim=-2)

@@ -52,11 +52,11 @@ def encode(
         pairs.append({"zone": z, "actuator": a, **_pair_content(pair)})
     zones = []
     for z, (name, linear) in enumerate(zip(operator.zones, free, strict=True)):
-        found = None
+        free_content = None
         if linear is not None:
             arrays |= {f"zone.{z}.{key}": getattr(linear, key) for key in _FREE_ARRAYS}
-            found = {"step_s": linear.step_s, "sensor_sd_K": linear.sensor_sd_K}
-        zones.append({"name": name, "free": found})
+            free_content = {"step_s": linear.step_s, "sensor_sd_K": linear.sensor_sd_K}
+        zones.append({"name": name, "free": free_content})
     content = {
         "zones": zones,
         "actuators": [
@@ -66,8 +66,8 @@ def encode(
             )
         ],
         "machines": [
-            {"name": name, "power": None if one is None else dataclasses.asdict(one)}
-            for name, one in zip(machines, power, strict=True)
+            {"name": name, "power": None if law is None else dataclasses.asdict(law)}
+            for name, law in zip(machines, power, strict=True)
         ],
         "exclusive": [list(group) for group in exclusive],
         "n_trained": operator.n_trained,
@@ -99,9 +99,9 @@ def decode(content: Mapping[str, Any], arrays: Mapping[str, Array]) -> dict[str,
     """
     zones, actuators, machines = (listed(content[key]) for key in ("zones", "actuators", "machines"))
     pairs: list[list[OperatorParameters | None]] = [[None] * len(actuators) for _ in zones]
-    for one in listed(content["pairs"]):
-        z, a = whole(one["zone"], 0, len(zones) - 1), whole(one["actuator"], 0, len(actuators) - 1)
-        pairs[z][a] = _operator(one, arrays, f"pair.{z}.{a}.")
+    for pair in listed(content["pairs"]):
+        z, a = whole(pair["zone"], 0, len(zones) - 1), whole(pair["actuator"], 0, len(actuators) - 1)
+        pairs[z][a] = _operator(pair, arrays, f"pair.{z}.{a}.")
     operator = BuildingOperator(
         tuple(text(zone["name"]) for zone in zones),
         tuple(text(actuator["name"]) for actuator in actuators),
@@ -124,9 +124,9 @@ def decode(content: Mapping[str, Any], arrays: Mapping[str, Array]) -> dict[str,
 
 
 def _operator(data: Mapping[str, Any], arrays: Mapping[str, Array], prefix: str) -> OperatorParameters:
-    given = data["heat_input"]
-    heat = given["heat"]
-    low, high = given.get("T_out_range_C", (0.0, 0.0))
+    heat_input = data["heat_input"]
+    heat = heat_input["heat"]
+    low, high = heat_input.get("T_out_range_C", (0.0, 0.0))
     return OperatorParameters(
         **{name: _array(arrays, prefix + name) for name in _OPERATOR_ARRAYS},
         output_bias=number(data["output_bias"]),
@@ -136,19 +136,19 @@ def _operator(data: Mapping[str, Any], arrays: Mapping[str, Array], prefix: str)
         feedback=truth(data["feedback"]),
         heat_input=HeatInput(
             heat=None if heat is None else _load(heat),
-            reference_C=number(given["reference_C"]),
-            lowest=number(given.get("lowest", 0.0)),
-            per_K=number(given.get("per_K", 0.0)),
+            reference_C=number(heat_input["reference_C"]),
+            lowest=number(heat_input.get("lowest", 0.0)),
+            per_K=number(heat_input.get("per_K", 0.0)),
             T_out_range_C=(number(low), number(high)),
         ),
     )
 
 
 def _array(arrays: Mapping[str, Array], name: str) -> Array:
-    found = arrays[name]
-    if found.dtype.kind != "f":
-        raise TypeError(f"array {name} holds {found.dtype}, expected numbers")
-    return found
+    array = arrays[name]
+    if array.dtype.kind != "f":
+        raise TypeError(f"array {name} holds {array.dtype}, expected numbers")
+    return array
 
 
 def _free(data: Mapping[str, Any] | None, arrays: Mapping[str, Array], prefix: str) -> RcParameters | None:
@@ -199,9 +199,10 @@ def _competence(data: Mapping[str, Any] | None) -> Competence | None:
         advice=tuple(text(advice) for advice in listed(data["advice"])),
         horizons=tuple(
             HorizonScore(
-                blocks=whole(one["blocks"], 0, 10**9), **{key: number_or_nan(one.get(key)) for key in _HORIZON_NUMBERS}
+                blocks=whole(score["blocks"], 0, 10**9),
+                **{key: number_or_nan(score.get(key)) for key in _HORIZON_NUMBERS},
             )
-            for one in listed(data["horizons"])
+            for score in listed(data["horizons"])
         ),
         **{key: number_or_nan(data[key]) for key in _COMPETENCE_NUMBERS},
     )
@@ -210,8 +211,8 @@ def _competence(data: Mapping[str, Any] | None) -> Competence | None:
 def _load(data: Mapping[str, Any]) -> MachineLoad:
     c0, c1, c2, c3 = (number(c) for c in data["coefficients"])
     low, high = (number(T) for T in data["T_out_range_C"])
-    lowest, seen = number(data["lowest_level"]), truth(data["levels_seen"])
-    return MachineLoad((c0, c1, c2, c3), (low, high), lowest, seen, number(data.get("curve_W", 0.0)))
+    lowest, levels_seen = number(data["lowest_level"]), truth(data["levels_seen"])
+    return MachineLoad((c0, c1, c2, c3), (low, high), lowest, levels_seen, number(data.get("curve_W", 0.0)))
 
 
 def _water(data: Mapping[str, Any] | None) -> ReturnWater | None:

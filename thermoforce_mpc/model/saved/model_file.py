@@ -105,13 +105,13 @@ def _is_older(version: object) -> bool:
 
 def _other_version(version: object, writer: object, folder: Path) -> str:
     """What to do about a model of another version, written by the release `writer`."""
-    found = f"format version {version!r:.20}, this release reads {FORMAT_VERSION}"
+    mismatch = f"format version {version!r:.20}, this release reads {FORMAT_VERSION}"
     if _is_older(version):
-        return f"{found}; rewrite it: tf-mpc migrate {folder} --out NEW_FOLDER"
+        return f"{mismatch}; rewrite it: tf-mpc migrate {folder} --out NEW_FOLDER"
     if type(version) is int and version > FORMAT_VERSION:
-        return f"{found}; thermoforce-mpc {writer!s:.20} wrote it: pip install --upgrade thermoforce-mpc"
+        return f"{mismatch}; thermoforce-mpc {writer!s:.20} wrote it: pip install --upgrade thermoforce-mpc"
     return (
-        f"{found} and migrates from {OLDEST_VERSION} on; identify again from the same data, or use "
+        f"{mismatch} and migrates from {OLDEST_VERSION} on; identify again from the same data, or use "
         f"thermoforce-mpc {writer!s:.20}, which wrote it"
     )
 
@@ -119,8 +119,8 @@ def _other_version(version: object, writer: object, folder: Path) -> str:
 def _read_arrays(folder: Path, content: Mapping[str, Any]) -> dict[str, Array]:
     arrays_path = folder / ARRAYS_NAME
     raw = read_bounded(arrays_path, _MOST_ARRAYS_BYTES, ArtifactError)
-    found = hashlib.sha256(raw).hexdigest()
-    if found != content.get("arrays_sha256"):
+    digest = hashlib.sha256(raw).hexdigest()
+    if digest != content.get("arrays_sha256"):
         raise ArtifactError(f"{arrays_path}: damaged or swapped, its sha256 is not the one in {JSON_NAME}")
     try:
         return load_tensors(raw)

@@ -33,8 +33,8 @@ class BoltBackbone:
         self._patch, self._at_once = int(settings.input_patch_size), int(settings.prediction_length)
         self._longest = int(settings.context_length)
         quantiles = [round(float(level), 6) for level in pipeline.quantiles]
-        wanted = LEVELS.round(1).tolist()
-        self._levels = [quantiles.index(level) for level in wanted] if set(wanted) <= set(quantiles) else None
+        levels = LEVELS.round(1).tolist()
+        self._levels = [quantiles.index(level) for level in levels] if set(levels) <= set(quantiles) else None
         self._pass: Callable[[Tensor], Tensor] = self._by_library
         self._passes = 0
         # The decoder runs once per call, so its cache is never read but takes 20 % of the time.

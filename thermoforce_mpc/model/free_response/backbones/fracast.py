@@ -50,10 +50,10 @@ class FracastBackbone:
 
     def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
         """See `Backbone.quantiles_C`."""
-        found: list[Array] = []
+        quantiles: list[Array] = []
         for first in range(0, len(contexts), _AT_ONCE):
             some = contexts[first : first + _AT_ONCE]
             steps = [len(context.ahead_weather) for context in some]
             values = self._model.forecast_batch(padded_series(some), horizon=max(steps))
-            found += [np.asarray(value[:n].T, dtype=np.float64) for value, n in zip(values, steps, strict=True)]
-        return found
+            quantiles += [np.asarray(value[:n].T, dtype=np.float64) for value, n in zip(values, steps, strict=True)]
+        return quantiles

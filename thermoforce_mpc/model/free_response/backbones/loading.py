@@ -30,8 +30,8 @@ _HUB_TIMEOUT_S = 5.0
 # Shipped forecaster, and smaller scales of it for comparison (`tf-mpc bench backbones`).
 _SHIPPED_FOLDERS = {SHIPPED: "bolt_thermal", "shipped_small": "bolt_thermal_small", "shipped_tiny": "bolt_thermal_tiny"}
 SHIPPED_SCALES = tuple(_SHIPPED_FOLDERS)
-# Backbones in use: frozen, so that one serves all who ask for it, in one pass; and the last one asked for, which the
-# next run of a process will ask for again.
+# Backbones in use: frozen, so that one serves all methods that use it, in one pass; and the last one loaded, which
+# the next run of a process will need again.
 _SHARED: weakref.WeakValueDictionary[tuple[object, ...], Backbone] = weakref.WeakValueDictionary()
 _LAST: deque[Backbone] = deque(maxlen=1)
 
@@ -203,8 +203,8 @@ def _check_weights(name: str, model: Any, file: Path) -> None:
 def _cached(name: str, file: str) -> Path | None:
     from huggingface_hub import try_to_load_from_cache
 
-    found = try_to_load_from_cache(name, file)
-    return Path(found) if isinstance(found, str) else None
+    path = try_to_load_from_cache(name, file)
+    return Path(path) if isinstance(path, str) else None
 
 
 def _check_hub(name: str) -> None:
@@ -225,9 +225,9 @@ def _check_hub(name: str) -> None:
                 f"backbone '{name}': {endpoint} cannot be reached ({type(error).__name__}); {advice}"
             ) from error
 
-    found = status("config.json")
-    if found >= 400:
-        raise BackboneError(f"backbone '{name}': {endpoint} answers {found}; check the name, or {advice}")
+    code = status("config.json")
+    if code >= 400:
+        raise BackboneError(f"backbone '{name}': {endpoint} answers {code}; check the name, or {advice}")
     if status(_WEIGHTS) == 404 and status(_SHARDS) == 404:
         raise BackboneError(_unsafe(f"backbone '{name}': {endpoint} has no {_WEIGHTS} of it"))
 
