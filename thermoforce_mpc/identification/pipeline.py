@@ -259,7 +259,7 @@ def identify_many(
     """Identify buildings of any layouts and records of any lengths.
 
     A model is that of `identify`, whatever the others are. Buildings are taken one at a time, when the next result is
-    asked for, so that memory holds one; `research.bench.identify_many` shows where the time goes.
+    asked for, so that memory holds one.
 
     Args:
         buildings: records and options of each.
