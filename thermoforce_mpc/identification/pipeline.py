@@ -261,7 +261,7 @@ def identify_many(
     """Identify buildings of any layouts and records of any lengths.
 
     A model is that of `identify`, whatever the others are. Buildings are taken one at a time, when the next result is
-    requested, so that memory holds one; `benchmarks.bench.identify_many` shows where the time goes.
+    asked for, so that memory holds one.
 
     Args:
         buildings: records and options of each.
