@@ -34,6 +34,7 @@ def test_no_imports_go_in_a_circle():
     # Raises CycleError with the circle.
     TopologicalSorter({name: _imported(file, known) - {name} for name, file in known.items()}).prepare()
 
+
 def _is_private(name: str) -> bool:
     return name.startswith("_") and not name.startswith("__") and name != "_"
 

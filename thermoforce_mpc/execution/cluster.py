@@ -75,7 +75,7 @@ class DaskEngine:
         self._futures: dict[str, Any] = {}
         self._events: queue.SimpleQueue[Event | tuple[str, Any]] = queue.SimpleQueue()
         self._threads: dict[str, int] = {}  # of each worker
-        self._looked, self._working = 0.0, time.monotonic()
+        self._checked_s, self._working_s = 0.0, time.monotonic()
         try:
             self._client = self._connect(self._patience.connect_s)
         except (OSError, ValueError) as error:
@@ -106,8 +106,8 @@ class DaskEngine:
     @property
     def width(self) -> int:
         """Number of workers, which have one thread each."""
-        if time.monotonic() - self._looked > self._patience.look_s:
-            self._look()
+        if time.monotonic() - self._checked_s > self._patience.look_s:
+            self._update_workers()
         return sum(self._threads.values())
 
     @property
@@ -135,8 +135,8 @@ class DaskEngine:
     def wait(self) -> Event:
         """The next event; raises `EngineError` if the scheduler does not come back, or a worker does not fit."""
         while True:
-            if self._client.status == "running" and time.monotonic() - self._looked > self._patience.look_s:
-                self._look()
+            if self._client.status == "running" and time.monotonic() - self._checked_s > self._patience.look_s:
+                self._update_workers()
             try:
                 event = self._events.get(timeout=self._patience.look_s)
             except queue.Empty:
@@ -216,22 +216,22 @@ class DaskEngine:
         link: str = self._client.dashboard_link
         return "" if is_missing(link) else f", dashboard {link}"
 
-    def _look(self) -> None:
-        """Which workers there are now; tells which are gone, and where there are none for long."""
+    def _update_workers(self) -> None:
+        """Read which workers there are now; report those that are gone, and where there are none for long."""
         try:
             former, self._threads = self._threads, self._client.nthreads(callback_timeout=self._patience.connect_s)
-            self._tell_gone(sorted(former.keys() - self._threads.keys()))
+            self._report_gone(sorted(former.keys() - self._threads.keys()))
             problem = "" if self._threads else self._no_worker()
         except OSError:
             problem = f"the Dask scheduler at {self._address} does not answer; waiting for it"
-        self._looked = time.monotonic()
+        self._checked_s = time.monotonic()
         if not problem:
-            self._working = self._looked
-        elif self._looked - self._working > self._patience.repeat_s:
-            self._working = self._looked
+            self._working_s = self._checked_s
+        elif self._checked_s - self._working_s > self._patience.repeat_s:
+            self._working_s = self._checked_s
             self._warn(problem)
 
-    def _tell_gone(self, workers: list[str]) -> None:
+    def _report_gone(self, workers: list[str]) -> None:
         if workers:
             names = ", ".join(workers[:_MOST_NAMED]) + (", …" if len(workers) > _MOST_NAMED else "")
             gone, left = counted(len(workers), "worker"), counted(len(self._threads), "worker")
@@ -259,7 +259,7 @@ class DaskEngine:
                     ) from error
                 time.sleep(_LEAST_S)
         self._threads = {}  # they ended with their scheduler
-        self._look()
+        self._update_workers()
         self._warn(f"the Dask scheduler is back; {counted(len(self._orders), 'task')} sent again")
         for key in self._orders:
             self._send(key, key)

@@ -109,15 +109,15 @@ class _Process:
 
     def __init__(self, events: queue.SimpleQueue[Any]) -> None:
         self._context = Remembering()
-        here, self._there = self._context.Pipe(duplex=False)
-        self._pool = ProcessPoolExecutor(1, self._context, begin, (self._there,))
-        threading.Thread(target=_listen, args=(here, events), daemon=True).start()
+        receiver, self._sender = self._context.Pipe(duplex=False)
+        self._pool = ProcessPoolExecutor(1, self._context, begin, (self._sender,))
+        threading.Thread(target=_listen, args=(receiver, events), daemon=True).start()
 
     def submit(self, key: str, payload: bytes) -> Future[Answer]:
         """Run `payload`; raises `BrokenProcessPool`."""
         with one_thread_each(), _interrupts_blocked():  # the first task starts the process
             future = self._pool.submit(work, key, payload)
-        self._there.close()  # so that the pipe ends with the process
+        self._sender.close()  # so that the pipe ends with the process
         return future
 
     def close(self) -> None:

@@ -41,8 +41,8 @@ MOST_ERROR_K = {1.0: 0.5, 6.0: 1.0}
 # this probability): a quiet day held out makes persistence good.
 MOST_OVER_PERSISTENCE, WORSE_PROBABILITY = 1.1, 0.95
 # The same for being better than the weather alone at one of the judged lead times. Below, what the action does was not
-# seen. Of actuators that do nothing, hardly one comes to this test (`research.zones.placebo`): the explained share and
-# the standard deviation of the effect stop them. At 95 % it would stop rooms that need little heat.
+# seen. Of actuators that do nothing, hardly one comes to this test (`python -m benchmarks.zones.placebo`): explained
+# share and standard deviation of the effect stop them. At 95 % it would stop rooms that need little heat.
 BETTER_PROBABILITY = 0.9
 # Largest relative standard deviation of the effect of eight hours at full level, the length of a pre-heating; plans of
 # later steps correct what comes later. At 0.43 the sign is certain to 99 %; at 0.4 the 90 % interval is a third to five
