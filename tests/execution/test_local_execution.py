@@ -12,8 +12,9 @@ import executed_tasks as functions
 import pytest
 from waiting import LONG_S, wait_for
 
+from benchmarks.cases import TaskFailed, collect
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.execution import JsonResults, LocalEngine, Outcome, Task, TaskFailed, collect, execute, local
+from thermoforce_mpc.execution import JsonResults, LocalEngine, Outcome, Task, execute, local
 from thermoforce_mpc.execution.engine import Begun
 
 ROOT = Path(__file__).resolve().parents[2]
