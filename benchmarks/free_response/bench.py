@@ -67,7 +67,7 @@ def run_free_response_bench(
         with LocalEngine(1) as engine:
             sources += energyplus.energyplus_sources(engine)
     else:
-        progress("EnergyPlus left out: not installed (pip install 'thermoforce-mpc[energyplus]')")
+        progress("EnergyPlus left out: not installed (pip install -e '.[energyplus]')")
     sources += boptest_sources(reference) if reference else []
     sources += mons_sources(houses) if houses else []
     scores: dict[str, dict[str, Score]] = {}
