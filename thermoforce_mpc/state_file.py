@@ -127,7 +127,7 @@ class StateFormat:
             case {"dict": items}:
                 return {self._built(key, arrays): self._built(item, arrays) for key, item in items}
             case {"enum": name, "member": member}:
-                return self._stored(name).of[member]  # type: ignore[index]
+                return self._stored(name).of[member]
             case {"is": name, "of": fields}:
                 stored = self._stored(name)
                 return stored.of(**stored.upgraded({key: self._built(item, arrays) for key, item in fields.items()}))
