@@ -33,7 +33,7 @@ def test_a_state_is_read_as_it_was_written(tmp_path):
     assert others == values
     assert type(others["judged"]) is Judged
     assert (again.first_s, again.peak_W, again.predictor) == (0.1 + 0.2, float("inf"), None)
-    np.testing.assert_array_equal(again.margins.offset_K, state.offset_K)
+    np.testing.assert_array_equal(again.margins.offset_K, state.margins.offset_K)
     found = again.watch[0]
     assert (found.alarm, found.since_s, found.returned_s) == ("weak", 7.0, -float("inf"))
     assert found.asked[0] == (900.0, 0.5)
