@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 import pytest
-from simple_house import OutdoorResponse, SimpleHouse, simple_model
+from faults import FaultyHouse
+from simple_house import OutdoorResponse, simple_model
 
 from benchmarks.faults.bench import _Recorded, _targets
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
-from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 
@@ -43,16 +44,13 @@ def test_an_unnoticed_fault_misses_its_target_only_where_it_has_consequences():
 
 
 def test_errors_of_predictions_six_hours_ahead_are_recorded():
-    class Warmer(SimpleHouse):
+    def warmer(house: FaultyHouse, hours: float) -> float:
         """0.05 K per hour more from the second day on."""
-
-        def _advance(self, u, duration_s):
-            self.T += 0.05 * duration_s / HOUR_S * (self.now_s >= 11 * DAY_S)
-            return super()._advance(u, duration_s)
+        return 0.05 * hours * (house.now_s >= 11 * DAY_S)
 
     model = simple_model()
     mpc = ThermoForceMPC(model, MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
-    recorded, house = _Recorded(mpc, model), Warmer()
+    recorded, house = _Recorded(mpc, model), FaultyHouse(moves=warmer)
     run_closed_loop(house, recorded, house.period("x"))
     assert recorded.error_K(10 * DAY_S, 11 * DAY_S) < 0.05
     assert recorded.error_K(11.25 * DAY_S, 12 * DAY_S) == pytest.approx(6 * 0.05, abs=0.03)
