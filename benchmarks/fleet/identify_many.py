@@ -29,8 +29,8 @@ from thermoforce_mpc.identification.pipeline import BuildingRecords, Identified,
 from thermoforce_mpc.identification.probing.probe import Probing
 from thermoforce_mpc.model.free_response.rc import INPUTS
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
+from thermoforce_mpc.plants.drawn_houses.weeks import WEEKS
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
-from thermoforce_mpc.plants.weeks import WEEKS
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.models.identifying import identification_settings
 

@@ -20,14 +20,21 @@ def day_period(name: str, named: Iterable[str]) -> Period:
     Raises:
         InputError: `name` is not a number, or not a day of the year.
     """
-    try:
-        day = float(name)
-    except ValueError:
-        known = ", ".join(named) or "nothing else"
-        raise InputError(f"period '{name}': expected {known} or a start day") from None
+    if not is_day(name):
+        raise InputError(f"period '{name}': expected {', '.join(named) or 'nothing else'} or a start day")
+    day = float(name)
     if not 0.0 <= day < 365.0:
         raise InputError(f"period '{name}': a start day lies between 0 and 365")
     return Period(f"day {day:g}", day * DAY_S)
+
+
+def is_day(name: str) -> bool:
+    """Whether the name of a window is a number: its start day."""
+    try:
+        float(name)
+    except ValueError:
+        return False
+    return True
 
 
 def check_start(start_s: float, warmup_s: float) -> None:
@@ -114,3 +121,14 @@ def check_record_step(step_s: float) -> None:
     """Raise `InputError` unless a record can be asked for at steps of `step_s`: finite and positive, s."""
     if not (math.isfinite(step_s) and step_s > 0):
         raise InputError(f"history at {step_s!r} s: expected a positive number of seconds")
+
+
+def record_times(begin_s: float, now_s: float, step_s: float) -> Array:
+    """Return the ends of steps of `step_s` back from `now_s` as far as `begin_s`, s, shape (n + 1,).
+
+    Raises:
+        InputError: `step_s` is not positive.
+    """
+    check_record_step(step_s)
+    n = math.floor((now_s - begin_s) / step_s + 1e-9)
+    return np.asarray(now_s - np.arange(float(n), -1.0, -1.0) * step_s)

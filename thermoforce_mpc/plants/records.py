@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -89,18 +89,11 @@ def mean_levels(time_s: Array, levels: Array, edges: Array) -> Array:
     return np.stack([interval_means({"time": time_s, "u": row}, ["u"], edges) for row in levels])
 
 
-def past_record(
-    record: Mapping[str, Array], points: BuildingPoints, levels: Callable[[Array], Array], now_s: float, step_s: float
-) -> Record:
-    """Return sampled points as a `Record` at `step_s` that ends at `now_s`; the oldest partial step is dropped.
-
-    `levels` gives the mean actuator levels between edges (n + 1,), shape (A, n).
-    """
-    n = math.floor((now_s - record["time"][0]) / step_s + 1e-9)
-    edges: Array = now_s - np.arange(float(n), -1.0, -1.0) * step_s
+def past_record(record: Mapping[str, Array], points: BuildingPoints, levels: Array, edges: Array) -> Record:
+    """Return sampled points as a `Record` of the steps between `edges` (n + 1,), s, with mean `levels` (A, n)."""
     names = (*points.temperatures, points.outdoor_temperature, points.solar)
     *T_zone, T_out, solar = (np.interp(edges, record["time"], record[name]) for name in names)
-    acting = acting_means(record, points, levels(edges), edges)
+    acting = acting_means(record, points, levels, edges)
     return Record(
         time_s=edges,
         T_zone_C=np.stack(T_zone) - ZERO_C_K,

@@ -10,8 +10,8 @@ import pytest
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError
-from thermoforce_mpc.plants.envelope import MASSES
-from thermoforce_mpc.plants.occupants import PATTERNS, at_home
+from thermoforce_mpc.plants.drawn_houses.envelope import MASSES
+from thermoforce_mpc.plants.drawn_houses.occupants import PATTERNS, at_home
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, house_testcase, physics
 from thermoforce_mpc.plants.random_houses.draw import MACHINES, heat_pump_cop
 from thermoforce_mpc.plants.random_houses.plant import year_of

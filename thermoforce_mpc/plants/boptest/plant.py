@@ -7,7 +7,6 @@ import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from types import TracebackType
 from typing import Literal
 
 import numpy as np
@@ -24,7 +23,14 @@ from boptest_client import (
 from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array, Bands, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError, InputError, NoForecast, NoSuchTest, PlantError
 from thermoforce_mpc.plants.boptest.points import check_points
-from thermoforce_mpc.plants.checks import check_levels, check_record_step, day_period, forecast_times
+from thermoforce_mpc.plants.checks import (
+    check_levels,
+    check_record_step,
+    day_period,
+    forecast_times,
+    is_day,
+    record_times,
+)
 from thermoforce_mpc.plants.records import (
     acting_means,
     boundary,
@@ -34,6 +40,7 @@ from thermoforce_mpc.plants.records import (
     past_record,
     recorded_levels,
 )
+from thermoforce_mpc.plants.shell import Releasing
 from thermoforce_mpc.scenario.testcase import PRICES, TestCase
 
 _LOG = logging.getLogger(__name__)
@@ -45,7 +52,7 @@ _CLOCK_TOLERANCE_S = 1e-3
 Uncertainty = Literal["none", "low", "medium", "high"]
 
 
-class BoptestPlant:
+class BoptestPlant(Releasing):
     """Test case of a BOPTEST service. Closing the plant stops the test.
 
     ```python
@@ -135,7 +142,7 @@ class BoptestPlant:
             InputError: `name` is neither a scenario of the service nor a day of the year.
             PlantError: the service failed.
         """
-        if _is_day(name):
+        if is_day(name):
             return day_period(name, self._start_of)
         if name not in self._start_of:
             self._start_of[name] = self._initialize_scenario(name).time_s
@@ -241,7 +248,8 @@ class BoptestPlant:
         with _failures():
             record = self._recorded(self._begin_s, self._now_s, self._watched_names())
         # Services that do not record the warm-up start the record at the present.
-        return past_record(record, self._points, lambda edges: self._levels(record, edges), self._now_s, step_s)
+        edges = record_times(float(record["time"][0]), self._now_s, step_s)
+        return past_record(record, self._points, self._levels(record, edges), edges)
 
     def kpis(self) -> dict[str, float]:
         """Return the service's KPIs since the end of the warm-up; KPIs the test case does not have are omitted."""
@@ -259,7 +267,7 @@ class BoptestPlant:
             PlantError: the test stands elsewhere than `last` or the end of the step after it.
         """
         self._scenario = replace(self._scenario, electricity_price=price)
-        named = {name: period.start_s for name, period in periods.items() if not _is_day(name)}
+        named = {name: period.start_s for name, period in periods.items() if not is_day(name)}
         self._start_of |= named
         scenario = warmup_s == _SCENARIO_WARMUP_S and start_s in named.values()
         self._now_s, self._begin_s = last.time_s, max(start_s - warmup_s, 0.0)
@@ -278,14 +286,6 @@ class BoptestPlant:
             self._client.stop()
         except BoptestError as error:
             _LOG.warning("the test was not stopped, the service will drop it when idle: %s", error)
-
-    def __enter__(self) -> BoptestPlant:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _stepped(self, applied: Mapping[str, float], duration_s: float) -> dict[str, float]:
         """The points at the end of a step, to which the clock is set: of a new one, or of that whose answer was lost.
@@ -388,15 +388,6 @@ class BoptestPlant:
 
     def _read_kpis(self) -> dict[str, float]:
         return {name: value for name, value in self._client.kpi().items() if value is not None}
-
-
-def _is_day(name: str) -> bool:
-    """Whether the name of a window is its start day."""
-    try:
-        float(name)
-    except ValueError:
-        return False
-    return True
 
 
 @contextlib.contextmanager

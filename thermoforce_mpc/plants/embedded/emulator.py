@@ -6,8 +6,7 @@ import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -16,34 +15,33 @@ from thermoforce_mpc.boundary.forecast_error import ForecastError, forecast_weat
 from thermoforce_mpc.boundary.periods import heating_windows, published_windows
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import (
-    DAY_S,
     HOUR_S,
     YEAR_S,
     ZERO_C_K,
     Array,
+    Block,
     Boundary,
-    Levels,
     Measurement,
     Period,
     PlantInfo,
     Record,
 )
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.checks import check_levels, check_record_step, check_start, forecast_times
+from thermoforce_mpc.plants.checks import day_period, is_day
 from thermoforce_mpc.plants.embedded import kernel, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.plants.embedded.counting import integrals
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
 from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, CountedKpis, peak_power
 from thermoforce_mpc.plants.records import interval_means
+from thermoforce_mpc.plants.shell import CLOCK_S, PlantShell
+from thermoforce_mpc.scenario.building import Price
 from thermoforce_mpc.version import VERSION
 
 _COLUMN = {name: i for i, name in enumerate(kernel.RECORD)}
 
 # Shortest step, s; shorter ones are lost in the rounding of the clock.
 LEAST_STEP_S = 1e-3
-# Smallest time difference between two samples, s.
-_CLOCK_S = 1e-6
 
 # Overwrite inputs of the test case in the kernel's order: (name, lowest, highest), in units of BOPTEST's interface.
 OVERWRITES = (("oveHeaPumY", 0.0, 1.0), ("oveTSet", 278.15, 308.15), ("ovePum", 0.0, 1.0), ("oveFan", 0.0, 1.0))
@@ -77,14 +75,14 @@ class Snapshot:
     now_s: float
     begin_s: float
     start_s: float
-    price: str
+    price: Price
     record: tuple[Array, ...]
     times: tuple[Array, ...]
     first: Array
     counted: Mapping[str, CountedKpis]
 
 
-class EmbeddedPlant:
+class EmbeddedPlant(PlantShell):
     """Emulator behind the `Plant` protocol. Deterministic: same inputs, same bytes.
 
     ```python
@@ -116,7 +114,6 @@ class EmbeddedPlant:
         self._network = build_network()
         self._grid = build_exposure(weather).grid
         self._tariffs = tariffs.by_name(highly_dynamic)
-        self._price = "constant"
         self._periods = periods
         self.reset(0.0, 0.0)
 
@@ -137,52 +134,29 @@ class EmbeddedPlant:
         Raises:
             InputError: `name` is neither a known window nor a day of the year.
         """
-        try:
-            day = float(name)
-        except ValueError:
-            if self._periods is None:
-                self._periods = published_windows(self.weather.fingerprint) or heating_windows(self.native_power_W())
-            if name not in self._periods:
-                raise InputError(f"period '{name}': expected {', '.join(self._periods)} or a start day") from None
-            return self._periods[name]
-        if not 0.0 <= day < 365.0:
-            raise InputError(f"period '{name}': a start day lies between 0 and 365")
-        return Period(f"day {day:g}", day * DAY_S)
+        if is_day(name):
+            return day_period(name, ())
+        if self._periods is None:
+            self._periods = published_windows(self.weather.fingerprint) or heating_windows(self.native_power_W())
+        return self._periods[name] if name in self._periods else day_period(name, self._periods)
 
-    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
-        """Start at `start_s` after `warmup_s` of native control, shortened at the beginning of the year.
-
-        Raises:
-            InputError: a time is not a finite nonnegative number inside the year, or the tariff is unknown.
-        """
-        check_start(start_s, warmup_s)
-        self.tariff(price)
-        self._price = price
+    def _begin(self) -> None:
         self._nodes = self._network.start_K.copy()
         self._scalars = np.zeros(kernel.N_SCALARS)
         self._scalars[[kernel.T_AIR, kernel.T_SUPPLY, kernel.T_RETURN, kernel.T_OPERATIVE]] = 293.15
         self._scalars[kernel.LAST_T_PIPE] = self._nodes[self._network.pipe]
         self._scalars[kernel.T_EVAPORATOR] = 278.15
         self._scalars[kernel.CO2_PPM] = 400.0
-        self._start_s = float(start_s)
-        self._begin_s = self._now_s = float(max(start_s - warmup_s, 0.0))
         self._record: list[Array] = []
         self._times: list[Array] = []
         self._first = self._sample()
         self._counted: dict[str, CountedKpis] = {}
-        if self._start_s > self._now_s:
-            self._advance({}, self._start_s - self._now_s)
-        return self._measurement(np.empty((0, len(kernel.RECORD))))
 
-    def advance(self, u: Levels, duration_s: float) -> Measurement:
-        """Apply the compressor level `u` in [0, 1] (None: native control) for `duration_s`.
+    def _run(self, block: Block) -> None:
+        self._advance(_overrides(block), block.duration_s)
 
-        Raises:
-            InputError: `u` or `duration_s` is out of range.
-        """
-        block = check_levels(u, duration_s)
-        level = block.u[0]
-        return self.advance_points({} if level is None else {"oveHeaPumY": level}, block.duration_s)
+    def _advanced(self, block: Block) -> Measurement:
+        return self.advance_points(_overrides(block), block.duration_s)
 
     def advance_points(self, overrides: Mapping[str, float], duration_s: float) -> Measurement:
         """Advance with overwrite inputs by BOPTEST name (temperatures in K); inputs not given stay native.
@@ -202,15 +176,11 @@ class EmbeddedPlant:
             raise InputError(f"step of {duration_s!r}: expected a number of seconds")
         if not LEAST_STEP_S <= duration_s < YEAR_S:
             raise InputError(f"step of {duration_s:g} s: expected {LEAST_STEP_S:g} s or more, less than a year")
-        return self._measurement(self._advance(overrides, float(duration_s)))
+        before_s = self._now_s
+        self._advance(overrides, float(duration_s))
+        return self._measured(before_s)
 
-    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """Return boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors if set.
-
-        Raises:
-            InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
-        """
-        time_s = forecast_times(self._now_s, horizon_s, interval_s)
+    def _boundary(self, time_s: Array) -> Boundary:
         lower, upper = schedule.bounds_C(time_s)
         T_out, solar = forecast_weather(self.weather, self._forecast_error, time_s)
         return Boundary(
@@ -224,16 +194,8 @@ class EmbeddedPlant:
             emission_kg_per_kWh=np.full(time_s.shape, tariffs.EMISSION_KG_PER_KWH),
         )
 
-    def past(self, step_s: float) -> Record:
-        """Return the record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
-
-        Raises:
-            InputError: `step_s` is not positive.
-        """
-        check_record_step(step_s)
+    def _past(self, edges: Array) -> Record:
         record = self.recorded(self._begin_s, self._now_s)
-        steps = math.floor((self._now_s - self._begin_s) / step_s + 1e-9)
-        edges: Array = self._now_s - np.arange(float(steps), -1.0, -1.0) * step_s
         sampled = {name: np.interp(edges, record["time"], record[name]) for name in ("T_operative", "T_out", "solar")}
         return Record(
             time_s=edges,
@@ -252,7 +214,7 @@ class EmbeddedPlant:
         Sums are cached per tariff. Later calls read only the new samples, and those of a 15-min peak window that is
         not over or ends between two samples.
         """
-        if self._now_s - self._start_s < _CLOCK_S:  # no step simulated yet: BOPTEST returns zeros
+        if self._now_s - self._start_s < CLOCK_S:  # no step simulated yet: BOPTEST returns zeros
             return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot", "idis_tot", "pele_tot"), 0.0)
         counted = self._counted.get(self._price, CountedKpis(self._start_s))
         counted = counted.counting(self._latest_edge(counted), self._kpis_between)
@@ -263,7 +225,7 @@ class EmbeddedPlant:
         """Return `CountedKpis.latest_edge_s` of the record, which is read from its end."""
         for time_s in reversed(self._times):
             edge_s = counted.latest_edge_s(time_s, self._start_s)
-            if edge_s > counted.until_s or time_s[0] <= counted.until_s + _CLOCK_S:
+            if edge_s > counted.until_s or time_s[0] <= counted.until_s + CLOCK_S:
                 return edge_s
         return counted.until_s
 
@@ -273,7 +235,7 @@ class EmbeddedPlant:
         Wh, cost, discomfort_Kh, excess_ppm_h = integrals(time_s, rows, self._tariffs[self._price](time_s)).tolist()
         span_s = final_s - start_s
         # The mean over one window, as after every step of a quarter of an hour.
-        peak_W = Wh * HOUR_S / span_s if span_s <= PEAK_WINDOW_S + _CLOCK_S else peak_power(time_s, _total_power(rows))
+        peak_W = Wh * HOUR_S / span_s if span_s <= PEAK_WINDOW_S + CLOCK_S else peak_power(time_s, _total_power(rows))
         kWh = Wh / 1e3 / AREA_M2
         return {
             "ener_tot": kWh,
@@ -312,7 +274,7 @@ class EmbeddedPlant:
             InputError: the tariff is unknown.
         """
         self.tariff(price)
-        self._price, self._forecast_error = price, forecast_error
+        self._price, self._forecast_error = cast(Price, price), forecast_error
 
     def recorded(self, start_s: float, final_s: float) -> dict[str, Array]:
         """Return the samples between two times: 'time' s and every column of `kernel.RECORD`, shape (n,) each.
@@ -336,9 +298,9 @@ class EmbeddedPlant:
             itertools.chain(reversed(self._record), [self._first]),
             strict=True,
         ):
-            if time_s[-1] < start_s - _CLOCK_S:
+            if time_s[-1] < start_s - CLOCK_S:
                 break
-            first, last = np.searchsorted(time_s, [start_s - _CLOCK_S, final_s + _CLOCK_S])
+            first, last = np.searchsorted(time_s, [start_s - CLOCK_S, final_s + CLOCK_S])
             times.append(time_s[first:last])
             parts.append(rows[first:last])
         return np.concatenate(times[::-1]), np.concatenate(parts[::-1])
@@ -358,30 +320,18 @@ class EmbeddedPlant:
         self._record, self._times, self._first = list(s.record), list(s.times), s.first
         self._counted = dict(s.counted)
 
-    def close(self) -> None:
-        """Do nothing: the plant holds no resources."""
-
-    def __enter__(self) -> EmbeddedPlant:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def _advance(self, overrides: Mapping[str, float], duration_s: float) -> Array:
+        before_s = self._now_s
         # As in BOPTEST: the number of equal steps is that of whole 30 s in the duration, at least one.
-        n = max(math.floor(duration_s / kernel.STEP_S + 1e-9), 1)
+        time_s = self._spaced(duration_s, kernel.STEP_S)
+        n = time_s.size
         rows = np.empty((n, len(kernel.RECORD)))
         forced = np.array([overrides.get(name, math.nan) for name in _LIMITS], dtype=np.float64)
         net = self._network
         kernel.advance(
-            self._nodes, self._scalars, self._now_s, n, duration_s / n, forced, self._grid, net.capacity, net.coupling,
+            self._nodes, self._scalars, before_s, n, duration_s / n, forced, self._grid, net.capacity, net.coupling,
             net.outside, net.inside, net.pipe, net.slab, rows,
         )  # fmt: skip
-        time_s = self._now_s + duration_s / n * np.arange(1.0, n + 1)
-        self._now_s += duration_s
-        time_s[-1] = self._now_s  # exact, without rounding
         rows.setflags(write=False)
         self._record.append(rows)
         self._times.append(time_s)
@@ -397,11 +347,12 @@ class EmbeddedPlant:
         finally:
             self.restore(here)
 
-    def _measurement(self, rows: Array) -> Measurement:
-        """Return a measurement: samples of the last recorded row, means over `rows` (n, 17) (NaN if empty)."""
+    def _measured(self, before_s: float) -> Measurement:
+        """Return the last sample, with means since `before_s`, the last advance."""
         last = (self._record[-1][-1] if self._record else self._first[0]).tolist()
         means: list[Any] = [math.nan] * len(kernel.RECORD)
-        if rows.size:
+        if before_s < self._now_s:
+            rows = self._record[-1]
             means = (np.add.reduce(rows, axis=0) / len(rows)).tolist()
         points = {name: last[_COLUMN[column]] for name, column in MEASUREMENTS.items()}
         return Measurement(
@@ -423,6 +374,12 @@ class EmbeddedPlant:
         kernel.sample(self._scalars, self._now_s, native, self._grid, rows[0])
         rows.setflags(write=False)
         return rows
+
+
+def _overrides(block: Block) -> dict[str, float]:
+    """Overwrite inputs for the level of the compressor; none under native control."""
+    level = block.u[0]
+    return {} if level is None else {"oveHeaPumY": level}
 
 
 def _total_power(rows: Array) -> Array:

@@ -7,7 +7,6 @@ and its own protection stays in force. Building: `office_model`; what was measur
 from __future__ import annotations
 
 from collections.abc import Sequence
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +36,7 @@ from thermoforce_mpc.plants.energyplus.office_model import (
 )
 from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, EngineProcess, whole_steps
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.shell import Samples, WithProcess
 
 NAME = "energyplus:small_office"
 ZONE_NAMES = tuple(zone.name for zone in ZONES)
@@ -66,7 +66,7 @@ _ENDS = np.cumsum(list(_WIDTHS.values()))
 _PLACE = {name: slice(int(end) - width, int(end)) for (name, width), end in zip(_WIDTHS.items(), _ENDS, strict=True)}
 
 
-class SmallOffice:
+class SmallOffice(WithProcess[EngineProcess[tuple[float, ...], OfficeReading]]):
     """DOE small office (Chicago, TMY3 weather of O'Hare), run through the engine's runtime API.
 
     ```python
@@ -105,10 +105,7 @@ class SmallOffice:
         self._forecast_error = forecast_error
         self._tariffs = tariffs.by_name(highly_dynamic)
         self._price = "constant"
-        self._start_s = self._begin_s = 0.0
-        self._engine: EngineProcess[tuple[float, ...], OfficeReading] | None = None
-        self._rows = np.empty((0, int(_ENDS[-1])))
-        self._n = 0
+        self._start_s = 0.0
 
     @property
     def info(self) -> PlantInfo:
@@ -164,17 +161,16 @@ class SmallOffice:
             whole_steps(what, duration_s, run.step_s)
         self.close()
         self._price, self._start_s = price, float(start_s)
-        self._engine = EngineProcess(run)
+        self._process = EngineProcess(run)
         # The engine repeats its first day to warm up, so the weather of this reading is that of the next midnight.
-        self._begin_s, self._n = run.first_day * DAY_S, 0
-        self._append([self._engine.first])
-        midnight = np.array([self._begin_s])
+        midnight_s, (first,) = run.first_day * DAY_S, _rows_of([self._process.first])
         for signal, column in (("T_out_C", "T_dry_C"), ("solar_W_m2", "global_W_m2")):
-            self._rows[0, _PLACE[signal]] = self.weather.at(column, midnight)
-        if begin_s > self._begin_s:
-            self._advance(None, begin_s - self._begin_s)
+            first[_PLACE[signal]] = self.weather.at(column, np.array([midnight_s]))
+        self._samples = Samples(midnight_s, first)
+        if begin_s > midnight_s:
+            self._advance(None, begin_s - midnight_s)
             # The engine starts at midnight; the time up to the warm-up is not recorded.
-            self._begin_s, self._rows, self._n = begin_s, self._rows[self._n - 1 : self._n], 1
+            self._samples = Samples(begin_s, self._samples.rows[-1])
         if start_s > begin_s:
             self._advance(None, start_s - begin_s)
         return self._measurement(0)
@@ -227,8 +223,8 @@ class SmallOffice:
         """
         check_record_step(step_s)
         every = whole_steps("history in steps", step_s, self._step_s)
-        n = (self._n - 1) // every
-        rows = self._rows[self._n - 1 - n * every : self._n]
+        n = (len(self._samples.rows) - 1) // every
+        rows = self._samples.rows[-1 - n * every :]
 
         def samples(name: str) -> Array:
             return np.ascontiguousarray(rows[::every, _PLACE[name]].T)
@@ -265,26 +261,6 @@ class SmallOffice:
         """
         return {name: self._kpis([zone]) for zone, name in enumerate(ZONE_NAMES)}
 
-    def close(self) -> None:
-        """End the engine's process; safe to call twice."""
-        if self._engine is not None:
-            self._engine.close()
-            self._engine = None
-
-    def __enter__(self) -> SmallOffice:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    @property
-    def _running(self) -> EngineProcess[tuple[float, ...], OfficeReading]:
-        if self._engine is None:
-            raise InputError("the plant has not been started: call reset() first")
-        return self._engine
-
     @property
     def _now_s(self) -> float:
         return self._running.now_s
@@ -295,17 +271,10 @@ class SmallOffice:
 
     def _advance(self, told: tuple[float, ...] | None, duration_s: float) -> int:
         """Advance and return the number of steps."""
+        before_s = self._now_s
         readings = self._running.advance(told, duration_s).readings
-        self._append(readings)
+        self._samples.append(before_s + self._step_s * np.arange(1.0, len(readings) + 1), _rows_of(readings))
         return len(readings)
-
-    def _append(self, readings: Sequence[OfficeReading]) -> None:
-        rows = np.array([np.hstack([getattr(reading, name) for name in _WIDTHS]) for reading in readings])
-        if self._n + len(rows) > len(self._rows):  # grow by doubling: steps are many and short
-            room = max(2 * len(self._rows), self._n + len(rows)) - len(self._rows)
-            self._rows = np.concatenate([self._rows, np.empty((room, rows.shape[1]))])
-        self._rows[self._n : self._n + len(rows)] = rows
-        self._n += len(rows)
 
     def _bounds(self, time_s: Array) -> tuple[Array, Array]:
         """Return the comfort bounds of every zone, °C, (n,) each."""
@@ -325,14 +294,11 @@ class SmallOffice:
         return price, np.full(time_s.size, emission)
 
     def _kpis(self, zones: Sequence[int]) -> dict[str, float]:
-        step_s = self._step_s
-        first = round((self._start_s - self._begin_s) / step_s)
-        rows = self._rows[first : self._n]
+        time_s, rows = self._samples.between(self._start_s, self._now_s)
         if len(rows) < 2:
             names = ("ener_tot", "cost_tot", "emis_tot", "tdis_tot", "pele_tot", "pgas_tot")
             of_zones = [f"tdis_tot[{ZONE_NAMES[zone]}]" for zone in zones] if len(zones) > 1 else []
             return dict.fromkeys((*names, *of_zones), 0.0)
-        time_s = self._start_s + step_s * np.arange(len(rows), dtype=np.float64)
         lower, upper = self._bounds(time_s)
         power, T_zone = rows[:, _PLACE["power_W"]], rows[:, _PLACE["T_zone_C"]]
         return building_kpis(
@@ -353,10 +319,11 @@ class SmallOffice:
 
     def _measurement(self, steps: int) -> OfficeMeasurement:
         """Return the state now and the means over the last `steps` steps."""
-        last = self._rows[self._n - 1]
+        rows = self._samples.rows
+        last = rows[-1]
 
         def mean(name: str) -> Array:
-            values = self._rows[self._n - steps : self._n, _PLACE[name]]
+            values = rows[len(rows) - steps :, _PLACE[name]]
             return values.mean(axis=0) if steps else np.full(values.shape[1], np.nan)
 
         heat = mean("heat_W")
@@ -372,6 +339,11 @@ class SmallOffice:
             supply_W=mean("supply_W"),
             fan_W=mean("fan_W"),
         )
+
+
+def _rows_of(readings: Sequence[OfficeReading]) -> Array:
+    """Rows (n, k) of readings, see `_PLACE`."""
+    return np.array([np.hstack([getattr(reading, name) for name in _WIDTHS]) for reading in readings])
 
 
 def _checked(setpoint_C: ArrayLike) -> tuple[float, ...]:

@@ -8,7 +8,6 @@ at that of electricity.
 from __future__ import annotations
 
 import math
-from types import TracebackType
 
 import numpy as np
 
@@ -18,11 +17,12 @@ from thermoforce_mpc.data import ZERO_C_K, Array, Bands, Boundary, Levels, Measu
 from thermoforce_mpc.plants.checks import check_levels
 from thermoforce_mpc.plants.energyplus.office import SmallOffice
 from thermoforce_mpc.plants.energyplus.office_data import OfficeMeasurement, OfficeRecord
+from thermoforce_mpc.plants.shell import Releasing
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.testcase import TestCase
 
 
-class SmallOfficePlant:
+class SmallOfficePlant(Releasing):
     """`RoomSetpointPlant` of the DOE small office: zones, actuators and machines as in its test case, five each."""
 
     def __init__(
@@ -108,14 +108,6 @@ class SmallOfficePlant:
     def close(self) -> None:
         """End the engine's process; safe to call twice."""
         self._office.close()
-
-    def __enter__(self) -> SmallOfficePlant:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _measured(self, found: OfficeMeasurement) -> Measurement:
         acting = self._acting(found)

@@ -10,22 +10,15 @@ import json
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.forecast_error import ForecastError, forecast_weather
 from thermoforce_mpc.boundary.weather import load_weather
-from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array, Boundary, Levels, Measurement, Period, PlantInfo, Record
-from thermoforce_mpc.errors import ConfigError, InputError, PlantError
-from thermoforce_mpc.plants.checks import (
-    check_levels,
-    check_record_step,
-    check_start,
-    day_period,
-    forecast_times,
-)
+from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array, Block, Boundary, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.plants.checks import day_period
 from thermoforce_mpc.plants.energyplus.climates import CLIMATES, base_setpoint, gains
 from thermoforce_mpc.plants.energyplus.engine import engine_folder, engine_version, file_hash, weather_file
 from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, EngineProcess
@@ -33,6 +26,7 @@ from thermoforce_mpc.plants.energyplus.simulate import ZONE_WIRING, Job, PiPolic
 from thermoforce_mpc.plants.energyplus.zone import GAINS, HVAC, zone_model
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.records import interval_means
+from thermoforce_mpc.plants.shell import PlantShell, Samples, WithProcess
 from thermoforce_mpc.scenario.testcase import EnergyPlusZone, TestCase
 
 _STEPS_PER_HOUR = 12
@@ -103,7 +97,7 @@ class ZoneActing:
         return {HVAC: self._sign * u * spec.capacity_W, GAINS: gains * spec.gains_W}, u
 
 
-class EnergyPlusPlant:
+class EnergyPlusPlant(WithProcess[EngineProcess[float, Reading]], PlantShell):
     """EnergyPlus zone of the interventional suite, run through the engine's runtime API.
 
     ```python
@@ -152,9 +146,6 @@ class EnergyPlusPlant:
         self.weather = load_weather(self._file)
         self._forecast_error = forecast_error
         self._tariffs = tariffs.by_name(highly_dynamic)
-        self._price = "constant"
-        self._start_s = self._now_s = 0.0
-        self._engine: EngineProcess[float, Reading] | None = None
 
     @property
     def info(self) -> PlantInfo:
@@ -178,19 +169,9 @@ class EnergyPlusPlant:
             return Period(name, self._zone.periods[name] * DAY_S)
         return day_period(name, self._zone.periods)
 
-    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
-        """Start at `start_s` after `warmup_s` of native control (shortened at the beginning of the year).
-
-        Raises:
-            InputError: a time is not a finite nonnegative number inside the year, or the tariff is unknown.
-            PlantError: the engine failed.
-        """
-        check_start(start_s, warmup_s)
-        if price not in self._tariffs:
-            raise InputError(f"unknown tariff '{price}'; known: {', '.join(self._tariffs)}")
+    def _begin(self) -> None:
         self.close()
-        self._price = price
-        begin_s = max(start_s - warmup_s, 0.0)
+        begin_s = self._begin_s
         first_day = int(begin_s // DAY_S)
         setpoint = base_setpoint(replace(self._climate, spec=self._spec), RUN_DAYS)
         job = Job(
@@ -199,42 +180,18 @@ class EnergyPlusPlant:
             setpoint_C=setpoint + self._zone.native_margin_K * self._climate.sign,
             gains=gains(replace(self._climate, spec=self._spec), first_day, RUN_DAYS, _GAINS_SEED),
         )
-        self._engine = EngineProcess(LiveZone(job))
-        self._start_s = float(start_s)
+        self._process = EngineProcess(LiveZone(job))
         self._now_s = first_day * DAY_S
         # The engine repeats its first day to warm up, so the weather of this reading is that of the next midnight.
         midnight = np.array([self._now_s])
         T_out, solar = (float(self.weather.at(name, midnight)[0]) for name in ("T_dry_C", "global_W_m2"))
-        self._times = [self._now_s]
-        self._rows = [(self._engine.first.T_zone_C, T_out, solar, 0.0)]
-        until_begin = begin_s - self._now_s
-        if until_begin > 0:
-            self._advance(None, until_begin)
+        self._samples = Samples(self._now_s, np.array([self._process.first.T_zone_C, T_out, solar, 0.0]))
+        if begin_s > self._now_s:
+            self._run(Block.native(1, begin_s - self._now_s))
             # The engine starts at midnight; the time up to the warm-up is not recorded.
-            self._times, self._rows = self._times[-1:], self._rows[-1:]
-        if start_s > begin_s:
-            self._advance(None, start_s - begin_s)
-        return self._measurement(self._now_s)
+            self._samples = Samples(self._now_s, self._samples.rows[-1])
 
-    def advance(self, u: Levels, duration_s: float) -> Measurement:
-        """Apply `u` in [0, 1] (None: native control, a PI thermostat) for `duration_s`, a multiple of 5 min.
-
-        Raises:
-            InputError: `u` or `duration_s` is out of range, or the plant was not reset.
-            PlantError: the engine failed.
-        """
-        block = check_levels(u, duration_s)
-        before_s = self._now_s
-        self._advance(block.u[0], block.duration_s)
-        return self._measurement(before_s)
-
-    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """Return boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors if set.
-
-        Raises:
-            InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
-        """
-        time_s = forecast_times(self._now_s, horizon_s, interval_s)
+    def _boundary(self, time_s: Array) -> Boundary:
         T_out, solar = forecast_weather(self.weather, self._forecast_error, time_s)
         lower, upper = self._bounds(time_s)
         return Boundary(
@@ -248,16 +205,8 @@ class EnergyPlusPlant:
             emission_kg_per_kWh=np.full(time_s.size, tariffs.EMISSION_KG_PER_KWH),
         )
 
-    def past(self, step_s: float) -> Record:
-        """Return the record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
-
-        Raises:
-            InputError: `step_s` is not positive, or the plant was not reset.
-        """
-        check_record_step(step_s)
+    def _past(self, edges: Array) -> Record:
         record = self._record()
-        n = math.floor((self._now_s - record["time"][0]) / step_s + 1e-9)
-        edges: Array = self._now_s - np.arange(float(n), -1.0, -1.0) * step_s
         T_zone, T_out, solar = (np.interp(edges, record["time"], record[name]) for name in ("T", "T_out", "solar"))
         u, power, heat = (interval_means(record, [name], edges) for name in ("u", "power", "heat"))
         return Record(edges, T_zone, T_out, solar, u, power, heat)
@@ -286,20 +235,6 @@ class EnergyPlusPlant:
             area_m2=self.testcase.area_m2,
         )
 
-    def close(self) -> None:
-        """End the engine's process; safe to call twice."""
-        if self._engine is not None:
-            self._engine.close()
-            self._engine = None
-
-    def __enter__(self) -> EnergyPlusPlant:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def _bounds(self, time_s: Array) -> tuple[Array, Array]:
         """Return comfort bounds, °C: the suite's set-points on the machine's side, `band_K` beyond on the other."""
         step_s = self._spec.step_s
@@ -309,23 +244,24 @@ class EnergyPlusPlant:
         far = np.full(time_s.size, other)
         return (machine, far) if self._climate.sign > 0 else (far, machine)
 
-    def _advance(self, u: float | None, duration_s: float) -> None:
-        if self._engine is None:
-            raise InputError("the plant has not been started: call reset() first")
-        stretch = self._engine.advance(u, duration_s)
-        for reading, level in zip(stretch.readings, stretch.acted, strict=True):
-            self._now_s += self._spec.step_s
-            self._times.append(self._now_s)
-            self._rows.append((reading.T_zone_C, reading.T_out_C, reading.solar_W_m2, level))
+    def _run(self, block: Block) -> None:
+        stretch = self._running.advance(block.u[0], block.duration_s)
+        n = len(stretch.readings)
+        time_s = self._now_s + self._spec.step_s * np.arange(1.0, n + 1)
+        self._now_s = float(time_s[-1])
+        rows = [
+            (reading.T_zone_C, reading.T_out_C, reading.solar_W_m2, level)
+            for reading, level in zip(stretch.readings, stretch.acted, strict=True)
+        ]
+        self._samples.append(time_s, np.array(rows))
 
     def _record(self, last: int = 0) -> dict[str, Array]:
         """Return the record by name, all of it or the `last` samples; power and heat of the step that ends at each."""
-        if self._engine is None:
-            raise InputError("the plant has not been started: call reset() first")
-        rows = np.array(self._rows[-last:])
+        self._check_started()
+        rows = self._samples.rows[-last:]
         heat = self._climate.sign * self._spec.capacity_W * rows[:, 3]
         return {
-            "time": np.array(self._times[-last:]),
+            "time": self._samples.times[-last:],
             "T": rows[:, 0],
             "T_out": rows[:, 1],
             "solar": rows[:, 2],
@@ -334,7 +270,7 @@ class EnergyPlusPlant:
             "power": electric_power_W(self._zone, self.testcase.mode, heat, rows[:, 1]),
         }
 
-    def _measurement(self, before_s: float) -> Measurement:
+    def _measured(self, before_s: float) -> Measurement:
         n = round((self._now_s - before_s) / self._spec.step_s)
         record = self._record(n + 1)
         names = ("T", "T_out", "solar")

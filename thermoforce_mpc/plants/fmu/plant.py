@@ -6,7 +6,6 @@ import math
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from thermoforce_mpc.data import (
     ZERO_C_K,
     Array,
     Bands,
+    Block,
     Boundary,
     Levels,
     Measurement,
@@ -25,17 +25,10 @@ from thermoforce_mpc.data import (
     PlantInfo,
     Record,
 )
-from thermoforce_mpc.errors import ConfigError, InputError
+from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.boptest.points import check_points
-from thermoforce_mpc.plants.checks import (
-    check_levels,
-    check_record_step,
-    check_start,
-    day_period,
-    forecast_times,
-)
+from thermoforce_mpc.plants.checks import check_levels, day_period
 from thermoforce_mpc.plants.fmu.archive import read_archive, unpack
-from thermoforce_mpc.plants.fmu.messages import Stretch
 from thermoforce_mpc.plants.fmu.process import WorkerProcess
 from thermoforce_mpc.plants.fmu.scores import Scores
 from thermoforce_mpc.plants.records import (
@@ -47,10 +40,11 @@ from thermoforce_mpc.plants.records import (
     past_record,
     recorded_levels,
 )
-from thermoforce_mpc.scenario.testcase import PRICES, Price, TestCase
+from thermoforce_mpc.plants.shell import PlantShell, WithProcess
+from thermoforce_mpc.scenario.testcase import TestCase
 
 
-class FmuPlant:
+class FmuPlant(WithProcess[WorkerProcess], PlantShell):
     """Test case in an FMU, run by FMPy in its own process.
 
     ```python
@@ -80,6 +74,7 @@ class FmuPlant:
         given, outputs = archive.points(archive.inputs), archive.points(archive.outputs)
         check_points(testcase, given, outputs, forecast, f"the FMU {path}")
         self._points = testcase.points
+        self._names, self._lowest = self._points.layout.names, self._points.layout.lowest
         self._echoes = {name: f"{name}_y" for name in self._points.sensed}
         for echo in self._echoes.values():
             if echo not in archive.outputs:
@@ -88,8 +83,6 @@ class FmuPlant:
         p = self._points
         kept = [*p.temperatures, p.outdoor_temperature, p.solar, *self._echoes.values(), *p.flows]
         self._kept = tuple(dict.fromkeys([*kept, *self._scores.signals]))
-        self._price: Price = "constant"
-        self._worker: WorkerProcess | None = None
         self._T_zone_C: Array = np.full(len(p.zones), math.nan)
         self._last: Measurement | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="tf-mpc-fmu-", ignore_cleanup_errors=True)
@@ -123,32 +116,15 @@ class FmuPlant:
         days = self._archive.days
         return centred_window(name, days[name]) if name in days else day_period(name, days)
 
-    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
-        """Start at `start_s` after `warmup_s` of native control (shortened at the beginning of the year).
+    def _check_reset(self, start_s: float, warmup_s: float, price: str) -> None:
+        super()._check_reset(start_s, warmup_s, price)
+        self._archive.boundary.at(self._points.forecast_outdoor, np.array([start_s]))  # else a `WeatherError`
 
-        Raises:
-            InputError: a time is not a finite nonnegative number inside the year, or the tariff is unknown.
-            WeatherError: `start_s` lies beyond the FMU's boundary data.
-            PlantError: the FMU cannot be loaded or failed.
-        """
-        check_start(start_s, warmup_s)
-        known = next((name for name in PRICES if name == price), None)
-        if known is None:
-            raise InputError(f"unknown tariff '{price}'; known: {', '.join(PRICES)}")
-        self._archive.boundary.at(self._points.forecast_outdoor, np.array([start_s]))
-        self._price = known
-        self._stop()
-        self._start_s = float(start_s)
-        self._now_s = max(self._start_s - warmup_s, 0.0)
-        archive = self._archive
+    def _begin(self) -> None:
+        super().close()
         folder = Path(self._folder.name)
-        job = archive.job(folder / "fmu", self._kept)
-        self._worker = WorkerProcess(job, folder / "work")
-        stretch = self._worker.start(self._now_s)
-        self._stretches = [stretch]
-        if self._start_s > self._now_s:
-            stretch = self._run({}, self._start_s - self._now_s)
-        return self._measured(stretch)
+        self._process = WorkerProcess(self._archive.job(folder / "fmu", self._kept), folder / "work")
+        self._stretches = [self._process.start(self._now_s)]
 
     def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
         """Apply `u` in [0, 1] (None: native control), or the room set-points `band_C`, °C, for `duration_s`.
@@ -157,29 +133,10 @@ class FmuPlant:
             InputError: `u`, `band_C` or `duration_s` is out of range, or the plant was not reset.
             PlantError: the FMU failed.
         """
-        layout = self._points.layout
-        block = check_levels(u, duration_s, band_C, names=layout.names, lowest=layout.lowest)
-        before_s = self._now_s if self._worker else 0.0
-        stretch = self._run(inputs(self._points, block, self._T_zone_C, self._last), block.duration_s)
-        edges = np.array([before_s, self._now_s])
-        previous = self._stretches[-2]
-        record = self._columns(
-            np.concatenate([previous.time_s[-1:], stretch.time_s]), np.vstack([previous.rows[-1:], stretch.rows])
-        )
-        acting = acting_means(record, self._points, self._levels(record, edges), edges)
-        return self._measured(stretch, acting)
+        return self._advanced(check_levels(u, duration_s, band_C, names=self._names, lowest=self._lowest))
 
-    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """Return boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors if set.
-
-        Raises:
-            InputError: horizon or interval is not positive, the horizon is shorter than the interval, or the plant was
-                not reset.
-            WeatherError: the horizon exceeds the FMU's boundary data.
-        """
-        if self._worker is None:
-            raise InputError("the plant has not been started: call reset() first")
-        time_s = forecast_times(self._now_s, horizon_s, interval_s)
+    def _boundary(self, time_s: Array) -> Boundary:
+        self._check_started()
         p, at = self._points, self._archive.boundary.at
         T_out, solar = at(p.forecast_outdoor, time_s) - ZERO_C_K, at(p.forecast_solar, time_s)
         if self._forecast_error:
@@ -188,15 +145,9 @@ class FmuPlant:
         values = {name: at(name, time_s) for name in p.forecast(self._price)}
         return boundary(time_s, values, p, self._price, (T_out, solar))
 
-    def past(self, step_s: float) -> Record:
-        """Return the record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
-
-        Raises:
-            InputError: `step_s` is not positive, or the plant was not reset.
-        """
-        check_record_step(step_s)
+    def _past(self, edges: Array) -> Record:
         record = self._record()
-        return past_record(record, self._points, lambda edges: self._levels(record, edges), self._now_s, step_s)
+        return past_record(record, self._points, self._levels(record, edges), edges)
 
     def kpis(self) -> dict[str, float]:
         """Return BOPTEST's KPIs since the end of the warm-up, from the 30-s record; raises as `past` does."""
@@ -204,39 +155,31 @@ class FmuPlant:
 
     def close(self) -> None:
         """End the FMU's process and remove the unpacked files; safe to call twice."""
-        self._stop()
+        super().close()
         self._folder.cleanup()
 
-    def __enter__(self) -> FmuPlant:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def _measured(self, stretch: Stretch, acting: Mapping[str, Array] | None = None) -> Measurement:
-        """Return the measurement at the end of `stretch`; its zone temperature serves the actuator's map next."""
-        found = measurement(self._now_s, stretch.final, self._points, acting)
-        self._T_zone_C, self._last = found.T_zone_C, found
-        return found
-
-    def _stop(self) -> None:
-        if self._worker is not None:
-            self._worker.close()
-            self._worker = None
-
-    def _run(self, inputs: Mapping[str, float], duration_s: float) -> Stretch:
-        if self._worker is None:
-            raise InputError("the plant has not been started: call reset() first")
-        stretch = self._worker.advance(inputs, duration_s)
+    def _run(self, block: Block) -> None:
+        asked = inputs(self._points, block, self._T_zone_C, self._last)
+        stretch = self._running.advance(asked, block.duration_s)
         self._stretches.append(stretch)
         self._now_s = float(stretch.time_s[-1])
-        return stretch
+
+    def _measured(self, before_s: float) -> Measurement:
+        """See `PlantShell`; the zone temperature serves the actuator's map next."""
+        stretch, acting = self._stretches[-1], None
+        if before_s < self._now_s:
+            edges = np.array([before_s, self._now_s])
+            last = self._stretches[-2]
+            record = self._columns(
+                np.concatenate([last.time_s[-1:], stretch.time_s]), np.vstack([last.rows[-1:], stretch.rows])
+            )
+            acting = acting_means(record, self._points, self._levels(record, edges), edges)
+        self._last = measurement(self._now_s, stretch.final, self._points, acting)
+        self._T_zone_C = self._last.T_zone_C
+        return self._last
 
     def _record(self) -> dict[str, Array]:
-        if self._worker is None:
-            raise InputError("the plant has not been started: call reset() first")
+        self._check_started()
         return self._columns(
             np.concatenate([stretch.time_s for stretch in self._stretches]),
             np.vstack([stretch.rows for stretch in self._stretches]),

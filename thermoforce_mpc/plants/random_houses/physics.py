@@ -17,9 +17,11 @@ import numpy as np
 from numba import njit
 
 from thermoforce_mpc.data import ZERO_C_K
-from thermoforce_mpc.plants.envelope import (
+from thermoforce_mpc.plants.drawn_houses.envelope import (
     AIR_J_M2_K,
     AIR_SHARE,
+    GRID_S,
+    STEP_S,
     SURFACE_AIR_W_M2_K,
     SURFACE_J_M2_K,
     SURFACE_MASS_W_M2_K,
@@ -27,9 +29,6 @@ from thermoforce_mpc.plants.envelope import (
     solve,
 )
 from thermoforce_mpc.plants.random_houses.draw import House, ground_C, heat_pump_cop
-
-STEP_S = 30.0
-GRID_S = 900.0
 
 # States, °C. PI integral in levels, on/off flag of the native thermostat.
 AIR, SURFACE, MASS, SLAB, WATER, SENSOR, INTEGRAL, ON = range(8)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.plants.occupants import PERSON_W, at_home, set_back, varying
+from thermoforce_mpc.plants.drawn_houses.occupants import PERSON_W, at_home, set_back, varying
 from thermoforce_mpc.plants.random_houses.draw import House
 
 # Native set-point above the lower bound while at home, K; set-back below it, K, and preheating, h, by emitter.

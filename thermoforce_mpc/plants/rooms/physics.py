@@ -16,9 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from thermoforce_mpc.plants.envelope import (
+from thermoforce_mpc.plants.drawn_houses.envelope import (
     AIR_J_M2_K,
     AIR_SHARE,
+    GRID_S,
     MASSES,
     SURFACE_AIR_W_M2_K,
     SURFACE_J_M2_K,
@@ -28,9 +29,6 @@ from thermoforce_mpc.plants.envelope import (
 )
 from thermoforce_mpc.plants.random_houses.draw import ground_C, heat_pump_cop
 from thermoforce_mpc.plants.rooms.house import DrawnHouse, core_W_m2K, curve_supply_C, full_capacity_W
-
-STEP_S = 30.0
-GRID_S = 900.0
 
 # Blocks of nodes, each of one node a room. Nodes with few neighbours come first, which keeps the elimination sparse.
 WATER, SLAB, SURFACE, AIR, MASS = range(5)

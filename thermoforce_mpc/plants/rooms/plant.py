@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from types import TracebackType
 
 import numpy as np
 
@@ -13,26 +12,23 @@ from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.weather.solar import sun_position
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
 from thermoforce_mpc.boundary.weather.year import Weather
-from thermoforce_mpc.data import YEAR_S, Array, Boundary, Layout, Levels, Measurement, Names, Period, PlantInfo, Record
+from thermoforce_mpc.data import YEAR_S, Array, Boundary, Layout, Measurement, Names, Record
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.checks import check_levels, check_record_step, check_start, forecast_times
-from thermoforce_mpc.plants.envelope import MEAN_WIND_M_S, WIND_SHARE
-from thermoforce_mpc.plants.glazing import AZIMUTH_DEG, FACADES, on_facade
+from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S, MEAN_WIND_M_S, WIND_SHARE
+from thermoforce_mpc.plants.drawn_houses.glazing import AZIMUTH_DEG, FACADES, on_facade
+from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K, DrawnHousePlant
 from thermoforce_mpc.plants.kpis import CountedKpis, Supply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.records import means_between
 from thermoforce_mpc.plants.rooms import physics, schedule
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
 from thermoforce_mpc.plants.rooms.house import DrawnHouse
-from thermoforce_mpc.plants.weeks import week_or_day
-from thermoforce_mpc.version import VERSION
+from thermoforce_mpc.plants.shell import CLOCK_S, Samples
+from thermoforce_mpc.scenario.building import Price
 
 # Seed of the houses `house:Nrooms`.
 SEED = 15
-# The baseline thermostats' set-points above the lower bounds in use, K, as in the shipped test case (21.3 for 21 °C).
-THERMOSTAT_ABOVE_K = 0.3
 
 _NAME = re.compile(r"house:(\d+)rooms?(?::(\d+))?")
-_CLOCK_S = 1e-6
 
 
 @dataclass(frozen=True)
@@ -44,9 +40,8 @@ class HouseSnapshot:
     now_s: float
     begin_s: float
     start_s: float
-    price: str
-    times: Array
-    rows: Array
+    price: Price
+    samples: Samples
     counted: CountedKpis
 
 
@@ -65,12 +60,15 @@ def house_of_rooms(name: str) -> HouseOfRooms:
     return HouseOfRooms(draw_rooms(int(match[1]), int(match[2] or SEED)))
 
 
-class HouseOfRooms:
+class HouseOfRooms(DrawnHousePlant):
     """A drawn house with a valve in each room and one heat pump. Deterministic: same house and inputs, same bytes.
 
+    A level is the share of the heat that the circuit would take now with its valve fully open, at design flow and the
+    supply temperature of the moment; 0 is none, and more level is never less heat to the circuit. None leaves a valve
+    to its thermostat. The thermostats of all rooms go on switching, so that native control takes over where it would
+    stand.
+
     Attributes:
-        house: what was drawn.
-        weather: its synthetic year.
         layout: rooms, valves and the heat pump; valve i stands in room i.
         zones, actuators, machines: names by row of all arrays.
         floor_area_m2: of each room, shape (Z,).
@@ -78,6 +76,10 @@ class HouseOfRooms:
         capacity_W: of the heat pump at the design outdoor temperature, shape (1,).
         thermostat_C: set-points of baseline thermostats, shape (Z,).
     """
+
+    house: DrawnHouse
+    _counted: CountedKpis
+    _kind = "house of rooms"
 
     def __init__(self, house: DrawnHouse) -> None:
         self.house = house
@@ -99,6 +101,7 @@ class HouseOfRooms:
             shares=tuple((self.design_heat_W / self.capacity_W).tolist()) if n > 1 else (0.0,),
             floor_area_m2=tuple(self.floor_area_m2.tolist()),
         )
+        self._names = self.layout.names
         self._weather = weather_grid(house, self.weather)
         time_s = _year()
         self._gains = np.ascontiguousarray(schedule.gains_W(house, time_s).T)
@@ -107,81 +110,12 @@ class HouseOfRooms:
         self._tariffs = tariffs.by_name()
         self.reset(0.0, 0.0)
 
-    @property
-    def info(self) -> PlantInfo:
-        """Plant, weather and version."""
-        return PlantInfo(
-            kind="house of rooms",
-            testcase=self.house.name,
-            description=self.house.words,
-            weather=self.weather.name,
-            version=VERSION,
-        )
-
-    def period(self, name: str) -> Period:
-        """Return the week 'cold_week' or 'sunny_week', or two weeks from a start day, see `week_or_day`.
-
-        Raises:
-            InputError: `name` is neither of these nor a day of the year.
-        """
-        T_out = self._weather[:, physics.T_OUT]
+    def _heat_year(self) -> tuple[Array, Array, Array]:
+        T_out_C = self._weather[:, physics.T_OUT]
         heat_W = self._gains.sum(axis=1) + self._weather[:, physics.SUN :].sum(axis=1)
-        return week_or_day(
-            name,
-            T_out_C=T_out,
-            global_W_m2=self._weather[:, physics.GLOBAL],
-            load_W=self.house.loss_W_K * (20.0 - T_out) - heat_W,
-            design_load_W=self.house.design_load_W,
-            grid_s=physics.GRID_S,
-        )
+        return T_out_C, self._weather[:, physics.GLOBAL], self.house.loss_W_K * (20.0 - T_out_C) - heat_W
 
-    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
-        """Start at `start_s` after `warmup_s` of native control, shortened at the beginning of the year.
-
-        All nodes begin at the room's lower bound in use. `price`: constant, dynamic or highly_dynamic.
-
-        Raises:
-            InputError: a time is not a finite nonnegative number inside the year, or the tariff is unknown.
-        """
-        check_start(start_s, warmup_s)
-        if price not in self._tariffs:
-            raise InputError(f"tariff '{price}': expected one of {', '.join(self._tariffs)}")
-        self._price = price
-        n = len(self.zones)
-        self._T = np.tile([room.lower_C for room in self.house.rooms], physics.N_BLOCKS)
-        self._on = np.zeros(n)
-        self._start_s = float(start_s)
-        self._begin_s = self._now_s = float(max(start_s - warmup_s, 0.0))
-        self._counted = CountedKpis(self._start_s)
-        self._n = 1
-        self._rows, self._times = np.zeros((1, physics.ROOMS + 3 * n)), np.array([self._begin_s])
-        self._rows[0] = self._first_row()
-        if self._start_s > self._now_s:
-            self._advance(np.full(n, math.nan), self._start_s - self._now_s)
-        return self._measured(math.nan)
-
-    def advance(self, u: Levels, duration_s: float) -> Measurement:
-        """Apply the valves' levels `u` (A,) in [0, 1] for `duration_s`; None leaves a valve to its thermostat.
-
-        A level is the share of the heat that the circuit would take now with its valve fully open, at design flow and
-        the supply temperature of the moment; 0 is none, and more level is never less heat to the circuit. The
-        thermostats of all rooms go on switching, so that native control takes over where it would stand.
-
-        Raises:
-            InputError: a level is out of range or not one for each valve, or `duration_s` is out of range.
-        """
-        block = check_levels(u, duration_s, names=self.layout.names)
-        before_s = self._now_s
-        self._advance(block.as_array(), block.duration_s)
-        return self._measured(before_s)
-
-    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """Return boundary conditions from now to `horizon_s` ahead every `interval_s`: a perfect weather forecast.
-
-        Raises:
-            InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
-        """
-        time_s = forecast_times(self._now_s, horizon_s, interval_s)
+    def _boundary(self, time_s: Array) -> Boundary:
         lower, upper = schedule.bounds_C(self.house, time_s)
         return Boundary(
             time_s=time_s,
@@ -195,16 +129,8 @@ class HouseOfRooms:
             names=self.layout.names,
         )
 
-    def past(self, step_s: float) -> Record:
-        """Return the record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
-
-        Raises:
-            InputError: `step_s` is not positive.
-        """
-        check_record_step(step_s)
-        n = math.floor((self._now_s - self._begin_s) / step_s + 1e-9)
-        edges: Array = self._now_s - np.arange(float(n), -1.0, -1.0) * step_s
-        rows, times = self._rows[: self._n], self._times[: self._n]
+    def _past(self, edges: Array) -> Record:
+        times, rows = self._samples.times, self._samples.rows
 
         def sampled(column: int) -> Array:
             return np.interp(edges, times, rows[:, column])
@@ -226,10 +152,10 @@ class HouseOfRooms:
 
         Sums are cached, as in the embedded plant.
         """
-        if self._now_s - self._start_s < _CLOCK_S:
+        if self._now_s - self._start_s < CLOCK_S:
             of_rooms = [f"tdis_tot[{name}]" for name in self.zones] if len(self.zones) > 1 else []
             return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot", *of_rooms), 0.0)
-        times = self._times[: self._n]
+        times = self._samples.times
         recent = times[np.searchsorted(times, self._counted.until_s) :]
         edge_s = self._counted.latest_edge_s(recent, self._start_s)
         self._counted = self._counted.counting(edge_s, self._kpis_between)
@@ -254,9 +180,7 @@ class HouseOfRooms:
 
     def recorded(self, start_s: float, final_s: float) -> tuple[Array, Array]:
         """Return times (n,), s, and rows (n, 8 + 3 Z) of `physics.advance` between two times, both included."""
-        times = self._times[: self._n]
-        first, last = np.searchsorted(times, [start_s - _CLOCK_S, final_s + _CLOCK_S])
-        return times[first:last], self._rows[first:last]
+        return self._samples.between(start_s, final_s)
 
     def snapshot(self) -> HouseSnapshot:
         """Return a snapshot, to restore or branch from."""
@@ -267,28 +191,16 @@ class HouseOfRooms:
             self._begin_s,
             self._start_s,
             self._price,
-            self._times[: self._n].copy(),
-            self._rows[: self._n].copy(),
+            self._samples.copy(),
             self._counted,
         )
 
     def restore(self, snapshot: HouseSnapshot) -> None:
         """Restore a snapshot of this house, or of another plant of the same house."""
         s = snapshot
-        self._T, self._on, self._times, self._rows = s.T.copy(), s.on.copy(), s.times.copy(), s.rows.copy()
+        self._T, self._on, self._samples = s.T.copy(), s.on.copy(), s.samples.copy()
         self._now_s, self._begin_s, self._start_s, self._price = s.now_s, s.begin_s, s.start_s, s.price
-        self._n, self._counted = self._times.size, s.counted
-
-    def close(self) -> None:
-        """Do nothing: the plant holds no resources."""
-
-    def __enter__(self) -> HouseOfRooms:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+        self._counted = s.counted
 
     def _violations(self, time_s: Array, rows: Array) -> list[Violation]:
         lower, upper = schedule.bounds_C(self.house, time_s)
@@ -302,16 +214,13 @@ class HouseOfRooms:
         first = physics.ROOMS
         return range(first, first + n), range(first + n, first + 2 * n), range(first + 2 * n, first + 3 * n)
 
-    def _advance(self, forced: Array, duration_s: float) -> None:
-        n = max(math.floor(duration_s / physics.STEP_S + 1e-9), 1)
-        rows = np.empty((n, self._rows.shape[1]))
-        dt = duration_s / n
+    def _simulate(self, forced: Array, before_s: float, dt_s: float, rows: Array) -> None:
         physics.advance(
             self._T,
             self._on,
-            self._now_s,
-            n,
-            dt,
+            before_s,
+            len(rows),
+            dt_s,
             forced,
             self._weather,
             self._gains,
@@ -319,23 +228,13 @@ class HouseOfRooms:
             self._network,
             rows,
         )
-        time_s = self._now_s + dt * np.arange(1.0, n + 1)
-        self._now_s += duration_s
-        time_s[-1] = self._now_s  # exact, without rounding
-        if self._n + n > self._times.size:  # grow by doubling: steps are many and short
-            room = max(2 * self._times.size, self._n + n) - self._times.size
-            self._rows = np.concatenate([self._rows, np.empty((room, rows.shape[1]))])
-            self._times = np.concatenate([self._times, np.empty(room)])
-        self._rows[self._n : self._n + n], self._times[self._n : self._n + n] = rows, time_s
-        self._n += n
 
     def _measured(self, before_s: float) -> Measurement:
-        """Return the state now and means since `before_s` (NaN: no means)."""
         rooms, valves, heats = self._blocks()
-        row = self._rows[self._n - 1]
+        row = self._samples.rows[-1]
         columns = [*valves, *heats, physics.POWER, physics.SUPPLY]
         means = np.full(len(columns), math.nan)
-        if not math.isnan(before_s):
+        if before_s < self._now_s:
             time_s, rows = self.recorded(before_s, self._now_s)
             means = means_between(time_s, rows[:, columns].T, np.array([before_s, self._now_s]))[:, 0]
         n = len(self.actuators)
@@ -352,8 +251,10 @@ class HouseOfRooms:
         )
 
     def _first_row(self) -> Array:
-        """Sample at the beginning, with the machine off, shape (8 + 3 Z,)."""
         n = len(self.zones)
+        self._T = np.tile([room.lower_C for room in self.house.rooms], physics.N_BLOCKS)
+        self._on = np.zeros(n)
+        self._counted = CountedKpis(self._start_s)
         row = np.zeros(physics.ROOMS + 3 * n)
         now = np.array([self._now_s])
         rooms, _, _ = self._blocks()
@@ -387,4 +288,4 @@ def weather_grid(house: DrawnHouse, weather: Weather) -> Array:
 
 
 def _year() -> Array:
-    return np.arange(0.0, YEAR_S + physics.GRID_S, physics.GRID_S)
+    return np.arange(0.0, YEAR_S + GRID_S, GRID_S)

@@ -7,6 +7,9 @@ from typing import Literal
 import numpy as np
 from numba import njit
 
+# Step of the physics and of the samples, and of the grids of weather and schedules, s.
+STEP_S, GRID_S = 30.0, 900.0
+
 Mass = Literal["very light", "light", "medium", "heavy", "very heavy"]
 # EN ISO 13790:2008, table 12: effective mass area, m² per m² of floor, and heat capacity, J/K per m² of floor.
 MASSES: dict[Mass, tuple[float, float]] = {

@@ -1,0 +1,192 @@
+"""What simulated plants share: the checks of what they are asked, the clock, the samples so far, and giving back.
+
+A plant of its own physics extends `PlantShell`; one that is reached otherwise needs only the `Plant` protocol.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Generic, Protocol, Self, TypeVar, cast
+
+import numpy as np
+
+from thermoforce_mpc.data import SINGLE, Array, Block, Boundary, Levels, Measurement, Names, Record
+from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.plants.checks import check_levels, check_start, forecast_times, record_times
+from thermoforce_mpc.scenario.building import PRICES, Price
+
+# Smallest time difference between two samples, s.
+CLOCK_S = 1e-6
+
+
+class Releasing:
+    """Context manager that closes at its end."""
+
+    def close(self) -> None:
+        """Do nothing: the plant holds no resources."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class _Process(Protocol):
+    def close(self) -> None: ...
+
+
+P = TypeVar("P", bound=_Process)
+
+
+class WithProcess(Releasing, Generic[P]):
+    """Has a process of its own from its reset on."""
+
+    _process: P | None = None
+
+    @property
+    def _running(self) -> P:
+        self._check_started()
+        return cast(P, self._process)
+
+    def _check_started(self) -> None:
+        if self._process is None:
+            raise InputError("the plant has not been started: call reset() first")
+
+    def close(self) -> None:
+        """End the process; safe to call twice."""
+        if self._process is not None:
+            self._process.close()
+            self._process = None
+
+
+class PlantShell(Releasing, ABC):
+    """A plant whose physics run in steps from a reset on; see `Plant` for what its methods do and raise."""
+
+    _names: Names = SINGLE
+    _lowest: float | Sequence[float] = 0.0
+    _price: Price = "constant"
+    _start_s = _begin_s = _now_s = 0.0
+
+    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
+        """Start at `start_s` after `warmup_s` of native control, shortened at the beginning of the year.
+
+        Raises:
+            InputError: a time is not a finite nonnegative number inside the year, or the tariff is unknown.
+            PlantError: what simulates it failed.
+        """
+        self._check_reset(start_s, warmup_s, price)
+        self._price = cast(Price, price)
+        self._start_s = float(start_s)
+        self._begin_s = self._now_s = max(self._start_s - float(warmup_s), 0.0)
+        self._begin()
+        if self._start_s > self._now_s:
+            self._run(Block.native(len(self._names.actuators), self._start_s - self._now_s))
+        return self._measured(self._now_s)
+
+    def advance(self, u: Levels, duration_s: float) -> Measurement:
+        """Apply the levels `u` in [0, 1] (None: native control) for `duration_s`.
+
+        Raises:
+            InputError: `u` or `duration_s` is out of range, or the plant was not reset.
+            PlantError: what simulates it failed.
+        """
+        return self._advanced(check_levels(u, duration_s, names=self._names, lowest=self._lowest))
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """Return boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors if set.
+
+        Raises:
+            InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
+        """
+        return self._boundary(forecast_times(self._now_s, horizon_s, interval_s))
+
+    def past(self, step_s: float) -> Record:
+        """Return the record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
+
+        Raises:
+            InputError: `step_s` is not positive, or the plant was not reset.
+        """
+        return self._past(record_times(self._begin_s, self._now_s, step_s))
+
+    def _advanced(self, block: Block) -> Measurement:
+        before_s = self._now_s
+        self._run(block)
+        return self._measured(before_s)
+
+    def _check_reset(self, start_s: float, warmup_s: float, price: str) -> None:
+        """Raise what `reset` raises before it changes anything."""
+        check_start(start_s, warmup_s)
+        if price not in PRICES:
+            raise InputError(f"unknown tariff '{price}'; known: {', '.join(PRICES)}")
+
+    def _spaced(self, duration_s: float, sample_s: float) -> Array:
+        """Set the clock `duration_s` ahead; the times until then, equally spaced, as many as whole `sample_s`."""
+        n = max(math.floor(duration_s / sample_s + 1e-9), 1)
+        time_s = self._now_s + duration_s / n * np.arange(1.0, n + 1)
+        self._now_s += duration_s
+        time_s[-1] = self._now_s  # exact, without rounding
+        return time_s
+
+    @abstractmethod
+    def _begin(self) -> None:
+        """Put the plant at the begin of the warm-up, or before it."""
+
+    @abstractmethod
+    def _run(self, block: Block) -> None:
+        """Simulate a block, and set the clock to its end."""
+
+    @abstractmethod
+    def _measured(self, before_s: float) -> Measurement:
+        """The state now, with means since `before_s`; NaN where that is now."""
+
+    @abstractmethod
+    def _boundary(self, time_s: Array) -> Boundary:
+        """The forecast of `time_s` (N + 1,), which begins now."""
+
+    @abstractmethod
+    def _past(self, edges: Array) -> Record:
+        """The record of steps between `edges` (n + 1,), s."""
+
+
+class Samples:
+    """Rows (n, k) of k signals at n rising times, s, in arrays that grow by doubling: steps are many and short."""
+
+    def __init__(self, time_s: float, row: Array) -> None:
+        self._times, self._rows, self._n = np.array([time_s]), row[None].copy(), 1
+
+    @property
+    def times(self) -> Array:
+        """Times (n,), s."""
+        return self._times[: self._n]
+
+    @property
+    def rows(self) -> Array:
+        """Rows (n, k)."""
+        return self._rows[: self._n]
+
+    def append(self, time_s: Array, rows: Array) -> None:
+        """Add samples."""
+        n = self._n + len(rows)
+        if n > self._times.size:
+            room = max(2 * self._times.size, n) - self._times.size
+            self._rows = np.concatenate([self._rows, np.empty((room, rows.shape[1]))])
+            self._times = np.concatenate([self._times, np.empty(room)])
+        self._rows[self._n : n], self._times[self._n : n] = rows, time_s
+        self._n = n
+
+    def between(self, start_s: float, final_s: float) -> tuple[Array, Array]:
+        """Times and rows between two times, both included."""
+        first, last = np.searchsorted(self.times, [start_s - CLOCK_S, final_s + CLOCK_S])
+        return self.times[first:last], self.rows[first:last]
+
+    def copy(self) -> Samples:
+        """Samples that go on apart from these."""
+        same = Samples(0.0, self._rows[0])
+        same._times, same._rows, same._n = self.times.copy(), self.rows.copy(), self._n
+        return same
