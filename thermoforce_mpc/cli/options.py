@@ -165,17 +165,17 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
     from thermoforce_mpc.scenario.scenario import load_scenario
     from thermoforce_mpc.scenario.settings import find_config, merge, parse_overrides
 
-    named: dict[str, Any] = {}
+    keys: dict[str, Any] = {}
     for key in ("testcase", "period", "days", "price", "seed"):
         if options.get(key) is not None:
-            named[key] = options[key]
+            keys[key] = options[key]
     if options.get("controller") is not None:
-        named["controller"] = {"name": options["controller"]}
+        keys["controller"] = {"name": options["controller"]}
     if options.get("model") is not None:
-        named["identification"] = {"model": str(options["model"])}
+        keys["identification"] = {"model": str(options["model"])}
     if options.get("backbone") is not None:
-        named = merge(
-            named, {"controller": {"options": {"free_response": {"options": {"backbone": options["backbone"]}}}}}
+        keys = merge(
+            keys, {"controller": {"options": {"free_response": {"options": {"backbone": options["backbone"]}}}}}
         )
     plant: dict[str, Any] = {}
     if options.get("url") is not None:
@@ -191,11 +191,11 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
     if options.get("uncertainty") is not None:
         plant["forecast_uncertainty"] = options["uncertainty"]
     if plant:
-        named["plant"] = plant
+        keys["plant"] = plant
     if options.get("baselines") is not None:
-        named["baselines"] = [name.strip() for name in options["baselines"].split(",") if name.strip()]
+        keys["baselines"] = [name.strip() for name in options["baselines"].split(",") if name.strip()]
     path: Path | None = find_config("scenarios", options["config"]) if options.get("config") else None
-    named = merge(defaults or {}, named)
-    if path is None and "testcase" not in named:
+    keys = merge(defaults or {}, keys)
+    if path is None and "testcase" not in keys:
         raise click.UsageError("no test case: give --testcase NAME or --config FILE (see `tf-mpc testcases`)")
-    return load_scenario(path, merge(named, parse_overrides(options.get("assignments", ()))))
+    return load_scenario(path, merge(keys, parse_overrides(options.get("assignments", ()))))

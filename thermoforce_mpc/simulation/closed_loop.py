@@ -32,7 +32,7 @@ from thermoforce_mpc.simulation.kept_steps import KeptSteps
 _CLOCK_TOLERANCE_S = 1e-6
 # A plant's clock that is further off after a step has jumped, s.
 _CLOCK_JUMP_S = 0.01
-# Controllers are told the record of these latest days. It is cut once a day.
+# Controllers get the record of these latest days. It is cut once a day.
 _RECORD_DAYS = 35.0
 
 
@@ -144,12 +144,12 @@ class GateHeld:
 
 def gates_held(result: RunResult, others: Mapping[str, RunResult]) -> dict[str, GateHeld]:
     """Return the runs in which the gate held, by controller."""
-    found = {}
+    gates = {}
     for name, run in {result.controller: result, **others}.items():
         plans = [step.plan for step in run.steps if step.plan.status is PlanStatus.GATE]
         if plans:
-            found[name] = GateHeld(len(plans), len(run.steps), plans[0].why)
-    return found
+            gates[name] = GateHeld(len(plans), len(run.steps), plans[0].why)
+    return gates
 
 
 class StepKeeper(Protocol):
@@ -188,7 +188,7 @@ def run_closed_loop(
         lowest: lowest level of each actuator (A,); by default that of `allowed` for all.
         keeper: keeps a journal of the steps.
         steps: where the steps are kept, also if the plant fails; empty.
-        record_days: controllers are told the record of these latest days, or up to a day more.
+        record_days: controllers get the record of these latest days, or up to a day more.
         outage_h: how long the plant may give no forecast before the run ends, h; see `Forecasts`.
 
     Raises:
@@ -201,24 +201,24 @@ def run_closed_loop(
     history, doubts = screened_history(plant.past(controller.step_s), allowed)
     end_s = period.start_s + period.scored_s
     now_s = start.time_s
-    kept: KeptSteps[StepRecord] = KeptSteps() if steps is None else steps
+    records: KeptSteps[StepRecord] = KeptSteps() if steps is None else steps
     state: object = None
     forecasts = Forecasts(plant, controller.horizon_s, controller.step_s, outage_h)
     while end_s - now_s > _CLOCK_TOLERANCE_S:
         t0 = time.perf_counter()
-        given, boundary, gaps = forecasts.now(history)
+        forecast, boundary, gaps = forecasts.now(history)
         t1 = time.perf_counter()
         # The controller fills holes of the forecast itself, and says so.
-        observation = Observation(history, given)
+        observation = Observation(history, forecast)
         plan = controller.plan(observation, state)
         t2 = time.perf_counter()
         # Records do not hold the controller state, which grows with the run; only the latest is kept.
-        plan, after = replace(plan, state=None), plan.state
+        plan, next_state = replace(plan, state=None), plan.state
         blocks, refused = checked_blocks(plan, controller.step_s, end_s - now_s, lowest, history.names)
         # A plan that was refused did not act: the controller goes on from what it knew before.
-        state = state if refused else after
+        state = state if refused else next_state
         if keeper:
-            blocks = tuple(keeper.decided(len(kept), observation.time_s, plan, blocks, refused))
+            blocks = tuple(keeper.decided(len(records), observation.time_s, plan, blocks, refused))
         doubts += gaps
         samples: list[Sample] = []
         parts: list[tuple[float, Measurement]] = []
@@ -237,7 +237,7 @@ def run_closed_loop(
                 f"the plant's clock ran ahead by {ahead_s:g} s: what happened meanwhile is read from its record",
             )
         record = StepRecord(
-            index=len(kept),
+            index=len(records),
             time_s=observation.time_s,
             T_zone_C=observation.T_zone_C,
             boundary=boundary,
@@ -251,7 +251,7 @@ def run_closed_loop(
         )
         doubts = ()
         record = keeper.ended(record) if keeper else record
-        kept.append(record)
+        records.append(record)
         if end_s - now_s > _CLOCK_TOLERANCE_S:  # the last step may be cut short, and no plan follows it
             if abs(ahead_s) > _CLOCK_JUMP_S:
                 history, doubts = screened_history(plant.past(controller.step_s), allowed)
@@ -262,9 +262,11 @@ def run_closed_loop(
         if on_step:
             on_step(record)
     # BOPTEST's time_rat: computing time per control step over the step; replaces the plant's own value.
-    time_rat = math.fsum(step.plan_seconds for step in kept) / len(kept) / controller.step_s if kept else math.nan
+    time_rat = (
+        math.fsum(step.plan_seconds for step in records) / len(records) / controller.step_s if records else math.nan
+    )
     kpis = plant.kpis() | {"time_rat": time_rat}
-    return RunResult(period, controller.name, kpis, kept, start, time.perf_counter() - began, state)
+    return RunResult(period, controller.name, kpis, records, start, time.perf_counter() - began, state)
 
 
 def advanced(plant: Plant, block: Block) -> Measurement:
@@ -293,14 +295,14 @@ def checked_blocks(
     total_s = math.fsum(block.duration_s for block in plan.blocks)
     if abs(total_s - step_s) > _CLOCK_TOLERANCE_S:
         return native, f"refused blocks of {total_s:g} s in all for a step of {step_s:g} s: native control instead"
-    out: list[Block] = []
-    left = remaining_s
+    cut: list[Block] = []
+    left_s = remaining_s
     for block in plan.blocks:
-        if left <= _CLOCK_TOLERANCE_S:
+        if left_s <= _CLOCK_TOLERANCE_S:
             break
-        out.append(replace(block, duration_s=min(block.duration_s, left)))
-        left -= block.duration_s
-    return tuple(out), ""
+        cut.append(replace(block, duration_s=min(block.duration_s, left_s)))
+        left_s -= block.duration_s
+    return tuple(cut), ""
 
 
 def _unfit(block: Block, lowest: float | Sequence[float], names: Names) -> str:
@@ -320,8 +322,8 @@ def _unfit(block: Block, lowest: float | Sequence[float], names: Names) -> str:
 
 def with_level(measurement: Measurement, block: Block) -> Measurement:
     """The measurement with the applied levels where u was not measured; u stays NaN where native control acts."""
-    told = np.array([band is None for band in block.band_C])
-    return replace(measurement, u=np.where(np.isnan(measurement.u) & told, block.as_array(), measurement.u))
+    by_level = np.array([band is None for band in block.band_C])
+    return replace(measurement, u=np.where(np.isnan(measurement.u) & by_level, block.as_array(), measurement.u))
 
 
 def sample_of(start_s: float, block: Block, measurement: Measurement, boundary: Boundary) -> Sample:

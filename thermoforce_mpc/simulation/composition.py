@@ -94,17 +94,17 @@ def check_windows(names: Iterable[str], spec: PlantSpec, testcase: TestCase) -> 
     Raises:
         ConfigError: names the window and those there are; also for a start day written in two ways.
     """
-    known = cache(partial(windows_of, spec, testcase))  # may open an FMU
+    windows_of_plant = cache(partial(windows_of, spec, testcase))  # may open an FMU
     days: dict[float, str] = {}
     for name in names:
         check_window(name, "windows")
         if name not in _NAMED_PERIODS:  # a start day, which all have
-            if (same := days.setdefault(float(name), name)) != name:
-                raise ConfigError(f"windows: '{same}' and '{name}' are the same start day; leave one out")
+            if (earlier := days.setdefault(float(name), name)) != name:
+                raise ConfigError(f"windows: '{earlier}' and '{name}' are the same start day; leave one out")
             continue
-        has = known()
-        if has is not None and name not in has:
+        windows = windows_of_plant()
+        if windows is not None and name not in windows:
             raise ConfigError(
-                f"windows: {testcase.name} has no '{name}'; use {''.join(f'{one}, ' for one in has)}or the day of the "
-                "year it starts, such as 44"
+                f"windows: {testcase.name} has no '{name}'; use {''.join(f'{window}, ' for window in windows)}or the "
+                "day of the year it starts, such as 44"
             )

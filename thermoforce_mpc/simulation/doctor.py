@@ -83,41 +83,42 @@ def examine(
             continue
         began = time.perf_counter()
         try:
-            found = check()
+            finding = check()
         except ModuleNotFoundError as error:
-            found = Finding(name, "failed", f"{error.name} is not installed", "pip install --upgrade thermoforce-mpc")
+            finding = Finding(name, "failed", f"{error.name} is not installed", "pip install --upgrade thermoforce-mpc")
         except ThermoForceError as error:
-            found = Finding(name, "failed", str(error), "see the message")
+            finding = Finding(name, "failed", str(error), "see the message")
         except Exception as error:  # a broken installation may raise anything
-            told = f"{type(error).__name__}: {error}"
-            found = Finding(name, "failed", told, "install into a fresh virtual environment; if it stays, report it")
-        yield replace(found, name=name, seconds=time.perf_counter() - began)
+            problem = f"{type(error).__name__}: {error}"
+            todo = "install into a fresh virtual environment; if it stays, report it"
+            finding = Finding(name, "failed", problem, todo)
+        yield replace(finding, name=name, seconds=time.perf_counter() - began)
 
 
 def _python() -> Finding:
-    told = f"{sys.version.split()[0]} at {sys.executable}, {_PACKAGE} {VERSION}"
+    summary = f"{sys.version.split()[0]} at {sys.executable}, {_PACKAGE} {VERSION}"
     if sys.prefix == sys.base_prefix:
-        return Finding("", "warning", f"{told}, no virtual environment", "python3 -m venv .venv, and install there")
-    return Finding("", "ok", told)
+        return Finding("", "warning", f"{summary}, no virtual environment", "python3 -m venv .venv, and install there")
+    return Finding("", "ok", summary)
 
 
 def _packages() -> Finding:
     """Versions of what the package requires, as its metadata say."""
-    wrong, n = [], 0
+    problems, n = [], 0
     for line in requires(_PACKAGE) or ():
-        wanted = Requirement(line)
-        if wanted.marker and not wanted.marker.evaluate({"extra": ""}):
+        requirement = Requirement(line)
+        if requirement.marker and not requirement.marker.evaluate({"extra": ""}):
             continue
         n += 1
         try:
-            found = version(wanted.name)
+            installed = version(requirement.name)
         except PackageNotFoundError:
-            wrong.append(f"{wanted} is not installed")
+            problems.append(f"{requirement} is not installed")
             continue
-        if not wanted.specifier.contains(found, prereleases=True):
-            wrong.append(f"{wanted.name} {found} is installed, {wanted.specifier} is required")
-    if wrong:
-        return Finding("", "failed", "; ".join(wrong), "pip install --upgrade thermoforce-mpc")
+        if not requirement.specifier.contains(installed, prereleases=True):
+            problems.append(f"{requirement.name} {installed} is installed, {requirement.specifier} is required")
+    if problems:
+        return Finding("", "failed", "; ".join(problems), "pip install --upgrade thermoforce-mpc")
     return Finding("", "ok", f"{n} required packages")
 
 
@@ -131,11 +132,12 @@ def _plugins() -> Finding:
     from thermoforce_mpc.scenario.scenario import MADE_TESTCASES as testcases
 
     registries: tuple[Registry[Any], ...] = (controllers, plants, free_responses, backbones, connections, testcases)
-    found = [(registry.kind, one) for registry in registries for one in registry.listing() if one.origin != OWN]
-    wrong = [f"{kind} '{one.name}' of {one.origin}: {one.problem}" for kind, one in found if one.problem]
-    if wrong:
-        return Finding("", "warning", "; ".join(wrong), "mend or uninstall these; everything else works without them")
-    return Finding("", "ok", ", ".join(f"{kind} {one.name}" for kind, one in found) or "none installed")
+    plugins = [(registry.kind, entry) for registry in registries for entry in registry.listing() if entry.origin != OWN]
+    problems = [f"{kind} '{entry.name}' of {entry.origin}: {entry.problem}" for kind, entry in plugins if entry.problem]
+    if problems:
+        todo = "mend or uninstall these; everything else works without them"
+        return Finding("", "warning", "; ".join(problems), todo)
+    return Finding("", "ok", ", ".join(f"{kind} {entry.name}" for kind, entry in plugins) or "none installed")
 
 
 def _plant() -> Finding:
@@ -176,21 +178,21 @@ def _solver(name: str) -> Finding:
 def _cold_house() -> Observation:
     """Two days at 20.5 °C without heating, and a band from 21 °C on."""
     at_s = HOUR_S * np.arange(49, dtype=np.float64)
-    same = np.ones(at_s.size)
-    none = np.zeros((1, at_s.size - 1))
+    ones = np.ones(at_s.size)
+    zeros = np.zeros((1, at_s.size - 1))
     record = Record(
         time_s=at_s,
-        T_zone_C=20.5 * same[None],
-        T_out_C=0.0 * same,
-        solar_W_m2=0.0 * same,
-        u=none,
-        power_W=none,
-        heat_W=none,
+        T_zone_C=20.5 * ones[None],
+        T_out_C=0.0 * ones,
+        solar_W_m2=0.0 * ones,
+        u=zeros,
+        power_W=zeros,
+        heat_W=zeros,
         names=SINGLE,
     )
     ahead = at_s[-1] + np.arange(14) * HOUR_S
-    one = np.ones(ahead.size)
-    boundary = Boundary(ahead, 0 * one, 0 * one, 0 * one, 21 * one, 24 * one, 0.25 * one, 0.2 * one)
+    ones = np.ones(ahead.size)
+    boundary = Boundary(ahead, 0 * ones, 0 * ones, 0 * ones, 21 * ones, 24 * ones, 0.25 * ones, 0.2 * ones)
     return Observation(record, boundary)
 
 
@@ -203,17 +205,17 @@ def _backbone() -> Finding:
         return Finding("", "failed", f"{error.name} is not installed", f"pip install {error.name}")
     observation = _cold_house()
     free_C = 20.0 + np.sin(np.arange(49) * 2 * np.pi / 24)
-    found = method.forecast(free_C, observation.history, observation.boundary)
-    if not np.isfinite(found.quantiles_C).all():
+    forecast = method.forecast(free_C, observation.history, observation.boundary)
+    if not np.isfinite(forecast.quantiles_C).all():
         return Finding("", "failed", "the shipped forecaster returns no numbers", "pip install --force-reinstall torch")
-    return Finding("", "ok", f"shipped forecaster: {found.note}")
+    return Finding("", "ok", f"shipped forecaster: {forecast.note}")
 
 
 def _serving() -> Finding:
     missing = [name for name in ("flask", "waitress") if importlib.util.find_spec(name) is None]
     if missing:
-        told = f"{', '.join(missing)} not installed: `tf-mpc serve` and `chaos` are not available"
-        return Finding("", "warning", told, "pip install 'thermoforce-mpc[serve]'")
+        summary = f"{', '.join(missing)} not installed: `tf-mpc serve` and `chaos` are not available"
+        return Finding("", "warning", summary, "pip install 'thermoforce-mpc[serve]'")
     return Finding("", "ok", "flask and waitress: `tf-mpc serve`")
 
 
@@ -227,35 +229,35 @@ def _service(testcase: str, url: str | None) -> Finding:
     began = time.perf_counter()
     try:
         with BoptestPlant(url, load_testcase(testcase), config=TransportConfig(read_timeout_s=30.0)) as plant:
-            told = f"version {plant.info.version}, {testcase} selected, its points checked, stopped"
+            summary = f"version {plant.info.version}, {testcase} selected, its points checked, stopped"
     except ConfigError as error:
         return Finding("", "failed", str(error), "`--testcase` takes another test case, `tf-mpc testcases` lists them")
     except ThermoForceError as error:
         return Finding("", "failed", str(error), "is it running? `curl URL/version`")
-    return Finding("", "ok", f"{told} in {time.perf_counter() - began:.1f} s")
+    return Finding("", "ok", f"{summary} in {time.perf_counter() - began:.1f} s")
 
 
 def _clock(url: str | None) -> Finding:
     """Against the service's clock, the system's own verdict, and the time the package was installed."""
     now = datetime.now(UTC)
-    told = f"{now:%Y-%m-%d %H:%M:%S} UTC"
+    summary = f"{now:%Y-%m-%d %H:%M:%S} UTC"
     todo = "set the clock: timedatectl set-ntp true"
     if now.timestamp() < Path(__file__).stat().st_mtime - DAY_S:
-        return Finding("", "failed", f"{told}: before this package was installed", todo)
+        return Finding("", "failed", f"{summary}: before this package was installed", todo)
     if url is not None:
         try:
             at = parsedate_to_datetime(requests.head(url, timeout=5, allow_redirects=False).headers["Date"])
         except (requests.RequestException, KeyError, ValueError):
-            told += ", the service tells none"
+            summary += ", the service tells none"
         else:
             off_s = (now - at).total_seconds()
             if abs(off_s) > _CLOCK_OFF_S:
-                return Finding("", "warning", f"{told}: {off_s:+.0f} s from the service's", todo)
-            told += ", as the service's"
+                return Finding("", "warning", f"{summary}: {off_s:+.0f} s from the service's", todo)
+            summary += ", as the service's"
     synchronised = _synchronised()
     if synchronised is False:
-        return Finding("", "warning", f"{told}, not synchronised", todo)
-    return Finding("", "ok", told + (", synchronised" if synchronised else ""))
+        return Finding("", "warning", f"{summary}, not synchronised", todo)
+    return Finding("", "ok", summary + (", synchronised" if synchronised else ""))
 
 
 def _synchronised() -> bool | None:
@@ -265,10 +267,10 @@ def _synchronised() -> bool | None:
         return None
     call = [command, "show", "--property=NTPSynchronized", "--value"]
     try:
-        told = subprocess.run(call, capture_output=True, text=True, timeout=5, check=False).stdout.strip()
+        output = subprocess.run(call, capture_output=True, text=True, timeout=5, check=False).stdout.strip()
     except (OSError, subprocess.TimeoutExpired):
         return None
-    return {"yes": True, "no": False}.get(told)
+    return {"yes": True, "no": False}.get(output)
 
 
 def _disk(folder: Path) -> Finding:
@@ -282,11 +284,11 @@ def _disk(folder: Path) -> Finding:
         began = time.perf_counter()
         write_whole(Path(scratch) / "file", b"x" * 4096)
         sync_s = time.perf_counter() - began
-    told = f"{where}: {free_GB:.1f} GB free, a record is safe after {1e3 * sync_s:.0f} ms"
+    summary = f"{where}: {free_GB:.1f} GB free, a record is safe after {1e3 * sync_s:.0f} ms"
     if free_GB < _NO_SPACE_GB:
-        return Finding("", "failed", told, todo)
+        return Finding("", "failed", summary, todo)
     if free_GB < _LITTLE_SPACE_GB:
-        return Finding("", "warning", told, todo)
+        return Finding("", "warning", summary, todo)
     if sync_s > _SLOW_SYNC_S:
-        return Finding("", "warning", f"{told}, which is slow", "use a local disk for runs on a service")
-    return Finding("", "ok", told)
+        return Finding("", "warning", f"{summary}, which is slow", "use a local disk for runs on a service")
+    return Finding("", "ok", summary)

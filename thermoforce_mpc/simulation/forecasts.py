@@ -26,7 +26,7 @@ class Forecaster(Protocol):
 
 
 class Forecasts:
-    """Asks the plant for the forecast of each step.
+    """Gets the forecast of each step from the plant.
 
     Where it gives none, the step has an empty one (NaN), which controllers fill as they fill holes. That is said once
     in the log, and in the notes of every step.
@@ -52,21 +52,21 @@ class Forecasts:
         now_s = float(history.time_s[-1])
         notes: tuple[str, ...]
         try:
-            given = self._plant.forecast(self._horizon_s, self._step_s)
+            forecast = self._plant.forecast(self._horizon_s, self._step_s)
         except NoForecast as error:
-            given, notes = empty_forecast(history, self._n_steps, self._step_s), (self._without(error, now_s),)
+            forecast, notes = empty_forecast(history, self._n_steps, self._step_s), (self._without(error, now_s),)
         else:
-            given = lengthened(given, self._n_steps, self._step_s)
-            notes = holes(given)
+            forecast = lengthened(forecast, self._n_steps, self._step_s)
+            notes = holes(forecast)
             if self._missing_since_s is not None:
                 hours = (now_s - self._missing_since_s) / HOUR_S
                 _LOG.warning("there is a forecast again, after %.3g h without", hours)
                 notes = (f"there is a forecast again, after {hours:.3g} h without", *notes)
             self._missing_since_s = None
-        whole, _ = completed(given, history, self._last) if notes else (given, "")
+        filled, _ = completed(forecast, history, self._last) if notes else (forecast, "")
         if self._missing_since_s is None:
-            self._last = whole
-        return given, whole, notes
+            self._last = filled
+        return forecast, filled, notes
 
     def _without(self, error: NoForecast, now_s: float) -> str:
         """What is said of a step without a forecast; raises `error` where that is too much."""

@@ -38,7 +38,7 @@ class KeptSteps(Sequence[_Step]):
         """Append one; raises `StorageError` where the file cannot be written."""
         self._recent.append(step)
         if len(self._recent) > self._most:
-            self._put_away(self._recent[0])
+            self._write_step(self._recent[0])
             del self._recent[0]
 
     def __len__(self) -> int:
@@ -57,19 +57,19 @@ class KeptSteps(Sequence[_Step]):
             return tuple(self[i] for i in range(*index.indices(len(self))))
         at = range(len(self))[index]
         away = len(self._places)
-        return self._recent[at - away] if at >= away else self._taken_out(self._places[at])
+        return self._recent[at - away] if at >= away else self._read_step(self._places[at])
 
     def __iter__(self) -> Iterator[_Step]:
         """All steps in order; those in the file are read one by one."""
         for place in self._places:
-            yield self._taken_out(place)
+            yield self._read_step(place)
         yield from islice(self._recent, len(self._recent))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """To another process all of them go in memory."""
         return _in_memory, (tuple(self),)
 
-    def _put_away(self, step: _Step) -> None:
+    def _write_step(self, step: _Step) -> None:
         with storage_errors((self._folder or Path(tempfile.gettempdir())) / "steps of this run"):
             if self._file is None:
                 self._file = tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115 (closed with this object)
@@ -79,7 +79,7 @@ class KeptSteps(Sequence[_Step]):
             self._file.flush()
         self._places.append(place)
 
-    def _taken_out(self, place: int) -> _Step:
+    def _read_step(self, place: int) -> _Step:
         self._file.seek(place)
         step: _Step = pickle.load(self._file)
         return step

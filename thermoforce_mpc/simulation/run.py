@@ -109,8 +109,8 @@ def run(
         InputError: something given cannot be used; the message names the key.
         PlantError: the plant or its service failed.
     """
-    named = {"testcase": testcase, "controller": {"name": controller}}
-    return _execute(load_scenario(None, merge(named, settings)), RunDisplay(quiet=not progress), {}, model)
+    keys = {"testcase": testcase, "controller": {"name": controller}}
+    return _execute(load_scenario(None, merge(keys, settings)), RunDisplay(quiet=not progress), {}, model)
 
 
 def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, command: Sequence[str]) -> Path:
@@ -159,7 +159,7 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
     records: dict[str, KeptSteps[StepRecord]] = {}
     try:
         with closing(book.journal), logging_to(folder, display.say):
-            done = _execute(scenario, display, records, book=book)
+            outcome = _execute(scenario, display, records, book=book)
     except PlantError as error:
         if book.holds_nothing:
             book.discard()
@@ -177,12 +177,12 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
     kpis = write_results(
         folder,
         scenario=scenario,
-        plant=done.plant,
-        result=done.result,
-        baselines=done.baselines,
-        identification=done.identification,
+        plant=outcome.plant,
+        result=outcome.result,
+        baselines=outcome.baselines,
+        identification=outcome.identification,
         command=book.command,
-        forecaster=done.forecaster,
+        forecaster=outcome.forecaster,
     )
     with display.working("Drawing the report"):
         from thermoforce_mpc.simulation.report import write_report
@@ -191,28 +191,27 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
             folder,
             currency=testcase.currency,
             kpis=kpis,
-            result=done.result,
-            baselines=done.baselines,
+            result=outcome.result,
+            baselines=outcome.baselines,
             layout=testcase.layout,
             area_m2=testcase.area_m2,
-            model=done.models.get(done.result.controller),
+            model=outcome.models.get(outcome.result.controller),
         )
-    _tell(done, folder, testcase, display)
+    _print_summary(outcome, folder, testcase, display)
     return folder
 
 
-def _tell(done: ScenarioResult, folder: Path, testcase: TestCase, display: RunDisplay) -> None:
+def _print_summary(outcome: ScenarioResult, folder: Path, testcase: TestCase, display: RunDisplay) -> None:
     """Print the KPI table and what was out of the ordinary."""
-    title = (
-        f"{done.plant.kind} plant, {done.plant.weather}\n{_window(done.result.period)}, {done.scenario.price} tariff"
-    )
-    held = {name: gate.in_words() for name, gate in gates_held(done.result, done.baselines).items()}
-    display.kpi_table(done.kpis, title, testcase.currency, held)
-    levels = done.result.fallback_levels()
+    plant, window = outcome.plant, _window(outcome.result.period)
+    title = f"{plant.kind} plant, {plant.weather}\n{window}, {outcome.scenario.price} tariff"
+    gates = {name: gate.in_words() for name, gate in gates_held(outcome.result, outcome.baselines).items()}
+    display.kpi_table(outcome.kpis, title, testcase.currency, gates)
+    levels = outcome.result.fallback_levels()
     fallbacks = {level: n for level, n in levels.items() if n and level not in ("solved", "rule", "gate")}
     if fallbacks:
         display.say(f"Fallbacks: {fallbacks}; reasons in {folder / 'steps.csv'}")
-    for spell in watch_spells(done.result):
+    for spell in watch_spells(outcome.result):
         display.say(f"Watch: {spell.in_words()}")
 
 
@@ -225,7 +224,7 @@ def _execute(
 ) -> ScenarioResult:
     """Build, identify unless there is a `model`, run everyone; `records` keeps the steps if the plant fails.
 
-    With a `book`, all that the controllers are told is written to its journal, or taken from it.
+    With a `book`, all that the controllers get is written to its journal, or taken from it.
     """
     testcase = validate_scenario(scenario)
     if book is None or not book.told:  # a run that is resumed has its models in its folder
@@ -243,7 +242,7 @@ def _execute(
         check_prices(scenario, period)
         if model is None:
             identified = _identified(scenario, testcase, plant, display, book)
-            models: dict[str, ThermalModel | str] = {who: found.acts_on for who, found in identified.items()}
+            models: dict[str, ThermalModel | str] = {who: identified[who].acts_on for who in identified}
         else:
             identified = {}
             models = {who: model for who in (name, *scenario.baselines) if find_entry(who).needs_model}
@@ -253,17 +252,17 @@ def _execute(
             steps = records.setdefault(controller.name, KeptSteps(book.folder if book else None))
             return _follow(plant, controller, period, scenario, testcase, display, steps)
 
-        def built(who: str) -> Controller:
+        def contestant(who: str) -> Controller:
             return build_controller(who, controller_options(scenario, who), testcase, models.get(who))
 
-        controller = built(name)
+        controller = contestant(name)
         actuation = getattr(controller, "actuation_in_words", None)
         if actuation:
             display.say(f"Actuation: {actuation}")
-        before = weight_hash(controller)
+        hash_before = weight_hash(controller)
         result = follow(controller)
-        forecaster = frozen_proof(controller, before)
-        baselines = {other: follow(built(other)) for other in scenario.baselines if other != name}
+        forecaster = frozen_proof(controller, hash_before)
+        baselines = {other: follow(contestant(other)) for other in scenario.baselines if other != name}
         usable = {who: model for who, model in models.items() if not isinstance(model, str)}
         origins = origins_of(identified, name)
         if actuation and origins:
@@ -312,10 +311,10 @@ def _follow(
         keeper.noted("loop", lambda: {"controller": controller.name})
     with display.loop(
         controller.name, period, keeper.kpis_so_far if keeper else plant.kpis, testcase.currency
-    ) as shown:
+    ) as progress:
 
         def on_step(record: StepRecord) -> None:
-            shown.step(record)
+            progress.step(record)
             if not (keeper and keeper.catching_up):
                 log_step(controller.name, record)
 

@@ -54,10 +54,10 @@ def schema_of(kind: str) -> dict[str, Any]:
     of_controllers = {name: entry.config() for name, entry in REGISTRY.own.items()}
     models = list(dict.fromkeys([root, *_inside(root), *of_controllers.values(), *_all_options()]))
     refs, combined = models_json_schema([(model, _MODE) for model in models], schema_generator=_Untitled)
-    found = combined["$defs"]
+    definitions = combined["$defs"]
 
     def definition(model: type[BaseModel]) -> Any:
-        return found[refs[model, _MODE]["$ref"].rpartition("/")[2]]
+        return definitions[refs[model, _MODE]["$ref"].rpartition("/")[2]]
 
     for model, keys in _OPTIONS.items():
         if model in models:
@@ -76,7 +76,7 @@ def schema_of(kind: str) -> dict[str, Any]:
                 for name, options in of_controllers.items()
             ]
     top = {"$schema": _DRAFT, "title": f"{kind} of thermoforce-mpc"} | definition(root)
-    return top | {"$defs": {name: found[name] for name in sorted(_needed(top, found))}}
+    return top | {"$defs": {name: definitions[name] for name in sorted(_needed(top, definitions))}}
 
 
 def schema_text(kind: str) -> str:
@@ -98,19 +98,19 @@ def _all_options() -> Iterator[type[BaseModel]]:
 
 def _inside(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
     """The models of this module's tables that a model contains."""
-    known = [*_OPTIONS, *_OF_CONTROLLER]
-    text = json.dumps(model.model_json_schema(mode=_MODE))
-    yield from (one for one in known if f'"#/$defs/{one.__name__}"' in text)
+    tabled = [*_OPTIONS, *_OF_CONTROLLER]
+    schema = json.dumps(model.model_json_schema(mode=_MODE))
+    yield from (options for options in tabled if f'"#/$defs/{options.__name__}"' in schema)
 
 
-def _needed(value: Any, found: dict[str, Any], seen: set[str] | None = None) -> set[str]:
+def _needed(value: Any, definitions: dict[str, Any], names: set[str] | None = None) -> set[str]:
     """Names of the definitions that are referred to, directly or by others."""
-    seen = set() if seen is None else seen
+    names = set() if names is None else names
     if isinstance(value, dict):
         name = str(value.get("$ref", "")).rpartition("/")[2]
-        if name and name not in seen:
-            seen.add(name)
-            _needed(found[name], found, seen)
+        if name and name not in names:
+            names.add(name)
+            _needed(definitions[name], definitions, names)
     for below in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
-        _needed(below, found, seen)
-    return seen
+        _needed(below, definitions, names)
+    return names

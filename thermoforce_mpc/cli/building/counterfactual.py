@@ -59,26 +59,26 @@ def command(
     first_s = seconds_at(record.origin, start, "--start")
     time_s = first_s + record.step_s * np.arange(round(hours * HOUR_S / record.step_s), dtype=np.float64)
     u = levels_of(schedule, level, record.names, time_s, record.origin)
-    found = counterfactual(thermal, record, u, start=start)
+    result = counterfactual(thermal, record, u, start=start)
     console = Console(highlight=False, markup=False)
-    _show(found, console)
+    _show(result, console)
     if out is not None:
         with written(out) as aside:
             if out.suffix == ".csv":
-                found.to_dataframe().round(4).to_csv(aside, lineterminator="\n")
+                result.to_dataframe().round(4).to_csv(aside, lineterminator="\n")
             else:
-                aside.write_text(json.dumps(found.to_json(), indent=1), encoding="utf-8")
+                aside.write_text(json.dumps(result.to_json(), indent=1), encoding="utf-8")
         console.print(f"Course: {out}", soft_wrap=True)
     if plot is not None:
         with written(plot) as aside:
-            draw(found, record.step_s, aside)
+            draw(result, record.step_s, aside)
         console.print(f"Picture: {plot}", soft_wrap=True)
 
 
-def _show(found: Counterfactual, console: Console) -> None:
-    frame = found.to_dataframe()
-    names = found.names
-    shown = Table(
+def _show(result: Counterfactual, console: Console) -> None:
+    frame = result.to_dataframe()
+    names = result.names
+    table = Table(
         title="As it was, and under the other levels (temperature at the end of the step)",
         title_justify="left",
         box=box.SIMPLE_HEAD,
@@ -90,51 +90,51 @@ def _show(found: Counterfactual, console: Console) -> None:
     for name in names.zones:
         headings += [f"{name}, °C\nwas", "\nother (90 %)", "effect, K\n(certified)"]
     for heading in headings:
-        shown.add_column(heading, justify="right" if heading != "from" else "left", no_wrap=True)
+        table.add_column(heading, justify="right" if heading != "from" else "left", no_wrap=True)
     every = max(1, -(-len(frame) // _ROWS))
     for k in range(0, len(frame), every):
         cells = [f"{frame.index[k]:%d %b %H:%M}"]
         for a in range(len(names.actuators)):
-            cells += [f"{found.u[a, k]:.2f}", f"{found.u_other[a, k]:.2f}"]
+            cells += [f"{result.u[a, k]:.2f}", f"{result.u_other[a, k]:.2f}"]
         for z in range(len(names.zones)):
-            half = found.half_K[z, k]
+            half = result.half_K[z, k]
             band = f" ± {half:.1f}" if np.isfinite(half) else ""
-            proven = f"{found.certified_low_K[z, k]:+.1f} to {found.certified_high_K[z, k]:+.1f}"
-            cells += [f"{found.measured_C[z, k]:.1f}", f"{found.other_C[z, k]:.1f}{band}"]
-            cells.append(f"{found.effect_K[z, k]:+.1f} ({proven})")
-        shown.add_row(*cells)
-    print_whole(shown, console)
-    for name, was, other in zip(names.machines, found.energy_kWh, found.energy_other_kWh, strict=True):
+            proven = f"{result.certified_low_K[z, k]:+.1f} to {result.certified_high_K[z, k]:+.1f}"
+            cells += [f"{result.measured_C[z, k]:.1f}", f"{result.other_C[z, k]:.1f}{band}"]
+            cells.append(f"{result.effect_K[z, k]:+.1f} ({proven})")
+        table.add_row(*cells)
+    print_whole(table, console)
+    for name, was, other in zip(names.machines, result.energy_kWh, result.energy_other_kWh, strict=True):
         if np.isfinite(was):
             console.print(
                 f"Energy of {name} by the model: {was:.1f} kWh as it was, {other:.1f} kWh under the other levels",
                 soft_wrap=True,
             )
-    if np.isnan(found.sd_K).any():
+    if np.isnan(result.sd_K).any():
         console.print("The model's card has no uncertainty of the effect: there is no band.")
 
 
-def draw(found: Counterfactual, step_s: float, path: Path) -> None:
+def draw(result: Counterfactual, step_s: float, path: Path) -> None:
     """Write a picture of steps of `step_s`, s: measured and other temperatures with their band, and both schedules."""
     from matplotlib.figure import Figure
 
-    index = stamps(np.append(found.time_s, found.time_s[-1] + step_s), found.origin)
+    index = stamps(np.append(result.time_s, result.time_s[-1] + step_s), result.origin)
     edges = (index.tz_localize(None) if isinstance(index, pd.DatetimeIndex) else index).to_numpy()
     figure = Figure(figsize=(9.0, 5.6), layout="constrained")
     axes, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
-    for z, zone in enumerate(found.names.zones):
-        colour, half = f"C{z % 10}", found.half_K[z]
-        axes.plot(edges[1:], found.measured_C[z], color=colour, label=f"{zone}, measured")
-        axes.plot(edges[1:], found.other_C[z], color=colour, linestyle="--", label=f"{zone}, other levels")
-        low, high = found.other_C[z] - half, found.other_C[z] + half
+    for z, zone in enumerate(result.names.zones):
+        colour, half = f"C{z % 10}", result.half_K[z]
+        axes.plot(edges[1:], result.measured_C[z], color=colour, label=f"{zone}, measured")
+        axes.plot(edges[1:], result.other_C[z], color=colour, linestyle="--", label=f"{zone}, other levels")
+        low, high = result.other_C[z] - half, result.other_C[z] + half
         axes.fill_between(edges[1:], low, high, color=colour, alpha=0.2, linewidth=0)
     axes.set_ylabel("temperature, °C")
     axes.grid(alpha=0.3)
     axes.legend(frameon=False, fontsize="small")
-    for a in range(len(found.names.actuators)):
-        below.stairs(found.u[a], edges, color=f"C{a % 10}", baseline=None, label="as it was" if a == 0 else None)
-        below.stairs(found.u_other[a], edges, color=f"C{a % 10}", baseline=None, linestyle="--")
+    for a in range(len(result.names.actuators)):
+        below.stairs(result.u[a], edges, color=f"C{a % 10}", baseline=None, label="as it was" if a == 0 else None)
+        below.stairs(result.u_other[a], edges, color=f"C{a % 10}", baseline=None, linestyle="--")
     below.set_ylabel("level")
-    below.set_ylim(min(0.0, float(found.u_other.min())) - 0.05, 1.05)
+    below.set_ylim(min(0.0, float(result.u_other.min())) - 0.05, 1.05)
     below.tick_params(axis="x", rotation=20)
     figure.savefig(path, dpi=120)

@@ -54,13 +54,13 @@ def check_command(files: tuple[str, ...], map_file: Path, plot: Path, fit: bool,
     display = RunDisplay()
     measured = read_measurements(files, map_file)
     show_measurements(measured, display.console)
-    told = show_tellings(measured, display, fit=fit)
+    tellings = show_tellings(measured, display, fit=fit)
     with written(plot) as aside:
-        title = f"{', '.join(Path(name).name for name in measured.understood.files[:3])}: {told['headline']}"
+        title = f"{', '.join(Path(name).name for name in measured.understood.files[:3])}: {tellings['headline']}"
         draw_measurements(aside, measured, title)
     display.say(f"Picture: {plot}")
     if json_file is not None:
-        content = {"understood": measured.understood.to_json(), "tells": told}
+        content = {"understood": measured.understood.to_json(), "tells": tellings}
         with written(json_file) as aside:
             aside.write_text(json.dumps(content, indent=2, ensure_ascii=False), encoding="utf-8")
 

@@ -18,32 +18,32 @@ _MOST_FILES = 5
 
 def show_measurements(measured: Measurements, console: Console) -> None:
     """Print period, step, signals, flags, assumptions and what is missing."""
-    known = measured.understood
-    more = f" and {len(known.files) - _MOST_FILES} more" if len(known.files) > _MOST_FILES else ""
+    understood = measured.understood
+    more = f" and {len(understood.files) - _MOST_FILES} more" if len(understood.files) > _MOST_FILES else ""
     say = console.print
-    files = ", ".join(known.files[:_MOST_FILES])
-    say(f"{files}{more}: {known.rows} rows, every {_time(known.rows_every_s)}", soft_wrap=True)
+    files = ", ".join(understood.files[:_MOST_FILES])
+    say(f"{files}{more}: {understood.rows} rows, every {_time(understood.rows_every_s)}", soft_wrap=True)
     say(
-        f"{known.begins} to {known.ends} ({known.days:.1f} days, {known.zone or 'no time zone'}); step "
-        f"{_time(known.step_s)}, {measured.record.n_steps} steps",
+        f"{understood.begins} to {understood.ends} ({understood.days:.1f} days, {understood.zone or 'no time zone'}); "
+        f"step {_time(understood.step_s)}, {measured.record.n_steps} steps",
         soft_wrap=True,
     )
     table = Table(title="Signals", title_justify="left")
     for heading in ("signal", "column", "every", "known", "longest gap", "least", "median", "most", ""):
         table.add_column(heading, justify="left" if heading in ("signal", "column", "") else "right")
-    for signal in known.signals:
+    for signal in understood.signals:
         table.add_row(*_cells(signal))
     say(table)
-    show_doubts(known, console)
-    for text in known.assumed:
+    show_doubts(understood, console)
+    for text in understood.assumed:
         say(f"  assumed: {text}", soft_wrap=True)
-    for text in known.missing:
+    for text in understood.missing:
         say(f"  missing: {text}", soft_wrap=True)
 
 
-def show_doubts(known: Understood, console: Console) -> None:
+def show_doubts(understood: Understood, console: Console) -> None:
     """Print which readings count as not measured, and what is doubtful of a signal."""
-    for signal in known.signals:
+    for signal in understood.signals:
         for flag in signal.flags:
             console.print(
                 f"  flagged in {signal.key}: {flag.count} by rule '{flag.rule}', first {flag.first}", soft_wrap=True
@@ -71,25 +71,25 @@ def _tellings(measured: Measurements, display: RunDisplay, *, fit: bool) -> dict
         display.say(f"  {note}")
     for telling in expected:
         display.say(f"  {telling.in_words()}")
-    told: dict[str, Any] = {
+    content: dict[str, Any] = {
         "headline": "; ".join(f"{t.actuator} ± {100 * t.relative_sd:.0f} % expected" for t in expected),
         "part": note,
         "expected": [{"actuator": t.actuator, "relative_sd": t.relative_sd, "tells": t.tells} for t in expected],
     }
-    known = all(telling.tells for telling in expected)
+    enough = all(telling.tells for telling in expected)
     if fit:
         display.say("Found by a linear model:")
-        found = findings(record, measured.layout)
-        for finding in found:
+        fitted = findings(record, measured.layout)
+        for finding in fitted:
             display.say(f"  {finding.actuator}: {finding.words}")
             for advice in finding.advice:
                 display.say(f"    advice: {advice}")
-        known = all(finding.competent for finding in found)
-        verdicts = [f"{f.actuator} {f.words if f.competent else 'cannot be told'}" for f in found]
-        told |= {"found": [asdict(finding) for finding in found], "headline": "; ".join(verdicts)}
-    if not known:
+        enough = all(finding.competent for finding in fitted)
+        verdicts = [f"{f.actuator} {f.words if f.competent else 'cannot be told'}" for f in fitted]
+        content |= {"found": [asdict(finding) for finding in fitted], "headline": "; ".join(verdicts)}
+    if not enough:
         display.say("  `tf-mpc data probe-plan` writes the cheapest probing by hand that would tell")
-    return told
+    return content
 
 
 def _cells(signal: SignalSummary) -> tuple[str, ...]:

@@ -69,15 +69,15 @@ def command(
     truth = np.full((len(record.names.zones), n), np.nan)
     applied: Array | None = None
     if start is not None:
-        past, stretch = _at(record, start, n)
+        past, stretch = _split_at(record, start, n)
         ahead, truth, applied = Boundary.measured(stretch), stretch.T_zone_C[:, 1:], stretch.u
     else:
         from thermoforce_mpc.measurements.forecast import read_forecast
 
         # Bounds and prices say nothing about the temperature: none need be in the file.
         neutral = measured.map.forecast.model_copy(update={"lower": 0.0, "upper": 50.0, "price": 0.0})
-        given = replace(measured, map=measured.map.model_copy(update={"forecast": neutral}))
-        past, ahead = record, read_forecast(str(forecast_file), given)
+        neutral_measured = replace(measured, map=measured.map.model_copy(update={"forecast": neutral}))
+        past, ahead = record, read_forecast(str(forecast_file), neutral_measured)
         if ahead.n_steps < n:
             raise DataError(f"--forecast {forecast_file}: covers {ahead.n_steps} steps, {hours:g} h need {n}")
         ahead = ahead.head(n)
@@ -85,10 +85,10 @@ def command(
         applied = levels_of(schedule, level, record.names, ahead.time_s[:-1], record.origin)
     elif applied is None or not np.isfinite(applied).all():
         raise DataError(f"the levels from {start} on were not all measured: give --level or --schedule")
-    found = thermal.predict(past.last(round(_BACK_DAYS * DAY_S / record.step_s)), ahead, applied)
+    prediction = thermal.predict(past.last(round(_BACK_DAYS * DAY_S / record.step_s)), ahead, applied)
     console = Console(highlight=False, markup=False)
-    _show(found, truth, console)
-    table = found.to_dataframe()
+    _show(prediction, truth, console)
+    table = prediction.to_dataframe()
     for name, values in record.names.columns(T_zone_C=truth).items():
         table[name.replace("T_zone_C", "measured_C")] = values
     if out is not None:
@@ -100,11 +100,11 @@ def command(
         console.print(f"Forecast: {out}", soft_wrap=True)
     if plot is not None:
         with written(plot) as aside:
-            _draw(found, truth, aside)
+            _draw(prediction, truth, aside)
         console.print(f"Picture: {plot}", soft_wrap=True)
 
 
-def _at(record: Record, start: str, n: int) -> tuple[Record, Record]:
+def _split_at(record: Record, start: str, n: int) -> tuple[Record, Record]:
     """The record until `start`, and the `n` steps from it on."""
     first = round((seconds_at(record.origin, start, "--start") - record.time_s[0]) / record.step_s)
     if not 0 < first <= record.n_steps - n:
@@ -113,55 +113,57 @@ def _at(record: Record, start: str, n: int) -> tuple[Record, Record]:
     return record.slice(0, first), record.slice(first, first + n)
 
 
-def _show(found: Prediction, truth: Array, console: Console) -> None:
-    stamps = found.to_dataframe().index
-    known = np.isfinite(truth).any()
-    shown = Table(title="Temperature at each time, °C (80 % band of the free response)", title_justify="left")
-    shown.add_column("at", no_wrap=True)
-    for zone in found.names.zones:
-        shown.add_column(zone, justify="right")
-        shown.add_column("band", justify="right")
-        shown.add_column("of it forced, K", justify="right")
-        if known:
-            shown.add_column("measured", justify="right")
+def _show(prediction: Prediction, truth: Array, console: Console) -> None:
+    stamps = prediction.to_dataframe().index
+    has_truth = np.isfinite(truth).any()
+    table = Table(title="Temperature at each time, °C (80 % band of the free response)", title_justify="left")
+    table.add_column("at", no_wrap=True)
+    for zone in prediction.names.zones:
+        table.add_column(zone, justify="right")
+        table.add_column("band", justify="right")
+        table.add_column("of it forced, K", justify="right")
+        if has_truth:
+            table.add_column("measured", justify="right")
     n = truth.shape[1]
     for k in range(0, n, max(1, -(-n // _ROWS))):
         cells = [f"{stamps[k]:%d %b %H:%M}"]
         for z in range(truth.shape[0]):
-            F = found.forced_K[z, k]
+            F = prediction.forced_K[z, k]
             cells += [
-                f"{found.total_C[z, k]:.1f}",
-                f"{found.free_low_C[z, k] + F:.1f} to {found.free_high_C[z, k] + F:.1f}",
+                f"{prediction.total_C[z, k]:.1f}",
+                f"{prediction.free_low_C[z, k] + F:.1f} to {prediction.free_high_C[z, k] + F:.1f}",
                 f"{F:+.1f}",
             ]
-            if known:
+            if has_truth:
                 cells.append(f"{truth[z, k]:.1f}" if np.isfinite(truth[z, k]) else "–")
-        shown.add_row(*cells)
-    console.print(shown)
-    for z, zone in enumerate(found.names.zones):
+        table.add_row(*cells)
+    console.print(table)
+    for z, zone in enumerate(prediction.names.zones):
         if np.isfinite(truth[z]).any():
-            error = found.total_C[z] - truth[z]
-            F = found.forced_K[z]
-            seen = np.isfinite(truth[z])
-            inside = (found.free_low_C[z] + F <= truth[z]) & (truth[z] <= found.free_high_C[z] + F)
+            error = prediction.total_C[z] - truth[z]
+            F = prediction.forced_K[z]
+            measured = np.isfinite(truth[z])
+            inside = (prediction.free_low_C[z] + F <= truth[z]) & (truth[z] <= prediction.free_high_C[z] + F)
             console.print(
-                f"{zone}: RMSE {np.sqrt(np.nanmean(error**2)):.2f} K, {100 * inside[seen].mean():.0f} % of what was "
-                "measured inside the 80 % band"
+                f"{zone}: RMSE {np.sqrt(np.nanmean(error**2)):.2f} K, {100 * inside[measured].mean():.0f} % of what "
+                "was measured inside the 80 % band"
             )
 
 
-def _draw(found: Prediction, truth: Array, path: Path) -> None:
+def _draw(prediction: Prediction, truth: Array, path: Path) -> None:
     from matplotlib.figure import Figure
 
-    index = found.to_dataframe().index
+    index = prediction.to_dataframe().index
     at = (index.tz_localize(None) if isinstance(index, pd.DatetimeIndex) else index).to_numpy()
     figure = Figure(figsize=(9.0, 4.4), layout="constrained")
     axes = figure.subplots()
-    for z, zone in enumerate(found.names.zones):
-        colour, F = f"C{z % 10}", found.forced_K[z]
-        axes.fill_between(at, found.free_low_C[z] + F, found.free_high_C[z] + F, color=colour, alpha=0.2, linewidth=0)
-        axes.plot(at, found.total_C[z], color=colour, label=f"{zone}, forecast")
-        axes.plot(at, found.free_C[z], color=colour, linestyle=":", label=f"{zone}, without control")
+    for z, zone in enumerate(prediction.names.zones):
+        colour, F = f"C{z % 10}", prediction.forced_K[z]
+        axes.fill_between(
+            at, prediction.free_low_C[z] + F, prediction.free_high_C[z] + F, color=colour, alpha=0.2, linewidth=0
+        )
+        axes.plot(at, prediction.total_C[z], color=colour, label=f"{zone}, forecast")
+        axes.plot(at, prediction.free_C[z], color=colour, linestyle=":", label=f"{zone}, without control")
         axes.plot(
             at,
             truth[z],

@@ -116,12 +116,12 @@ def _options(options: dict[str, Any]) -> IdentificationConfig:
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.scenario.settings import parse_overrides, validate
 
-    given = parse_overrides(options.get("assignments", ()))
-    ours = given.get("identification", {}).get("options", {})
-    if given and given != {"identification": {"options": ours}}:
+    overrides = parse_overrides(options.get("assignments", ()))
+    chosen = overrides.get("identification", {}).get("options", {})
+    if overrides and overrides != {"identification": {"options": chosen}}:
         raise click.UsageError("with --data, --set takes identification.options.KEY=VALUE only")
     seed = {} if options.get("seed") is None else {"seed": options["seed"]}
-    return validate(IdentificationConfig, seed | ours, "--set identification.options")
+    return validate(IdentificationConfig, seed | chosen, "--set identification.options")
 
 
 def _finish(model: ThermalModel, record: Record, out: Path, display: RunDisplay, *, overwrite: bool) -> None:

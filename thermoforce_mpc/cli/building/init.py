@@ -38,12 +38,12 @@ def command(folder: Path, testcase: str, copy_testcase: bool, data: str | None) 
 
     building = load_testcase(testcase)
     implemented = building.embedded or building.energyplus or building.plant
-    named = str(Path(testcase).absolute()) if Path(testcase).suffix in (".yaml", ".yml") else testcase
-    given = {"testcase": "testcase.yaml" if copy_testcase else named}
+    reference = str(Path(testcase).absolute()) if Path(testcase).suffix in (".yaml", ".yml") else testcase
+    overrides = {"testcase": "testcase.yaml" if copy_testcase else reference}
     scenario = load_scenario(
-        None, given | {"testcase": testcase, "plant": {"kind": "embedded" if implemented else "boptest"}}
+        None, overrides | {"testcase": testcase, "plant": {"kind": "embedded" if implemented else "boptest"}}
     )
-    texts = {"scenario": _headed("scenario", scenario_text(scenario.model_copy(update=given)))}
+    texts = {"scenario": _headed("scenario", scenario_text(scenario.model_copy(update=overrides)))}
     if copy_testcase:
         if building.name == testcase and not is_config("testcases", testcase):
             raise ConfigError(f"--copy-testcase: '{testcase}' is made, not read from a file; leave the option out")
@@ -52,15 +52,15 @@ def command(folder: Path, testcase: str, copy_testcase: bool, data: str | None) 
     if data is not None:
         texts["map"] = _headed("map", starting_map(data))
     files = {folder / f"{kind}.yaml": text for kind, text in texts.items()}
-    there = [str(path) for path in files if path.exists()]
-    if there:
-        raise ConfigError(f"{', '.join(there)}: there already, and never overwritten; choose another folder")
+    existing = [str(path) for path in files if path.exists()]
+    if existing:
+        raise ConfigError(f"{', '.join(existing)}: there already, and never overwritten; choose another folder")
     files |= {folder / _SCHEMAS / f"{kind}.json": schema_text(kind) for kind in texts}
     for path, text in files.items():
         with storage_errors(path.parent):
             path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, text)
-    _tell(folder, texts, implemented=bool(implemented), data=data)
+    _print_next_steps(folder, texts, implemented=bool(implemented), data=data)
 
 
 def _headed(kind: str, text: str) -> str:
@@ -69,7 +69,7 @@ def _headed(kind: str, text: str) -> str:
     return "\n".join([f"# yaml-language-server: $schema={_SCHEMAS}/{kind}.json", *lines]) + "\n"
 
 
-def _tell(folder: Path, texts: dict[str, str], *, implemented: bool, data: str | None) -> None:
+def _print_next_steps(folder: Path, texts: dict[str, str], *, implemented: bool, data: str | None) -> None:
     for kind in texts:
         click.echo(f"Wrote {folder / kind}.yaml")
     enter = "" if folder == Path() else f"cd {shlex.quote(str(folder))} && "

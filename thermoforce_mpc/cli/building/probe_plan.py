@@ -74,23 +74,23 @@ def probe_plan_command(
     record, note = telling_part(measured.record, measured.layout)
     if note:
         display.say(note)
-    found = findings(record, measured.layout) if fit else []
-    for finding in found:
+    fitted = findings(record, measured.layout) if fit else []
+    for finding in fitted:
         display.say(f"Found for {finding.actuator} by a linear model: {finding.words}")
     lower, upper = (_last_known(getattr(measured.conditions, name)) for name in ("lower_C", "upper_C"))
-    last = measured.record.last(round(MOST_DAYS * DAY_S / measured.record.step_s))
+    recent = measured.record.last(round(MOST_DAYS * DAY_S / measured.record.step_s))
     plan = probe_schedule(
-        last,
+        recent,
         measured.layout,
         lower_C=lower,
         upper_C=upper,
         levels=levels,
         awake=hours,
         start_s=begin_s,
-        competent=[finding.competent for finding in found] if found else None,
+        competent=[finding.competent for finding in fitted] if fitted else None,
         seed=seed,
     )
-    of_late = "" if last.n_steps == measured.record.n_steps else f" of the last {MOST_DAYS:g} days"
+    of_late = "" if recent.n_steps == measured.record.n_steps else f" of the last {MOST_DAYS:g} days"
     display.say(f"Expected{of_late} without probing:")
     for telling in plan.before:
         display.say(f"  {telling.in_words()}")

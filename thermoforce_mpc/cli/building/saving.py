@@ -59,17 +59,17 @@ def command(
     if not begin < split < end:
         stamps = record.stamps()
         raise DataError(f"--changed {changed} is not inside the measurements ({stamps[begin]} to {stamps[end]})")
-    found = verified_saving(record.slice(begin, split), record.slice(split, end), level=interval)
+    saving = verified_saving(record.slice(begin, split), record.slice(split, end), level=interval)
     console = Console(highlight=False, markup=False)
-    _show(found, record, console)
+    _show(saving, record, console)
     show_doubts(measured.understood, console)
     if out is not None:
         with written(out) as aside:
-            aside.write_text(json.dumps(found.to_json(), indent=1), encoding="utf-8")
+            aside.write_text(json.dumps(saving.to_json(), indent=1), encoding="utf-8")
         console.print(f"Result: {out}", soft_wrap=True)
     if plot is not None:
         with written(plot) as aside:
-            draw(found, record.origin, aside)
+            draw(saving, record.origin, aside)
         console.print(f"Picture: {plot}", soft_wrap=True)
 
 
@@ -79,24 +79,26 @@ def _index(record: Record, text: str, option: str) -> int:
     return int(np.clip(round(steps), 0, record.n_steps))
 
 
-def _show(found: Saving, record: Record, console: Console) -> None:
+def _show(saving: Saving, record: Record, console: Console) -> None:
     def say(line: str) -> None:
         console.print(line, soft_wrap=True)
 
-    say(found.in_words())
+    say(saving.in_words())
     say(
-        f"  {found.before.n} days before and {found.after.n} after; baseline {found.baseline_kWh:.0f} kWh, measured "
-        f"{found.measured_kWh:.0f} kWh"
+        f"  {saving.before.n} days before and {saving.after.n} after; baseline {saving.baseline_kWh:.0f} kWh, measured "
+        f"{saving.measured_kWh:.0f} kWh"
     )
-    say(f"  baseline by {found.regressors}; a day scatters by {found.rmse_kWh:.1f} kWh around it (R² {found.r2:.2f})")
-    for zone, warmer in zip(record.names.zones, found.warmer_K, strict=True):
+    say(
+        f"  baseline by {saving.regressors}; a day scatters by {saving.rmse_kWh:.1f} kWh around it (R² {saving.r2:.2f})"
+    )
+    for zone, warmer in zip(record.names.zones, saving.warmer_K, strict=True):
         if np.isfinite(warmer):
             say(f"  {zone}: {warmer:+.1f} K after against before")
-    for note in found.notes:
+    for note in saving.notes:
         say(f"  note: {note}")
 
 
-def draw(found: Saving, origin: pd.Timestamp, path: Path) -> None:
+def draw(saving: Saving, origin: pd.Timestamp, path: Path) -> None:
     """Write a picture: measured energy of each day, and what the old operation uses by the fit."""
     from matplotlib.figure import Figure
 
@@ -107,14 +109,14 @@ def draw(found: Saving, origin: pd.Timestamp, path: Path) -> None:
         noons = [origin + pd.Timedelta(days=int(k), hours=12) for k in of.number]
         return pd.DatetimeIndex([noon.tz_localize(None).normalize() for noon in noons])
 
-    before, after = days(found.before), days(found.after)
-    axes.plot(before, found.before.energy_kWh, "o", color="#1b1f24", markersize=4, label="measured before")
-    axes.plot(before, found.fitted_of_day_kWh, color="#3b7a8a", label="old operation by the fit")
-    axes.plot(after, found.after.energy_kWh, "o", color="#b22222", markersize=4, label="measured after")
-    axes.plot(after, found.baseline_of_day_kWh, color="#3b7a8a", linestyle="--", label="old operation, baseline")
+    before, after = days(saving.before), days(saving.after)
+    axes.plot(before, saving.before.energy_kWh, "o", color="#1b1f24", markersize=4, label="measured before")
+    axes.plot(before, saving.fitted_of_day_kWh, color="#3b7a8a", label="old operation by the fit")
+    axes.plot(after, saving.after.energy_kWh, "o", color="#b22222", markersize=4, label="measured after")
+    axes.plot(after, saving.baseline_of_day_kWh, color="#3b7a8a", linestyle="--", label="old operation, baseline")
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel("energy, kWh per day")
-    axes.set_title(found.in_words(), fontsize=9, loc="left", wrap=True)
+    axes.set_title(saving.in_words(), fontsize=9, loc="left", wrap=True)
     axes.grid(alpha=0.3)
     axes.legend(frameon=False, fontsize="small")
     axes.tick_params(axis="x", rotation=20)

@@ -51,8 +51,8 @@ def levels_of(schedule: Path | None, level: float | None, names: Names, time_s: 
 def _levels(frame: pd.DataFrame, name: str, schedule: Path, row: NDArray[np.intp]) -> Array:
     """The levels in the rows `row` (N,) of a column; raises `DataError` for one that is none."""
     levels = column(frame, name, f"--schedule {schedule}")
-    used = np.unique(row)
-    wrong = used[~(np.abs(levels[used]) <= 1.0)]
+    rows = np.unique(row)
+    wrong = rows[~(np.abs(levels[rows]) <= 1.0)]
     if wrong.size:
         raise DataError(
             f"--schedule {schedule}: row {wrong[0] + 2}, {name} is {levels[wrong[0]]:g}: give one from 0 to 1 (from -1 "
@@ -63,5 +63,5 @@ def _levels(frame: pd.DataFrame, name: str, schedule: Path, row: NDArray[np.intp
 
 def _column(frame: pd.DataFrame, names: Names, a: int) -> str:
     name = names.actuators[a]
-    known = [key for key in (names.label("u", a), f"u[{name}]") if key in frame.columns]
-    return known[0] if known else name
+    present = [key for key in (names.label("u", a), f"u[{name}]") if key in frame.columns]
+    return present[0] if present else name

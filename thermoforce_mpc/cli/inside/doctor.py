@@ -37,14 +37,14 @@ def command(url: str | None, testcase: str, out: Path, only: str | None, json_fi
     console = Console(highlight=False, markup=False, soft_wrap=True)
     findings: list[Finding] = []
     names = [name.strip() for name in (only or "").split(",") if name.strip()]
-    for found in examine(testcase=testcase, url=url, folder=out, only=names):
-        findings.append(found)
-        console.print(f"{_MARKS[found.state]}{found.name}: {found.told} ({found.seconds:.1f} s)", markup=False)
-        if found.todo and found.state != "ok":
-            console.print(f"          → {found.todo}", markup=False)
+    for finding in examine(testcase=testcase, url=url, folder=out, only=names):
+        findings.append(finding)
+        console.print(f"{_MARKS[finding.state]}{finding.name}: {finding.told} ({finding.seconds:.1f} s)", markup=False)
+        if finding.todo and finding.state != "ok":
+            console.print(f"          → {finding.todo}", markup=False)
     if json_file:
-        write_json(json_file, {"environment": environment(), "findings": [asdict(found) for found in findings]})
-    failed = sum(found.state == "failed" for found in findings)
+        write_json(json_file, {"environment": environment(), "findings": [asdict(finding) for finding in findings]})
+    failed = sum(finding.state == "failed" for finding in findings)
     console.print(f"{failed} failed" if failed else "Nothing failed.")
     if failed:
         raise SystemExit(1)

@@ -64,23 +64,23 @@ def command(run: Path, at: str | None, controller: str | None, hours: float, jso
         console.print(line, markup=False)
     if decision.plan:
         print_whole(_table(decision, hours), console)
-    others = alternatives_of(run, decision)
-    if isinstance(others, str):
-        console.print(f"alternatives: none are known, {others}", markup=False)
+    alternatives = alternatives_of(run, decision)
+    if isinstance(alternatives, str):
+        console.print(f"alternatives: none are known, {alternatives}", markup=False)
     else:
-        print_whole(_alternatives(decision, others), console)
-        for note in others.notes:
+        print_whole(_alternatives(decision, alternatives), console)
+        for note in alternatives.notes:
             console.print(f"alternatives: {note}", markup=False)
     if json_file:
-        write_json(json_file, _json(decision) | {"alternatives": alternatives_json(others)})
+        write_json(json_file, _json(decision) | {"alternatives": alternatives_json(alternatives)})
         console.print(f"JSON: {json_file}", markup=False)
 
 
-def _alternatives(decision: Decision, others: Alternatives) -> Table:
+def _alternatives(decision: Decision, alternatives: Alternatives) -> Table:
     """The plan and other courses: cost, discomfort, first levels, and the temperature that they end at."""
     names, step_s = decision.names, decision.boundary.step_s
     first = max(1, round(HOUR_S / step_s))
-    hours = others.courses[0].u.shape[1] * step_s / HOUR_S
+    hours = alternatives.courses[0].u.shape[1] * step_s / HOUR_S
     table = Table(
         title=f"Alternatives over {hours:g} h, the whole plan, by the same model",
         title_justify="left",
@@ -92,7 +92,7 @@ def _alternatives(decision: Decision, others: Alternatives) -> Table:
     columns += ["ends at\n°C" if names.single else f"ends at\n{zone}" for zone in names.zones]
     for column in columns:
         table.add_column(column, justify="right" if column else "left", no_wrap=True)
-    for course in others.courses:
+    for course in alternatives.courses:
         row = [course.name, f"{course.cost:.2f}", f"{course.energy_kWh:.1f}", f"{course.discomfort_Kh:.2f}"]
         row += [f"{level:.2f}" for level in course.u[:, :first].mean(axis=1)]
         row += [f"{T:.2f}" for T in course.T_zone_C[:, -1]]
@@ -102,33 +102,33 @@ def _alternatives(decision: Decision, others: Alternatives) -> Table:
 
 def _lines(decision: Decision) -> list[str]:
     """The decision in words."""
-    told, names = decision.told, decision.names
-    lines = [f"{decision.controller}, step {told['index']}: {words_of(decision.time_s)} ({decision.time_s:.0f} s)"]
+    record, names = decision.told, decision.names
+    lines = [f"{decision.controller}, step {record['index']}: {words_of(decision.time_s)} ({decision.time_s:.0f} s)"]
     if decision.before is not None:
         zones = ", ".join(f"{zone} {_C(T)}" for zone, T in zip(names.zones, decision.before.T_zone_C, strict=True))
         lines.append(
             f"measured: {zones}; outdoors {_C(decision.before.T_out_C)}, sun {decision.before.solar_W_m2:.0f} W/m²"
         )
     lines += [f"in doubt: {note}" for note in decision.notes]
-    lines.append(f"acted: {told['status']} – {_RUNGS.get(told['status'], 'see docs/how-it-works/fallback.md')}")
-    if len(set(told["acting"])) > 1:
-        acting = zip(names.actuators, told["acting"], strict=True)
+    lines.append(f"acted: {record['status']} – {_RUNGS.get(record['status'], 'see docs/how-it-works/fallback.md')}")
+    if len(set(record["acting"])) > 1:
+        acting = zip(names.actuators, record["acting"], strict=True)
         lines.append("at each actuator: " + ", ".join(f"{name} {status}" for name, status in acting))
-    lines.append(f"why: {told['why']}")
-    if told["refused"]:
-        lines.append(f"refused before the plant: {told['refused']}")
-    if told["solver_status"]:
-        lines.append(f"solver: {told['solver_status']}, {told['iterations']} iterations")
+    lines.append(f"why: {record['why']}")
+    if record["refused"]:
+        lines.append(f"refused before the plant: {record['refused']}")
+    if record["solver_status"]:
+        lines.append(f"solver: {record['solver_status']}, {record['iterations']} iterations")
     lines += [f"bound: {bound}" for bound in decision.bounds()]
     lines += [f"margin: {margin}" for margin in decision.margins_in_words()]
-    lines.append("applied: " + "; then ".join(_block(block, names.actuators) for block in told["blocks"]))
+    lines.append("applied: " + "; then ".join(_block(block, names.actuators) for block in record["blocks"]))
     if decision.after:
-        last = decision.after[-1]
-        zones = ", ".join(f"{zone} {_C(T)}" for zone, T in zip(names.zones, last.T_zone_C, strict=True))
+        end = decision.after[-1]
+        zones = ", ".join(f"{zone} {_C(T)}" for zone, T in zip(names.zones, end.T_zone_C, strict=True))
         planned = ""
         if decision.plan:
             planned = f" (planned {', '.join(_C(float(T)) for T in decision.T_zone_C[:, 0])})"
-        lines.append(f"came: {zones}{planned} at {words_of(last.time_s)}")
+        lines.append(f"came: {zones}{planned} at {words_of(end.time_s)}")
     else:
         lines.append("came: nothing is recorded, the run ended here")
     return lines
@@ -179,12 +179,12 @@ def _table(decision: Decision, hours: float) -> Table:
 
 def _json(decision: Decision) -> dict[str, Any]:
     """Everything, for programs."""
-    found = {key: value for key, value in decision.told.items() if key not in ("plan", "forecast", "asked")}
-    found |= {"controller": decision.controller, "bounds": decision.bounds(), "notes": list(decision.notes)}
-    found["plan"] = {name: values.tolist() for name, values in decision.plan.items()}
+    content = {key: value for key, value in decision.told.items() if key not in ("plan", "forecast", "asked")}
+    content |= {"controller": decision.controller, "bounds": decision.bounds(), "notes": list(decision.notes)}
+    content["plan"] = {name: values.tolist() for name, values in decision.plan.items()}
     signals = ("time_s", "T_out_C", "solar_W_m2", "lower_C", "upper_C", "price_per_kWh")
-    found["forecast"] = {name: np.asarray(getattr(decision.boundary, name)).tolist() for name in signals}
-    return found
+    content["forecast"] = {name: np.asarray(getattr(decision.boundary, name)).tolist() for name in signals}
+    return content
 
 
 def _C(value: float) -> str:

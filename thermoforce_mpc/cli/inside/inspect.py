@@ -57,8 +57,8 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
     single = thermal.names.single
     if not single:
         _show_building(name, thermal, console)
-    shown: set[int] = set()
-    told: set[str] = set()
+    machines_shown: set[int] = set()
+    notes_shown: set[str] = set()
     for a, actuator in enumerate(thermal.operator.actuators):
         zone = thermal.actuator(a)
         home = thermal.operator.zones[thermal.operator.home[a]]
@@ -66,11 +66,11 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
             console.rule(f"{actuator} in {home}", align="left")
         _show_operator(name if single else actuator, zone.operator, zone.card, console)
         machine = thermal.machine_of[a]
-        if machine not in shown:  # told with the first actuator that it feeds
-            shown.add(machine)
+        if machine not in machines_shown:  # shown with the first actuator that it feeds
+            machines_shown.add(machine)
             _show_power("Power" if single else f"Power of {thermal.machines[machine]}", thermal.power[machine], console)
-        _show_card(zone.card, console, told)
-        told |= set(zone.card.notes)
+        _show_card(zone.card, console, notes_shown)
+        notes_shown |= set(zone.card.notes)
 
 
 def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
@@ -177,8 +177,8 @@ def _show_power(what: str, power: PowerModel | None, console: Console) -> None:
     )
 
 
-def _show_card(card: ModelCard, console: Console, told: Set[str]) -> None:
-    """Print scores, data ranges, notes that were not `told` yet, and the verdict of an actuator's model."""
+def _show_card(card: ModelCard, console: Console, notes_shown: Set[str]) -> None:
+    """Print scores, data ranges, notes that are not in `notes_shown`, and the verdict of an actuator's model."""
     say = console.print
     if card.scores:
         say("Scores:")
@@ -187,15 +187,17 @@ def _show_card(card: ModelCard, console: Console, told: Set[str]) -> None:
     for key in [*in_order, *(key for key in card.scores if key not in _MEANING)]:
         scores.add_row(f"  {card.scores[key]:.3g}", _MEANING.get(key, key))
     say(scores)
-    seen = [f"{_UNITS.get(k, k)} {least:.4g} to {most:.4g}" for k, (least, most) in card.ranges.items() if k != "days"]
-    if seen:
+    ranges = [
+        f"{_UNITS.get(k, k)} {least:.4g} to {most:.4g}" for k, (least, most) in card.ranges.items() if k != "days"
+    ]
+    if ranges:
         days = card.ranges.get("days")
-        say(f"Data ranges{f' in {days[1]:.3g} days' if days else ''}: " + "; ".join(seen))
+        say(f"Data ranges{f' in {days[1]:.3g} days' if days else ''}: " + "; ".join(ranges))
     for name, digest in card.data.items():
         say(f"  data {name}: sha256 {digest[:16]}")
-    for note in _collapsed([note for note in card.notes if note not in told]):
+    for note in _collapsed([note for note in card.notes if note not in notes_shown]):
         say(f"  note: {note}")
-    if told & set(card.notes):
+    if notes_shown & set(card.notes):
         say("  and the notes above that are of the same measurements")
     _show_competence(card.competence, console)
 
@@ -205,8 +207,8 @@ def _collapsed(notes: Sequence[str]) -> list[str]:
     kinds: dict[str, list[str]] = {}
     for note in notes:
         kinds.setdefault(re.sub(r"\d+(\.\d+)?", "#", note), []).append(note)
-    more = {key: f" (and {len(same) - 1} more of its kind)" if len(same) > 1 else "" for key, same in kinds.items()}
-    return [same[0] + more[key] for key, same in kinds.items()]
+    more = {key: f" (and {len(alike) - 1} more of its kind)" if len(alike) > 1 else "" for key, alike in kinds.items()}
+    return [alike[0] + more[key] for key, alike in kinds.items()]
 
 
 def _titled(title: str, table: Table, console: Console) -> None:
@@ -247,15 +249,15 @@ def _give_or_take(sd: float | None) -> str:
 
 def _show_step_response(uncertainty: Mapping[str, float], sign: int, console: Console) -> None:
     """Print the step response of the linear fit with its 90 % band, where the card has its standard deviations."""
-    found = [h for h in _LAGS_H if f"step_response_{h}h_sd_K" in uncertainty]
-    if not found:
+    lags_h = [h for h in _LAGS_H if f"step_response_{h}h_sd_K" in uncertainty]
+    if not lags_h:
         return
     from thermoforce_mpc.identification.validation.report import BAND
 
     table = Table()
     for heading in ("hours later", "expected", "from", "to"):
         table.add_column(heading, justify="right")
-    for hours in found:
+    for hours in lags_h:
         name = f"step_response_{hours}h"
         mean, sd = sign * uncertainty[f"{name}_K"], uncertainty[f"{name}_sd_K"]
         table.add_row(str(hours), f"{mean:.2f}", f"{mean - BAND * sd:.2f}", f"{mean + BAND * sd:.2f}")

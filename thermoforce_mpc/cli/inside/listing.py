@@ -17,12 +17,12 @@ T = TypeVar("T")
 
 def show_names(registry: Registry[T], summary: Callable[[T], str]) -> None:
     """Print each name with its summary; under that of a plugin where it comes from, and why it cannot be used."""
-    for one in registry.listing():
-        click.echo(f"{one.name:18s} {'cannot be used' if one.found is None else summary(one.found)}".rstrip())
-        if one.origin != OWN:
-            click.echo(f"{'':18s} from {one.origin}")
-        if one.problem:
-            click.echo(f"{'':18s} {one.problem}")
+    for entry in registry.listing():
+        click.echo(f"{entry.name:18s} {'cannot be used' if entry.found is None else summary(entry.found)}".rstrip())
+        if entry.origin != OWN:
+            click.echo(f"{'':18s} from {entry.origin}")
+        if entry.problem:
+            click.echo(f"{'':18s} {entry.problem}")
 
 
 def show_options(model: type[BaseModel], defaults: Mapping[str, Any], prefix: str) -> None:

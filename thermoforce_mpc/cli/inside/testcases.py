@@ -23,9 +23,9 @@ def command() -> None:
     click.echo("      plant: its own, nothing to install (docs/how-it-works/house-of-rooms.md)")
     click.echo("  generated:SEED:INDEX\n      house number INDEX of a population, one zone, any emitter and machine")
     click.echo("      plant: its own, nothing to install (docs/how-it-works/generated-houses.md)")
-    for made in MADE_TESTCASES.listing():
-        if made.origin != OWN:
-            click.echo(f"  {made.name}\n      {made.problem or 'made by a plugin'}\n      from {made.origin}")
+    for entry in MADE_TESTCASES.listing():
+        if entry.origin != OWN:
+            click.echo(f"  {entry.name}\n      {entry.problem or 'made by a plugin'}\n      from {entry.origin}")
     click.echo("\nScenarios (--config FILE):")
     for name, path in named_configs("scenarios").items():
         click.echo(f"  {name}: {read_yaml(path).get('testcase')}; {path}")

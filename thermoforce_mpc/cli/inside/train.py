@@ -50,10 +50,10 @@ def command(model: Path, testcase: str, out: Path, force: bool, settings: tuple[
         raise ConfigError("--set policy: this command trains one; leave it out")
     began, total = time.perf_counter(), config.training.iterations
 
-    def told(done: int, loss: float) -> None:
+    def report(done: int, loss: float) -> None:
         if done % _EVERY == 0 or done == total:
             click.echo(f"{done:5d} of {total}  loss {loss:.3f}  {time.perf_counter() - began:.0f} s", err=True)
 
-    policy = DPC(load_model(model), config, progress=told).policy
+    policy = DPC(load_model(model), config, progress=report).policy
     policy.save(out, overwrite=force)
     click.echo(f"{out}: policy of {policy.iterations} iterations, loss {policy.loss:.3f} (1: full level all the time)")

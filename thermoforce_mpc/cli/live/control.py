@@ -106,7 +106,7 @@ def _until_lost(say: Callable[[str], None]) -> Callable[[str], None]:
     """`say` until the terminal or pipe is gone, or its disk full: that ends no control, and all is in the log."""
     lost = False
 
-    def said(text: str) -> None:
+    def say_until_lost(text: str) -> None:
         nonlocal lost
         if lost:
             return
@@ -118,7 +118,7 @@ def _until_lost(say: Callable[[str], None]) -> Callable[[str], None]:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             _LOG.warning("nothing is printed any more (%s); this log goes on", error.__context__ or error)
 
-    return said
+    return say_until_lost
 
 
 def in_words(decision: Decision) -> str:
@@ -130,7 +130,7 @@ def in_words(decision: Decision) -> str:
             (level, sum(block.duration_s for block in blocks))
             for level, blocks in groupby(decision.blocks, key=lambda block: block.u[a])
         ]
-        said = [f"{'own control' if u is None else f'{100 * u:.0f} %'} for {s / 60:g} min" for u, s in turns]
-        parts.append(f"{name} {', '.join(said)}")
+        shares = [f"{'own control' if u is None else f'{100 * u:.0f} %'} for {s / 60:g} min" for u, s in turns]
+        parts.append(f"{name} {', '.join(shares)}")
     why = decision.refused or decision.plan.why
     return f"{decision.instant:%a %d %b %H:%M %Z}  {'; '.join(parts)}: {why}"

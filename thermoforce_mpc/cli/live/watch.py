@@ -65,8 +65,8 @@ def command(run: Path, controller: str | None, hours: float, every: float, once:
         console.print(shown(view, hours, console))
         return
     with Live(shown(view, hours, console), console=console, auto_refresh=False, screen=False) as screen:
-        for later in _looks(live, view, every):
-            screen.update(shown(later, hours, console), refresh=True)
+        for latest in _looks(live, view, every):
+            screen.update(shown(latest, hours, console), refresh=True)
 
 
 def _looks(live: LiveRun, view: View, every: float) -> Iterator[View]:
@@ -102,15 +102,15 @@ def shown(view: View, hours: float, console: Console) -> RenderableType:
     counts = ", ".join(f"{n} {status}" for status, n in sorted(view.counts.items(), key=lambda item: -item[1]))
     lines.append(
         Text(
-            f"so far: cost {_known(view.cost, '.2f')}, energy {_known(view.energy_kWh, '.1f', ' kWh')}, "
-            f"discomfort {_known(view.discomfort_Kh, '.2f', ' K·h')}; "
+            f"so far: cost {_figure(view.cost, '.2f')}, energy {_figure(view.energy_kWh, '.1f', ' kWh')}, "
+            f"discomfort {_figure(view.discomfort_Kh, '.2f', ' K·h')}; "
             f"steps: {counts or 'none'}"
         )
     )
     return Group(*lines)
 
 
-def _known(value: float, digits: str, unit: str = "") -> str:
+def _figure(value: float, digits: str, unit: str = "") -> str:
     return "–" if math.isnan(value) else f"{value:{digits}}{unit}"
 
 
@@ -125,7 +125,7 @@ def _zones(view: View, bars: int) -> Table:
             now.stylize("red")
         bounds = "" if math.isnan(zone.lower_C + zone.upper_C) else f"{zone.lower_C:g}–{zone.upper_C:g}"
         table.add_row(zone.name, now, bounds, _bars([point.T_C[z] for point in view.past], bars))
-    table.add_row("outdoors", _known(view.outdoor_C, ".1f", " °C"), "", "")
+    table.add_row("outdoors", _figure(view.outdoor_C, ".1f", " °C"), "", "")
     for a, name in enumerate(view.actuators):
         level = view.levels[a]
         now = Text("own control" if math.isnan(level) else f"{level:.2f}")
@@ -170,10 +170,10 @@ def _plan_table(view: View, hours: float, parts: list[list[str]], which: range) 
 
 def _bars(values: list[float], most: int, low: float | None = None, high: float | None = None) -> str:
     """A course as a line of `most` bars at most, the mean of a few values each."""
-    known = [value for value in values if math.isfinite(value)]
-    if not known:
+    finite = [value for value in values if math.isfinite(value)]
+    if not finite:
         return ""
-    low, high = min(known) if low is None else low, max(known) if high is None else high
+    low, high = min(finite) if low is None else low, max(finite) if high is None else high
     every = max(1, math.ceil(len(values) / most))
     text = ""
     for start in range(0, len(values), every):

@@ -114,8 +114,8 @@ def axes_from(options: Mapping[str, Any], base: Scenario, file: ComparisonFile |
     levels = comma_list(text, "--forecast-uncertainty") if text is not None else (base.plant.forecast_uncertainty,)
     for level in levels:
         if level not in UNCERTAINTIES:
-            known = ", ".join(UNCERTAINTIES)
-            raise ConfigError(f"--forecast-uncertainty: unknown level '{level}'; known: {known}")
+            allowed = ", ".join(UNCERTAINTIES)
+            raise ConfigError(f"--forecast-uncertainty: unknown level '{level}'; known: {allowed}")
     return Axes(windows, prices, levels)
 
 
@@ -141,8 +141,8 @@ def scenario_options_from(options: Mapping[str, Any]) -> dict[str, Any]:
     assignments = list(options["assignments"])
     if options["identification_days"] is not None:
         assignments.insert(0, f"identification.days={options['identification_days']!r}")
-    same = ("testcase", "config", "days", "weather", "seed", "model", "url", "fmu")
-    return {key: options[key] for key in same} | {"prices": options["tariff_file"], "assignments": assignments}
+    unchanged = ("testcase", "config", "days", "weather", "seed", "model", "url", "fmu")
+    return {key: options[key] for key in unchanged} | {"prices": options["tariff_file"], "assignments": assignments}
 
 
 def run_comparison(
@@ -169,10 +169,10 @@ def run_comparison(
     store = Store(options["out"] or Path("runs") / f"{name}-{testcase.name}")
     console = Console(highlight=False, markup=False)
     say: Callable[[str], None] = (lambda text: None) if options["quiet"] else _sayer(console)
-    found = {cell.key: record for cell in cells if (record := store.finished(cell)) is not None}
-    todo = [cell for cell in cells if cell.key not in found]
+    stored = {cell.key: record for cell in cells if (record := store.finished(cell)) is not None}
+    todo = [cell for cell in cells if cell.key not in stored]
     say(f"{counted(len(cells), 'cell')}: {len(cells) - len(todo)} already done, {len(todo)} to run; {store.folder}")
-    stale = sum(record.get("source") != source_fingerprint() for record in found.values())
+    stale = sum(record.get("source") != source_fingerprint() for record in stored.values())
     if stale:
         say(
             f"Note: {stale} of the stored cells made by other source code of this version; use another --out to rerun "
@@ -181,10 +181,12 @@ def run_comparison(
     try:
         ran = _run(todo, store, console, options, say) if todo else {}
     except KeyboardInterrupt:
-        kept = sum(store.finished(cell) is not None for cell in cells)
-        click.echo(f"{kept} of {len(cells)} cells are stored in {store.folder}; repeat the command to resume", err=True)
+        n_stored = sum(store.finished(cell) is not None for cell in cells)
+        click.echo(
+            f"{n_stored} of {len(cells)} cells are stored in {store.folder}; repeat the command to resume", err=True
+        )
         raise
-    records = [_named(cell, {**found, **ran}[cell.key]) for cell in cells]
+    records = [_with_variant(cell, {**stored, **ran}[cell.key]) for cell in cells]
     result = write_outcome(store.folder, records, name=name, title=title, currency=testcase.currency, swept=swept)
     show_outcome(console, result["rows"], testcase.currency)
     page = shlex.quote(str(store.folder / "comparison.html"))
@@ -253,6 +255,6 @@ def _sayer(console: Console) -> Callable[[str], None]:
     return lambda text: console.print(text, soft_wrap=True, markup=False)
 
 
-def _named(cell: Cell, record: Mapping[str, Any]) -> dict[str, Any]:
+def _with_variant(cell: Cell, record: Mapping[str, Any]) -> dict[str, Any]:
     """The record with the variant name of this comparison; two names may refer to the same run."""
     return {**record, "variant": cell.variant}

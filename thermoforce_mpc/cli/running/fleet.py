@@ -91,7 +91,7 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
     identifications = len({run.cell.identification_key for run in runs if run.building.record is None} - {None})
     if measured:
         console.print(f"{counted(len(measured), 'building')} to identify from measurements", soft_wrap=True)
-    console.print(f"{_counted(runs)}, {counted(identifications, 'identification')}", soft_wrap=True)
+    console.print(f"{_counts_in_words(runs)}, {counted(identifications, 'identification')}", soft_wrap=True)
     if count:
         return
     results = FleetResults(out or Path("runs") / f"fleet-{path.stem}")
@@ -125,8 +125,8 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
         if todo or again:
             _run([*again, *tasks_of(todo)], results, records, console, engine, quiet)
     except KeyboardInterrupt:
-        kept = sum(records.get(run.cell.key, {}).get("status") == DONE for run in own)
-        click.echo(f"{kept} of {len(own)} runs are kept in {results.folder}; repeat the command to resume", err=True)
+        n_kept = sum(records.get(run.cell.key, {}).get("status") == DONE for run in own)
+        click.echo(f"{n_kept} of {len(own)} runs are kept in {results.folder}; repeat the command to resume", err=True)
         raise
     results.create()
     dataset = write_dataset(results.folder, [_row(run, records, rows_of_others) for run in runs])
@@ -135,9 +135,9 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
     rows = read_dataset(dataset)
     verdicts = write_models(results.folder, results, own, records, measured, no_model)
     page = results.folder / "index.html"
-    said = shlex.join(["tf-mpc", "fleet", fleet])
+    command_line = shlex.join(["tf-mpc", "fleet", fleet])
     scenarios = {run.cell.key: run.cell.scenario for run in runs}
-    write_whole(page, fleet_page(rows, file.reference, f"Fleet {path.stem}", said, scenarios))
+    write_whole(page, fleet_page(rows, file.reference, f"Fleet {path.stem}", command_line, scenarios))
     _show(console, rows, file.reference)
     console.print(f"Runs: {shlex.quote(str(dataset))}; models: {shlex.quote(str(verdicts))}", soft_wrap=True)
     console.print(f"Page: {shlex.quote(str(page))}", soft_wrap=True)
@@ -154,7 +154,7 @@ def _row(run: Run, records: Mapping[str, Mapping[str, Any]], others: Mapping[str
     return row_of(run, records[run.cell.key])
 
 
-def _counted(runs: list[Run]) -> str:
+def _counts_in_words(runs: list[Run]) -> str:
     sources = Counter({run.building.name: run.building.source for run in runs}.values())
     axes = [
         (sum(sources.values()), f"buildings ({', '.join(f'{n} {source}' for source, n in sources.items())})"),
@@ -230,13 +230,13 @@ def _show(console: Console, rows: pd.DataFrame, reference: str) -> None:
         pairs = paired(rows, variant, reference)
         if pairs.empty:
             continue
-        found = groups(pairs)
-        console.print(headline(found[0], variant, reference), soft_wrap=True)
+        distributions = groups(pairs)
+        console.print(headline(distributions[0], variant, reference), soft_wrap=True)
         table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
         table.add_column(f"{variant}", overflow="fold")
         for heading in ("runs", "saving\nmedian %", "10 to 90 %", "cheaper\n%", "> 0.5 K·h\nworse %"):
             table.add_column(heading, justify="right")
-        for group in found:
+        for group in distributions:
             table.add_row(
                 f"{group.by} {group.value}".strip(),
                 str(group.runs),

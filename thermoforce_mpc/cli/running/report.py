@@ -26,7 +26,7 @@ def command(run: Path, out: Path | None) -> None:
     """
     from thermoforce_mpc.simulation.views.report_again import report_again
 
-    path, said = report_again(run, out)
-    for line in said:
+    path, notes = report_again(run, out)
+    for line in notes:
         click.echo(line)
     click.echo(f"Report: {shlex.quote(str(path))}")

@@ -99,35 +99,35 @@ class Inputs:
     """Content hashes of input files and saved models, cached by path, and what makes the results (`made`)."""
 
     def __init__(self) -> None:
-        self._known: dict[str, str] = {}
-        self.made = _made_by()
+        self._hashes: dict[str, str] = {}
+        self.made = _provenance()
 
     def __call__(self, path: str) -> str:
         """Content hash of a file or folder; raises `ConfigError`."""
-        if path not in self._known:
+        if path not in self._hashes:
             where = Path(path).expanduser()
             try:
                 if where.is_dir():
                     files = sorted(p for p in where.rglob("*") if p.is_file())
-                    self._known[path] = digest({p.relative_to(where).as_posix(): file_sha256(p) for p in files})
+                    self._hashes[path] = digest({p.relative_to(where).as_posix(): file_sha256(p) for p in files})
                 else:
-                    self._known[path] = file_sha256(where)
+                    self._hashes[path] = file_sha256(where)
             except OSError as error:
                 raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
-        return self._known[path]
+        return self._hashes[path]
 
 
-def _made_by() -> dict[str, Any]:
+def _provenance() -> dict[str, Any]:
     """What makes the results: this package, and the plugins with their content."""
     try:
         installed = plugin_sources()
     except OSError as error:
         raise ConfigError(f"{error.filename}: a plugin's file cannot be read ({error.strerror or error})") from error
-    made: dict[str, Any] = {"format": FORMAT, "version": VERSION}
-    return made | ({"plugins": installed} if installed else {})
+    provenance: dict[str, Any] = {"format": FORMAT, "version": VERSION}
+    return provenance | ({"plugins": installed} if installed else {})
 
 
-def _cell(name: str, scenario: Scenario, made: Mapping[str, Any], hash_of: Callable[[str], str]) -> Cell:
+def _cell(name: str, scenario: Scenario, provenance: Mapping[str, Any], hash_of: Callable[[str], str]) -> Cell:
     """The cell of a scenario. Its keys are hashes of all inputs of the run and of the identification.
 
     For a controller without a model the identification settings are not part of the key, so that its runs are reused
@@ -144,7 +144,7 @@ def _cell(name: str, scenario: Scenario, made: Mapping[str, Any], hash_of: Calla
         else:
             task = identification_task(scenario, testcase)
             model = task.to_json() | {"plant": _plant_by_content(task.plant, hash_of)}
-            identification_key = digest({**made, "source": source_fingerprint(), "task": model})
+            identification_key = digest({**provenance, "source": source_fingerprint(), "task": model})
     options = controller_config(controller, controller_options(scenario, controller), testcase).model_dump(mode="json")
     files = {path: hash_of(path) for path in named_files(controller, options)}
     decides = scenario.model_dump(mode="json") | {
@@ -153,7 +153,7 @@ def _cell(name: str, scenario: Scenario, made: Mapping[str, Any], hash_of: Calla
         "controller": {"name": controller, "options": options, "files": files},
         "identification": model,
     }
-    key = digest({**made, "scenario": decides})
+    key = digest({**provenance, "scenario": decides})
     uncertainty = scenario.plant.forecast_uncertainty
     return Cell(name, scenario.period, scenario.price, uncertainty, scenario, key, task, identification_key)
 

@@ -74,7 +74,9 @@ def write_outcome(
         emulated=any(plant.startswith("embedded") for plant in plants),
         plants=plants,
         headings=headings(currency),
-        groups=[(group_title(group), _shown(members), _zones(members)) for group, members in grouped(rows).items()],
+        groups=[
+            (group_title(group), _table_rows(members), _zones(members)) for group, members in grouped(rows).items()
+        ],
         verdicts=says,
         failed=failures(rows),
         variants=_variants(records),
@@ -126,12 +128,12 @@ def markdown(rows: Sequence[Row], title: str, currency: str, says: Sequence[str]
 def _paired_lines(rows: Sequence[Row]) -> list[str]:
     """Table of the differences to the reference over windows in Markdown; nothing where there is one window."""
     reference = reference_of(rows)
-    found = [pair for pair in pairs(rows, reference) if len(pair.windows) > 1] if reference else []
-    if not found:
+    several = [pair for pair in pairs(rows, reference) if len(pair.windows) > 1] if reference else []
+    if not several:
         return []
     lines = [f"## Difference to {reference}, mean over windows (95 % interval)", ""]
     lines += ["| controller | tariff | windows | cost, % | discomfort, K·h |", "|---|---|---:|---:|---:|"]
-    for pair in found:
+    for pair in several:
         tariff = pair.price + ("" if pair.uncertainty == "none" else f", {pair.uncertainty} forecast error")
         cost, discomfort = in_words(pair.cost_percent, 1), in_words(pair.discomfort_Kh, 2)
         lines.append(f"| {pair.controller} | {tariff} | {len(pair.windows)} | {cost} | {discomfort} |")
@@ -168,7 +170,7 @@ def _zones(members: Sequence[Row]) -> list[str]:
     return list(dict.fromkeys(zone for row in members for zone in row["zones"]))
 
 
-def _shown(members: Sequence[Row]) -> list[dict[str, Any]]:
+def _table_rows(members: Sequence[Row]) -> list[dict[str, Any]]:
     return [
         {"name": row["controller"], "front": row["pareto"], "figures": shown_figures(row), "zones": row["zones"]}
         for row in members
@@ -177,10 +179,10 @@ def _shown(members: Sequence[Row]) -> list[dict[str, Any]]:
 
 def _variants(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """One entry per variant: controller, options, step and, if it uses a model, identification settings."""
-    seen: dict[str, dict[str, Any]] = {}
+    variants: dict[str, dict[str, Any]] = {}
     for record in records:
         scenario = record["scenario"]
-        seen.setdefault(
+        variants.setdefault(
             record["variant"],
             {
                 "name": record["variant"],
@@ -190,4 +192,4 @@ def _variants(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                 "identification": scenario["identification"] if record["needs_model"] else None,
             },
         )
-    return list(seen.values())
+    return list(variants.values())

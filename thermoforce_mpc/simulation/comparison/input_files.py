@@ -26,7 +26,7 @@ class InputFiles:
     def read(self) -> SentFiles:
         """Their content; raises `ConfigError`."""
         try:
-            return SentFiles(self, {p: {n: _at(p, n).read_bytes() for n in of} for p, of in self.hashes.items()})
+            return SentFiles(self, {p: {n: _file_at(p, n).read_bytes() for n in of} for p, of in self.hashes.items()})
         except OSError as error:
             raise ConfigError(f"{error.filename}: cannot be read ({error.strerror or error})") from error
 
@@ -44,7 +44,7 @@ class SentFiles:
         with tempfile.TemporaryDirectory() as folder:
             where = {}
             for n, (path, hashes) in enumerate(self.files.hashes.items()):
-                if _same(path, hashes):
+                if _has_content(path, hashes):
                     where[path] = path
                     continue
                 copy = Path(folder) / str(n) / Path(path).name
@@ -82,23 +82,23 @@ def task_of(files: InputFiles) -> Task:
 
 def paths_of(scenario: Scenario) -> list[str]:
     """Paths that a run of `scenario` reads."""
-    named = [scenario.testcase] if _is_file(scenario.testcase) else []
-    saved = [scenario.identification.model] if scenario.identification.model else []
+    testcase_files = [scenario.testcase] if _is_file(scenario.testcase) else []
+    models = [scenario.identification.model] if scenario.identification.model else []
     of_options = named_files(scenario.controller.name, scenario.controller.options)
-    return [*named, *scenario.plant.files().values(), *saved, *of_options]
+    return [*testcase_files, *scenario.plant.files().values(), *models, *of_options]
 
 
 def named_files(controller: str, options: Mapping[str, Any]) -> list[str]:
     """Files and folders named in options of a controller, such as a forecaster's checkpoint."""
-    found = []
+    files = []
 
-    def look(text: str) -> str:
+    def collect(text: str) -> str:
         if text and Path(text).expanduser().exists():
-            found.append(text)
+            files.append(text)
         return text
 
-    with_files(controller, options, look)
-    return found
+    with_files(controller, options, collect)
+    return files
 
 
 def _is_file(testcase: str) -> bool:
@@ -125,13 +125,13 @@ def moved_scenario(scenario: Scenario, where: Mapping[str, str]) -> Scenario:
     return scenario.model_copy(update=update)
 
 
-def _at(path: str, name: str) -> Path:
+def _file_at(path: str, name: str) -> Path:
     place = Path(path).expanduser()
     return place / name if name else place
 
 
-def _same(path: str, hashes: Mapping[str, str]) -> bool:
+def _has_content(path: str, hashes: Mapping[str, str]) -> bool:
     try:
-        return all(file_sha256(_at(path, name)) == known for name, known in hashes.items())
+        return all(file_sha256(_file_at(path, name)) == expected for name, expected in hashes.items())
     except OSError:
         return False

@@ -21,22 +21,22 @@ def with_files(controller: str, options: Mapping[str, Any], change: Change) -> d
     Raises:
         ConfigError: there is no such controller or free response.
     """
-    return _of_model(find_entry(controller).config(), options, change)
+    return _change_model(find_entry(controller).config(), options, change)
 
 
-def _of_model(model: type[BaseModel], values: Mapping[str, Any], change: Change) -> dict[str, Any]:
-    return {key: _of_field(model, key, values, change) for key in values}
+def _change_model(model: type[BaseModel], values: Mapping[str, Any], change: Change) -> dict[str, Any]:
+    return {key: _change_field(model, key, values, change) for key in values}
 
 
-def _of_field(model: type[BaseModel], key: str, values: Mapping[str, Any], change: Change) -> Any:
+def _change_field(model: type[BaseModel], key: str, values: Mapping[str, Any], change: Change) -> Any:
     field, value = model.model_fields.get(key), values[key]
     # `one_of` marks a name of a registry.
-    if field is None or value == field.default or any(isinstance(one, WithJsonSchema) for one in field.metadata):
+    if field is None or value == field.default or any(isinstance(mark, WithJsonSchema) for mark in field.metadata):
         return value
     if key == "options" and _is_free_response(model):
         name = values.get("name") or model.model_fields["name"].default
-        return {one: change(v) if may_be_file(name, one, v) else v for one, v in value.items()}
-    return _of_kind(field.annotation, value, change)
+        return {option: change(v) if may_be_file(name, option, v) else v for option, v in value.items()}
+    return _change_value(field.annotation, value, change)
 
 
 def _is_free_response(model: type[BaseModel]) -> bool:
@@ -45,23 +45,23 @@ def _is_free_response(model: type[BaseModel]) -> bool:
     return issubclass(model, FreeResponseConfig)
 
 
-def _of_kind(kind: Any, value: Any, change: Change) -> Any:
+def _change_value(kind: Any, value: Any, change: Change) -> Any:
     """`value` of a field annotated as `kind`; a `Literal` or enum is no text."""
     inner = get_args(kind)
     if get_origin(kind) is Annotated:
-        return _of_kind(inner[0], value, change)
+        return _change_value(inner[0], value, change)
     if get_origin(kind) in (Union, UnionType):
-        for one in inner:
-            value = _of_kind(one, value, change)
+        for member in inner:
+            value = _change_value(member, value, change)
         return value
     if kind in (str, Path, Any) and isinstance(value, str):
         return change(value)
     if isinstance(value, Mapping):
         if isinstance(kind, type) and issubclass(kind, BaseModel):
-            return _of_model(kind, value, change)
+            return _change_model(kind, value, change)
         of = inner[1] if len(inner) == 2 else Any if kind in (Any, dict) else None
-        return {key: _of_kind(of, one, change) for key, one in value.items()} if of else value
+        return {key: _change_value(of, item, change) for key, item in value.items()} if of else value
     if isinstance(value, list | tuple):
         of = inner[0] if inner else Any if kind in (Any, list, tuple) else None
-        return [_of_kind(of, one, change) for one in value] if of else value
+        return [_change_value(of, item, change) for item in value] if of else value
     return value

@@ -29,11 +29,12 @@ def outcome_rows(records: Iterable[Mapping[str, Any]]) -> list[Row]:
     """
     rows = [_row(record) for record in records]
     for group in grouped(rows).values():
-        done = [row for row in group if row["status"] == DONE]
-        for row in done:
-            row["best_cost"] = not any(_cheaper(other, row) for other in done)
-            row["best_discomfort"] = row[DISCOMFORT] <= min(other[DISCOMFORT] for other in done) + _DISCOMFORT_TIE_KH
-            row["pareto"] = not any(dominates(other, row) for other in done)
+        finished = [row for row in group if row["status"] == DONE]
+        for row in finished:
+            row["best_cost"] = not any(_cheaper(other, row) for other in finished)
+            least = min(other[DISCOMFORT] for other in finished)
+            row["best_discomfort"] = row[DISCOMFORT] <= least + _DISCOMFORT_TIE_KH
+            row["pareto"] = not any(dominates(other, row) for other in finished)
     return rows
 
 
@@ -52,17 +53,17 @@ def group_title(group: tuple[str, str, str]) -> str:
     return f"{day}, {price} tariff" + ("" if uncertainty == "none" else f", {uncertainty} forecast error")
 
 
-def dominates(one: Row, other: Row) -> bool:
-    """Whether `one` is no worse than `other` in cost and in discomfort, and better in one of them."""
-    calmer = one[DISCOMFORT] < other[DISCOMFORT] - _DISCOMFORT_TIE_KH
-    harsher = one[DISCOMFORT] > other[DISCOMFORT] + _DISCOMFORT_TIE_KH
-    return (_cheaper(one, other) or calmer) and not _cheaper(other, one) and not harsher
+def dominates(row: Row, other: Row) -> bool:
+    """Whether `row` is no worse than `other` in cost and in discomfort, and better in one of them."""
+    calmer = row[DISCOMFORT] < other[DISCOMFORT] - _DISCOMFORT_TIE_KH
+    harsher = row[DISCOMFORT] > other[DISCOMFORT] + _DISCOMFORT_TIE_KH
+    return (_cheaper(row, other) or calmer) and not _cheaper(other, row) and not harsher
 
 
-def _cheaper(one: Row, other: Row) -> bool:
-    """Whether `one` costs less; costs may be 0, and negative where prices are."""
-    tie = _COST_TIE * max(abs(one[COST]), abs(other[COST]))
-    return bool(one[COST] < other[COST] - tie)
+def _cheaper(row: Row, other: Row) -> bool:
+    """Whether `row` costs less; costs may be 0, and negative where prices are."""
+    tie = _COST_TIE * max(abs(row[COST]), abs(other[COST]))
+    return bool(row[COST] < other[COST] - tie)
 
 
 def verdicts(rows: Iterable[Row]) -> list[str]:
@@ -74,18 +75,18 @@ def verdicts(rows: Iterable[Row]) -> list[str]:
     lines: list[str] = []
     for group, members in grouped(rows).items():
         title = group_title(group)
-        done = [row for row in members if row["status"] == DONE]
-        if not done:
+        finished = [row for row in members if row["status"] == DONE]
+        if not finished:
             lines.append(f"{title}: no result")
             continue
-        cheapest = [row for row in done if row["best_cost"]]
-        calmest = [row for row in done if row["best_discomfort"]]
+        cheapest = [row for row in finished if row["best_cost"]]
+        calmest = [row for row in finished if row["best_discomfort"]]
         lines.append(
             f"{title}: cheapest {_names(cheapest)} ({cheapest[0][COST]:.4f}), least discomfort {_names(calmest)} "
             f"({calmest[0][DISCOMFORT]:.2f} K·h)"
         )
-        baselines = [row for row in done if not row["needs_model"]]
-        for row in done:
+        baselines = [row for row in finished if not row["needs_model"]]
+        for row in finished:
             if row["needs_model"]:
                 lines += [f"{title}: {text}" for text in _losses(row, baselines)]
     return lines
@@ -98,17 +99,17 @@ def cost_targets(rows: Iterable[Row]) -> list[Target]:
     """
     targets: list[Target] = []
     for group, members in grouped(rows).items():
-        done = [row for row in members if row["status"] == DONE]
-        baselines = {row["controller"]: row for row in done if not row["needs_model"]}
+        finished = [row for row in members if row["status"] == DONE]
+        baselines = {row["controller"]: row for row in finished if not row["needs_model"]}
         if not baselines:
             continue
         name = "thermostat" if "thermostat" in baselines else min(baselines, key=lambda key: baselines[key][COST])
         if baselines[name][COST] <= 0:
             continue
-        for row in done:
+        for row in finished:
             if row["needs_model"]:
-                what = f"{group_title(group)}: cost of {row['controller']} over {name}"
-                targets.append(Target(what, row[COST] / baselines[name][COST], 1.0))
+                label = f"{group_title(group)}: cost of {row['controller']} over {name}"
+                targets.append(Target(label, row[COST] / baselines[name][COST], 1.0))
     return targets
 
 
@@ -138,9 +139,9 @@ def _losses(row: Row, baselines: Sequence[Row]) -> list[str]:
 
 
 def _row(record: Mapping[str, Any]) -> Row:
-    done = record["status"] == DONE
-    kpis = record["kpis"] if done else {}
-    seconds = record["seconds"] if done else {}
+    is_done = record["status"] == DONE
+    kpis = record["kpis"] if is_done else {}
+    seconds = record["seconds"] if is_done else {}
     return {
         "window": record["window"],
         "price": record["price"],
@@ -154,9 +155,9 @@ def _row(record: Mapping[str, Any]) -> Row:
         "best_discomfort": False,
         "pareto": False,
         "fallbacks": sum(n for level, n in record["fallback_levels"].items() if level not in _AS_PLANNED)
-        if done
+        if is_done
         else None,
-        "plan_ms": 1e3 * seconds["plan_median"] if done else None,
+        "plan_ms": 1e3 * seconds["plan_median"] if is_done else None,
         "controller_s": seconds.get("controller"),
         "plant_s": seconds.get("plant"),
         "reason": record["reason"],

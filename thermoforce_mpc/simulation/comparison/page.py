@@ -30,8 +30,8 @@ def comparison_page(rows: Sequence[Row], currency: str, swept: Mapping[str, str]
 
 def comparison_data(rows: Sequence[Row], currency: str, swept: Mapping[str, str]) -> dict[str, Any]:
     """What the scripts of the page read, see `assets/pareto.js` and `assets/paired.js`."""
-    done = [row for row in rows if row["status"] == DONE]
-    models = {row["controller"]: row["needs_model"] for row in done}
+    finished = [row for row in rows if row["status"] == DONE]
+    models = {row["controller"]: row["needs_model"] for row in finished}
     compared = [pair for name in models for pair in pairs(rows, name)]
     return {
         "currency": currency,
@@ -64,7 +64,9 @@ def comparison_data(rows: Sequence[Row], currency: str, swept: Mapping[str, str]
             {
                 "title": _set_title(price, uncertainty),
                 "windows": list(
-                    dict.fromkeys(r["window"] for r in done if (r["price"], r["uncertainty"]) == (price, uncertainty))
+                    dict.fromkeys(
+                        r["window"] for r in finished if (r["price"], r["uncertainty"]) == (price, uncertainty)
+                    )
                 ),
                 "differences": [
                     {
@@ -78,7 +80,7 @@ def comparison_data(rows: Sequence[Row], currency: str, swept: Mapping[str, str]
                     if (pair.price, pair.uncertainty) == (price, uncertainty)
                 ],
             }
-            for price, uncertainty in dict.fromkeys((r["price"], r["uncertainty"]) for r in done)
+            for price, uncertainty in dict.fromkeys((r["price"], r["uncertainty"]) for r in finished)
         ],
     }
 

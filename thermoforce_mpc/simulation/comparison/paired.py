@@ -58,21 +58,21 @@ class Pair:
 
 def reference_of(rows: Iterable[Row]) -> str | None:
     """The controller to compare with: the thermostat, else the cheapest without a model, else the first."""
-    done = [row for row in rows if row["status"] == DONE]
-    without = [row for row in done if not row["needs_model"]]
+    finished = [row for row in rows if row["status"] == DONE]
+    without = [row for row in finished if not row["needs_model"]]
     if any(row["controller"] == "thermostat" for row in without):
         return "thermostat"
-    cheapest = min(without, key=lambda row: float(row[COST]), default=None) or next(iter(done), None)
+    cheapest = min(without, key=lambda row: float(row[COST]), default=None) or next(iter(finished), None)
     return None if cheapest is None else str(cheapest["controller"])
 
 
 def pairs(rows: Iterable[Row], reference: str) -> list[Pair]:
     """Every controller beside `reference`, by tariff and forecast error level, in the order of the rows."""
-    done = [row for row in rows if row["status"] == DONE]
-    found = []
-    for price, uncertainty in dict.fromkeys((row["price"], row["uncertainty"]) for row in done):
+    finished = [row for row in rows if row["status"] == DONE]
+    compared = []
+    for price, uncertainty in dict.fromkeys((row["price"], row["uncertainty"]) for row in finished):
         by_controller: dict[str, dict[str, Row]] = {}
-        for row in done:
+        for row in finished:
             if (row["price"], row["uncertainty"]) == (price, uncertainty):
                 by_controller.setdefault(row["controller"], {})[row["window"]] = row
         beside = by_controller.get(reference, {})
@@ -83,7 +83,7 @@ def pairs(rows: Iterable[Row], reference: str) -> list[Pair]:
                 continue
             cost = [100.0 * (of[w][COST] / beside[w][COST] - 1.0) for w in windows]
             discomfort = [of[w][DISCOMFORT] - beside[w][DISCOMFORT] for w in windows]
-            found.append(
+            compared.append(
                 Pair(
                     controller,
                     reference,
@@ -94,7 +94,7 @@ def pairs(rows: Iterable[Row], reference: str) -> list[Pair]:
                     Difference.of(np.array(discomfort)),
                 )
             )
-    return found
+    return compared
 
 
 def in_words(difference: Difference, digits: int) -> str:

@@ -116,12 +116,12 @@ class Store:
         """
         if isinstance(task.inputs, InputFiles):
             return task.inputs.read()
-        found = (
+        stored = (
             self.finished(task.inputs) if isinstance(task.inputs, Cell) else Identified.read(self.model_path(task.key))
         )
-        if found is None:
+        if stored is None:
             raise KeyError(task.key)
-        return found
+        return stored
 
     def put(self, task: Task, value: Any) -> None:
         """Store the record of a cell, or what was identified; raises `StorageError`."""

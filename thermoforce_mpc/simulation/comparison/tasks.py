@@ -45,18 +45,18 @@ def tasks_of(cells: Iterable[Cell]) -> list[Task]:
     """
     files: dict[tuple[str, ...], tuple[Task, ...]] = {}
 
-    def sent(paths: Iterable[str]) -> tuple[Task, ...]:
-        known = tuple(sorted(set(paths)))
-        if known not in files:
-            found = input_files(known)
-            files[known] = (task_of(found),) if found else ()
-        return files[known]
+    def file_tasks(paths: Iterable[str]) -> tuple[Task, ...]:
+        key = tuple(sorted(set(paths)))
+        if key not in files:
+            inputs = input_files(key)
+            files[key] = (task_of(inputs),) if inputs else ()
+        return files[key]
 
     tasks = []
     for cell in cells:
-        needs = sent(paths_of(cell.scenario))
+        needs = file_tasks(paths_of(cell.scenario))
         if cell.task is not None and cell.identification_key is not None:
-            plant = sent(cell.task.plant.files().values())
+            plant = file_tasks(cell.task.plant.files().values())
             needs += (Task(cell.identification_key, cell.identification_title, identified, cell.task, plant),)
         tasks.append(Task(cell.key, cell.title, record_of, cell, needs))
     return tasks
@@ -77,7 +77,7 @@ def identified(task: IdentificationTask, files: SentFiles = NO_FILES) -> Identif
         with files.at_hand() as where:
             spec = moved_plant(task.plant, where)
             with closing(build_plant(spec, task.testcase, task.seed)) as plant:
-                model = run_identification(task, plant, on_progress=lambda now: tell(now.days / now.planned_days))
+                model = run_identification(task, plant, on_progress=lambda p: tell(p.days / p.planned_days))
     except DataError as error:
         return Identified(refused=str(error))
     return Identified.of(model)

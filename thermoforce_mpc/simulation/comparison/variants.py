@@ -109,17 +109,17 @@ def swept_variants(controller: str, key: str, values: Sequence[float], testcase:
 
 def numeric_option(controller: str, key: str) -> str:
     """Dotted name of the numeric option `key` of `controller`; raises `ConfigError` listing all of them."""
-    known = _numeric_leaves(find_entry(controller).config())
-    if key in known:
+    options = _numeric_leaves(find_entry(controller).config())
+    if key in options:
         return key
-    meant = [name for name in known if name.endswith(f".{key}")]
-    if len(meant) == 1:
-        return meant[0]
-    if meant:
-        raise ConfigError(f"--over {key}: more than one option has this name; give one of: {', '.join(meant)}")
+    matches = [name for name in options if name.endswith(f".{key}")]
+    if len(matches) == 1:
+        return matches[0]
+    if matches:
+        raise ConfigError(f"--over {key}: more than one option has this name; give one of: {', '.join(matches)}")
     raise ConfigError(
-        f"--over {key}: controller '{controller}' has no such numeric option{suggestion(key, known)}; "
-        f"known: {', '.join(known) or 'none'}"
+        f"--over {key}: controller '{controller}' has no such numeric option{suggestion(key, options)}; "
+        f"known: {', '.join(options) or 'none'}"
     )
 
 
@@ -172,20 +172,20 @@ def _nested(key: str, value: float) -> dict[str, Any]:
     nested: Any = value
     for part in reversed(key.split(".")):
         nested = {part: nested}
-    out: dict[str, Any] = nested
-    return out
+    options: dict[str, Any] = nested
+    return options
 
 
 def _numeric_leaves(model: type[BaseModel], prefix: str = "") -> list[str]:
     """Dotted names of all numeric fields of `model`, nested models included."""
-    found: list[str] = []
+    names: list[str] = []
     for name, field in model.model_fields.items():
         # Of a union (a number, or null) its parts; a pair of numbers is none to sweep.
         union = get_origin(field.annotation) in (Union, UnionType)
         for annotation in get_args(field.annotation) if union else (field.annotation,):
             if annotation in (float, int):
-                found.append(prefix + name)
+                names.append(prefix + name)
                 break
             if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-                found += _numeric_leaves(annotation, f"{prefix}{name}.")
-    return found
+                names += _numeric_leaves(annotation, f"{prefix}{name}.")
+    return names

@@ -53,16 +53,16 @@ def buildings_of(file: FleetFile, path: Path) -> list[Building]:
     Raises:
         ConfigError: a name twice, an unknown test case, or a table that cannot be used; names file and row.
     """
-    found: dict[str, Building] = {}
+    buildings: dict[str, Building] = {}
     for number, source in enumerate(file.buildings):
-        for building in _of(source, path, f"{path}: buildings.{number}"):
-            if building.name in found:
+        for building in _from_source(source, path, f"{path}: buildings.{number}"):
+            if building.name in buildings:
                 raise ConfigError(f"{path}: buildings.{number}: '{building.name}' is in the fleet twice")
-            found[building.name] = building
-    return list(found.values())
+            buildings[building.name] = building
+    return list(buildings.values())
 
 
-def _of(source: Source, path: Path, where: str) -> Iterator[Building]:
+def _from_source(source: Source, path: Path, where: str) -> Iterator[Building]:
     if source.generated is not None:
         for index in range(source.generated.first, source.generated.first + source.generated.count):
             house = draw_house(source.generated.seed, index)
@@ -80,36 +80,36 @@ def _of(source: Source, path: Path, where: str) -> Iterator[Building]:
         yield from _rooms(source.rooms)
     elif source.testcase is not None:
         try:
-            yield _of_testcase(source.testcase, "testcase", {"testcase": source.testcase})
+            yield _from_testcase(source.testcase, "testcase", {"testcase": source.testcase})
         except ConfigError as error:
             raise ConfigError(f"{where}.testcase: {error}") from error
     elif source.table is not None:
-        yield from _of_table(path.parent / Path(source.table).expanduser())
+        yield from _from_table(path.parent / Path(source.table).expanduser())
 
 
 def _rooms(rooms: Rooms) -> Iterator[Building]:
     for seed in range(rooms.first_seed, rooms.first_seed + rooms.count):
         name = f"house:{rooms.rooms}rooms:{seed}"
-        yield _of_testcase(name, "rooms", {"testcase": name})
+        yield _from_testcase(name, "rooms", {"testcase": name})
 
 
-def _of_testcase(name: str, source: str, scenario: Mapping[str, Any]) -> Building:
+def _from_testcase(name: str, source: str, scenario: Mapping[str, Any]) -> Building:
     testcase = load_testcase(str(scenario["testcase"]))
     return Building(name, source, scenario, area_m2=testcase.area_m2, description=testcase.description)
 
 
-def _of_table(table: Path) -> Iterator[Building]:
+def _from_table(table: Path) -> Iterator[Building]:
     try:
         text = read_bounded(table, _MOST_BYTES, ConfigError).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ConfigError(f"{table}: is not UTF-8 ({error})") from error
     try:
-        yield from _of_lines(csv.DictReader(io.StringIO(text)), table)
+        yield from _from_lines(csv.DictReader(io.StringIO(text)), table)
     except csv.Error as error:
         raise ConfigError(f"{table}: is not CSV ({error})") from error
 
 
-def _of_lines(reader: csv.DictReader[str], table: Path) -> Iterator[Building]:
+def _from_lines(reader: csv.DictReader[str], table: Path) -> Iterator[Building]:
     columns = reader.fieldnames or []
     if len(set(columns)) < len(columns):
         raise ConfigError(f"{table}: a column is given twice; found {', '.join(columns)}")
@@ -124,52 +124,52 @@ def _of_lines(reader: csv.DictReader[str], table: Path) -> Iterator[Building]:
     for row in reader:
         empty = False
         where = f"{table}: line {reader.line_num}"
-        given = {key: (value or "").strip() for key, value in row.items() if key is not None}
-        if None in row or not given["name"] or not (given.get("testcase") or given.get("record")):
+        cells = {key: (value or "").strip() for key, value in row.items() if key is not None}
+        if None in row or not cells["name"] or not (cells.get("testcase") or cells.get("record")):
             raise ConfigError(f"{where}: needs a name, a test case or record, and no more values than columns")
         try:
-            yield _of_row(given, table.parent)
+            yield _from_row(cells, table.parent)
         except (ConfigError, DataError) as error:
             raise ConfigError(f"{where}: {error}") from error
     if empty:
         raise ConfigError(f"{table}: has no buildings")
 
 
-def _of_row(given: Mapping[str, str], folder: Path) -> Building:
+def _from_row(cells: Mapping[str, str], folder: Path) -> Building:
     record = None
-    if given.get("record") or given.get("map"):
-        if not (given.get("record") and given.get("map")) or given.get("model"):
+    if cells.get("record") or cells.get("map"):
+        if not (cells.get("record") and cells.get("map")) or cells.get("model"):
             raise ConfigError("record and map go together, and without model")
-        record = (str(folder / Path(given["record"]).expanduser()), str(folder / Path(given["map"]).expanduser()))
+        record = (str(folder / Path(cells["record"]).expanduser()), str(folder / Path(cells["map"]).expanduser()))
         for file in record:
             if not Path(file).is_file():
                 raise ConfigError(f"{file}: not a file")
     if record is not None:
-        named = given.get("testcase")
-        check_measurements(*record, load_testcase(_testcase(named, folder)) if named else None)
-    if not given.get("testcase"):
-        return Building(given["name"], "record", {}, record=record)
-    return replace(_of_testcase(given["name"], "table", _scenario(given, folder)), record=record)
+        testcase = cells.get("testcase")
+        check_measurements(*record, load_testcase(_testcase(testcase, folder)) if testcase else None)
+    if not cells.get("testcase"):
+        return Building(cells["name"], "record", {}, record=record)
+    return replace(_from_testcase(cells["name"], "table", _scenario(cells, folder)), record=record)
 
 
 def _testcase(name: str, folder: Path) -> str:
     return str(folder / Path(name).expanduser()) if name.endswith((".yaml", ".yml")) else name
 
 
-def _scenario(given: Mapping[str, str], folder: Path) -> dict[str, Any]:
+def _scenario(cells: Mapping[str, str], folder: Path) -> dict[str, Any]:
     def path(text: str) -> str:
         return str(folder / Path(text).expanduser())
 
-    scenario: dict[str, Any] = {"testcase": _testcase(given["testcase"], folder)}
-    if given.get("model"):
-        scenario["identification"] = {"model": path(given["model"])}
+    scenario: dict[str, Any] = {"testcase": _testcase(cells["testcase"], folder)}
+    if cells.get("model"):
+        scenario["identification"] = {"model": path(cells["model"])}
     plant: dict[str, Any] = {}
-    if given.get("url") and given.get("fmu"):
+    if cells.get("url") and cells.get("fmu"):
         raise ConfigError("url and fmu are two plants; give one")
-    if given.get("url"):
-        plant = {"kind": "boptest", "url": given["url"]}
-    if given.get("fmu"):
-        plant = {"kind": "fmu", "path": path(given["fmu"])}
-    if given.get("weather"):
-        plant["weather"] = given["weather"] if given["weather"] == "synthetic" else path(given["weather"])
+    if cells.get("url"):
+        plant = {"kind": "boptest", "url": cells["url"]}
+    if cells.get("fmu"):
+        plant = {"kind": "fmu", "path": path(cells["fmu"])}
+    if cells.get("weather"):
+        plant["weather"] = cells["weather"] if cells["weather"] == "synthetic" else path(cells["weather"])
     return scenario | ({"plant": plant} if plant else {})

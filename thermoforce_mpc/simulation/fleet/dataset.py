@@ -86,12 +86,12 @@ def _place(run: Run) -> dict[str, Any]:
 
 def finished_rows(datasets: Iterable[Path]) -> dict[str, dict[str, Any]]:
     """Rows of the finished runs of datasets (folders or files), by key; raises `ConfigError` for another schema."""
-    found: dict[str, dict[str, Any]] = {}
+    by_key: dict[str, dict[str, Any]] = {}
     for path in datasets:
         rows = read_dataset(path)
         finished = rows[rows["status"] == DONE].astype(object)
-        found |= {row["key"]: row for row in finished.where(finished.notna(), None).to_dict("records")}
-    return found
+        by_key |= {row["key"]: row for row in finished.where(finished.notna(), None).to_dict("records")}
+    return by_key
 
 
 def reused_row(run: Run, row: Mapping[str, Any]) -> dict[str, Any]:
@@ -116,11 +116,11 @@ def check_dataset(path: Path) -> None:
         schema = pq.read_schema(path)
     except (OSError, pa.ArrowException) as error:
         raise ConfigError(f"{path}: is no dataset of a fleet ({error}); give another folder, or remove it") from error
-    found = (schema.metadata or {}).get(_FORMAT_KEY, b"none").decode(errors="replace")
-    if found != FORMAT or schema.names != SCHEMA.names or schema.types != SCHEMA.types:
-        found += " with other columns" if found == FORMAT else ""
+    version = (schema.metadata or {}).get(_FORMAT_KEY, b"none").decode(errors="replace")
+    if version != FORMAT or schema.names != SCHEMA.names or schema.types != SCHEMA.types:
+        version += " with other columns" if version == FORMAT else ""
         raise ConfigError(
-            f"{path}: its schema is {found}, this release writes {FORMAT}; give another folder, or remove it to have "
+            f"{path}: its schema is {version}, this release writes {FORMAT}; give another folder, or remove it to have "
             "it written anew from the runs beside it"
         )
 

@@ -48,10 +48,10 @@ class Source(StrictModel):
     )
 
     @model_validator(mode="after")
-    def _one(self) -> Source:
-        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise ValueError(f"needs exactly one of {', '.join(type(self).model_fields)}; found {given or 'none'}")
+    def _has_one_key(self) -> Source:
+        keys = [name for name in type(self).model_fields if getattr(self, name) is not None]
+        if len(keys) != 1:
+            raise ValueError(f"needs exactly one of {', '.join(type(self).model_fields)}; found {keys or 'none'}")
         return self
 
 

@@ -81,16 +81,16 @@ def with_models(
     buildings: Iterable[Building], models: Mapping[str, Path], no_model: Mapping[str, str]
 ) -> list[Building]:
     """The buildings that can be run: those with measurements act on their model, or have none and say why."""
-    found = []
+    runnable = []
     for building in buildings:
         if building.record is None:
-            found.append(building)
+            runnable.append(building)
         elif building.runs and building.name in models:
             model = {"identification": {"model": str(models[building.name])}}
-            found.append(replace(building, scenario=merge(dict(building.scenario), model)))
+            runnable.append(replace(building, scenario=merge(dict(building.scenario), model)))
         elif building.runs:
-            found.append(replace(building, no_model=no_model[building.name]))
-    return found
+            runnable.append(replace(building, no_model=no_model[building.name]))
+    return runnable
 
 
 def write_models(
@@ -111,19 +111,19 @@ def write_models(
         measured: identifications from measurements by building.
         no_model: verdict where one of them gave no model, by building.
     """
-    rows, seen = [], set[str]()
+    rows, written = [], set[str]()
     for name, task in measured.items():
-        of = {"building": name, "window": "", "from": "record", "key": task.key}
+        place = {"building": name, "window": "", "from": "record", "key": task.key}
         if name in no_model:
-            rows.append({**of, "actuator": "", "competent": False, "verdict": no_model[name]})
+            rows.append({**place, "actuator": "", "competent": False, "verdict": no_model[name]})
         else:
-            rows += _rows(results.model_path(task.key), of)
+            rows += _rows(results.model_path(task.key), place)
     for run in runs:
         if run.cell.identification_key is None:
             continue
         key = records[run.cell.key]["model"]
-        if key not in seen:
-            seen.add(key)
+        if key not in written:
+            written.add(key)
             rows += _rows(
                 results.model_path(key),
                 {"building": run.building.name, "window": run.cell.window, "from": "probing", "key": key}
@@ -135,8 +135,8 @@ def write_models(
     return path
 
 
-def _rows(path: Path, of: Mapping[str, Any]) -> list[dict[str, Any]]:
-    none = {**of, "actuator": "", "competent": False}
+def _rows(path: Path, place: Mapping[str, Any]) -> list[dict[str, Any]]:
+    none = {**place, "actuator": "", "competent": False}
     try:
         if path.is_file():
             return [{**none, "verdict": f"refused: {path.read_text(encoding='utf-8')}"}]
@@ -148,12 +148,13 @@ def _rows(path: Path, of: Mapping[str, Any]) -> list[dict[str, Any]]:
         return [{**none, "verdict": f"cannot be read: {error}"}]
     rows = []
     for actuator, card in zip(model.names.actuators, model.cards, strict=True):
-        found = card.competence
-        row = {**of, "actuator": actuator, "competent": None, "verdict": "not judged"}
-        if found is not None:
-            row |= {"competent": found.competent, "verdict": found.in_words()}
-            row |= {name: getattr(found, name) for name in ("effect_K", "effect_sd_K", "sign_probability", "explained")}
-            for score in found.horizons:
+        competence = card.competence
+        row = {**place, "actuator": actuator, "competent": None, "verdict": "not judged"}
+        if competence is not None:
+            row |= {"competent": competence.competent, "verdict": competence.in_words()}
+            figures = ("effect_K", "effect_sd_K", "sign_probability", "explained")
+            row |= {name: getattr(competence, name) for name in figures}
+            for score in competence.horizons:
                 row |= {
                     f"{what}_{score.hours:g}h_K": getattr(score, f"{what}_K")
                     for what in ("model", "persistence", "weather")

@@ -78,14 +78,14 @@ def headline(everything: Group, variant: str, reference: str) -> str:
 def _part(pairs: pd.DataFrame, variant: str, reference: str, scenarios: Mapping[str, Scenario]) -> dict[str, Any]:
     if pairs.empty:
         return {}
-    worst, found = lost(pairs), groups(pairs)
-    counted = pairs.dropna(subset=["saving"])
+    worst, distributions = lost(pairs), groups(pairs)
+    with_saving = pairs.dropna(subset=["saving"])
     return {
         "variant": variant,
-        "headline": headline(found[0], variant, reference),
-        "scatter": _scatter(counted) if len(counted) else "",
-        "cumulative": _cumulative(counted) if len(counted) else "",
-        "groups": found,
+        "headline": headline(distributions[0], variant, reference),
+        "scatter": _scatter(with_saving) if len(with_saving) else "",
+        "cumulative": _cumulative(with_saving) if len(with_saving) else "",
+        "groups": distributions,
         "causes": causes(worst),
         "lost": [
             row | {"command": run_command(scenarios[row["key"]])} for row in worst.head(_SHOWN).to_dict("records")

@@ -103,13 +103,13 @@ def models_again(runs: Iterable[Run], records: Mapping[str, Mapping[str, Any]], 
 
     Not those of other source code, which gave another model. Raises as `tasks_of`.
     """
-    lost = {}
+    missing = {}
     for run in runs:
         key = run.cell.identification_key
-        made = records.get(run.cell.key, {}).get("model") == key
-        if key is not None and made and key not in lost and Identified.read(results.model_path(key)) is None:
-            lost[key] = run
-    return [need for task in tasks_of(list(lost.values())) for need in task.needs if need.key in lost]
+        same_model = records.get(run.cell.key, {}).get("model") == key
+        if key is not None and same_model and key not in missing and Identified.read(results.model_path(key)) is None:
+            missing[key] = run
+    return [need for task in tasks_of(list(missing.values())) for need in task.needs if need.key in missing]
 
 
 def follow(run: Run, *needs: SentFiles | Identified) -> Ran:
@@ -122,9 +122,9 @@ def follow(run: Run, *needs: SentFiles | Identified) -> Ran:
     # No names of this run: another of the same inputs, called otherwise, has the same course.
     for place, name in enumerate(("window", "price", "key")):
         frame.insert(place, name, getattr(run.cell, name))
-    written = io.BytesIO()
-    frame.to_parquet(written, index=False)
-    return Ran(record, written.getvalue())
+    content = io.BytesIO()
+    frame.to_parquet(content, index=False)
+    return Ran(record, content.getvalue())
 
 
 class FleetResults:
@@ -165,16 +165,16 @@ class FleetResults:
             for old in top.glob("building=*"):
                 shutil.rmtree(old)
             for run in runs:
-                kept = self.trajectory_path(run.cell.key)
-                if not kept.is_file():
+                trajectory = self.trajectory_path(run.cell.key)
+                if not trajectory.is_file():
                     continue
                 place = top / f"building={quote(run.building.name, safe='')}"
                 place /= f"variant={quote(run.cell.variant, safe='')}"
                 place.mkdir(parents=True, exist_ok=True)
                 try:
-                    os.link(kept, place / kept.name)
+                    os.link(trajectory, place / trajectory.name)
                 except OSError:
-                    shutil.copyfile(kept, place / kept.name)
+                    shutil.copyfile(trajectory, place / trajectory.name)
 
     def record(self, run: Run) -> dict[str, Any] | None:
         """The record of a finished run; None if it failed, was not run or cannot be read."""

@@ -47,29 +47,31 @@ def paired(runs: pd.DataFrame, variant: str, reference: str) -> pd.DataFrame:
     above the reference's, K·h a week), `cost_ref`, `tdis_ref`, and `why`: what the run lost by, '' where it lost
     nothing.
     """
-    done = runs[runs["status"] == DONE]
-    ours, theirs = done[done["variant"] == variant], done[done["variant"] == reference]
-    both = ours.merge(theirs[[*_SAME, "cost_tot", "tdis_tot", "ener_tot"]], on=_SAME, suffixes=("", "_ref"))
-    both = both.rename(columns={"cost_tot_ref": "cost_ref", "tdis_tot_ref": "tdis_ref"})
-    weeks = both["days"] / 7.0
-    heated = both["ener_tot_ref"] / weeks >= LEAST_HEATING_KWH_M2
+    finished = runs[runs["status"] == DONE]
+    of_variant, of_reference = finished[finished["variant"] == variant], finished[finished["variant"] == reference]
+    pairs = of_variant.merge(
+        of_reference[[*_SAME, "cost_tot", "tdis_tot", "ener_tot"]], on=_SAME, suffixes=("", "_ref")
+    )
+    pairs = pairs.rename(columns={"cost_tot_ref": "cost_ref", "tdis_tot_ref": "tdis_ref"})
+    weeks = pairs["days"] / 7.0
+    heated = pairs["ener_tot_ref"] / weeks >= LEAST_HEATING_KWH_M2
     # Of a cost of 0 or less there is no share; which of two such costs is the lower is known.
-    share = heated & (both["cost_ref"] > 0.0)
-    both["saving"] = 1.0 - both["cost_tot"] / both["cost_ref"].where(share)
-    both["dearer"] = heated & (both["cost_tot"] > both["cost_ref"])
-    both["more_Kh"] = (both["tdis_tot"] - both["tdis_ref"]) / weeks
-    both["why"] = [_why(row) for _, row in both.iterrows()] if len(both) else []
-    return both
+    share = heated & (pairs["cost_ref"] > 0.0)
+    pairs["saving"] = 1.0 - pairs["cost_tot"] / pairs["cost_ref"].where(share)
+    pairs["dearer"] = heated & (pairs["cost_tot"] > pairs["cost_ref"])
+    pairs["more_Kh"] = (pairs["tdis_tot"] - pairs["tdis_ref"]) / weeks
+    pairs["why"] = [_why(row) for _, row in pairs.iterrows()] if len(pairs) else []
+    return pairs
 
 
 def groups(pairs: pd.DataFrame) -> list[Group]:
     """All runs, then those of every kind by each property in which the fleet differs."""
-    found = [_group("all", "", pairs)]
+    distributions = [_group("all", "", pairs)]
     for by in _BY:
         values = sorted(value for value in pairs[by].unique() if value)
         if len(values) > 1:
-            found += [_group(by, value, pairs[pairs[by] == value]) for value in values]
-    return found
+            distributions += [_group(by, value, pairs[pairs[by] == value]) for value in values]
+    return distributions
 
 
 def lost(pairs: pd.DataFrame) -> pd.DataFrame:

@@ -60,13 +60,13 @@ class RunBook:
             StorageError: it cannot be written.
         """
         path = folder / NAME
-        read = read_run(path)
-        first = read.entries[0]
-        with making_sense(first.where):
-            scenario = validate(Scenario, dict(first.content["scenario"]), first.where)
-            command = tuple(str(word) for word in first.content["command"])
-        journal = Journal(path, read, durable=_is_real(scenario))
-        return cls(folder, scenario, command, journal, read.entries[1:])
+        text = read_run(path)
+        head = text.entries[0]
+        with making_sense(head.where):
+            scenario = validate(Scenario, dict(head.content["scenario"]), head.where)
+            command = tuple(str(word) for word in head.content["command"])
+        journal = Journal(path, text, durable=_is_real(scenario))
+        return cls(folder, scenario, command, journal, text.entries[1:])
 
     def connect(self, build: Callable[[str | None], Plant]) -> JournaledPlant:
         """The plant of the run; `build` makes it, or takes up the test of a service by its name."""

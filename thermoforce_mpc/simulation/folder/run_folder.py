@@ -147,13 +147,13 @@ def _by_actuator(plan: Plan, names: Names) -> dict[str, str]:
 
 def environment() -> dict[str, str]:
     """Versions of this package, Python, the platform and the packages that affect results."""
-    found = {"thermoforce-mpc": VERSION, "python": platform.python_version(), "platform": platform.platform()}
+    versions = {"thermoforce-mpc": VERSION, "python": platform.python_version(), "platform": platform.platform()}
     for name in _PACKAGES:
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "not installed"
-    return found | {f"plugin {name}": found_version for name, found_version in plugins().items()}
+            versions[name] = "not installed"
+    return versions | {f"plugin {name}": plugin_version for name, plugin_version in plugins().items()}
 
 
 def write_results(

@@ -1,6 +1,6 @@
 """Log of a run in its folder, `log.jsonl`: one JSON object a line, of messages and of every step with its reason.
 
-Warnings are told to people too.
+Warnings are shown to people too.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _STEPS = logging.getLogger("thermoforce_mpc.step")
 class _JsonLines(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         """The record as one line of JSON; `fields` are those of a step."""
-        found = {
+        content = {
             "at": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
             "from": record.name,
@@ -32,11 +32,11 @@ class _JsonLines(logging.Formatter):
             "message": record.getMessage(),
         }
         if record.exc_info:
-            found["exception"] = self.formatException(record.exc_info)
-        return json.dumps(found, ensure_ascii=False)
+            content["exception"] = self.formatException(record.exc_info)
+        return json.dumps(content, ensure_ascii=False)
 
 
-class _Told(logging.Handler):
+class _Announcer(logging.Handler):
     """Says warnings, as they come."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
@@ -66,22 +66,22 @@ def logging_to(folder: Path, say: Callable[[str], None] = lambda text: None) -> 
         StorageError: the file cannot be opened.
     """
     with storage_errors(folder / NAME):
-        handler = _Lines(folder / NAME, encoding="utf-8")
-    handler.setFormatter(_JsonLines())
-    handlers = (handler, _Told(say))
-    before = {name: logging.getLogger(name).level for name in _LOGGERS}
+        file_handler = _Lines(folder / NAME, encoding="utf-8")
+    file_handler.setFormatter(_JsonLines())
+    handlers = (file_handler, _Announcer(say))
+    levels_before = {name: logging.getLogger(name).level for name in _LOGGERS}
     for name in _LOGGERS:
-        for one in handlers:
-            logging.getLogger(name).addHandler(one)
+        for handler in handlers:
+            logging.getLogger(name).addHandler(handler)
         logging.getLogger(name).setLevel(logging.INFO)
     try:
         yield
     finally:
-        for name, level in before.items():
-            for one in handlers:
-                logging.getLogger(name).removeHandler(one)
+        for name, level in levels_before.items():
+            for handler in handlers:
+                logging.getLogger(name).removeHandler(handler)
             logging.getLogger(name).setLevel(level)
-        handler.close()
+        file_handler.close()
 
 
 def log_step(controller: str, step: StepRecord) -> None:

@@ -116,9 +116,9 @@ class Journal:
             if os.fstat(self._file).st_nlink == 0:
                 raise StorageError(f"{self.path}: was removed during the run; what follows cannot be recorded")
             try:
-                left = memoryview(line)
-                while left:
-                    left = left[os.write(self._file, left) :]
+                unwritten = memoryview(line)
+                while unwritten:
+                    unwritten = unwritten[os.write(self._file, unwritten) :]
                 if self._durable:
                     os.fsync(self._file)
             except OSError:
@@ -148,17 +148,17 @@ def read_run(path: Path) -> JournalText:
     Raises:
         JournalError: as `read_journal`, or it holds no run, or one of another format.
     """
-    read = read_journal(path)
-    first = read.entries[0] if read.entries else None
+    journal = read_journal(path)
+    first = journal.entries[0] if journal.entries else None
     if first is None or first.kind != "run":
         raise JournalError(f"{path}: holds no run: it was ended before it began; start it again")
-    found = first.content.get("format")
-    if found != FORMAT:
+    version = first.content.get("format")
+    if version != FORMAT:
         raise JournalError(
-            f"{path}: is of format {found!r:.20}, written by thermoforce-mpc {first.content.get('version')!s:.20}; "
+            f"{path}: is of format {version!r:.20}, written by thermoforce-mpc {first.content.get('version')!s:.20}; "
             f"this release reads format {FORMAT}: use that release, or start the run again"
         )
-    return read
+    return journal
 
 
 def read_journal(path: Path) -> JournalText:
@@ -180,7 +180,7 @@ def read_journal(path: Path) -> JournalText:
 
 def _check_none_missing(path: Path, last: int) -> None:
     """Raise `JournalError` where there are parts after one that is not there, behind the `last` that is."""
-    numbers = (found.name.split(".")[-2] for found in path.parent.glob(f"{path.stem}.*{path.suffix}"))
+    numbers = (part.name.split(".")[-2] for part in path.parent.glob(f"{path.stem}.*{path.suffix}"))
     if any(number.isdecimal() and int(number) > last for number in numbers):
         raise JournalError(
             f"{part_of(path, last + 1)}: is not there, but later parts are, which cannot be relied on without it: put "
@@ -209,14 +209,14 @@ class JournalTail:
             path = self.path
             ended = part_of(self._first, self._part + 1).exists()  # asked before reading: it is then whole
             for line in self._lines(path):
-                found = _checked(line, self._crc, self._n)
+                record = _checked_record(line, self._crc, self._n)
                 self._line += 1
-                if found is None:
+                if record is None:
                     raise JournalError(
                         f"{path}, line {self._line}: the record is damaged, its checksum does not hold, or another run "
                         "was begun in this folder"
                     )
-                content, self._crc = found
+                content, self._crc = record
                 entries.append(Entry(self._line, str(content.pop("kind")), content, path))
                 self._at, self._n = self._at + len(line) + 1, self._n + 1
             if not ended:
@@ -241,15 +241,15 @@ def _read_part(path: Path, entries: list[Entry], crc: int, *, may_be_torn: bool)
     size = 0
     last = len(lines) - (2 if lines[-1] == b"" else 1)
     for i, line in enumerate(lines[: last + 1]):
-        found = _checked(line, crc, len(entries)) if i < len(lines) - 1 else None
-        if found is None:
+        record = _checked_record(line, crc, len(entries)) if i < len(lines) - 1 else None
+        if record is None:
             if i < last or not may_be_torn:
                 raise JournalError(
                     f"{path}, line {i + 1}: the record is damaged, its checksum does not hold; what comes after cannot "
                     "be relied on: start the run again"
                 )
             return size, crc, True
-        content, crc = found
+        content, crc = record
         entries.append(Entry(i + 1, str(content.pop("kind")), content, path))
         size += len(line) + 1
     return size, crc, False
@@ -268,13 +268,13 @@ def _opened(path: Path, size: int) -> int:
     return file
 
 
-def _checked(line: bytes, before: int, n: int) -> tuple[dict[str, Any], int] | None:
+def _checked_record(line: bytes, crc_before: int, n: int) -> tuple[dict[str, Any], int] | None:
     """The record of a line and its checksum; None where it does not hold."""
     try:
         text = line.decode()
-        body, mark, told = text.rpartition(_CRC)
-        crc = zlib.crc32(body.encode(), before)
-        if not mark or told != f'{crc:08x}"}}':
+        body, mark, checksum = text.rpartition(_CRC)
+        crc = zlib.crc32(body.encode(), crc_before)
+        if not mark or checksum != f'{crc:08x}"}}':
             return None
         content = json.loads(f"{body}}}")
         return (content, crc) if content["n"] == n and isinstance(content["kind"], str) else None

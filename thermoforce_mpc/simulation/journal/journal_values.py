@@ -57,8 +57,8 @@ def number(value: float) -> float | str | None:
     return None if math.isnan(value) else value if math.isfinite(value) else str(value)
 
 
-def _number(told: float | str | None) -> float:
-    return math.nan if told is None else float(told)
+def _number(value: float | str | None) -> float:
+    return math.nan if value is None else float(value)
 
 
 def names_json(names: Names) -> Json:
@@ -66,24 +66,24 @@ def names_json(names: Names) -> Json:
     return {"zones": list(names.zones), "actuators": list(names.actuators), "machines": list(names.machines)}
 
 
-def names_of(told: Mapping[str, Any]) -> Names:
+def names_of(content: Mapping[str, Any]) -> Names:
     """The names of `names_json`."""
-    return Names(tuple(told["zones"]), tuple(told["actuators"]), tuple(told["machines"]))
+    return Names(tuple(content["zones"]), tuple(content["actuators"]), tuple(content["machines"]))
 
 
 def measurement_json(measurement: Measurement) -> Json:
     """A measurement without the plant's own points."""
-    found: Json = {name: number(getattr(measurement, name)) for name in ("time_s", "T_out_C", "solar_W_m2")}
+    content: Json = {name: number(getattr(measurement, name)) for name in ("time_s", "T_out_C", "solar_W_m2")}
     for name in ("T_zone_C", *ACTING):
-        found[name] = [number(value) for value in getattr(measurement, name)]
-    return found
+        content[name] = [number(value) for value in getattr(measurement, name)]
+    return content
 
 
-def measurement_of(told: Mapping[str, Any], names: Names) -> Measurement:
+def measurement_of(content: Mapping[str, Any], names: Names) -> Measurement:
     """The measurement of `measurement_json`."""
-    one = {name: _number(told[name]) for name in ("time_s", "T_out_C", "solar_W_m2")}
-    rows = {name: np.array([_number(value) for value in told[name]]) for name in ("T_zone_C", *ACTING)}
-    return Measurement(**one, **rows, names=names)  # type: ignore[arg-type]
+    scalars = {name: _number(content[name]) for name in ("time_s", "T_out_C", "solar_W_m2")}
+    rows = {name: np.array([_number(value) for value in content[name]]) for name in ("T_zone_C", *ACTING)}
+    return Measurement(**scalars, **rows, names=names)  # type: ignore[arg-type]
 
 
 def record_json(record: Record) -> Json:
@@ -91,9 +91,9 @@ def record_json(record: Record) -> Json:
     return {name: pack(getattr(record, name)) for name in SIGNALS}
 
 
-def record_of(told: Mapping[str, Any], names: Names) -> Record:
+def record_of(content: Mapping[str, Any], names: Names) -> Record:
     """The record of `record_json`."""
-    return Record(**{name: unpack(told[name]) for name in SIGNALS}, names=names)
+    return Record(**{name: unpack(content[name]) for name in SIGNALS}, names=names)
 
 
 def boundary_json(boundary: Boundary) -> Json:
@@ -101,28 +101,28 @@ def boundary_json(boundary: Boundary) -> Json:
     return pack(np.vstack([np.atleast_2d(getattr(boundary, name)) for name in CONDITIONS]))
 
 
-def boundary_of(told: Mapping[str, Any], names: Names) -> Boundary:
+def boundary_of(packed: Mapping[str, Any], names: Names) -> Boundary:
     """The boundary conditions of `boundary_json`."""
-    rows, found, at = unpack(told), {}, 0
+    rows, signals, at = unpack(packed), {}, 0
     for name in CONDITIONS:
         n = 1 if name in ("time_s", "T_out_C", "solar_W_m2") else names.rows(name)
-        found[name] = rows[at] if name in ("time_s", "T_out_C", "solar_W_m2") else rows[at : at + n]
+        signals[name] = rows[at] if name in ("time_s", "T_out_C", "solar_W_m2") else rows[at : at + n]
         at += n
-    return Boundary(**found, names=names)
+    return Boundary(**signals, names=names)
 
 
 def block_json(block: Block) -> Json:
     """Levels, duration and, where there are any, room set-points."""
-    found: Json = {"u": list(block.u), "duration_s": float(block.duration_s)}
+    content: Json = {"u": list(block.u), "duration_s": float(block.duration_s)}
     if any(band is not None for band in block.band_C):
-        found["band_C"] = [None if band is None else [float(value) for value in band] for band in block.band_C]
-    return found
+        content["band_C"] = [None if band is None else [float(value) for value in band] for band in block.band_C]
+    return content
 
 
-def block_of(told: Mapping[str, Any]) -> Block:
+def block_of(content: Mapping[str, Any]) -> Block:
     """The block of `block_json`."""
-    bands = told.get("band_C")
-    return Block(told["u"], told["duration_s"], bands and [band and (band[0], band[1]) for band in bands])
+    bands = content.get("band_C")
+    return Block(content["u"], content["duration_s"], bands and [band and (band[0], band[1]) for band in bands])
 
 
 def period_json(period: Period) -> Json:
@@ -137,7 +137,7 @@ def period_json(period: Period) -> Json:
 
 def plan_json(plan: Plan, blocks: Sequence[Block], refused: str) -> Json:
     """A decision: who acted and why, what is applied, and the planned course."""
-    found: Json = {
+    content: Json = {
         "status": plan.status.value,
         "acting": [status.value for status in plan.acting],
         "why": plan.why,
@@ -147,12 +147,12 @@ def plan_json(plan: Plan, blocks: Sequence[Block], refused: str) -> Json:
         "blocks": [block_json(block) for block in blocks],
     }
     if plan.news:
-        found["news"] = plan.news
+        content["news"] = plan.news
     if plan.margins:
-        found["margins"] = {name: np.round(values, 4).tolist() for name, values in plan.margins.items()}
+        content["margins"] = {name: np.round(values, 4).tolist() for name, values in plan.margins.items()}
     if plan.u.size:
-        found["plan"] = {name: pack(getattr(plan, name), "<f4") for name in PLANNED}
-    return found
+        content["plan"] = {name: pack(getattr(plan, name), "<f4") for name in PLANNED}
+    return content
 
 
 def margins_of(told: Mapping[str, Any]) -> dict[str, Array]:

@@ -59,7 +59,7 @@ def told_run(folder: Path) -> ToldRun:
         windows = [Period(**entry.content["answer"]) for entry in entries if entry.kind == "period"]
         results = {}
         for name, loop in told_loops(entries).items():
-            steps = _kept(loop)
+            steps = _kept_steps(loop)
             if steps:
                 period = replace(windows[0], scored_s=scenario.days * DAY_S)
                 results[name] = _result(name, period, loop, steps)
@@ -75,7 +75,7 @@ def told_run(folder: Path) -> ToldRun:
         )
 
 
-def _kept(loop: Sequence[Entry]) -> KeptSteps[StepRecord]:
+def _kept_steps(loop: Sequence[Entry]) -> KeptSteps[StepRecord]:
     steps: KeptSteps[StepRecord] = KeptSteps()
     for step in _records(loop):
         steps.append(step)
@@ -85,62 +85,62 @@ def _kept(loop: Sequence[Entry]) -> KeptSteps[StepRecord]:
 def _result(name: str, period: Period, loop: Sequence[Entry], steps: Sequence[StepRecord]) -> RunResult:
     reset = next(entry.content for entry in loop if entry.kind == "reset")
     start = measurement_of(reset["answer"], names_of(reset["answer"]["names"]))
-    kpis: Mapping[str, Any] = next((entry.content["answer"] for entry in loop if entry.kind == "kpis"), {})
-    known = {key: math.nan if value is None else float(value) for key, value in kpis.items()}
+    recorded: Mapping[str, Any] = next((entry.content["answer"] for entry in loop if entry.kind == "kpis"), {})
+    kpis = {key: math.nan if value is None else float(value) for key, value in recorded.items()}
     step_s = steps[0].boundary.step_s
-    known["time_rat"] = math.fsum(step.plan_seconds for step in steps) / len(steps) / step_s
-    return RunResult(period, name, known, steps, start)
+    kpis["time_rat"] = math.fsum(step.plan_seconds for step in steps) / len(steps) / step_s
+    return RunResult(period, name, kpis, steps, start)
 
 
 def _records(loop: Sequence[Entry]) -> Iterator[StepRecord]:
     """The steps of a loop that have ended."""
-    told: list[ToldStep] = []
-    last: Boundary | None = None
+    steps: list[ToldStep] = []
+    last_forecast: Boundary | None = None
     for step in told_steps(loop):
-        told.append(step)
+        steps.append(step)
         if step.done is None:
             return
-        boundary, last = next_forecast(told, last)
+        boundary, last_forecast = next_forecast(steps, last_forecast)
         yield _record(step, boundary)
 
 
 def _record(step: ToldStep, boundary: Boundary) -> StepRecord:
-    told, done = step.told, step.done
-    assert done is not None
+    decision, end = step.told, step.done
+    assert end is not None
     assert step.before is not None
-    blocks = [block_of(one["asked"]) for one in step.advances]
+    blocks = [block_of(advance["asked"]) for advance in step.advances]
     samples, now_s = [], step.time_s
-    for block, after in zip(blocks, step.after, strict=True):
-        samples.append(sample_of(now_s, block, after, boundary))
-        now_s = after.time_s
+    for block, reading in zip(blocks, step.after, strict=True):
+        samples.append(sample_of(now_s, block, reading, boundary))
+        now_s = reading.time_s
     return StepRecord(
-        index=int(told["index"]),
+        index=int(decision["index"]),
         time_s=step.time_s,
         T_zone_C=step.before.T_zone_C,
         boundary=boundary,
-        plan=_plan(step, tuple(blocks), {name: float(s) for name, s in done["seconds"].items()}),
-        refused=str(told["refused"]),
-        plan_seconds=float(done["plan_seconds"]),
-        forecast_seconds=float(done["forecast_seconds"]),
-        plant_seconds=float(done["plant_seconds"]),
+        plan=_plan(step, tuple(blocks), {name: float(s) for name, s in end["seconds"].items()}),
+        refused=str(decision["refused"]),
+        plan_seconds=float(end["plan_seconds"]),
+        forecast_seconds=float(end["forecast_seconds"]),
+        plant_seconds=float(end["plant_seconds"]),
         samples=tuple(samples),
         notes=step.notes,
     )
 
 
 def _plan(step: ToldStep, blocks: tuple[Block, ...], seconds: Mapping[str, float]) -> Plan:
-    told = step.told
-    arrays: dict[str, Any] = {name: unpack(told["plan"][name]) for name in PLANNED} if "plan" in told else {}
+    decision = step.told
+    arrays: dict[str, Any] = {name: unpack(decision["plan"][name]) for name in PLANNED} if "plan" in decision else {}
     plan = Plan(
         blocks=blocks,
-        status=PlanStatus(told["status"]),
-        why=str(told["why"]),
-        news=str(told.get("news", "")),
-        solver_status=str(told["solver_status"]),
-        iterations=int(told["iterations"]),
+        status=PlanStatus(decision["status"]),
+        why=str(decision["why"]),
+        news=str(decision.get("news", "")),
+        solver_status=str(decision["solver_status"]),
+        iterations=int(decision["iterations"]),
         seconds=seconds,
         margins=margins_of(told),
         names=step.names,
-        acting=tuple(PlanStatus(one) for one in told["acting"]),
+        acting=tuple(PlanStatus(status) for status in decision["acting"]),
     )
     return replace(plan, **arrays)

@@ -49,7 +49,7 @@ class ToldStep:
     @property
     def after(self) -> tuple[Measurement, ...]:
         """The readings at the end of each block."""
-        return tuple(measurement_of(one["answer"], self.names) for one in self.advances)
+        return tuple(measurement_of(advance["answer"], self.names) for advance in self.advances)
 
     @property
     def record(self) -> Record | None:
@@ -64,13 +64,13 @@ class ToldStep:
 
 def told_loops(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
     """The records of each closed loop, by controller."""
-    found: dict[str, list[Entry]] = {}
+    loops: dict[str, list[Entry]] = {}
     for entry in entries:
         if entry.kind == "loop":
-            found[str(entry.content["controller"])] = []
-        elif found:
-            next(reversed(found.values())).append(entry)
-    return found
+            loops[str(entry.content["controller"])] = []
+        elif loops:
+            next(reversed(loops.values())).append(entry)
+    return loops
 
 
 class StepReader:
@@ -105,9 +105,9 @@ class StepReader:
             self._advances.append(content)
         elif entry.kind == "done" and self._step is not None:
             advances = (*self._advances, *content["advances"])
-            found = ToldStep(self._step, self.names, self.before, advances, content, self._past)
-            self.before, self._past, self._step = (found.after or (self.before,))[-1], None, None
-            return found
+            step = ToldStep(self._step, self.names, self.before, advances, content, self._past)
+            self.before, self._past, self._step = (step.after or (self.before,))[-1], None, None
+            return step
         return None
 
 
@@ -115,9 +115,9 @@ def told_steps(entries: Sequence[Entry]) -> Iterator[ToldStep]:
     """The steps of a closed loop, in order; the last may be under way."""
     reader = StepReader()
     for entry in entries:
-        found = reader.read(entry)
-        if found is not None:
-            yield found
+        step = reader.read(entry)
+        if step is not None:
+            yield step
     if reader.under_way is not None:
         yield reader.under_way
 
@@ -133,7 +133,7 @@ def history_before(steps: Sequence[ToldStep]) -> Record:
         raise JournalError("the journal does not hold the record that the run began with")
     record = steps[first].record
     assert record is not None
-    ends = [_end_of(step) for step in steps[first:-1]]
+    ends = [_readings_at_end(step) for step in steps[first:-1]]
     if ends:
         columns = {
             name: np.concatenate(
@@ -154,10 +154,10 @@ def forecast_of(steps: Sequence[ToldStep]) -> Boundary:
     """
     # Gaps are filled from the forecast before: what came before one without gaps does not count.
     first = next((i for i in range(len(steps) - 1, 0, -1) if not _has_gaps(steps[i])), 0)
-    last = None
+    last_forecast = None
     for i in range(first, len(steps)):
-        found, last = next_forecast(steps[: i + 1], last)
-    return found
+        forecast, last_forecast = next_forecast(steps[: i + 1], last_forecast)
+    return forecast
 
 
 def next_forecast(steps: Sequence[ToldStep], last: Boundary | None) -> tuple[Boundary, Boundary | None]:
@@ -165,35 +165,35 @@ def next_forecast(steps: Sequence[ToldStep], last: Boundary | None) -> tuple[Bou
 
     `last`: what gaps of this one are filled from, None at the begin of a loop. Raises as `history_before`.
     """
-    given = _lengthened(steps[-1])
-    if given is None:
+    forecast = _lengthened(steps[-1])
+    if forecast is None:
         history = history_before(steps)
-        step_s, n_steps = _asked(steps[-1])
+        step_s, n_steps = _forecast_grid(steps[-1])
         return completed(empty_forecast(history, n_steps, step_s), history, last)[0], last
-    if holes(given):
-        given = completed(given, history_before(steps), last)[0]
-    return given, given
+    if holes(forecast):
+        forecast = completed(forecast, history_before(steps), last)[0]
+    return forecast, forecast
 
 
 def _has_gaps(step: ToldStep) -> bool:
-    given = _lengthened(step)
-    return given is None or bool(holes(given))
+    forecast = _lengthened(step)
+    return forecast is None or bool(holes(forecast))
 
 
 def _lengthened(step: ToldStep) -> Boundary | None:
     """The forecast of a step as the run had it before gaps were filled; None where the plant gave none."""
-    step_s, n_steps = _asked(step)
+    step_s, n_steps = _forecast_grid(step)
     return None if step.given is None else lengthened(step.given, n_steps, step_s)
 
 
-def _asked(step: ToldStep) -> tuple[float, int]:
+def _forecast_grid(step: ToldStep) -> tuple[float, int]:
     """Step, s, and number of steps of the forecast that was asked for."""
     step_s = float(step.told["asked"]["interval_s"])
     return step_s, round(float(step.told["asked"]["horizon_s"]) / step_s)
 
 
-def _end_of(step: ToldStep) -> Measurement:
+def _readings_at_end(step: ToldStep) -> Measurement:
     """The readings at the end of a step, with its mean levels, as the run saw them."""
-    blocks = [block_of(one["asked"]) for one in step.advances]
-    parts = [(b.duration_s, with_level(found, b)) for b, found in zip(blocks, step.after, strict=True)]
+    blocks = [block_of(advance["asked"]) for advance in step.advances]
+    parts = [(b.duration_s, with_level(reading, b)) for b, reading in zip(blocks, step.after, strict=True)]
     return parts[-1][1].averaged_with(parts)

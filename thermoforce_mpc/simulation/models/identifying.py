@@ -143,9 +143,9 @@ def identify_on(
         config=probing,
         identification=config,
     )
-    told = _Progress(run, days, on_step, on_progress)
+    progress = _Progress(run, days, on_step, on_progress)
 
-    def found(config: IdentificationConfig) -> tuple[ThermalModel | None, str]:
+    def identify_so_far(config: IdentificationConfig) -> tuple[ThermalModel | None, str]:
         """The model of the record so far, or None and why there is none."""
         first = start_s / DAY_S
         try:
@@ -158,28 +158,28 @@ def identify_on(
                 f"{plant.info.kind} {plant.info.testcase}, {plant.info.weather}",
             )
         except DataError as error:
-            told.verdict = "not to be fitted"
+            progress.verdict = "not to be fitted"
             return None, str(error)
-        told.verdict = _in_short(model)
+        progress.verdict = _in_short(model)
         return model, ""
 
     def enough(record: Record) -> bool:
         if run.days < _LEAST_DAYS:
             return False
-        model, _ = found(config.model_copy(update={"modulation": "linear"}))
+        model, _ = identify_so_far(config.model_copy(update={"modulation": "linear"}))
         return model is not None and all(is_well_known(card.competence) for card in model.cards)
 
-    run.go_on(days, enough=enough if end_early else None, on_step=told)
-    model, refused = found(config)
+    run.go_on(days, enough=enough if end_early else None, on_step=progress)
+    model, refused = identify_so_far(config)
     latest = min(most_days or days, (end_s - start_s) / DAY_S)
 
     def settled(model: ThermalModel | None) -> bool:
         return model is not None and all(is_settled(card.competence) for card in model.cards)
 
     while not settled(model) and run.days + 1.0 <= latest + 1e-9:
-        told.planned_days = run.days + 1.0
-        run.go_on(1.0, on_step=told)
-        model, refused = found(config)
+        progress.planned_days = run.days + 1.0
+        run.go_on(1.0, on_step=progress)
+        model, refused = identify_so_far(config)
     if on_record:
         on_record(run.record)
     if model is None:
@@ -201,8 +201,8 @@ def may_act(model: ThermalModel) -> bool:
 
 def _in_short(model: ThermalModel) -> str:
     """The verdict in a few words: the first reason of one actuator is enough while probing goes on."""
-    known = zip(model.operator.actuators, model.cards, strict=True)
-    verdicts = {name: card.competence for name, card in known if card.competence is not None}
+    cards = zip(model.operator.actuators, model.cards, strict=True)
+    verdicts = {name: card.competence for name, card in cards if card.competence is not None}
     if not verdicts:
         return ""
     below = {name: verdict for name, verdict in verdicts.items() if not verdict.competent}
@@ -232,8 +232,8 @@ class _Progress:
             self._on_step(min(run.days / self._days, 1.0))
         hourly = max(1, round(HOUR_S / run.config.step_s))
         if self._on_progress and run.record.n_steps % hourly == 0:
-            known = run.designer.known(run.record)
-            self._on_progress(ProbingProgress(run.days, self.planned_days, *known, self.verdict))
+            expected = run.designer.known(run.record)
+            self._on_progress(ProbingProgress(run.days, self.planned_days, *expected, self.verdict))
 
 
 def identification_settings(
@@ -257,26 +257,26 @@ def identification_settings(
     elif actuation is not None:
         defaults["levels"] = (0.0, actuation.level)
         if actuation.mode == "auto" and "levels" not in {**testcase.defaults.probing, **spec.probing}:
-            metered = all(one.heat.units for one in testcase.points.actuators)
+            metered = all(actuator.heat.units for actuator in testcase.points.actuators)
             shares = _METERED_SHARES if metered else _UNMETERED_SHARES
             defaults["trial_levels"] = tuple(share * actuation.level for share in shares)
             if not metered:
                 defaults["trial_steps"] = _UNMETERED_STEPS
-    own = testcase.defaults
-    probing = validate(ProbingConfig, merge(merge(defaults, own.probing), spec.probing), "identification.probing")
-    ours: dict[str, Any] = {"seed": scenario.seed}
+    shipped = testcase.defaults
+    probing = validate(ProbingConfig, merge(merge(defaults, shipped.probing), spec.probing), "identification.probing")
+    derived: dict[str, Any] = {"seed": scenario.seed}
     between = [level for level in (*probing.levels, *probing.trial_levels) if 0.0 < level < max(probing.levels)]
     if actuation is not None and actuation.mode == "auto" and between:
-        ours["lowest_level"] = min(between)  # these levels are held, not made by cycling
+        derived["lowest_level"] = min(between)  # these levels are held, not made by cycling
     elif actuation is not None and actuation.mode == "duty" and max(probing.levels) <= actuation.level < 1.0:
-        ours["lowest_level"] = actuation.level  # blocks at part load, the only level that there is
-    if probing.trial_levels and not all(one.heat.units for one in testcase.points.actuators):
-        ours["part_load"] = True
+        derived["lowest_level"] = actuation.level  # blocks at part load, the only level that there is
+    if probing.trial_levels and not all(actuator.heat.units for actuator in testcase.points.actuators):
+        derived["part_load"] = True
     if any(machine.supply is not None for machine in testcase.machines.values()):
-        ours["power_curve"] = True
+        derived["power_curve"] = True
     if isinstance(testcase.actuator, Actuator) and testcase.actuator.map == "radiator":
-        ours["radiator_exponent"] = testcase.actuator.exponent
-    options = merge(merge(ours, own.identification), spec.options)
+        derived["radiator_exponent"] = testcase.actuator.exponent
+    options = merge(merge(derived, shipped.identification), spec.options)
     config = validate(IdentificationConfig, options, "identification.options")
     return probing, config
 

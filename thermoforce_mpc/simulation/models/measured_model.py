@@ -33,22 +33,22 @@ def check_measurements(file: str | Path, map_file: str | Path, testcase: TestCas
     check_columns(Path(file), rules.time.column, columns, rules.csv)
     if testcase is None:
         return
-    ours, theirs = rules.layout, testcase.layout
+    map_layout, testcase_layout = rules.layout, testcase.layout
     # A model has the zones that an actuator serves.
-    served = tuple(name for z, name in enumerate(ours.names.zones) if ours.actuators_of(z))
-    names = replace(ours.names, zones=served)
+    served = tuple(name for z, name in enumerate(map_layout.names.zones) if map_layout.actuators_of(z))
+    names = replace(map_layout.names, zones=served)
     for kind in ("zones", "actuators", "machines"):
-        found, wanted = getattr(names, kind), getattr(theirs.names, kind)
-        if found != wanted:
+        map_names, testcase_names = getattr(names, kind), getattr(testcase_layout.names, kind)
+        if map_names != testcase_names:
             raise ConfigError(
-                f"{map_file}: {kind}: it has {', '.join(found)}, test case '{testcase.name}' has {', '.join(wanted)}; "
-                "give them the names of the test case, in its order"
+                f"{map_file}: {kind}: it has {', '.join(map_names)}, test case '{testcase.name}' has "
+                f"{', '.join(testcase_names)}; give them the names of the test case, in its order"
             )
     for a, name in enumerate(names.actuators):
-        if ours.mode(a) != theirs.mode(a):
+        if map_layout.mode(a) != testcase_layout.mode(a):
             raise ConfigError(
-                f"{map_file}: actuators.{name}.mode is {ours.mode(a)}, test case '{testcase.name}' is for "
-                f"{theirs.mode(a)}"
+                f"{map_file}: actuators.{name}.mode is {map_layout.mode(a)}, test case '{testcase.name}' is for "
+                f"{testcase_layout.mode(a)}"
             )
 
 
@@ -74,8 +74,8 @@ def model_of_measurements(
         DataError: the measurements cannot be used, or cannot be fitted.
     """
     measured = read_measurements(files, map_file).served()
-    known = measured.understood
-    say(f"Measurements: {', '.join(known.files)}\n{known.begins} to {known.ends}, step {known.step_s / 60:g} min")
+    summary, names = measured.understood, ", ".join(measured.understood.files)
+    say(f"Measurements: {names}\n{summary.begins} to {summary.ends}, step {summary.step_s / 60:g} min")
     record, note = telling_part(measured.record, measured.layout, days=days or MOST_DAYS)
     if note:
         say(note)
@@ -83,8 +83,8 @@ def model_of_measurements(
         record,
         layout=measured.layout,
         config=config,
-        source=f"measurements of {record.stamps()[0]} to {record.stamps()[-1]} in {', '.join(known.files)}",
+        source=f"measurements of {record.stamps()[0]} to {record.stamps()[-1]} in {names}",
         progress=say,
     )
-    notes = tuple(text for text in (note, *known.assumed) if text)
+    notes = tuple(text for text in (note, *summary.assumed) if text)
     return replace(model, cards=tuple(replace(card, notes=(*notes, *card.notes)) for card in model.cards)), record

@@ -38,20 +38,20 @@ def identify_all(
 
     Each is probed for on its own account: what a controller does must not depend on whom it is compared with.
     """
-    found: dict[str, IdentifiedModel] = {}
-    known: list[tuple[IdentificationTask | None, IdentifiedModel]] = []
+    models: dict[str, IdentifiedModel] = {}
+    by_task: list[tuple[IdentificationTask | None, IdentifiedModel]] = []
     for name in dict.fromkeys((scenario.controller.name, *scenario.baselines)):
         if not find_entry(name).needs_model:
             continue
         task = None if scenario.identification.model else identification_task(scenario, testcase, name)
-        same = [identified for other, identified in known if other == task]
-        if not same:
-            if known:
+        shared = [identified for other, identified in by_task if other == task]
+        if not shared:
+            if by_task:
                 display.say(f"For {name}, which runs the machine another way:")
-            same = [_identify(scenario, testcase, plant, name, display)]
-            known.append((task, same[0]))
-        found[name] = same[0]
-    return found
+            shared = [_identify(scenario, testcase, plant, name, display)]
+            by_task.append((task, shared[0]))
+        models[name] = shared[0]
+    return models
 
 
 def _identify(
@@ -94,10 +94,10 @@ def _identify(
 
 def origin(model: ThermalModel) -> dict[str, Any]:
     """What the manifest says of a model; with several actuators, of each by its name."""
-    found = {name: _origin_of(model.actuator(a)) for a, name in enumerate(model.operator.actuators)}
+    origins = {name: _origin_of(model.actuator(a)) for a, name in enumerate(model.operator.actuators)}
     if model.names.single:
-        return found[model.operator.actuators[0]]
-    return {"n_trained": model.operator.n_trained, "pairs": len(list(model.operator.each())), "actuators": found}
+        return origins[model.operator.actuators[0]]
+    return {"n_trained": model.operator.n_trained, "pairs": len(list(model.operator.each())), "actuators": origins}
 
 
 def _origin_of(zone: ZoneModel) -> dict[str, Any]:
@@ -128,50 +128,50 @@ def kept_models(
         ArtifactError: a model in the folder was changed since.
         StorageError: it cannot be written.
     """
-    noted = plant.noted("models", lambda: _saved(folder, find()))
+    noted = plant.noted("models", lambda: _save_models(folder, find()))
     from thermoforce_mpc.model.saved.model_file import JSON_NAME
     from thermoforce_mpc.model.thermal_model import load_model
 
-    read: dict[str, IdentifiedModel] = {}
-    found: dict[str, IdentifiedModel] = {}
-    for who, told in noted["models"].items():
-        key = str(told)
-        if key not in read and told["folder"] is None:
-            read[key] = IdentifiedModel(None, told["origin"], told["refused"])
-        elif key not in read:
-            path = folder / told["folder"]
+    loaded: dict[str, IdentifiedModel] = {}
+    models: dict[str, IdentifiedModel] = {}
+    for who, entry in noted["models"].items():
+        key = str(entry)
+        if key not in loaded and entry["folder"] is None:
+            loaded[key] = IdentifiedModel(None, entry["origin"], entry["refused"])
+        elif key not in loaded:
+            path = folder / entry["folder"]
             model = load_model(path)
-            if file_sha256(path / JSON_NAME) != told["sha256"]:
+            if file_sha256(path / JSON_NAME) != entry["sha256"]:
                 raise ArtifactError(f"{path}: is not the model that this run began with; start the run again")
-            read[key] = IdentifiedModel(model, told["origin"])
-        found[who] = read[key]
-    return found
+            loaded[key] = IdentifiedModel(model, entry["origin"])
+        models[who] = loaded[key]
+    return models
 
 
-def _saved(folder: Path, identified: Mapping[str, IdentifiedModel]) -> Json:
+def _save_models(folder: Path, identified: Mapping[str, IdentifiedModel]) -> Json:
     """Save each different model once; what the journal says of them."""
     from thermoforce_mpc.model.saved.model_file import JSON_NAME
 
-    known: list[tuple[IdentifiedModel, Json]] = []
-    told: Json = {}
-    for who, one in identified.items():
-        same = [noted for other, noted in known if other is one]
-        if not same:
-            noted: Json = {"folder": None, "refused": one.refused, "origin": plain_json(one.origin)}
-            if one.model is not None:
-                noted["folder"] = FOLDER if not known else f"{FOLDER}-{who}"
-                one.model.save(folder / noted["folder"], overwrite=True)
+    saved: list[tuple[IdentifiedModel, Json]] = []
+    entries: Json = {}
+    for who, result in identified.items():
+        shared = [noted for other, noted in saved if other is result]
+        if not shared:
+            noted: Json = {"folder": None, "refused": result.refused, "origin": plain_json(result.origin)}
+            if result.model is not None:
+                noted["folder"] = FOLDER if not saved else f"{FOLDER}-{who}"
+                result.model.save(folder / noted["folder"], overwrite=True)
                 noted["sha256"] = file_sha256(folder / noted["folder"] / JSON_NAME)
-            known.append((one, noted))
-            same = [noted]
-        told[who] = same[0]
-    return {"models": told}
+            saved.append((result, noted))
+            shared = [noted]
+        entries[who] = shared[0]
+    return {"models": entries}
 
 
 def origins_of(identified: Mapping[str, IdentifiedModel], controller: str) -> dict[str, Any]:
     """Where the models came from: the controller's, and by name those of baselines that have one of their own."""
     if controller not in identified:
         return {}
-    own = identified[controller]
-    others = {name: dict(found.origin) for name, found in identified.items() if found is not own}
-    return dict(own.origin) | ({"baselines": others} if others else {})
+    own_model = identified[controller]
+    baselines = {name: dict(model.origin) for name, model in identified.items() if model is not own_model}
+    return dict(own_model.origin) | ({"baselines": baselines} if baselines else {})

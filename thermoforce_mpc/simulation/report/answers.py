@@ -16,7 +16,7 @@ def answers_json(model: ThermalModel | None) -> list[list[Json | None]] | None:
     if model is None:
         return None
     zones, actuators, _ = model.operator.shape
-    found: list[list[Json | None]] = [[None] * actuators for _ in range(zones)]
+    matrix: list[list[Json | None]] = [[None] * actuators for _ in range(zones)]
     for z, a, pair in model.operator.each():
         hours, answer = step_answer(pair)
         every = max(1, hours.size // 200)
@@ -31,8 +31,8 @@ def answers_json(model: ThermalModel | None) -> list[list[Json | None]] | None:
                 "low": _rounded(mean - BAND * sd),
                 "high": _rounded(mean + BAND * sd),
             }
-        found[z][a] = cell
-    return found
+        matrix[z][a] = cell
+    return matrix
 
 
 def _rounded(values: Array) -> Sequence[float]:

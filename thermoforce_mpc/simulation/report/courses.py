@@ -103,20 +103,20 @@ def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> C
             rows.setdefault("u", []).append(sample.u_measured)
             heating_price.append(step.boundary.heating_price_per_kWh[:, in_force(step.boundary, sample.start_s)])
             bands.append(_band_C(step, k))
-    found = {name: np.array(values, dtype=np.float64).T for name, values in rows.items()}
-    price = price_paid(found["u"], found["price_per_kWh"], np.array(heating_price).T, layout)
+    columns = {name: np.array(values, dtype=np.float64).T for name, values in rows.items()}
+    price = price_paid(columns["u"], columns["price_per_kWh"], np.array(heating_price).T, layout)
     # A machine that is not metered counts for nothing, and does not hide the others.
-    paid = found["power_W"] * price
-    spent = np.where(np.isfinite(paid), paid, 0.0).sum(axis=0) * found["duration_s"] / J_PER_KWH / area_m2
-    before_C = np.column_stack([result.start.T_zone_C, found["T_zone_C"][:, :-1]])
-    outside = [excess(T_C, found["lower_C"], found["upper_C"]) for T_C in (before_C, found["T_zone_C"])]
-    discomfort = 0.5 * (outside[0] + outside[1]) * found["duration_s"] / HOUR_S
+    paid = columns["power_W"] * price
+    spent = np.where(np.isfinite(paid), paid, 0.0).sum(axis=0) * columns["duration_s"] / J_PER_KWH / area_m2
+    before_C = np.column_stack([result.start.T_zone_C, columns["T_zone_C"][:, :-1]])
+    outside = [excess(T_C, columns["lower_C"], columns["upper_C"]) for T_C in (before_C, columns["T_zone_C"])]
+    discomfort = 0.5 * (outside[0] + outside[1]) * columns["duration_s"] / HOUR_S
     cost = np.nancumsum(spent)
     bill = result.kpis.get("cost_tot", np.nan)
-    two_carriers = not np.array_equal(np.array(heating_price).T, found["price_per_kWh"])
+    two_carriers = not np.array_equal(np.array(heating_price).T, columns["price_per_kWh"])
     scaled = float(bill / cost[-1]) if two_carriers and bill > 0 and cost[-1] > 0 else 1.0
-    found |= {"cost": scaled * cost, "discomfort_Kh": np.nancumsum(discomfort, axis=1)}
-    course = Course(averaged=1, scaled=scaled, band_C=np.array(bands).transpose(2, 1, 0), **found)
+    columns |= {"cost": scaled * cost, "discomfort_Kh": np.nancumsum(discomfort, axis=1)}
+    course = Course(averaged=1, scaled=scaled, band_C=np.array(bands).transpose(2, 1, 0), **columns)
     return _averaged(course, -(-course.start_s.size // most))
 
 

@@ -21,7 +21,7 @@ def forecast_errors(result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0
         of plans scored.
     """
     measured = {round(step.time_s): step.T_zone_C for step in result.steps}
-    found: dict[tuple[str, float], dict[str, Any]] = {}
+    rows: dict[tuple[str, float], dict[str, Any]] = {}
     for hours in horizons_h:
         errors = []
         for step in result.steps:
@@ -33,11 +33,11 @@ def forecast_errors(result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0
             if later is not None and 0 <= index < plan.u.shape[-1]:
                 errors.append(plan.T_zone_C[:, index] - later)
         for zone, error in zip(result.names.zones, np.transpose(errors), strict=False):
-            known = error[np.isfinite(error)]  # NaN where the zone's sensor was silent
-            if known.size:
-                rmse, bias = float(np.sqrt(np.mean(known**2))), float(np.mean(known))
-                found[zone, hours] = {"zone": zone, "hours": hours, "bias_K": bias, "rmse_K": rmse, "n": known.size}
-    return _by_zone(found, result, horizons_h)
+            finite = error[np.isfinite(error)]  # NaN where the zone's sensor was silent
+            if finite.size:
+                rmse, bias = float(np.sqrt(np.mean(finite**2))), float(np.mean(finite))
+                rows[zone, hours] = {"zone": zone, "hours": hours, "bias_K": bias, "rmse_K": rmse, "n": finite.size}
+    return _by_zone(rows, result, horizons_h)
 
 
 def free_forecast_scores(
@@ -54,7 +54,7 @@ def free_forecast_scores(
     """
     came = {round(step.time_s): step.plan.T_free_now_C for step in result.steps if step.plan.u.size}
     start_s = result.steps[0].time_s if result.steps else 0.0
-    found: dict[tuple[str, float], dict[str, Any]] = {}
+    rows: dict[tuple[str, float], dict[str, Any]] = {}
     for hours in horizons_h:
         errors, inside = [], []
         for step in result.steps:
@@ -65,20 +65,20 @@ def free_forecast_scores(
             errors.append(np.abs(plan.T_free_C[:, index] - later))
             inside.append((plan.T_free_low_C[:, index] <= later) & (later <= plan.T_free_high_C[:, index]))
         for zone, error, covered in zip(result.names.zones, np.transpose(errors), np.transpose(inside), strict=False):
-            known = np.isfinite(error)  # NaN where the zone's sensor was silent
-            if known.any():
-                found[zone, hours] = {
+            finite = np.isfinite(error)  # NaN where the zone's sensor was silent
+            if finite.any():
+                rows[zone, hours] = {
                     "zone": zone,
                     "hours": hours,
-                    "mae_K": float(np.mean(error[known])),
-                    "coverage": float(np.mean(covered[known])),
-                    "n": int(known.sum()),
+                    "mae_K": float(np.mean(error[finite])),
+                    "coverage": float(np.mean(covered[finite])),
+                    "n": int(finite.sum()),
                 }
-    return _by_zone(found, result, horizons_h)
+    return _by_zone(rows, result, horizons_h)
 
 
 def _by_zone(
-    found: dict[tuple[str, float], dict[str, Any]], result: RunResult, horizons_h: tuple[float, ...]
+    rows: dict[tuple[str, float], dict[str, Any]], result: RunResult, horizons_h: tuple[float, ...]
 ) -> list[dict[str, Any]]:
     """The rows zone by zone, then by lead time."""
-    return [found[zone, h] for zone in result.names.zones for h in horizons_h if (zone, h) in found]
+    return [rows[zone, h] for zone in result.names.zones for h in horizons_h if (zone, h) in rows]

@@ -30,7 +30,7 @@ SCRIPTS = (
     UPLOT, "base.js", "tip.js", "group.js", "chart.js", "run.js", "course.js", "plan_facts.js", "plans.js",
     "cumulative.js", "others.js", "status.js", "answers.js", "run_page.js",
 )  # fmt: skip
-# So many stretches are told; `steps.csv` has all.
+# So many stretches are listed; `steps.csv` has all.
 _MOST_EVENTS = 300
 
 
@@ -52,7 +52,7 @@ def write_report(
 
     `kpis` is the content of `kpis.json`, `manifest` that of `manifest.json`, by default of the file in the folder;
     `layout` says which actuators serve which zone, `area_m2` is the floor area; `model` is that of the controller, for
-    the step responses and what other levels would have done; `said` is told at the top.
+    the step responses and what other levels would have done; `said` is shown at the top.
     """
     if manifest is None:
         manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
@@ -123,11 +123,11 @@ def report_data(
 
 def _different_prices(course: Course) -> list[int]:
     """Numbers of the first machine of each price: machines that pay the same share a curve."""
-    found: list[int] = []
+    machines: list[int] = []
     for m, price in enumerate(course.price_per_kWh):
-        if not any(np.array_equal(price, course.price_per_kWh[k], equal_nan=True) for k in found):
-            found.append(m)
-    return found
+        if not any(np.array_equal(price, course.price_per_kWh[k], equal_nan=True) for k in machines):
+            machines.append(m)
+    return machines
 
 
 def _rounding(data: Json) -> str:

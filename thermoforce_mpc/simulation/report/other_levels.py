@@ -12,20 +12,20 @@ from thermoforce_mpc.simulation.report.courses import RESOLUTION
 from thermoforce_mpc.simulation.report.packing import Json, exactly, rows_packed
 from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
 
-# Every so often one is told, over so many hours; the day before the first one is needed for the forced state.
+# A day is compared every `EVERY_H`, over `LENGTH_H`; the day before the first one is needed for the forced state.
 EVERY_H, LENGTH_H, BEFORE_H = 6.0, 24.0, 24.0
 # The forced state is that of the levels of so many days before.
 MOST_PAST_DAYS = 10.0
 # Bytes in the page, before base64 adds a third: of long runs and many zones fewer instants.
 MOST_BYTES = 250_000
-# What is asked about: levels of all actuators.
+# Levels of all actuators that are compared.
 LEVELS = {"off": 0.0, "half": 0.5, "full": 1.0}
 
 
 def other_levels_json(result: RunResult, model: ThermalModel | None, layout: Layout) -> Json | None:
     """The day after every sixth hour as it would have been with all actuators off, at half and at full level.
 
-    Where some actuators exclude each other only 'off' is asked about. None without a model of this building, or where
+    Where some actuators exclude each other there is only 'off'. None without a model of this building, or where
     the run is too short or too little was measured.
     """
     if model is None or model.names != result.names:
@@ -34,7 +34,7 @@ def other_levels_json(result: RunResult, model: ThermalModel | None, layout: Lay
     try:
         record = record_of_run(result)
         instants = _instants(record, len(levels))
-        found = [[_asked(model, record, level, t) for t in instants] for level in levels.values()]
+        days = [[_counterfactual_at(model, record, level, t) for t in instants] for level in levels.values()]
     except DataError:  # a zone that was never measured, or a clock with gaps: there is nothing to compare with
         return None
     if not instants:
@@ -43,15 +43,15 @@ def other_levels_json(result: RunResult, model: ThermalModel | None, layout: Lay
         "levels": list(levels),
         "time_s": exactly(np.array(instants)),
         "step_s": record.step_s,
-        "n": found[0][0].effect_K.shape[-1],
-        "T_other_C": [rows_packed(_rows([one.other_C for one in row]), RESOLUTION["T"]) for row in found],
-        "sd_K": [rows_packed(_rows([one.sd_K for one in row]), RESOLUTION["T"]) for row in found],
-        "energy_kWh": [[float(one.energy_other_kWh.sum()) for one in row] for row in found],
-        "energy_applied_kWh": [float(one.energy_kWh.sum()) for one in found[0]],
+        "n": days[0][0].effect_K.shape[-1],
+        "T_other_C": [rows_packed(_rows([day.other_C for day in row]), RESOLUTION["T"]) for row in days],
+        "sd_K": [rows_packed(_rows([day.sd_K for day in row]), RESOLUTION["T"]) for row in days],
+        "energy_kWh": [[float(day.energy_other_kWh.sum()) for day in row] for row in days],
+        "energy_applied_kWh": [float(day.energy_kWh.sum()) for day in days[0]],
     }
 
 
-def _asked(model: ThermalModel, record: Record, level: float, time_s: float) -> Counterfactual:
+def _counterfactual_at(model: ThermalModel, record: Record, level: float, time_s: float) -> Counterfactual:
     at = round((time_s - record.time_s[0]) / record.step_s)
     stop = at + round(LENGTH_H * HOUR_S / record.step_s)
     recent = record.slice(max(0, at - round(MOST_PAST_DAYS * DAY_S / record.step_s)), stop)
@@ -64,7 +64,7 @@ def _rows(of_instants: list[Array]) -> Array:
 
 
 def _instants(record: Record, levels: int) -> list[float]:
-    """Start of each day that is asked about, s; none in a run shorter than a step."""
+    """Start of each day that is compared, s; none in a run shorter than a step."""
     if not record.n_steps:
         return []
     per_instant = 2 * 2 * levels * len(record.names.zones) * LENGTH_H * HOUR_S / record.step_s
@@ -72,7 +72,7 @@ def _instants(record: Record, levels: int) -> list[float]:
     every = max(round(EVERY_H * HOUR_S / record.step_s), 1)
     first, n = round(BEFORE_H * HOUR_S / record.step_s), round(LENGTH_H * HOUR_S / record.step_s)
     at = np.arange(max(first, 1), record.n_steps - n + 1, every)
-    # Hours whose levels nobody measured cannot be asked about.
+    # Hours whose levels nobody measured have nothing to compare with.
     at = np.array([i for i in at if np.isfinite(record.u[:, i : i + n]).all()], dtype=np.intp)
     return [float(record.time_s[i]) for i in at[:: -(-at.size // most) or 1]]
 
@@ -92,16 +92,16 @@ def record_of_run(result: RunResult) -> Record:
         if sum(weights) < step_s - 1e-3:  # the last step may be cut short
             continue
         ends.append(step.samples[-1])
-        for name, found in means.items():
-            found.append(np.average([getattr(sample, name) for sample in step.samples], axis=0, weights=weights))
-    whole = {name: np.array(found).T for name, found in means.items()}
+        for name, values in means.items():
+            values.append(np.average([getattr(sample, name) for sample in step.samples], axis=0, weights=weights))
+    columns = {name: np.array(values).T for name, values in means.items()}
     return Record(
         time_s=np.array([start.time_s, *(end.start_s + end.duration_s for end in ends)]),
         T_zone_C=np.array([start.T_zone_C, *(end.T_zone_C for end in ends)]).T,
         T_out_C=np.array([start.T_out_C, *(end.T_out_C for end in ends)]),
         solar_W_m2=np.array([start.solar_W_m2, *(end.solar_W_m2 for end in ends)]),
-        u=whole["u_measured"],
-        power_W=whole["power_W"],
-        heat_W=whole["heat_W"],
+        u=columns["u_measured"],
+        power_W=columns["power_W"],
+        heat_W=columns["heat_W"],
         names=result.names,
     )

@@ -22,7 +22,7 @@ UPLOT = "../vendor/uplot/uPlot.iife.min.js"
 def rendered(template: str, scripts: Sequence[str], data: Mapping[str, Any], **values: Any) -> str:
     """The page of a template.
 
-    The browser is told to run the page's own scripts, known by their hashes, and to load nothing: a name or reason with
+    The browser may run only the page's own scripts, known by their hashes, and load nothing: a name or reason with
     markup in it cannot become a script, whatever becomes of the escaping.
 
     Args:

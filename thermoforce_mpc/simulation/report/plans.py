@@ -32,39 +32,39 @@ def plans_json(result: RunResult, layout: Layout, area_m2: float) -> Json | None
     if not n:
         return None
     every = _thinning(result, n)
-    times, lengths, kept = [], [], []
-    last: Boundary | None = None
+    times, lengths, plans = [], [], []
+    last_boundary: Boundary | None = None
     for step in islice(result.steps, 0, None, every):
         times.append(step.time_s)
         lengths.append(step.boundary.step_s)
-        kept.append(_rows(step, layout, area_m2))
-        last = step.boundary
-    assert last is not None  # n > 0: there is a step
+        plans.append(_rows(step, layout, area_m2))
+        last_boundary = step.boundary
+    assert last_boundary is not None  # n > 0: there is a step
     Z, A = len(layout.names.zones), len(layout.names.actuators)
 
     def over(name: str, rows: int) -> Array:
         """Rows of each kept plan (rows, P, n)."""
-        found = np.full((rows, len(kept), n), np.nan)
-        for p, plan in enumerate(kept):
+        values = np.full((rows, len(plans), n), np.nan)
+        for p, plan in enumerate(plans):
             if name in plan:
-                found[:, p, : plan[name].shape[-1]] = plan[name]
-        return found
+                values[:, p, : plan[name].shape[-1]] = plan[name]
+        return values
 
     return {
         "every": every,
         "n": n,
         "time_s": exactly(np.array(times)),
         "step_s": exactly(np.array(lengths)),
-        "known": [bool(plan) for plan in kept],
+        "known": [bool(plan) for plan in plans],
         **{name: [smooth(row, FINEST_K, _COARSEST_K) for row in over(name, Z)] for name in TEMPERATURES},
         "u": rows_packed(over("u", A), _LEVEL, bits=8),
         "cost": packed(over("cost", 1)[0], RESOLUTION["cost"]),
-        "ahead": _bounds_ahead(last, n),
+        "ahead": _bounds_ahead(last_boundary, n),
     }
 
 
 def _thinning(result: RunResult, n: int) -> int:
-    """Of how many plans one is kept, 1, 2, 4, …: all of them are of instants whose decisions are told."""
+    """Of how many plans one is kept, 1, 2, 4, …: all of them are of instants whose decisions are shown."""
     # A byte of each temperature and level, two of the cost.
     per_plan = (4 * len(result.names.zones) + len(result.names.actuators) + 2) * n
     every = thinning(result)
@@ -82,7 +82,7 @@ def _rows(step: StepRecord, layout: Layout, area_m2: float) -> Mapping[str, Arra
 
 
 def _planned_cost(step: StepRecord, layout: Layout, area_m2: float) -> Array:
-    """Planned cost per m² until the end of each step (1, N), at the prices it was told; NaN without power."""
+    """Planned cost per m² until the end of each step (1, N), at the prices it was made with; NaN without power."""
     boundary, u = step.boundary, step.plan.u
     n = min(step.plan.power_W.shape[-1], boundary.n_steps)
     price = price_paid(u[:, :n], boundary.price_per_kWh[:, :n], boundary.heating_price_per_kWh[:, :n], layout)

@@ -1,4 +1,4 @@
-"""What a report tells in tables: KPIs, advice, and stretches in which not a plan as wanted acted."""
+"""Tables of a report: KPIs, advice, and stretches in which not a plan as wanted acted."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ KPI_LABELS = {
 _BARS = ("cost_tot", "ener_tot", "tdis_tot")
 # Courses that end further from their KPI are named: this share of it, and so much at least (per m², K·h).
 _APART, _LEAST_APART = 0.03, {"cost_tot": 1e-4, "tdis_tot": 0.05}
-# Statuses of which the page tells each stretch; gate and watch are told apart.
-_TOLD = tuple(status for status in PlanStatus if status.fallen_back or status is PlanStatus.BRIDGED)
+# Statuses of which the page lists each stretch; gate and watch are told apart.
+_NOTABLE = tuple(status for status in PlanStatus if status.fallen_back or status is PlanStatus.BRIDGED)
 
 
 def kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> list[dict[str, Any]]:
@@ -39,22 +39,22 @@ def kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> list
             continue
         rows.append(_row(label, unit.format(currency=currency), values, best=key != "time_rat", bars=key in _BARS))
         if key == "tdis_tot":
-            found = {name: zone_kpis(kpis) for name, kpis in everyone.items()}
-            for zone in dict.fromkeys(zone for of in found.values() for zone in of):
-                rows.append(_row(f"· {zone}", unit, [found[name].get(zone) for name in everyone]))
+            by_zone = {name: zone_kpis(kpis) for name, kpis in everyone.items()}
+            for zone in dict.fromkeys(zone for of in by_zone.values() for zone in of):
+                rows.append(_row(f"· {zone}", unit, [by_zone[name].get(zone) for name in everyone]))
     return rows
 
 
 def apart(courses: Mapping[str, Course], kpis: Mapping[str, Mapping[str, float]]) -> list[str]:
     """Where cost or discomfort so far do not end at the KPI: 'cost of native: 0.07, KPI 0.09'."""
-    found = []
+    differences = []
     for name, course in courses.items():
         ends = {"cost_tot": float(course.cost[-1]), "tdis_tot": float(course.discomfort_Kh[:, -1].mean())}
         for key, end in ends.items():
             kpi = kpis[name].get(key)
             if kpi is not None and abs(end - kpi) > max(_APART * abs(kpi), _LEAST_APART[key]):
-                found.append(f"{KPI_LABELS[key][0].lower()} of {name}: {end:.4g}, KPI {kpi:.4g}")
-    return found
+                differences.append(f"{KPI_LABELS[key][0].lower()} of {name}: {end:.4g}, KPI {kpi:.4g}")
+    return differences
 
 
 def _row(label: str, unit: str, values: list[float | None], *, best: bool = True, bars: bool = False) -> dict[str, Any]:
@@ -71,10 +71,11 @@ def _row(label: str, unit: str, values: list[float | None], *, best: bool = True
 
 def advice(identification: Mapping[str, Any]) -> list[str]:
     """What the verdicts on the models advise; with several actuators, each by name."""
-    named = identification.get("actuators")
-    if named is None:
+    actuators = identification.get("actuators")
+    if actuators is None:
         return list((identification.get("competence") or {}).get("advice", ()))
-    return [f"{name}: {advice}" for name, of in named.items() for advice in (of["competence"] or {}).get("advice", ())]
+    verdicts = {name: origin["competence"] or {} for name, origin in actuators.items()}
+    return [f"{name}: {advice}" for name, verdict in verdicts.items() for advice in verdict.get("advice", ())]
 
 
 def events(result: RunResult) -> list[dict[str, Any]]:
@@ -83,17 +84,17 @@ def events(result: RunResult) -> list[dict[str, Any]]:
     def kind(step: StepRecord) -> tuple[str, str, str, str]:
         return step.plan.status.value, step.refused, "; ".join(step.notes), step.plan.news
 
-    found: list[dict[str, Any]] = []
-    before = None
+    stretches: list[dict[str, Any]] = []
+    previous = None
     for step in result.steps:
-        now = status, refused, notes, news = kind(step)
-        told = status in _TOLD or bool(refused or notes or news)
-        if told and now == before:
-            found[-1]["steps"] += 1
-        elif told:
+        present = status, refused, notes, news = kind(step)
+        notable = status in _NOTABLE or bool(refused or notes or news)
+        if notable and present == previous:
+            stretches[-1]["steps"] += 1
+        elif notable:
             why = step.plan.why
-            found.append(
+            stretches.append(
                 {"time_s": step.time_s, "steps": 1, "status": status, "refused": refused, "why": why, "notes": notes}
             )
-        before = now
-    return found
+        previous = present
+    return stretches

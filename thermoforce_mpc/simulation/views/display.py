@@ -62,10 +62,10 @@ class LoopDisplay:
         if self._quiet:
             return
         if record.plan.news:
-            told = f"{self._controller}: day {record.time_s / DAY_S:.2f}: {record.plan.news}"
-            self._console.print(told, highlight=False, markup=False, soft_wrap=True)
-        last = record.samples[-1]
-        day = (last.start_s + last.duration_s - self._period.start_s) / DAY_S
+            news = f"{self._controller}: day {record.time_s / DAY_S:.2f}: {record.plan.news}"
+            self._console.print(news, highlight=False, markup=False, soft_wrap=True)
+        last_sample = record.samples[-1]
+        day = (last_sample.start_s + last_sample.duration_s - self._period.start_s) / DAY_S
         days_done = int(day + 1e-9)
         day_is_over = days_done > self._days_done
         if day_is_over:
@@ -98,21 +98,21 @@ def _temperatures(sample: Sample) -> str:
     if len(bounds) == 1:
         ((T, lower, upper),) = bounds
         return f"{T:5.2f} °C in [{lower:g}, {upper:g}]"
-    named = zip(sample.names.zones, bounds, strict=True)
-    return ", ".join(f"{name} {T:.2f}{'' if low <= T <= high else '!'}" for name, (T, low, high) in named) + " °C"
+    by_zone = zip(sample.names.zones, bounds, strict=True)
+    return ", ".join(f"{name} {T:.2f}{'' if low <= T <= high else '!'}" for name, (T, low, high) in by_zone) + " °C"
 
 
 def _so_far(kpis: Mapping[str, float], currency: str) -> str:
     """Cost and discomfort so far as text, where the plant reports them."""
-    shown = (("cost_tot", ".4f", f" {currency}/m²"), ("tdis_tot", ".2f", " K·h"))
-    return "".join(f"  {kpis[key]:{digits}}{unit}" for key, digits, unit in shown if key in kpis)
+    formats = (("cost_tot", ".4f", f" {currency}/m²"), ("tdis_tot", ".2f", " K·h"))
+    return "".join(f"  {kpis[key]:{digits}}{unit}" for key, digits, unit in formats if key in kpis)
 
 
 class ProbingDisplay:
     """Progress of a probing: days done, what the record is expected to tell, and the last verdict; a callback."""
 
     def __init__(self, console: Console, days: float, quiet: bool) -> None:
-        self._console, self._quiet, self._told_days = console, quiet, 0
+        self._console, self._quiet, self._days_shown = console, quiet, 0
         self._live: Live | None = None
         self._begins = f"Probing for {days:g} days and identifying"
 
@@ -139,8 +139,8 @@ class ProbingDisplay:
         )
         if self._live:
             self._live.update(Text(line))
-        elif not self._quiet and int(progress.days + 1e-9) > self._told_days:
-            self._told_days = int(progress.days + 1e-9)
+        elif not self._quiet and int(progress.days + 1e-9) > self._days_shown:
+            self._days_shown = int(progress.days + 1e-9)
             self._console.print(line, soft_wrap=True, markup=False)
 
 
@@ -195,9 +195,9 @@ class RunDisplay:
         best: dict[str, float] = {}
         for key, label in KPI_COLUMNS.items():
             table.add_column(label.format(currency=currency), justify="right")
-            found = [kpis[key] for kpis in everyone.values() if np.isfinite(kpis.get(key, np.nan))]
-            if found and key != "time_rat":
-                best[key] = min(found)
+            finite = [kpis[key] for kpis in everyone.values() if np.isfinite(kpis.get(key, np.nan))]
+            if finite and key != "time_rat":
+                best[key] = min(finite)
         for name, kpis in everyone.items():
             values = {key: kpis.get(key) for key in KPI_COLUMNS}
             table.add_row(

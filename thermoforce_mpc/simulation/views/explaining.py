@@ -84,7 +84,7 @@ class Decision:
         """What binds in the plan, zone by zone: the comfort bound it touches first, and what it violates."""
         if not self.plan:
             return []
-        found = []
+        sentences = []
         n = self.T_zone_C.shape[-1]
         for z, zone in enumerate(self.names.zones):
             lower_C, upper_C = self.boundary.lower_C[z, 1 : n + 1], self.boundary.upper_C[z, 1 : n + 1]
@@ -98,7 +98,7 @@ class Decision:
                 k = int(np.nanargmin(gap))
                 when_h = (self.boundary.time_s[k + 1] - self.time_s) / 3600.0
                 bound_C = float((lower_C if side == "lower" else upper_C)[k])
-                found.append(
+                sentences.append(
                     f"{of}nearest is the {side} comfort bound, {bound_C:.1f} °C, {gap[k]:.2f} K away in {when_h:g} h: "
                     "plans keep a margin"
                 )
@@ -106,12 +106,12 @@ class Decision:
             at, side = min(touched)
             when_h = (self.boundary.time_s[at + 1] - self.time_s) / 3600.0
             bound_C = float((lower_C if side == "lower" else upper_C)[at])
-            found.append(f"{of}the {side} comfort bound, {bound_C:.1f} °C, binds first, in {when_h:g} h")
+            sentences.append(f"{of}the {side} comfort bound, {bound_C:.1f} °C, binds first, in {when_h:g} h")
             outside = {side: float(-np.nanmin(gap)) for side, gap in near.items()}
             worst = max(outside, key=lambda name: outside[name])
             if outside[worst] > _BINDING_K:
-                found.append(f"{of}the plan is up to {outside[worst]:.2f} K outside the {worst} bound")
-        return found
+                sentences.append(f"{of}the plan is up to {outside[worst]:.2f} K outside the {worst} bound")
+        return sentences
 
     def margins_in_words(self) -> list[str]:
         """What the plan kept inside the comfort bounds of its first step, zone by zone, and what it learned else."""
@@ -188,10 +188,10 @@ def seconds_of(at: str) -> float:
         return float(match[1]) * DAY_S + 3600.0 * int(match[2] or 0) + 60.0 * int(match[3] or 0)
     for form in ("%m-%d %H:%M", "%m-%dT%H:%M", "%d %b %H:%M"):
         try:
-            told = datetime.strptime(f"2021 {text}", f"%Y {form}")
+            moment = datetime.strptime(f"2021 {text}", f"%Y {form}")
         except ValueError:
             continue
-        return (told - datetime(2021, 1, 1)).total_seconds()
+        return (moment - datetime(2021, 1, 1)).total_seconds()
     raise InputError(f"--at {at}: not a time; write '16 06:30' (day from 0, as --period), '01-17 06:30' or '1405800s'")
 
 

@@ -89,8 +89,8 @@ class View:
 
     def to_json(self) -> dict[str, Any]:
         """All of it in JSON types; null where a number is not known."""
-        found: dict[str, Any] = plain_json(asdict(self))
-        return found
+        content: dict[str, Any] = plain_json(asdict(self))
+        return content
 
 
 class LiveRun:
@@ -109,7 +109,7 @@ class LiveRun:
         self._latest = not is_complete(folder)
         self._tail = JournalTail(folder / NAME)
         self._scenario: Mapping[str, Any] = {}
-        self._seen: list[str] = []
+        self._loops: list[str] = []
         self._layout: Layout | None = None
         self._begin("")
 
@@ -136,8 +136,10 @@ class LiveRun:
                 self._take(entry)
             step = self._steps.under_way or self._last
             if step is None:
-                if self._wanted and self._seen and self._wanted not in self._seen:
-                    raise InputError(f"--controller {self._wanted}: did not run yet; there are {', '.join(self._seen)}")
+                if self._wanted and self._loops and self._wanted not in self._loops:
+                    raise InputError(
+                        f"--controller {self._wanted}: did not run yet; there are {', '.join(self._loops)}"
+                    )
                 raise JournalError(f"{self._folder / NAME}: no step was decided yet")
             return self._view(step)
 
@@ -147,16 +149,16 @@ class LiveRun:
                 raise JournalError(f"{entry.path}: is not of format {FORMAT}, which this release reads")
             self._scenario = entry.content["scenario"]
         if entry.kind == "loop":
-            self._seen.append(str(entry.content["controller"]))
-            if self._wanted == self._seen[-1] or (self._wanted is None and (self._latest or len(self._seen) == 1)):
-                self._begin(self._seen[-1])
-        if not self._seen or self._seen[-1] != self._controller:
+            self._loops.append(str(entry.content["controller"]))
+            if self._wanted == self._loops[-1] or (self._wanted is None and (self._latest or len(self._loops) == 1)):
+                self._begin(self._loops[-1])
+        if not self._loops or self._loops[-1] != self._controller:
             return
-        done = self._steps.read(entry)
+        step = self._steps.read(entry)
         if entry.kind == "reset" and self._steps.before is not None:
             self._start_s = self._steps.before.time_s
-        if done is not None:
-            self._add(done)
+        if step is not None:
+            self._add(step)
 
     def _add(self, step: ToldStep) -> None:
         """Count a step that has ended."""
@@ -164,29 +166,29 @@ class LiveRun:
         self._counts[str(step.told["status"])] += 1
         self._boundary = self._forecast(step)
         start_s, levels = step.time_s, []
-        for one, reported in zip(step.advances, step.after, strict=True):
-            after = with_level(reported, block_of(one["asked"]))
-            hours = (after.time_s - start_s) / HOUR_S
-            self._metered |= bool(np.isfinite(after.power_W).any())
-            kWh = np.nan_to_num(after.power_W) * hours / 1000.0
+        for advance, reported in zip(step.advances, step.after, strict=True):
+            reading = with_level(reported, block_of(advance["asked"]))
+            hours = (reading.time_s - start_s) / HOUR_S
+            self._metered |= bool(np.isfinite(reading.power_W).any())
+            kWh = np.nan_to_num(reading.power_W) * hours / 1000.0
             self._kWh += float(kWh.sum())
             if self._boundary is not None:
-                paid = kWh * self._price(self._boundary, start_s, after.u)
+                paid = kWh * self._price(self._boundary, start_s, reading.u)
                 self._cost += float(paid[kWh != 0.0].sum())
-            zones = self._zones(after)
+            zones = self._zones(reading)
             self._Kh += float(np.mean([zone.outside_K for zone in zones])) * hours
-            levels.append((hours, after.u))
-            start_s = after.time_s
+            levels.append((hours, reading.u))
+            start_s = reading.time_s
         if step.after:
             u = np.average([u for _, u in levels], axis=0, weights=[h or 1e-9 for h, _ in levels])
             self._past.append(_point(start_s, zones, u))
 
     def _forecast(self, step: ToldStep) -> Boundary | None:
         """The forecast of a step; prices and bounds that it lacks are filled as in the run."""
-        given = step.given
-        if given is None or step.before is None or not holes(given):
-            return given or self._boundary
-        return completed(given, Record.beginning(step.before), self._boundary)[0]
+        forecast = step.given
+        if forecast is None or step.before is None or not holes(forecast):
+            return forecast or self._boundary
+        return completed(forecast, Record.beginning(step.before), self._boundary)[0]
 
     def _price(self, boundary: Boundary, time_s: float, u: Array) -> Array:
         """Price of each machine's energy (M,) at levels `u` (A,)."""
@@ -210,11 +212,11 @@ class LiveRun:
         )
 
     def _view(self, step: ToldStep) -> View:
-        told, names = step.told, step.names
+        decision, names = step.told, step.names
         at = (step.after or (step.before,))[-1]
         self._boundary = self._forecast(step)
-        state, said = self._state()
-        blocks = told["blocks"]
+        state, explanation = self._state()
+        blocks = decision["blocks"]
         u = [[np.nan if level is None else level for level in block["u"]] for block in blocks]
         levels = np.average(u, axis=0, weights=[block["duration_s"] for block in blocks])
         days_in_all = float(self._scenario.get("days") or np.nan)
@@ -225,7 +227,7 @@ class LiveRun:
             testcase=str(self._scenario.get("testcase", "")),
             controller=self._controller,
             state=state,
-            said=said,
+            said=explanation,
             time_s=time_s,
             days=(time_s - self._start_s) / DAY_S,
             days_in_all=days_in_all,
@@ -233,27 +235,27 @@ class LiveRun:
             zones=() if at is None else self._zones(at),
             actuators=names.actuators,
             levels=tuple(float(level) for level in levels),
-            status=str(told["status"]),
-            acting=tuple(str(one) for one in told["acting"]),
-            why=str(told["why"]),
+            status=str(decision["status"]),
+            acting=tuple(str(status) for status in decision["acting"]),
+            why=str(decision["why"]),
             notes=step.notes,
             cost=self._cost if self._metered else float("nan"),
             energy_kWh=self._kWh if self._metered else float("nan"),
             discomfort_Kh=self._Kh,
             counts=dict(self._counts),
             past=tuple(point for point in self._past if point.time_s > since_s),
-            plan=self._planned(told),
+            plan=self._planned(decision),
         )
 
-    def _planned(self, told: Mapping[str, Any]) -> tuple[Point, ...]:
+    def _planned(self, decision: Mapping[str, Any]) -> tuple[Point, ...]:
         """The plan of a step, one point at the end of each of its steps."""
-        packed, b = told.get("plan"), self._boundary
+        packed, b = decision.get("plan"), self._boundary
         if packed is None or b is None:
             return ()
         u, T = unpack(packed["u"]), unpack(packed["T_free_C"]) + unpack(packed["T_forced_K"])
         n = min(u.shape[1], b.n_steps)
         # A forecast that stands in for one that was not given began earlier.
-        late_s = float(told["time_s"]) - float(b.time_s[0])
+        late_s = float(decision["time_s"]) - float(b.time_s[0])
         return tuple(
             Point(
                 float(b.time_s[k + 1]) + late_s,
@@ -267,7 +269,7 @@ class LiveRun:
 
     def _state(self) -> tuple[str, str]:
         if is_complete(self._folder):
-            others = [name for name in self._seen if name != self._controller]
+            others = [name for name in self._loops if name != self._controller]
             more = f"; --controller shows another that ran: {', '.join(others)}" if others else ""
             return "finished", f"results and report are in the folder{more}"
         early = self._folder / "INCOMPLETE.txt"

@@ -39,9 +39,9 @@ def _alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
     if not find_entry(name).needs_model:
         return f"{name} acts without a model"
     models: Mapping[str, Any] = next((entry.content["models"] for entry in entries if entry.kind == "models"), {})
-    told: Mapping[str, Any] = models.get(name, {})
-    if not told.get("folder"):
-        return f"there is no model: {told.get('refused') or 'the run was given one that it did not keep'}"
+    entry: Mapping[str, Any] = models.get(name, {})
+    if not entry.get("folder"):
+        return f"there is no model: {entry.get('refused') or 'the run was given one that it did not keep'}"
     from controllers.mpc.alternatives import Planned, alternatives
     from controllers.mpc.controller import ThermoForceMPC
     from thermoforce_mpc.model.thermal_model import load_model
@@ -49,7 +49,7 @@ def _alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
     scenario = validate(Scenario, dict(entries[0].content["scenario"]), f"{folder / NAME}, line 1")
     options = controller_options(scenario, name) | {"free_response": _FREE_RESPONSE}
     try:
-        model = load_model(folder / str(told["folder"]))
+        model = load_model(folder / str(entry["folder"]))
         controller = build_controller(name, options, validate_scenario(scenario), model)
         assert isinstance(controller, ThermoForceMPC)
         rows = decision.plan
@@ -68,11 +68,12 @@ def _alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
         return str(error)
 
 
-def alternatives_json(found: Alternatives | str) -> dict[str, Any]:
+def alternatives_json(alternatives: Alternatives | str) -> dict[str, Any]:
     """All of it, for programs."""
-    if isinstance(found, str):
-        return {"none": found}
+    if isinstance(alternatives, str):
+        return {"none": alternatives}
     courses = [
-        asdict(course) | {"u": course.u.tolist(), "T_zone_C": course.T_zone_C.tolist()} for course in found.courses
+        asdict(course) | {"u": course.u.tolist(), "T_zone_C": course.T_zone_C.tolist()}
+        for course in alternatives.courses
     ]
-    return {"courses": courses, "notes": list(found.notes)}
+    return {"courses": courses, "notes": list(alternatives.notes)}

@@ -40,70 +40,70 @@ def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[st
         raise InputError(f"{folder}: no such folder; give the folder of a run")
     run = told_run(folder)
     testcase = load_testcase(run.scenario.testcase)
-    said = _cut_off(folder, run)
+    notes = _cut_off(folder, run)
     results = {name: _so_far(result, testcase) for name, result in run.results.items()}
-    own, *others = results.values()
-    model, why = _model(folder, run, own.controller)
+    result, *baselines = results.values()
+    model, why = _model(folder, run, result.controller)
     if why:
-        said.append(f"The model of the run is not shown: {why}")
+        notes.append(f"The model of the run is not shown: {why}")
     manifest = _json(folder / "manifest.json") or {
         "plant": run.plant,
         "command": run.command,
         "environment": {"thermoforce-mpc": run.version},
-        "identification": run.models.get(own.controller, {}).get("origin", {}),
+        "identification": run.models.get(result.controller, {}).get("origin", {}),
     }
     kpis = {
         "testcase": run.plant.get("testcase", testcase.name),
         "plant": f"{run.plant.get('kind')}: {run.plant.get('description')}",
         "weather": run.plant.get("weather", ""),
         "period": run.scenario.period,
-        "start_day": own.period.start_s / DAY_S,
-        "scored_days": own.period.scored_s / DAY_S,
+        "start_day": result.period.start_s / DAY_S,
+        "scored_days": result.period.scored_s / DAY_S,
         "price": run.scenario.price,
-        "controller": own.controller,
+        "controller": result.controller,
     }
     file = write_report(
         folder,
         currency=testcase.currency,
         kpis=kpis,
-        result=own,
-        baselines={one.controller: one for one in others},
+        result=result,
+        baselines={baseline.controller: baseline for baseline in baselines},
         layout=testcase.layout,
         area_m2=testcase.area_m2,
         model=model,
         manifest=manifest,
-        said=said,
+        said=notes,
         path=path,
     )
-    return file, tuple(said)
+    return file, tuple(notes)
 
 
 def _cut_off(folder: Path, run: ToldRun) -> list[str]:
     """What is told of a run that has not ended."""
-    said = []
+    notes = []
     for name in run.cut_off:
         result = run.results[name]
-        last = result.steps[-1].samples[-1]
-        end_s, days = last.start_s + last.duration_s, result.period.scored_s / DAY_S
-        done = (end_s - result.period.start_s) / DAY_S
-        said.append(
-            f"{name} was cut off after {done:.3g} of {days:g} days, at {words_of(end_s)}. Its figures are those until "
-            "then, from metered power and the temperatures at the ends of blocks."
+        last_sample = result.steps[-1].samples[-1]
+        end_s, days = last_sample.start_s + last_sample.duration_s, result.period.scored_s / DAY_S
+        days_done = (end_s - result.period.start_s) / DAY_S
+        notes.append(
+            f"{name} was cut off after {days_done:.3g} of {days:g} days, at {words_of(end_s)}. Its figures are those "
+            "until then, from metered power and the temperatures at the ends of blocks."
         )
         b = result.steps[0].boundary
         if (b.heating_price_per_kWh != b.price_per_kWh).any():
-            said.append(
+            notes.append(
                 "Heating has a carrier of its own: until then its fan's electricity counts at the price of gas."
             )
     absent = [name for name in (run.scenario.controller.name, *run.scenario.baselines) if name not in run.results]
     if absent:
-        said.append(f"{', '.join(absent)} had not begun.")
+        notes.append(f"{', '.join(absent)} had not begun.")
     early = folder / "INCOMPLETE.txt"
-    if said and early.is_file():
-        said.append(read_bounded(early, _MOST_BYTES, InputError).decode("utf-8", "replace")[:500].strip())
-    if said and not is_complete(folder):
-        said.append(f"“tf-mpc resume {folder}” goes on with a run that was ended before its time.")
-    return said
+    if notes and early.is_file():
+        notes.append(read_bounded(early, _MOST_BYTES, InputError).decode("utf-8", "replace")[:500].strip())
+    if notes and not is_complete(folder):
+        notes.append(f"“tf-mpc resume {folder}” goes on with a run that was ended before its time.")
+    return notes
 
 
 def _so_far(result: RunResult, testcase: TestCase) -> RunResult:
@@ -114,23 +114,23 @@ def _so_far(result: RunResult, testcase: TestCase) -> RunResult:
 
     course = course_of(result, testcase.layout, testcase.area_m2, len(result.steps) * 1000)
     energy_J = np.nansum(course.power_W * course.duration_s)
-    found = {
+    kpis = {
         "cost_tot": float(course.cost[-1]),
         "ener_tot": float(energy_J / J_PER_KWH / testcase.area_m2),
         "tdis_tot": float(course.discomfort_Kh[:, -1].mean()),
     }
-    return replace(result, kpis={**found, **result.kpis})
+    return replace(result, kpis={**kpis, **result.kpis})
 
 
 def _model(folder: Path, run: ToldRun, controller: str) -> tuple[ThermalModel | None, str]:
     """The model that the controller planned with, or why there is none to show."""
-    told: Mapping[str, Any] = run.models.get(controller, {})
-    if not told.get("folder"):
-        return None, str(told.get("refused") or "")
+    entry: Mapping[str, Any] = run.models.get(controller, {})
+    if not entry.get("folder"):
+        return None, str(entry.get("refused") or "")
     from thermoforce_mpc.model.thermal_model import load_model
 
     try:
-        return load_model(folder / str(told["folder"])), ""
+        return load_model(folder / str(entry["folder"])), ""
     except ArtifactError as error:
         return None, str(error)
 

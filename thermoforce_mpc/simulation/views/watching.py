@@ -34,8 +34,8 @@ def watch_spells(result: RunResult) -> tuple[Spell, ...]:
         last = first + len(list(steps))
         if watched:
             end = result.steps[last - 1].samples[-1]
-            after = result.steps[last].plan.news if last < len(result.steps) else ""
-            back = next((one.removeprefix("watch: ") for one in after.split("; ") if one.startswith("watch: ")), "")
+            news = result.steps[last].plan.news if last < len(result.steps) else ""
+            back = next((note.removeprefix("watch: ") for note in news.split("; ") if note.startswith("watch: ")), "")
             why = result.steps[first].plan.why.removeprefix("watch: ")
             spells.append(Spell(result.steps[first].time_s, end.start_s + end.duration_s, why, back))
         first = last

@@ -2,7 +2,7 @@
 "use strict";
 
 const AnswerView = (() => {
-  const { byId, drawn, element, ticks, digitsOf, told } = Page;
+  const { byId, drawn, element, ticks, digitsOf, formatted } = Page;
   const WIDTH = 300, HEIGHT = 170, LEFT = 40, BOTTOM = 30, TOP = 10, RIGHT = 8;
 
   function cell(answer, name, most) {
@@ -20,7 +20,7 @@ const AnswerView = (() => {
     const marks = ticks(low, high);
     for (const K of marks) {
       svg.append(drawn("line", { class: "grid", x1: LEFT, x2: WIDTH - RIGHT, y1: y(K), y2: y(K) }));
-      svg.append(drawn("text", { x: LEFT - 5, y: y(K) + 4, "text-anchor": "end" }, told(K, digitsOf(marks))));
+      svg.append(drawn("text", { x: LEFT - 5, y: y(K) + 4, "text-anchor": "end" }, formatted(K, digitsOf(marks))));
     }
     for (const h of [0, 12, 24, 36, 48].filter((h) => h <= most)) {
       svg.append(drawn("text", { x: x(h), y: HEIGHT - 15, "text-anchor": "middle" }, String(h)));
@@ -33,7 +33,7 @@ const AnswerView = (() => {
     svg.append(drawn("path", { class: "answer-line", d: path(answer.hours, answer.K) }));
     (answer.at || []).forEach((h, i) => {
       const dot = drawn("circle", { class: "answer-dot", cx: x(h), cy: y(answer.mean[i]), r: 3, tabindex: 0 });
-      const words = `after ${h} h: ${told(answer.mean[i])} K, 90 % between ${told(answer.low[i])} and ${told(answer.high[i])} K`;
+      const words = `after ${h} h: ${formatted(answer.mean[i])} K, 90 % between ${formatted(answer.low[i])} and ${formatted(answer.high[i])} K`;
       dot.append(drawn("title", {}, words));
       dot.addEventListener("mousemove", (event) => Tip.tell(event, [element("div", { class: "tip-time" }, name), words]));
       dot.addEventListener("mouseleave", Tip.hush);

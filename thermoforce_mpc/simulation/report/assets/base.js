@@ -8,9 +8,9 @@ const Page = (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
 
   function bytes(text) {
-    const raw = atob(text), found = new Uint8Array(raw.length);
-    for (let i = 0; i < raw.length; i++) found[i] = raw.charCodeAt(i);
-    return found.buffer;
+    const raw = atob(text), octets = new Uint8Array(raw.length);
+    for (let i = 0; i < raw.length; i++) octets[i] = raw.charCodeAt(i);
+    return octets.buffer;
   }
 
   /* The numbers of a packed array (packing.py), NaN where there is none. */
@@ -19,22 +19,22 @@ const Page = (() => {
     if (packed.as === "float32") return Float64Array.from(new Float32Array(bytes(packed.data)));
     if (packed.as === "changes") return summed(packed);
     const raw = bytes(packed.data), codes = packed.as === "int8" ? new Int8Array(raw) : new Int16Array(raw);
-    const nothing = packed.as === "int8" ? -128 : -32768, found = new Float64Array(codes.length);
+    const nothing = packed.as === "int8" ? -128 : -32768, values = new Float64Array(codes.length);
     for (let i = 0; i < codes.length; i++) {
-      found[i] = codes[i] === nothing ? NaN : packed.low + (codes[i] - nothing - 1) * packed.step;
+      values[i] = codes[i] === nothing ? NaN : packed.low + (codes[i] - nothing - 1) * packed.step;
     }
-    return found;
+    return values;
   }
 
   /* Courses told by their starts and changes, one after the other. */
   function summed(packed) {
     const starts = numbers(packed.starts), changes = new Int8Array(bytes(packed.data));
-    const n = changes.length / starts.length + 1, found = new Float64Array(starts.length * n);
+    const n = changes.length / starts.length + 1, courses = new Float64Array(starts.length * n);
     for (let p = 0; p < starts.length; p++) {
-      found[p * n] = starts[p];
-      for (let k = 1; k < n; k++) found[p * n + k] = found[p * n + k - 1] + changes[p * (n - 1) + k - 1] * packed.step;
+      courses[p * n] = starts[p];
+      for (let k = 1; k < n; k++) courses[p * n + k] = courses[p * n + k - 1] + changes[p * (n - 1) + k - 1] * packed.step;
     }
-    return found;
+    return courses;
   }
 
   /* Index of the last of `x` (ascending) that is not after `t`; -1 before the first. */
@@ -48,7 +48,7 @@ const Page = (() => {
   }
 
   /* A number for people: `digits` after the point, a true minus sign, a dash where there is none. */
-  function told(value, digits = 2) {
+  function formatted(value, digits = 2) {
     if (value === null || value === undefined || !Number.isFinite(value)) return "–";
     const text = value.toFixed(digits);
     return (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "−");
@@ -76,9 +76,9 @@ const Page = (() => {
   function ticks(low, high) {
     const raw = (high - low) / 4, size = 10 ** Math.floor(Math.log10(raw));
     const step = [1, 2, 5].map((k) => k * size).filter((k) => k <= raw * 1.0001).pop();
-    const found = [];
-    for (let at = Math.ceil(low / step - 1e-9) * step; at <= high + 1e-9; at += step) found.push(at);
-    return found;
+    const marks = [];
+    for (let at = Math.ceil(low / step - 1e-9) * step; at <= high + 1e-9; at += step) marks.push(at);
+    return marks;
   }
 
   /* Digits after the point that tell round numbers apart. */
@@ -106,5 +106,5 @@ const Page = (() => {
 
   const byId = (id) => document.getElementById(id);
 
-  return { HOUR, DAY, data, numbers, indexAt, ticks, digitsOf, told, digitsFor, clock, instant, calendar, element, drawn, byId };
+  return { HOUR, DAY, data, numbers, indexAt, ticks, digitsOf, formatted, digitsFor, clock, instant, calendar, element, drawn, byId };
 })();

@@ -2,7 +2,7 @@
 "use strict";
 
 const Chart = (() => {
-  const { element, indexAt, told, instant, calendar, clock, HOUR, DAY } = Page;
+  const { element, indexAt, formatted, instant, calendar, clock, HOUR, DAY } = Page;
   const INCREMENTS = [300, 900, 1800, HOUR, 2 * HOUR, 3 * HOUR, 6 * HOUR, 12 * HOUR]
     .concat([1, 2, 4, 7, 14, 28, 91, 182].map((days) => days * DAY));
   const all = [];
@@ -186,8 +186,8 @@ const Chart = (() => {
       if (!part.step && i + 1 < part.x.length && part.x[i + 1] - t < t - part.x[i]) i += 1;
       if (i < 0 || (i === part.x.length - 1 && t > part.x[i] + 2 * HOUR)) return "";
       const digits = part.digits ?? 2, unit = part.unit ? ` ${part.unit}` : "";
-      if (part.band) return `${told(part.low[i], digits)} to ${told(part.high[i], digits)}${unit}`;
-      return Number.isFinite(part.y[i]) ? `${told(part.y[i], digits)}${unit}` : "";
+      if (part.band) return `${formatted(part.low[i], digits)} to ${formatted(part.high[i], digits)}${unit}`;
+      return Number.isFinite(part.y[i]) ? `${formatted(part.y[i], digits)}${unit}` : "";
     }
 
     paint(plot) {
@@ -214,7 +214,7 @@ const Chart = (() => {
   function legend(host, charts) {
     const seen = new Map();
     for (const chart of charts) for (const part of chart.parts.values()) if (!seen.has(part.key)) seen.set(part.key, part);
-    const ranked = [...seen.values()].sort((one, other) => (one.rank ?? 1) - (other.rank ?? 1));
+    const ranked = [...seen.values()].sort((part, other) => (part.rank ?? 1) - (other.rank ?? 1));
     for (const part of ranked) {
       const button = element(
         "button", { type: "button", class: "key", "data-key": part.key, "aria-pressed": String(part.shown !== false) },

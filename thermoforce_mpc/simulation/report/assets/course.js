@@ -38,7 +38,7 @@ const CourseView = (() => {
   /* Set-points given to the plant's own loops of a zone; far away where a loop is off, they do not set the height. */
   function setPoints(z) {
     if (!own.band) return [];
-    const a = data.serves[z].find((one) => own.band[0][one].some(Number.isFinite));
+    const a = data.serves[z].find((actuator) => own.band[0][actuator].some(Number.isFinite));
     if (a === undefined) return [];
     return ["heating", "cooling"].map((name, side) => ({
       key: `set-${name}`, name: `set-point, ${name}`, x: own.start, y: own.band[side][a], step: true, beyond: true,

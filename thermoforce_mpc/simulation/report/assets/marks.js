@@ -14,19 +14,19 @@ const Marks = (() => {
   /* Colour and shape of each controller: squares have no model, swept values are one colour and circles. */
   const looks = new Map();
   let plain = 0, modelled = 0;
-  for (const one of data.controllers) {
-    if (one.swept) looks.set(one.name, { colour: "--planned", shape: "circle" });
-    else if (!one.needs_model) looks.set(one.name, { colour: `--series-${(plain++ % 5) + 1}`, shape: "square" });
+  for (const controller of data.controllers) {
+    if (controller.swept) looks.set(controller.name, { colour: "--planned", shape: "circle" });
+    else if (!controller.needs_model) looks.set(controller.name, { colour: `--series-${(plain++ % 5) + 1}`, shape: "square" });
     else {
       const shape = ["circle", "diamond", "up", "down"][modelled % 4];
-      looks.set(one.name, { colour: modelled ? `--series-${(modelled % 5) + 1}` : "--planned", shape });
+      looks.set(controller.name, { colour: modelled ? `--series-${(modelled % 5) + 1}` : "--planned", shape });
       modelled += 1;
     }
   }
   const look = (name) => looks.get(name);
 
   /* What a controller is called beside its mark: a swept one by its value. */
-  const labels = new Map(data.controllers.map((one) => [one.name, one.swept || one.name]));
+  const labels = new Map(data.controllers.map((controller) => [controller.name, controller.swept || controller.name]));
   const label = (name) => labels.get(name);
 
   /* A mark of a controller. */

@@ -2,7 +2,7 @@
 "use strict";
 
 const OtherView = (() => {
-  const { numbers, byId, element, indexAt, told, instant, calendar } = Page;
+  const { numbers, byId, element, indexAt, formatted, instant, calendar } = Page;
   const { data, own } = Run;
   // Half width of a 90 % band of a normal distribution, standard deviations.
   const BAND = 1.645;
@@ -52,7 +52,7 @@ const OtherView = (() => {
       byId("other-instant").textContent = `the day after ${instant(t)} (${calendar(t)})`;
       const energy = [["as it was", packed.energy_applied_kWh[p]], ...packed.levels.map((name, l) => [`all ${name}`, packed.energy_kWh[l][p]])];
       byId("other-facts").replaceChildren(...energy.filter(([, kWh]) => kWh !== null).map(([name, kWh]) => element(
-        "div", { class: "fact" }, element("span", {}, `energy by the model, ${name}`), element("b", {}, `${told(kWh, 1)} kWh`),
+        "div", { class: "fact" }, element("span", {}, `energy by the model, ${name}`), element("b", {}, `${formatted(kWh, 1)} kWh`),
       )));
     }
 

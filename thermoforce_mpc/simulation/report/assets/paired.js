@@ -2,7 +2,7 @@
 "use strict";
 
 const Paired = (() => {
-  const { data, byId, element, drawn, ticks, digitsOf, told } = Page;
+  const { data, byId, element, drawn, ticks, digitsOf, formatted } = Page;
   const ROW = 26, TOP = 8, BOTTOM = 36, NAME = 170, RIGHT = 14;
   const KINDS = [
     { key: "cost", unit: "%", title: "cost", digits: 1 }, { key: "discomfort", unit: "K·h", title: "discomfort", digits: 2 },
@@ -10,7 +10,7 @@ const Paired = (() => {
 
   /* The mean of differences and its interval in words. */
   function words(difference, kind) {
-    const sign = (value) => (value > 0 ? "+" : "") + told(value, kind.digits);
+    const sign = (value) => (value > 0 ? "+" : "") + formatted(value, kind.digits);
     if (difference.half === null) return `${sign(difference.mean)} ${kind.unit} (one window: no interval)`;
     return `${sign(difference.mean)} ${kind.unit}, 95 % between ${sign(difference.mean - difference.half)} and ${sign(difference.mean + difference.half)}`;
   }
@@ -30,7 +30,7 @@ const Paired = (() => {
     const marks = ticks(low - room, high + room);
     for (const at of marks) {
       svg.append(drawn("line", { class: at === 0 ? "zero" : "grid", x1: x(at), x2: x(at), y1: TOP, y2: height - BOTTOM }));
-      svg.append(drawn("text", { x: x(at), y: height - BOTTOM + 15, "text-anchor": "middle" }, told(at, digitsOf(marks))));
+      svg.append(drawn("text", { x: x(at), y: height - BOTTOM + 15, "text-anchor": "middle" }, formatted(at, digitsOf(marks))));
     }
     svg.append(drawn("line", { class: "zero", x1: x(0), x2: x(0), y1: TOP, y2: height - BOTTOM }));
     svg.append(drawn("text", { x: (left + width) / 2, y: height - 4, "text-anchor": "middle" }, `difference of ${kind.title}, ${kind.unit}`));
@@ -49,7 +49,7 @@ const Paired = (() => {
       line.append(middle);
       line.addEventListener("mousemove", (event) => Tip.tell(event, [
         element("div", { class: "tip-time" }, row.controller), element("div", {}, words(difference, kind)),
-        ...difference.values.map((value, k) => element("div", {}, `${row.windows[k]}: ${value > 0 ? "+" : ""}${told(value, kind.digits)} ${kind.unit}`)),
+        ...difference.values.map((value, k) => element("div", {}, `${row.windows[k]}: ${value > 0 ? "+" : ""}${formatted(value, kind.digits)} ${kind.unit}`)),
       ]));
       line.addEventListener("mouseleave", Tip.hush);
       svg.append(name, line);
@@ -73,18 +73,18 @@ const Paired = (() => {
     const table = byId("paired-table");
     const show = () => {
       for (const { place, set, kind } of places) {
-        const rows = set.differences.filter((one) => one.reference === select.value);
+        const rows = set.differences.filter((difference) => difference.reference === select.value);
         if (rows.length) plot(place, rows, kind); else place.replaceChildren("nothing to compare with here");
       }
       table.replaceChildren(element("tr", {}, ...["", "tariff", "cost", "discomfort", "windows"].map((text) => element("th", {}, text))));
       for (const set of data.paired) {
-        for (const row of set.differences.filter((one) => one.reference === select.value)) {
+        for (const row of set.differences.filter((difference) => difference.reference === select.value)) {
           table.append(element("tr", {}, ...[row.controller, set.title, words(row.cost, KINDS[0]), words(row.discomfort, KINDS[1]), String(row.windows.length)]
             .map((text) => element("td", {}, text))));
         }
       }
     };
-    for (const one of data.references) select.append(element("option", { value: one, selected: one === data.reference }, one));
+    for (const reference of data.references) select.append(element("option", { value: reference, selected: reference === data.reference }, reference));
     select.addEventListener("change", show);
     new ResizeObserver(show).observe(host);
     show();

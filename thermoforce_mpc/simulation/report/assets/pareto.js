@@ -7,12 +7,12 @@ const Pareto = (() => {
 
   function draw(host, legendHost, toolsHost) {
     const panels = data.groups.filter((group) => group.points.length).map((group) => new ParetoPanel(host, group, view));
-    for (const one of data.controllers.filter((found) => !found.swept)) {
-      const icon = drawn("svg", { viewBox: "-9 -9 18 18", class: "icon", width: 16, height: 16 }, Marks.mark(one.name));
-      const button = element("button", { type: "button", class: "key", "data-key": one.name, "aria-pressed": "true" }, icon, one.name);
+    for (const controller of data.controllers.filter((controller) => !controller.swept)) {
+      const icon = drawn("svg", { viewBox: "-9 -9 18 18", class: "icon", width: 16, height: 16 }, Marks.mark(controller.name));
+      const button = element("button", { type: "button", class: "key", "data-key": controller.name, "aria-pressed": "true" }, icon, controller.name);
       button.addEventListener("click", () => {
-        const shown = view.hidden.has(one.name);
-        if (shown) view.hidden.delete(one.name); else view.hidden.add(one.name);
+        const shown = view.hidden.has(controller.name);
+        if (shown) view.hidden.delete(controller.name); else view.hidden.add(controller.name);
         button.setAttribute("aria-pressed", String(shown));
         panels.forEach((panel) => panel.draw());
       });

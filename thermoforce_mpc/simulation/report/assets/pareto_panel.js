@@ -2,7 +2,7 @@
 "use strict";
 
 const ParetoPanel = (() => {
-  const { data, element, drawn, ticks, digitsOf, told } = Page;
+  const { data, element, drawn, ticks, digitsOf, formatted } = Page;
   const HEIGHT = 330, LEFT = 58, BOTTOM = 44, TOP = 14, RIGHT = 18;
   // Discomfort spans orders of magnitude and may be zero: straight below this, K·h, logarithmic above.
   const STRAIGHT = 0.5, ROUND = [0, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000];
@@ -57,7 +57,7 @@ const ParetoPanel = (() => {
       const front = this.shown.filter((point) => point.pareto).sort((a, b) => a.discomfort - b.discomfort);
       const corner = front.map((p, i) => (i ? `H${x(p.discomfort)}V${y(p.cost)}` : `M${x(p.discomfort)},${y(p.cost)}`));
       if (front.length) inside.append(drawn("path", { class: "front", d: corner.join("") }));
-      const line = data.controllers.filter((one) => one.swept).map((one) => this.shown.find((p) => p.name === one.name))
+      const line = data.controllers.filter((controller) => controller.swept).map((controller) => this.shown.find((p) => p.name === controller.name))
         .filter(Boolean);
       if (line.length) {
         inside.append(drawn("path", { class: "sweep", d: line.map((p, i) => `${i ? "L" : "M"}${x(p.discomfort)},${y(p.cost)}`).join("") }));
@@ -80,7 +80,7 @@ const ParetoPanel = (() => {
       const costs = ticks(...ys), digits = digitsOf(costs);
       for (const at of costs) {
         svg.append(drawn("line", { class: "grid", x1: LEFT, x2: width - RIGHT, y1: y(at), y2: y(at) }));
-        svg.append(drawn("text", { x: LEFT - 6, y: y(at) + 4, "text-anchor": "end" }, told(at, digits)));
+        svg.append(drawn("text", { x: LEFT - 6, y: y(at) + 4, "text-anchor": "end" }, formatted(at, digits)));
       }
       svg.append(drawn("text", { x: (LEFT + width - RIGHT) / 2, y: HEIGHT - 8, "text-anchor": "middle" }, "discomfort, K·h"));
       const middle = (TOP + HEIGHT - BOTTOM) / 2;
@@ -91,7 +91,7 @@ const ParetoPanel = (() => {
     points(svg, width, x, y) {
       const visible = this.shown.filter((p) => x(p.discomfort) >= LEFT - 1 && x(p.discomfort) <= width - RIGHT + 1
         && y(p.cost) >= TOP - 1 && y(p.cost) <= HEIGHT - BOTTOM + 1);
-      const named = visible.length <= MOST_LABELS || data.controllers.some((one) => one.swept);
+      const named = visible.length <= MOST_LABELS || data.controllers.some((controller) => controller.swept);
       // Places of marks and names, [left, right, height]: a name stands where there is none.
       const taken = visible.map((point) => [x(point.discomfort) - 7, x(point.discomfort) + 7, y(point.cost) + 4]);
       for (const point of visible) {
@@ -159,8 +159,8 @@ const ParetoPanel = (() => {
     save() {
       const svg = this.place.querySelector("svg"), copy = svg.cloneNode(true);
       const originals = svg.querySelectorAll("*"), copies = copy.querySelectorAll("*");
-      originals.forEach((one, i) => {
-        const style = getComputedStyle(one);
+      originals.forEach((original, i) => {
+        const style = getComputedStyle(original);
         for (const name of ["fill", "stroke", "stroke-width", "font", "stroke-dasharray", "paint-order"]) {
           copies[i].style.setProperty(name, style.getPropertyValue(name));
         }
@@ -175,11 +175,11 @@ const ParetoPanel = (() => {
 
   /* A point in words. */
   function words(point) {
-    const found = [point.name, `cost ${told(point.cost, 4)} ${data.currency}/m²`, `discomfort ${told(point.discomfort)} K·h`,
-      `energy ${told(point.energy, 3)} kWh/m²`];
-    if (point.fallbacks) found.push(`${point.fallbacks} steps fell back`);
-    if (point.pareto) found.push("on the front: no other is better in both");
-    return found;
+    const lines = [point.name, `cost ${formatted(point.cost, 4)} ${data.currency}/m²`, `discomfort ${formatted(point.discomfort)} K·h`,
+      `energy ${formatted(point.energy, 3)} kWh/m²`];
+    if (point.fallbacks) lines.push(`${point.fallbacks} steps fell back`);
+    if (point.pareto) lines.push("on the front: no other is better in both");
+    return lines;
   }
 
   /* The name beside a point, above or below it, where no other name is. */

@@ -2,7 +2,7 @@
 "use strict";
 
 const PlanFacts = (() => {
-  const { element, byId, indexAt, told, digitsFor, instant, calendar, HOUR } = Page;
+  const { element, byId, indexAt, formatted, digitsFor, instant, calendar, HOUR } = Page;
   const { data, steps } = Run;
 
   const fact = (name, value) => element("div", { class: "fact" }, element("span", {}, name), element("b", {}, value));
@@ -21,17 +21,17 @@ const PlanFacts = (() => {
   }
 
   /* The instant `t`, the decision number `i`, and the figures of `compared`. */
-  function tell(t, i, known, figures) {
+  function tell(t, i, hasPlan, figures) {
     const status = steps.statuses[steps.status[i]], facts = [];
-    for (const one of figures.filter((found) => found.count)) {
-      facts.push(fact(`${one.name ? `${one.name}: ` : ""}planned − measured, RMS`, `${told(one.rmse)} K`));
-      facts.push(fact("measured inside the 80 % fan", `${told(one.share, 0)} %`));
+    for (const figure of figures.filter((figure) => figure.count)) {
+      facts.push(fact(`${figure.name ? `${figure.name}: ` : ""}planned − measured, RMS`, `${formatted(figure.rmse)} K`));
+      facts.push(fact("measured inside the 80 % fan", `${formatted(figure.share, 0)} %`));
     }
     byId("plan-facts").replaceChildren(...facts);
     byId("plan-instant").textContent = `${instant(t)} (${calendar(t)})`;
     byId("plan-status").textContent = status;
     byId("plan-status").style.setProperty("--c", `var(--status-${status})`);
-    byId("plan-why").textContent = Run.reason(i) + (known ? "" : " (there is no plan of this instant)");
+    byId("plan-why").textContent = Run.reason(i) + (hasPlan ? "" : " (there is no plan of this instant)");
   }
 
   /* Cost of the plan since `t` until the last instant that was measured, and what it was. */
@@ -40,8 +40,8 @@ const PlanFacts = (() => {
     if (k < 1 || !Number.isFinite(cost[k])) return;
     const digits = digitsFor(Math.max(cost[k], cameY[last], 1e-4)) + 1, unit = `${data.currency}/m²`;
     byId("plan-facts").prepend(
-      fact(`cost of the ${hours} h measured since, planned`, `${told(cost[k], digits)} ${unit}`),
-      fact("came", `${told(cameY[last], digits)} ${unit}`),
+      fact(`cost of the ${hours} h measured since, planned`, `${formatted(cost[k], digits)} ${unit}`),
+      fact("came", `${formatted(cameY[last], digits)} ${unit}`),
     );
   }
 

@@ -89,47 +89,47 @@ const PlanView = (() => {
       const t = plans.time[p], h = plans.length[p], end = t + n * h, i = indexAt(steps.time, t);
       const at = Array.from({ length: n + 1 }, (_, k) => t + k * h);
       const part = (values, now) => [now, ...values.subarray(p * n, (p + 1) * n)];
-      const known = plans.known[p];
+      const hasPlan = plans.known[p];
       const figures = [];
       group.now = t;
       for (const z of zones) {
         const measured = cut(own.end, own.T[z], t - BEFORE, end);
-        const found = { comfort: bounds(z, t - BEFORE, end), came: measured, plan: nothing, fan: noBand };
+        const updates = { comfort: bounds(z, t - BEFORE, end), came: measured, plan: nothing, fan: noBand };
         const split = { free: nothing, forced: nothing, "free-fan": noBand };
-        if (known) {
+        if (hasPlan) {
           const T = steps.T[z][i], freeNow = steps.freeNow[z][i];
           const free = part(plans.free[z], freeNow), forced = part(plans.forced[z], T - freeNow);
           const add = (values) => part(values, freeNow).map((value, k) => value + forced[k]);
           const planned = free.map((value, k) => value + forced[k]);
-          Object.assign(found, {
+          Object.assign(updates, {
             plan: { x: at, y: planned }, fan: { x: at, low: add(plans.low[z]), high: add(plans.high[z]) },
           });
           Object.assign(split, {
             free: { x: at, y: free }, forced: { x: at, y: forced },
             "free-fan": { x: at, low: part(plans.low[z], freeNow), high: part(plans.high[z], freeNow) },
           });
-          figures.push(PlanFacts.compared(Run.zone(z), at, planned, found.fan, measured));
+          figures.push(PlanFacts.compared(Run.zone(z), at, planned, updates.fan, measured));
         }
-        temperatures[z].update(found);
+        temperatures[z].update(updates);
         parts[z].update(split);
         const changed = {};
         for (const a of data.serves[z]) {
           changed[`u-came-${a}`] = cut(own.start, own.u[a], t - BEFORE, end);
           const u = plans.u[a].subarray(p * n, (p + 1) * n);
-          changed[`u-plan-${a}`] = known ? { x: at, y: [...u, u[n - 1]] } : nothing;
+          changed[`u-plan-${a}`] = hasPlan ? { x: at, y: [...u, u[n - 1]] } : nothing;
         }
         if (levels[z]) levels[z].update(changed);
       }
-      const cost = known ? part(plans.cost, 0) : [];
+      const cost = hasPlan ? part(plans.cost, 0) : [];
       const before = indexAt(own.end, t), spent = before < 0 ? 0 : own.cost[before];
       const since = cut(own.end, own.cost, t + 1, end);
       const cameX = [t, ...since.x.filter((x) => x > t + 1)];
       const cameY = [0, ...Array.from(since.y).filter((_, k) => since.x[k] > t + 1).map((y) => y - spent)];
-      costs.update({ "cost-plan": known ? { x: at, y: cost } : nothing, "cost-came": { x: cameX, y: cameY } });
+      costs.update({ "cost-plan": hasPlan ? { x: at, y: cost } : nothing, "cost-came": { x: cameX, y: cameY } });
       group.move([t - BEFORE, end]);
       course.group.mark(t);
-      PlanFacts.tell(t, i, known, figures);
-      if (known) PlanFacts.tellCost(t, at, cost, cameX, cameY);
+      PlanFacts.tell(t, i, hasPlan, figures);
+      if (hasPlan) PlanFacts.tellCost(t, at, cost, cameX, cameY);
     }
 
     Chart.legend(byId("plan-legend"), [...temperatures, ...parts, ...(zones.length > 1 ? [] : levels.filter(Boolean))]);

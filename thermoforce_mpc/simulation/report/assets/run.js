@@ -2,7 +2,7 @@
 "use strict";
 
 const Run = (() => {
-  const { data, numbers, indexAt, told, element } = Page;
+  const { data, numbers, indexAt, formatted, element } = Page;
   const rows = (packed) => packed.map(numbers);
 
   /* A controller's course: instants of its blocks and what was measured at their ends. */
@@ -55,5 +55,5 @@ const Run = (() => {
   const style = (i) => ({ colour: `--series-${i % 6}`, dash: i === 0 ? undefined : DASHES[(i - 1) % DASHES.length] });
   const baseline = (i) => ({ colour: `--series-${(i % 5) + 1}`, dash: DASHES[i % DASHES.length] });
 
-  return { data, own, others, steps, span, why, reason, text, zone, actuator, machine, style, baseline, told };
+  return { data, own, others, steps, span, why, reason, text, zone, actuator, machine, style, baseline, formatted };
 })();

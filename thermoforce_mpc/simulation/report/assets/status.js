@@ -2,7 +2,7 @@
 "use strict";
 
 const StatusView = (() => {
-  const { element, byId, indexAt, told } = Page;
+  const { element, byId, indexAt, formatted } = Page;
   const { data, steps } = Run;
 
   /* The statuses that occur, in the order of the ladder, with their numbers in the data. */
@@ -55,7 +55,7 @@ const StatusView = (() => {
   function solver(i) {
     if (i < 0) return [];
     const name = Run.text(steps.solver[i]);
-    const lines = [Tip.entry("--measured", "computing time", `${told(steps.ms[i], 1)} ms`)];
+    const lines = [Tip.entry("--measured", "computing time", `${formatted(steps.ms[i], 1)} ms`)];
     if (name) lines.push(Tip.entry("--planned", name, steps.iterations[i] ? `${steps.iterations[i]} iterations` : ""));
     return lines;
   }

@@ -44,7 +44,7 @@ const Theme = (() => {
     const buttons = MODES.map((name) => Page.element(
       "button", { type: "button", "data-mode": name, onclick: () => { choose(name); mark(); } }, name,
     ));
-    const mark = () => buttons.forEach((one) => one.setAttribute("aria-pressed", String(one.dataset.mode === mode)));
+    const mark = () => buttons.forEach((button) => button.setAttribute("aria-pressed", String(button.dataset.mode === mode)));
     host.append(...buttons);
     mark();
   }
