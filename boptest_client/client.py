@@ -29,8 +29,6 @@ _LOG = logging.getLogger(__name__)
 _POLL_S = 0.2
 _CLOCK_TOLERANCE_S = 1e-3
 _STATUSES = ("Running", "Queued")
-# A test is not waited for longer than this to be stopped, s: the service drops it when idle.
-_STOPPING_S = 10.0
 # After these, it is not known whether the service acted on the request.
 _LOST = (ConnectionLost, ServiceTimeout, InternalError, ProtocolError)
 
@@ -61,9 +59,13 @@ class BoptestClient:
         *,
         config: TransportConfig | None = None,
         start_timeout_s: float = 120.0,
+        stop_timeout_s: float = 10.0,
         testid: str | None = None,
     ) -> None:
         """Select `testcase` and wait until it runs; with `testid`, take up the test of that name instead.
+
+        `start_timeout_s` and `stop_timeout_s`: longest time that the test may be queued, and that a stop may take; the
+        service drops an idle test.
 
         Raises:
             BadAddress: `url` is not an http(s) address.
@@ -74,7 +76,7 @@ class BoptestClient:
         """
         self.testcase = testcase
         self._transport = Transport(url, config or TransportConfig(), _user_agent())
-        self._stopped = False
+        self._stopped, self._stop_timeout_s = False, stop_timeout_s
         self.time_s = math.nan
         """Time at which the test stands, s: that of the last answer."""
         self._step_s = math.nan
@@ -301,10 +303,10 @@ class BoptestClient:
         """Stop the test and free its worker; no error if called twice or if the test no longer exists."""
         if self._stopped:
             return
-        self._stopped = True
+        self._stopped, most_s = True, self._stop_timeout_s
         try:
             self._transport.patiently(
-                lambda: self._transport.call("PUT", f"stop/{self.testid}", {}, most_s=_STOPPING_S), most_s=_STOPPING_S
+                lambda: self._transport.call("PUT", f"stop/{self.testid}", {}, most_s=most_s), most_s=most_s
             )
         except UnknownTest:
             pass

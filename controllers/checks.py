@@ -13,6 +13,7 @@ import numpy as np
 
 from thermoforce_mpc.data import Names, Observation
 from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
+from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
 
 
@@ -99,9 +100,8 @@ def check_observation(observation: Observation, step_s: float, n_steps: int, nam
             that of the history is not `step_s`.
     """
     boundary, history = observation.boundary, observation.history
-    for what, found in (("history", history.names), ("boundary forecast", boundary.names)):
-        if found != names and not (found.single and names.single):
-            raise DataError(f"{what}: it is of {found}, the controller of {names}: another building?")
+    for what, of_part in (("history: it", history.names), ("boundary forecast: it", boundary.names)):
+        check_same_building(what, of_part, "the controller", names, single_alike=True)
     observation.check_begin()
     if boundary.n_steps < n_steps:
         raise DataError(

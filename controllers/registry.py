@@ -15,6 +15,7 @@ from controllers.checks import ControllerConfigError
 from controllers.rules.native import NativeConfig, NativeController
 from controllers.rules.pi import PIConfig, PIController, check_layout
 from controllers.rules.thermostat import Thermostat, ThermostatConfig
+from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.registry import Registry
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
@@ -79,10 +80,8 @@ def _on_model(
         from controllers.mpc.no_model import NoModelController
 
         return NoModelController(model, config, testcase.layout, testcase.step_s, name=name)
-    if model.names != testcase.layout.names:
-        raise ControllerConfigError(
-            f"the model is of {model.names}, test case '{testcase.name}' of {testcase.layout.names}"
-        )
+    of = f"test case '{testcase.name}'"
+    check_same_building("the model", model.names, of, testcase.layout.names, error=ControllerConfigError)
     for a, actuator in enumerate(model.operator.actuators):
         found, wanted = model.layout.mode(a), testcase.layout.mode(a)
         if found != wanted:

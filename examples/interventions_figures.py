@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.bench.operator_data import FLOOR_AREA_M2, cut, read_run
+from benchmarks.operator.data import FLOOR_AREA_M2, cut, read_run
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation
 from thermoforce_mpc.identification import identify

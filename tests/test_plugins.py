@@ -35,7 +35,7 @@ def distribution(where: Path, name: str, module: str, group: str = "controllers"
 @pytest.fixture
 def registry() -> Registry[Entry]:
     """The registry of controllers as a new process would have it."""
-    return Registry("controller", "controllers", REGISTRY.own, ControllerConfigError, REGISTRY._wrong, REGISTRY._made)
+    return Registry("controller", "controllers", REGISTRY.own, ControllerConfigError, REGISTRY.wrong, REGISTRY.made)
 
 
 GOOD = """
@@ -148,10 +148,10 @@ def test_a_class_is_enough_its_parameters_are_the_options(tmp_path, monkeypatch,
 def test_a_free_response_has_defaults_for_all_its_options(tmp_path, monkeypatch):
     distribution(tmp_path, "odd-forecast", "def X(step, spread_K=1.0): ...", "free_responses", odd="odd_forecast:X")
     monkeypatch.syspath_prepend(tmp_path)
-    fresh = Registry("free response", "free_responses", {}, ConfigError, FREE_RESPONSES._wrong)
+    fresh = Registry("free response", "free_responses", {}, ConfigError, FREE_RESPONSES.wrong)
     with pytest.raises(ConfigError, match=r"'odd' of odd-forecast 1\.2 .* cannot be used: its parameters step have no"):
         fresh.find("odd")
-    assert all(not FREE_RESPONSES._wrong(build) for build in FREE_RESPONSES.own.values())
+    assert all(not FREE_RESPONSES.wrong(build) for build in FREE_RESPONSES.own.values())
 
 
 def test_unknown_names_are_told_what_is_known(registry):

@@ -60,7 +60,7 @@ class Registry(Generic[T]):
         made: Callable[[str, Any], T] = lambda name, found: found,
     ) -> None:
         self.kind, self.group, self.own = kind, f"{PREFIX}.{group}", dict(own)
-        self._error, self._wrong, self._made = error, wrong, made
+        self._error, self.wrong, self.made = error, wrong, made
         self._loaded: dict[str, T] = {}
 
     @property
@@ -119,10 +119,10 @@ class Registry(Generic[T]):
                 f"{where} cannot be imported ({type(problem).__name__}: {' '.join(str(problem).split())[:300]}); "
                 "mend or uninstall it"
             ) from problem
-        wrong = self._wrong(found)
+        wrong = self.wrong(found)
         if wrong:
             raise self._error(f"{where} cannot be used: {wrong}")
-        return self._made(plugin.name, found)
+        return self.made(plugin.name, found)
 
 
 def announced(group: str) -> dict[str, list[EntryPoint]]:

@@ -67,7 +67,7 @@ class Network(nn.Module):
 
 
 @dataclass(frozen=True)
-class _Course:
+class Course:
     """Situations as tensors, with what the operator and the machine make of them; (B, n) each."""
 
     T_free: Tensor
@@ -120,10 +120,10 @@ def train_policy(
     at = length
     for iteration in range(t.iterations):
         if at + n > length:
-            course = _course(drawer.draw(t.buildings, length + reach), params, power, step_s)
-            at, F = 0, _started(course, module, highest)
+            course = course_of(drawer.draw(t.buildings, length + reach), params, power, step_s)
+            at, F = 0, states_near_band(course, module, highest)
         F = F * (1.0 + _PERTURBED * torch.randn(F.shape[0], 1, generator=noise, dtype=torch.float64))
-        loss, F = _rolled(network, module, course, F, at, n, leads, (lowest, highest), config, step_s)
+        loss, F = rollout(network, module, course, F, at, n, leads, (lowest, highest), config, step_s)
         optimiser.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(network.parameters(), 1.0)
@@ -138,7 +138,7 @@ def train_policy(
     return Policy(weights, highest, lowest, step_s, operator_sha256(params), t.iterations, last)
 
 
-def _course(found: Situations, operator: OperatorParameters, power: PowerModel, step_s: float) -> _Course:
+def course_of(found: Situations, operator: OperatorParameters, power: PowerModel, step_s: float) -> Course:
     """The situations as tensors; costs in currency."""
     before = np.concatenate([found.T_free_C[:, :1], found.T_free_C[:, :-1]], axis=1)
     features = feature_matrix(before, found.T_out_C, found.solar_W_m2, found.time_s)
@@ -146,7 +146,7 @@ def _course(found: Situations, operator: OperatorParameters, power: PowerModel, 
     fixed_W, per_u_W = power.parts(found.T_out_C)
     price = found.price_per_kWh * step_s / J_PER_KWH
     relative = price * (fixed_W + per_u_W) / (drive_fixed + drive_per_u)
-    return _Course(
+    return Course(
         T_free=torch.from_numpy(found.T_free_C),
         lower=torch.from_numpy(found.lower_C),
         upper=torch.from_numpy(found.upper_C),
@@ -158,7 +158,7 @@ def _course(found: Situations, operator: OperatorParameters, power: PowerModel, 
     )
 
 
-def _started(course: _Course, module: ForcedResponseOperator, highest: float) -> Tensor:
+def states_near_band(course: Course, module: ForcedResponseOperator, highest: float) -> Tensor:
     """Forced states (B, r), K, that hold each zone near its band: a steady level of the past."""
     steady = module.gains / (1.0 - module.poles)
     middle = 0.5 * (course.lower[:, 0] + course.upper[:, 0]) - course.T_free[:, 0]
@@ -166,10 +166,10 @@ def _started(course: _Course, module: ForcedResponseOperator, highest: float) ->
     return share[:, None] * steady
 
 
-def _rolled(
+def rollout(
     network: Network,
     module: ForcedResponseOperator,
-    course: _Course,
+    course: Course,
     F: Tensor,
     first: int,
     n: int,

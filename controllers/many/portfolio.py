@@ -55,7 +55,7 @@ def plan_many(
 class Portfolio:
     """Controllers of many buildings, and the processes they run in; a context manager.
 
-    It keeps no state of a run: the same input gives the same plans.
+    It keeps no state of a run: the same input gives the same plans. `deadline_s` may be changed between plans.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class Portfolio:
             )
         known = known_of(models, config)
         self._here = BatchPlanner(known, grace_s)
-        self._deadline_s = deadline_s
+        self.deadline_s = deadline_s
         names, workers = list(known), min(workers, max(1, len(known)))
         shares = [{name: known[name] for name in names[i::workers]} for i in range(workers)] if workers > 1 else []
         self._workers = [PlanningProcess(share, grace_s) for share in shares]
@@ -121,7 +121,7 @@ class Portfolio:
         wanted = [(name, observation, states.get(name)) for name, observation in observations.items()]
         if not self._workers:
             return dict(self._here.plans(wanted))
-        until_s = time.monotonic() + self._deadline_s
+        until_s = time.monotonic() + self.deadline_s
         of_worker: dict[PlanningProcess, list[Wanted]] = {worker: [] for worker in self._workers}
         for one in wanted:
             of_worker[self._worker_of.get(one[0], self._workers[0])].append(one)
@@ -146,7 +146,7 @@ class Portfolio:
                 # Whether one of them ended the process is not known; that one cannot be sent or read is.
                 parts = [wanted] if isinstance(error, BrokenProcessPool) else _halves(wanted)
                 return [one for part in parts for one in self._again(worker, part, until_s)]
-        return self._left(wanted, f"no plan within {self._deadline_s:g} s")
+        return self._left(wanted, f"no plan within {self.deadline_s:g} s")
 
     def _again(self, worker: PlanningProcess, wanted: list[Wanted], until_s: float) -> Plans:
         left_s = until_s - time.monotonic()
@@ -156,7 +156,7 @@ class Portfolio:
             return worker.plans(_asked(worker, wanted).result(left_s))
         except TimeoutError:
             worker.end()
-            return self._left(wanted, f"no plan within {self._deadline_s:g} s, after its process failed")
+            return self._left(wanted, f"no plan within {self.deadline_s:g} s, after its process failed")
         except BrokenProcessPool:
             reason = "its process died while planning it"
         except Exception as error:  # likewise

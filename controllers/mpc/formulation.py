@@ -13,6 +13,7 @@ from controllers.mpc.margins import Bounds, MarginRules, Margins
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import Cooling, MPCProblem, PowerCap, Weights
 from thermoforce_mpc.data import J_PER_KWH, Array, Boundary, Record
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext
@@ -132,7 +133,7 @@ class Formulation:
             planned=~held,
             forced_state_K=np.where(held[:, None], 0.0, p.forced_state_K),
             terminal_price_per_K=np.where(held[:, None], 0.0, p.terminal_price_per_K),
-            T_free_C=p.T_free_C + held_K,
+            T_free_C=compose(p.T_free_C, held_K),
             lower_C=p.lower_C - away_K,
             upper_C=p.upper_C + away_K,
             capacity=np.maximum(capacity - taken, 0.0) if taken.any() else p.capacity,

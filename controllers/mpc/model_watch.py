@@ -62,7 +62,7 @@ class WatchedPredictions:
                 continue
             if before.alarm and not after.alarm:
                 used = after.tracks[0]
-                predictor = _later(now.predictor, used.predictor)
+                predictor = later_state(now.predictor, used.predictor)
                 now = replace(now, adaptation=_with(now.adaptation, a, used.adaptation), predictor=predictor)
             now = replace(now, watch=_with(now.watch, a, after))
         return now
@@ -132,7 +132,7 @@ class WatchedPredictions:
         return text if len(names) == 1 else f"{names[a]}: {text}"
 
 
-def _later(kept: PredictorState | None, used: PredictorState | None) -> PredictorState | None:
+def later_state(kept: PredictorState | None, used: PredictorState | None) -> PredictorState | None:
     """The state of a predictor that returns to use, or the one `kept` meanwhile where others went on planning."""
     if not (kept and kept.forced and used and used.forced) or used.forced.time_s[-1] >= kept.forced.time_s[-1]:
         return used

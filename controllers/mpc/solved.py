@@ -11,12 +11,14 @@ from controllers.actuation.room_setpoints import room_blocks, within_C
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.formulation import Instance
 from controllers.mpc.margin_rules import LearnedMargin
+from controllers.mpc.margins import MarginRules
 from controllers.mpc.prediction import Forecast
 from controllers.mpc.readings import Readings, joined
 from controllers.mpc.reason import reason_of
 from controllers.optimisation.solution import Solution
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import Array, Block, Plan, PlanStatus
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.operator.features import ZONE
 
 
@@ -33,7 +35,8 @@ def solved_plan(instance: Instance, solution: Solution, solve_s: float, forecast
     problem, context, free = instance.problem, forecast.context, forecast.context.free
     u, names = instance.levels(solution.u), readings.observation.names
     forced_K = problem.forced_K(forecast.planner.operator, solution.u) + instance.held_K
-    T_zone_C = problem.T_free_C - instance.held_K + forced_K
+    T_free_C = problem.T_free_C - instance.held_K
+    T_zone_C = compose(T_free_C, forced_K)
     slack_K = problem.slack_K(T_zone_C)
     doubts = (*readings.doubts, free.doubt)
     status = PlanStatus.BRIDGED if any(doubts) else PlanStatus.SOLVED
@@ -44,7 +47,7 @@ def solved_plan(instance: Instance, solution: Solution, solve_s: float, forecast
         why=joined([solution.problem, reason, *doubts, context.bridged]),
         u=u,
         T_free_now_C=problem.features[:, 0, ZONE],
-        T_free_C=problem.T_free_C - instance.held_K,
+        T_free_C=T_free_C,
         T_forced_K=forced_K,
         T_free_low_C=free.quantile_C(0.1),
         T_free_high_C=free.quantile_C(0.9),
@@ -55,6 +58,7 @@ def solved_plan(instance: Instance, solution: Solution, solve_s: float, forecast
         solver_status=solution.status,
         iterations=solution.iterations,
         seconds={**context.seconds, "solve": solve_s},
+        margins=MarginRules.table(instance.bounds, forecast.state.margins),
         names=names,
         state=replace(forecast.state, good=_good_plan(readings.time_s, u, T_zone_C, forecast), failures=0),
     )

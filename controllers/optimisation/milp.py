@@ -11,6 +11,7 @@ with the best plan so far; how far that may be from the optimum of the programme
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -125,12 +126,24 @@ def silent_highs() -> highspy.Highs:
 class MilpSolver:
     """Solves `MPCProblem`s of one operator and shape; `shape.held_steps` says for how long choices are decided.
 
+    Args:
+        operator: the operator of the building.
+        shape: what all its problems have in common.
+        config: options of HiGHS.
+        qp: options of the relaxation that HiGHS starts from.
+        choose: solver of the choices in the place of `Highs`.
+
     Raises:
         ControllerConfigError: the gain depends on the predicted temperature, or the operator is not of these actuators.
     """
 
     def __init__(
-        self, operator: BuildingOperator, shape: ProblemShape, config: MilpConfig, qp: QPConfig | None = None
+        self,
+        operator: BuildingOperator,
+        shape: ProblemShape,
+        config: MilpConfig,
+        qp: QPConfig | None = None,
+        choose: Callable[[QPData, NDArray[np.intp], Array | None], ChoiceResult] | None = None,
     ) -> None:
         if operator.of_actuator(0).feedback_active:
             raise ControllerConfigError(
@@ -139,7 +152,7 @@ class MilpSolver:
             )
         self.operator, self.shape = operator, shape
         self._sparse_qp = SparseQP(operator, shape)
-        self._choose, self._relax = Highs(config), Piqp(qp or QPConfig())
+        self._choose, self._relax = choose or Highs(config), Piqp(qp or QPConfig())
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
         """Solve one instance; `guess` is not used. On failure `ok` is False and `problem` has the reason.

@@ -5,7 +5,7 @@ Every solution is checked by a rollout of the modes of every pair before it is a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -21,12 +21,24 @@ from thermoforce_mpc.model.operator.building import BuildingOperator
 class QPSolver:
     """Solves `MPCProblem`s of one operator and shape.
 
+    Args:
+        operator: the operator of the building.
+        shape: what all its problems have in common.
+        config: options.
+        backends: solvers in the place of PIQP and Clarabel, by name.
+
     Raises:
         ControllerConfigError: the problem is not convex (levels between off and `u_max` have their own efficiency, or
             actuators exclude one another), or the operator is not of these actuators.
     """
 
-    def __init__(self, operator: BuildingOperator, shape: ProblemShape, config: QPConfig) -> None:
+    def __init__(
+        self,
+        operator: BuildingOperator,
+        shape: ProblemShape,
+        config: QPConfig,
+        backends: Mapping[QPBackend, Callable[[QPData], SolverResult]] | None = None,
+    ) -> None:
         if not shape.convex(operator):
             raise ControllerConfigError(
                 "solver qp: power or heat is not proportional to u in this actuation, actuators exclude one another, "
@@ -35,10 +47,8 @@ class QPSolver:
             )
         self.operator, self.shape, self.config = operator, shape, config
         self._sparse_qp = SparseQP(operator, shape)
-        self._solve_with: dict[QPBackend, Callable[[QPData], SolverResult]] = {
-            "piqp": Piqp(config),
-            "clarabel": Clarabel(config),
-        }
+        self._backends: dict[QPBackend, Callable[[QPData], SolverResult]]
+        self._backends = {"piqp": Piqp(config), "clarabel": Clarabel(config), **(backends or {})}
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
         """Solve one instance. On failure `ok` is False and `problem` has each solver's reason.
@@ -66,7 +76,7 @@ class QPSolver:
         self, backend: QPBackend, qp_data: QPData, problem: MPCProblem, drive: Drive, guess: Array | None
     ) -> Solution:
         try:
-            answer = self._solve_with[backend](qp_data)
+            answer = self._backends[backend](qp_data)
         except (KeyboardInterrupt, SystemExit):
             raise
         except BaseException as error:  # also a panic of a compiled solver, which is no Exception: the next is tried

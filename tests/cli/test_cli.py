@@ -195,7 +195,7 @@ def test_a_model_below_the_bar_is_saved_with_exit_code_4_and_not_acted_on(simple
 
 @pytest.mark.slow
 def test_a_run_goes_on_under_native_control_where_nothing_can_be_identified(simple, tmp_path):
-    simple.house._measure = lambda u=float("nan"): replace(type(simple.house)._measure(simple.house, u), T_zone_C=21.0)
+    simple.house.measure = lambda u=float("nan"): replace(type(simple.house).measure(simple.house, u), T_zone_C=21.0)
     done = simple(
         "--set", "identification.days=1", "--set", "identification.most_days=1", "--baselines", "", "--days", "1",
         "--out", "r",

@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import click
@@ -24,7 +25,18 @@ from waiting import LONG_S, wait_for
 
 from thermoforce_mpc.cli.options import execution_options
 from thermoforce_mpc.errors import ConfigError, EngineError
-from thermoforce_mpc.execution import DaskEngine, JsonResults, LocalEngine, Task, cluster, collect, execute, open_engine
+from thermoforce_mpc.execution import (
+    DaskEngine,
+    JsonResults,
+    LocalEngine,
+    Task,
+    cluster,
+    collect,
+    execute,
+    open_engine,
+    opening,
+)
+from thermoforce_mpc.execution.cluster import Patience
 
 pytest.importorskip("distributed", reason="needs the extra [fleet]: pip install distributed")
 
@@ -82,10 +94,9 @@ def test_a_worker_that_is_killed_costs_no_result(engine, tmp_path):
     assert all(o.attempts == 0 for o in execute(tasks(tmp_path, functions.die), engine, dask))
 
 
-def test_a_worker_that_is_lost_is_mentioned_while_others_work(dask_cluster, engine, tmp_path, monkeypatch):
-    monkeypatch.setattr(cluster, "_LOOK_EVERY_S", 0.2)
+def test_a_worker_that_is_lost_is_mentioned_while_others_work(dask_cluster, engine, tmp_path):
     said: list[str] = []
-    with DaskEngine(dask_cluster, say=said.append) as telling:
+    with DaskEngine(dask_cluster, patience=Patience(look_s=0.2), say=said.append) as telling:
         tasks = [task(1, tmp_path, functions.die_at_first, times=1), *(task(n, tmp_path, seconds=0.4) for n in (2, 3))]
         assert len(list(execute(tasks, telling))) == 3
     assert re.fullmatch(rf"Dask scheduler {dask_cluster}: \d workers?, dashboard http://.*/status", said[0])
@@ -144,15 +155,14 @@ def test_a_worker_of_several_threads_that_comes_later_ends_the_campaign(dask_clu
 
 
 def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch):
-    monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
-    before = _loops()
+    patience, before = Patience(connect_s=0.5), _loops()
     with socket.socket() as mute:  # bound, so that nobody else gets the port, and not listening
         mute.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
         with pytest.raises(ConfigError, match=f"{address}: no Dask scheduler answers"):
-            open_engine(scheduler=address)
+            DaskEngine(address, patience=patience)
     with pytest.raises(ConfigError, match="nowhere"):
-        open_engine(scheduler="what://nowhere")
+        DaskEngine("what://nowhere", patience=patience)
     wait_for("no client's thread is left", lambda: _loops() <= before)
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigError, match=r"extra \[fleet\]"):
@@ -170,19 +180,17 @@ def test_the_address_of_a_worker_is_refused(dask_cluster, engine):
             open_engine(scheduler=address)
 
 
-def test_a_port_that_accepts_and_stays_silent_is_refused(monkeypatch):
+def test_a_port_that_accepts_and_stays_silent_is_refused():
     """The limit of the connection alone does not end it, and no signal did."""
     before = _loops()
-    monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
     with _silent(0) as port, _within(5.0), pytest.raises(ConfigError, match=r"no Dask scheduler answers .* 0\.5 s"):
-        open_engine(scheduler=f"tcp://127.0.0.1:{port}")
-    monkeypatch.setattr(cluster, "_CONNECT_S", 60.0)
+        DaskEngine(f"tcp://127.0.0.1:{port}", patience=Patience(connect_s=0.5))
     ended = signal.signal(signal.SIGALRM, _interrupt)
     try:
         with _silent(0) as port, _within(5.0):
             signal.setitimer(signal.ITIMER_REAL, 0.3)
             with pytest.raises(KeyboardInterrupt):
-                open_engine(scheduler=f"tcp://127.0.0.1:{port}")
+                DaskEngine(f"tcp://127.0.0.1:{port}", patience=Patience(connect_s=60.0))
     finally:
         signal.signal(signal.SIGALRM, ended)
     wait_for("no client's thread is left", lambda: _loops() <= before)
@@ -191,8 +199,8 @@ def test_a_port_that_accepts_and_stays_silent_is_refused(monkeypatch):
 def test_why_nothing_goes_on_is_told_on_stderr_also_where_all_else_is_silent(monkeypatch):
     from distributed import LocalCluster
 
-    monkeypatch.setattr(cluster, "_LOOK_EVERY_S", 0.05)
-    monkeypatch.setattr(cluster, "_SAID_EVERY_S", 0.1)
+    impatient = partial(DaskEngine, patience=Patience(look_s=0.05, repeat_s=0.1))
+    monkeypatch.setattr(opening, "DaskEngine", impatient)
     ended = signal.signal(signal.SIGALRM, _interrupt)
 
     @click.command
@@ -212,15 +220,14 @@ def test_why_nothing_goes_on_is_told_on_stderr_also_where_all_else_is_silent(mon
 
 
 @pytest.mark.slow
-def test_a_silent_port_in_the_place_of_the_scheduler_is_not_waited_for_without_end(monkeypatch):
+def test_a_silent_port_in_the_place_of_the_scheduler_is_not_waited_for_without_end():
     port, said, warned = _free_port(), [], []
     scheduler = _dask("scheduler", "--port", str(port), "--no-dashboard")
     try:
-        monkeypatch.setattr(cluster, "_CONNECT_S", LONG_S)  # until it has started
-        with DaskEngine(f"tcp://127.0.0.1:{port}", wait_s=2.0, say=said.append, warn=warned.append) as engine:
+        patience = Patience(connect_s=LONG_S, back_s=2.0)  # until it has started, and for its return
+        with DaskEngine(f"tcp://127.0.0.1:{port}", patience=patience, say=said.append, warn=warned.append) as engine:
             scheduler.kill()
             scheduler.wait()
-            monkeypatch.setattr(cluster, "_CONNECT_S", 2.0)
             with _silent(port), _within(10.0), pytest.raises(EngineError, match="did not come back in 2 s"):
                 engine.wait()
     finally:

@@ -156,15 +156,8 @@ def test_a_task_tells_how_far_it_is(engine):
     assert [o.reason for o in watched.outcomes] == [""]
 
 
-@pytest.fixture
-def patient(monkeypatch):
-    """A worker may take long to leave, on a busy machine."""
-    monkeypatch.setattr(local, "_LEAVE_S", LONG_S)
-
-
-@pytest.mark.usefixtures("patient")
 def test_what_is_under_way_is_ended_and_released_when_nobody_wants_more(log):
-    engine = LocalEngine(1)
+    engine = LocalEngine(1, leave_s=LONG_S)
     engine.submit("k", "k", functions_payload(log))
     assert engine.wait() == Begun("k")
     wait_for("the task begins", lambda: functions.begun(log))
@@ -181,17 +174,13 @@ def functions_payload(log: Path) -> bytes:
     return payload_of(functions.hold, {"n": 0, "log": str(log)}, ())
 
 
-@pytest.mark.usefixtures("patient")
 def test_an_interrupt_while_a_task_is_handed_over_ends_its_worker(tmp_path, log, monkeypatch):
-    submit = local._Process.submit
-
-    def interrupted(process, key, payload):
-        submit(process, key, payload)
+    def interrupted(key):
         wait_for("the task begins", lambda: "1" in functions.begun(log))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(local._Process, "submit", interrupted)
-    with LocalEngine(1) as engine:
+    monkeypatch.setattr(local, "Begun", interrupted)  # which is told as soon as the process has its task
+    with LocalEngine(1, leave_s=LONG_S) as engine:
         with pytest.raises(KeyboardInterrupt):
             list(execute([task(1, log, functions.hold)], engine))
         assert (tmp_path / "released").exists()
@@ -203,9 +192,7 @@ import signal
 import sys
 from pathlib import Path
 import executed_tasks as functions
-from thermoforce_mpc.execution import JsonResults, LocalEngine, Task, execute, local
-
-local._LEAVE_S = 120.0
+from thermoforce_mpc.execution import JsonResults, LocalEngine, Task, execute
 
 if __name__ == "__main__":
     # A shell ignores it for what it starts in the background, and that is inherited.
@@ -216,7 +203,7 @@ if __name__ == "__main__":
     last = functions.hold if hold else functions.total
     tasks.append(Task("key3", "task 3", last, {"n": 3, "log": log}))
     try:
-        with LocalEngine(1) as engine:
+        with LocalEngine(1, leave_s=120.0) as engine:
             for outcome in execute(tasks, engine, JsonResults(folder / "kept")):
                 print(outcome.task.key, outcome.attempts, flush=True)
     except KeyboardInterrupt:

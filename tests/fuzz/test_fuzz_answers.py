@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import tracemalloc
 import zlib
@@ -43,9 +44,7 @@ class Service:
         self.status, self.content = 200, b""
 
     def request(self, *_: object, **__: object) -> requests.Response:
-        answer = requests.Response()
-        answer.status_code, answer._content = self.status, self.content
-        return answer
+        return _answer(self.content, self.status)
 
 
 @pytest.fixture
@@ -65,9 +64,9 @@ def client(service):
     return made
 
 
-def _answer(content: bytes) -> requests.Response:
+def _answer(content: bytes, status: int = 200) -> requests.Response:
     answer = requests.Response()
-    answer.status_code, answer._content = 200, content
+    answer.status_code, answer.raw = status, io.BytesIO(content)
     return answer
 
 

@@ -67,7 +67,10 @@ def test_observation_holds_measurement_past_and_forecast_by_name() -> None:
     start = dict(zip(env.observations, first, strict=True))
     assert named["T_zone_C-900s"] == before["T_zone_C"]
     assert [named["u"], named["u-900s"], named["u-1800s"]] == [0.0, 0.25, 1.0]
-    plant = env._view._plant  # type: ignore[attr-defined]
+    plant = EmbeddedPlant(synthetic_weather())
+    plant.reset(16 * DAY_S, DAY_S)
+    for level in (1.0, 0.25, 0.0):
+        plant.advance(level, 900.0)
     coming = plant.forecast(2 * 3600.0, 3600.0)
     assert named["T_out_C+3600s"] == pytest.approx(coming.T_out_C[1], rel=1e-6)
     assert named["lower_C+7200s"] == coming.lower_C[0, 2]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.bench.operator_data import cut, read_hourly_pairs, read_run
-from benchmarks.bench.operator_score import score_pairs
+from benchmarks.operator.data import cut, read_hourly_pairs, read_run
+from benchmarks.operator.score import score_pairs
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 

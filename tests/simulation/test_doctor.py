@@ -10,6 +10,7 @@ import pytest
 from boptest_server import running_service
 from click.testing import CliRunner
 
+from controllers import ThermoForceMPC
 from controllers.optimisation.qp import QPSolver
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError
@@ -66,7 +67,7 @@ def test_a_solver_that_does_not_solve_and_one_that_is_missing(tmp_path, monkeypa
     finding = found("solver qp", tmp_path)
     assert finding.state == "failed"
     assert "no plan" in finding.told
-    monkeypatch.setattr(doctor, "_solver", lambda name: broken(None, None))
+    monkeypatch.setattr(ThermoForceMPC, "plan", broken)
     finding = found("solver qp", tmp_path)
     assert finding.told == "piqp is not installed"
     assert "pip install" in finding.todo

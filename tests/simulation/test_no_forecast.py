@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from faults import FaultyHouse
 from simple_house import SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
@@ -26,17 +27,15 @@ from thermoforce_mpc.simulation.views.explaining import decision_at
 START_S = 10 * DAY_S
 
 
-class Silent(SimpleHouse):
-    """A house that gives no forecast between two hours after day 10."""
+def silent(from_h: float, to_h: float, otherwise=lambda house, given: given) -> FaultyHouse:
+    """A house that gives no forecast between two hours of the run."""
 
-    def __init__(self, from_h: float, to_h: float) -> None:
-        super().__init__()
-        self.silent_s = START_S + from_h * HOUR_S, START_S + to_h * HOUR_S
-
-    def forecast(self, horizon_s, interval_s):
-        if self.silent_s[0] <= self.now_s < self.silent_s[1]:
+    def says(house, given):
+        if from_h <= house.hours < to_h:
             raise NoForecast("the weather service is down")
-        return super().forecast(horizon_s, interval_s)
+        return otherwise(house, given)
+
+    return FaultyHouse(says=says)
 
 
 def controller() -> ThermoForceMPC:
@@ -50,11 +49,11 @@ def ran(plant, hours: float = 16, **options):
 
 def test_the_last_forecast_stands_in_and_is_marked(caplog):
     with caplog.at_level(logging.WARNING):
-        found = ran(Silent(4, 9))
-    silent = found.steps[4:9]
-    assert {step.plan.status for step in silent} == {PlanStatus.BRIDGED}
-    assert all("the plant gives no forecast, the last one is" in " ".join(step.notes) for step in silent)
-    assert all("last forecast" in step.plan.why for step in silent)
+        found = ran(silent(4, 9))
+    alone = found.steps[4:9]
+    assert {step.plan.status for step in alone} == {PlanStatus.BRIDGED}
+    assert all("the plant gives no forecast, the last one is" in " ".join(step.notes) for step in alone)
+    assert all("last forecast" in step.plan.why for step in alone)
     assert {step.plan.status for step in (*found.steps[:4], *found.steps[9:])} == {PlanStatus.SOLVED}
     assert [("stands in" in text, "again, after 5 h" in text) for text in caplog.messages] == [
         (True, False),
@@ -70,18 +69,18 @@ def test_the_last_forecast_stands_in_and_is_marked(caplog):
 
 def test_it_has_an_end():
     with pytest.raises(NoForecast, match=r"no forecast for 4 h.*forecast_outage_h allows \(3 h\)"):
-        ran(Silent(4, 99), outage_h=3.0)
-    assert len(ran(Silent(4, 99), outage_h=12.0).steps) == 16
+        ran(silent(4, 99), outage_h=3.0)
+    assert len(ran(silent(4, 99), outage_h=12.0).steps) == 16
 
 
 def test_a_plant_that_never_gave_a_forecast_ends_the_run_at_once():
     with pytest.raises(NoForecast, match="the weather service is down"):
-        ran(Silent(0, 99))
+        ran(silent(0, 99))
 
 
 def test_a_run_killed_without_a_forecast_goes_on_to_the_same_bytes_and_is_explained(tmp_path, monkeypatch):
     simple_model().save(tmp_path / "model")
-    monkeypatch.setattr(simulation_run, "build_plant", lambda spec, testcase, seed: Silent(4, 30))
+    monkeypatch.setattr(simulation_run, "build_plant", lambda spec, testcase, seed: silent(4, 30))
     monkeypatch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
     words = ["--model", tmp_path / "model", "--baselines", "", "--days", "0.5", "--out", tmp_path / "run"]
     settings = ["--set", "controller.options.gate.enabled=false", "--set", "step_s=3600", "--set", "days=0.5"]
@@ -105,16 +104,13 @@ def test_a_run_killed_without_a_forecast_goes_on_to_the_same_bytes_and_is_explai
     assert not any("is down" in line["message"] for line in steps if "step" not in line), "not said again"
 
 
-class Gappy(Silent):
-    """A house that also gives forecasts that are too short, or without the price of heating."""
-
-    def forecast(self, horizon_s, interval_s):
-        given, hour = super().forecast(horizon_s, interval_s), (self.now_s - START_S) / HOUR_S
-        if 2 <= hour < 4:
-            return given.head(given.n_steps - 5)
-        if 7 <= hour < 9:
-            return replace(given, heating_price_per_kWh=np.where(given.time_s % DAY_S < 6 * HOUR_S, np.nan, 0.1)[None])
-        return given
+def gappy(house, given):
+    """Forecasts that are too short, or without the price of heating."""
+    if 2 <= house.hours < 4:
+        return given.head(given.n_steps - 5)
+    if 7 <= house.hours < 9:
+        return replace(given, heating_price_per_kWh=np.where(given.time_s % DAY_S < 6 * HOUR_S, np.nan, 0.1)[None])
+    return given
 
 
 def test_a_journal_tells_the_forecasts_that_the_run_had(tmp_path, monkeypatch):
@@ -125,7 +121,7 @@ def test_a_journal_tells_the_forecasts_that_the_run_had(tmp_path, monkeypatch):
         had["run"] = run_closed_loop(*args, **options)
         return had["run"]
 
-    monkeypatch.setattr(simulation_run, "build_plant", lambda spec, testcase, seed: Gappy(4, 7))
+    monkeypatch.setattr(simulation_run, "build_plant", lambda spec, testcase, seed: silent(4, 7, gappy))
     monkeypatch.setattr(simulation_run, "run_closed_loop", kept)
     monkeypatch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
     words = ["run", "--testcase", "bestest_hydronic_heat_pump", "--model", tmp_path / "model", "--baselines", ""]

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
-from benchmarks.bench import saving as bench
+from benchmarks.operation import saving as bench
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, Names, Record
 from thermoforce_mpc.errors import DataError

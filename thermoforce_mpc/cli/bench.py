@@ -13,7 +13,7 @@ import click
 from thermoforce_mpc.cli.options import FiniteRange, Opening, execution_options
 
 if TYPE_CHECKING:
-    from benchmarks.bench.fleet import Part
+    from benchmarks.fleet.bench import Part
 
 
 @click.group(short_help="Run benchmarks and compare the results with their targets.")
@@ -35,7 +35,7 @@ _QUICK = click.option("--quick", is_flag=True, help="Smaller and faster version 
 @_JSON
 def plant_command(reference: Path, weather: Path | None, out: Path | None, quick: bool, json_file: Path | None) -> None:
     """Score the embedded plant against records of the real test case."""
-    from benchmarks.bench.plant import run_plant_bench
+    from benchmarks.plant.bench import run_plant_bench
 
     show(run_plant_bench(reference, weather, quick=quick, out=out, progress=_progress), json_file)
 
@@ -46,7 +46,7 @@ def plant_command(reference: Path, weather: Path | None, out: Path | None, quick
 @_JSON
 def operator_command(reference: Path, quick: bool, json_file: Path | None) -> None:
     """Score identified operators on held-out interventions and time the rollout against a plain loop."""
-    from benchmarks.bench.operator import run_operator_bench
+    from benchmarks.operator.bench import run_operator_bench
 
     show(run_operator_bench(reference, quick=quick, progress=_progress), json_file)
 
@@ -56,7 +56,7 @@ def operator_command(reference: Path, quick: bool, json_file: Path | None) -> No
 @_JSON
 def probing_command(quick: bool, json_file: Path | None) -> None:
     """Compare designed with random probing, and test online adaptation to a loss of capacity, on the embedded plant."""
-    from benchmarks.bench.probing import run_probing_bench
+    from benchmarks.probing.bench import run_probing_bench
 
     show(run_probing_bench(quick=quick, progress=_progress), json_file)
 
@@ -66,7 +66,7 @@ def probing_command(quick: bool, json_file: Path | None) -> None:
 @_JSON
 def controller_command(quick: bool, json_file: Path | None) -> None:
     """Time the solvers and do-mpc on the same instances, and each part of a control step (extra [bench])."""
-    from benchmarks.bench.controller import run_controller_bench
+    from benchmarks.controller.bench import run_controller_bench
 
     show(run_controller_bench(quick=quick, progress=_progress), json_file)
 
@@ -76,7 +76,7 @@ def controller_command(quick: bool, json_file: Path | None) -> None:
 @_JSON
 def gym_command(quick: bool, json_file: Path | None) -> None:
     """Steps per second of the Gymnasium environments beside the same over REST (extras [gym] and [serve])."""
-    from benchmarks.bench.gym import run_gym_bench
+    from benchmarks.plant.gym import run_gym_bench
 
     show(run_gym_bench(quick=quick, progress=_progress), json_file)
 
@@ -94,7 +94,7 @@ def gym_command(quick: bool, json_file: Path | None) -> None:
 @_JSON
 def dpc_command(days: float, price: str, quick: bool, json_file: Path | None) -> None:
     """Put a policy trained through the model beside the MPC and the thermostat: cost, discomfort, training, time."""
-    from benchmarks.bench.dpc import run_dpc_bench
+    from benchmarks.closed_loop.dpc import run_dpc_bench
 
     show(run_dpc_bench(days=days, price=price, quick=quick, progress=_progress), json_file)
 
@@ -117,7 +117,7 @@ def buildings_command(
 
     Two weeks a house: the coldest and a sunny one in spring. Costs in EUR/m² and discomfort in K·h of the week.
     """
-    from benchmarks.bench.buildings import run_buildings_bench
+    from benchmarks.closed_loop.buildings import run_buildings_bench
 
     with engine(_progress) as where:
         result = run_buildings_bench(houses=houses, seed=seed, engine=where, quick=quick, out=out, progress=_progress)
@@ -135,7 +135,7 @@ def buildings_command(
 @_JSON
 def fleet_command(only: tuple[Part, ...], quick: bool, json_file: Path | None) -> None:
     """What many buildings cost to identify, to plan for, to coordinate under a limit and to simulate, on two cores."""
-    from benchmarks.bench.fleet import PARTS, run_fleet_bench
+    from benchmarks.fleet.bench import PARTS, run_fleet_bench
 
     show(run_fleet_bench(only or PARTS, quick=quick, progress=_progress), json_file)
 
@@ -151,7 +151,7 @@ def zones_command(fmus: Path | None, engine: Opening, only_speed: bool, quick: b
 
     Five zones are solved in do-mpc too (extra [bench]).
     """
-    from benchmarks.bench.zones import run_zones_bench
+    from benchmarks.zones.bench import run_zones_bench
 
     with engine(_progress) as where:
         result = run_zones_bench(fmus=fmus, engine=where, quick=quick, only_speed=only_speed, progress=_progress)
@@ -175,7 +175,7 @@ def boptest_command(fmus: Path, price: str, engine: Opening, quick: bool, json_f
 
     Cost per m² in the test case's currency and discomfort in K·h of two weeks (extra [fmu]).
     """
-    from benchmarks.bench.boptest import run_boptest_bench
+    from benchmarks.closed_loop.boptest import run_boptest_bench
 
     with engine(_progress) as where:
         show(run_boptest_bench(fmus, price=price, engine=where, quick=quick, progress=_progress), json_file)
@@ -187,7 +187,7 @@ def boptest_command(fmus: Path, price: str, engine: Opening, quick: bool, json_f
 @_JSON
 def faults_command(stand_back: str, quick: bool, json_file: Path | None) -> None:
     """Measure how soon the watch notices faults of the embedded plant that last a day, and what they cost."""
-    from benchmarks.bench.faults import run_faults_bench
+    from benchmarks.faults.bench import run_faults_bench
 
     show(run_faults_bench(quick=quick, progress=_progress, stand_back=stand_back), json_file)
 
@@ -197,7 +197,7 @@ def faults_command(stand_back: str, quick: bool, json_file: Path | None) -> None
 @_JSON
 def fallback_command(quick: bool, json_file: Path | None) -> None:
     """Measure what broken sensors, forecasts and solvers cost on the embedded plant, with protection and without."""
-    from benchmarks.bench.fallback import run_fallback_bench
+    from benchmarks.faults.fallback import run_fallback_bench
 
     show(run_fallback_bench(quick=quick, progress=_progress), json_file)
 
@@ -262,7 +262,7 @@ def factual_command(
     """
     import pandas as pd
 
-    from benchmarks.bench.factual import run_factual_bench
+    from benchmarks.factual.bench import run_factual_bench
     from benchmarks.factual.readers import mapped_homes, read_homes
     from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES
 
@@ -299,7 +299,7 @@ def operation_command(engine: Opening, quick: bool, json_file: Path | None) -> N
     On the embedded plant and a house of three rooms, by the effect of acting on pairs of days; heat is not measured.
     Target: a model that is wrong says so.
     """
-    from benchmarks.bench.operation import run_operation_bench
+    from benchmarks.operation.bench import run_operation_bench
 
     with engine(_progress) as where:
         show(run_operation_bench(engine=where, quick=quick, progress=_progress), json_file)
@@ -317,7 +317,7 @@ def saving_command(cases: int, seed: int, engine: Opening, quick: bool, json_fil
     Every fourth case changes nothing. Targets: the 95 % interval holds the truth in 85 % of the cases or more, and no
     saving is claimed where there was none.
     """
-    from benchmarks.bench.saving import run_saving_bench
+    from benchmarks.operation.saving import run_saving_bench
 
     with engine(_progress) as where:
         show(run_saving_bench(n=cases, seed=seed, engine=where, quick=quick, progress=_progress), json_file)
@@ -343,7 +343,7 @@ def free_response_command(
     Also measures the coverage of the intervals over two weeks and the share of the error that weather can explain
     (both left out with --quick), the effect of history length and number of resolutions, and the time per forecast.
     """
-    from benchmarks.bench.free_response import run_free_response_bench
+    from benchmarks.free_response.bench import run_free_response_bench
 
     result = run_free_response_bench(reference, houses, backbone=backbone, quick=quick, out=out, progress=_progress)
     show(result, json_file)
@@ -363,7 +363,7 @@ def backbones_command(
     backbones: str | None, reference: Path | None, out: Path | None, quick: bool, json_file: Path | None
 ) -> None:
     """Compare forecasters, alone and composed with the operator, 6 h ahead on records with control."""
-    from benchmarks.bench.backbones import run_backbone_bench
+    from benchmarks.free_response.backbones import run_backbone_bench
 
     names = [name.strip() for name in (backbones or "").split(",") if name.strip()]
     show(run_backbone_bench(names, reference, quick=quick, out=out, progress=_progress), json_file)
@@ -421,8 +421,8 @@ def interventions_command(
     json_file: Path | None,
 ) -> None:
     """Score predicted effects of interventions against paired EnergyPlus runs (extra [energyplus])."""
-    from benchmarks.bench.interventions import run_interventions_bench
-    from benchmarks.bench.interventions_studies import run_study
+    from benchmarks.interventions.bench import run_interventions_bench
+    from benchmarks.interventions.studies import run_study
 
     options: dict[str, Any] = {"out": out, "days": days, "quick": quick, "backbone": backbone, "seed": seed}
     if methods and study != "validity":

@@ -8,7 +8,7 @@ from typing import TypeGuard
 import numpy as np
 
 from thermoforce_mpc.data.clock import Array
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import DataError, InputError
 
 # The first axis of each signal that has one: zones, actuators or machines.
 AXIS = {
@@ -68,6 +68,29 @@ class Names:
 
 SINGLE = Names()
 """One zone with one actuator and one machine."""
+
+
+def check_same_building(
+    what: str,
+    names: Names,
+    of: str,
+    others: Names,
+    *,
+    single_alike: bool = False,
+    error: type[InputError] = DataError,
+) -> None:
+    """Raise `error` where two things are not of the same zones, actuators and machines.
+
+    Args:
+        what: the one, in words, such as 'the model'.
+        names: of it.
+        of: the other, such as 'the record'.
+        others: of that.
+        single_alike: buildings of one zone with one actuator and one machine are the same, whatever their names.
+        error: what is raised.
+    """
+    if names != others and not (single_alike and names.single and others.single):
+        raise error(f"{what} is of {names}, {of} of {others}: another building?")
 
 
 def frozen(value: object, name: str, length: int, names: Names) -> Array:

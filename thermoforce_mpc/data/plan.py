@@ -11,6 +11,7 @@ import numpy as np
 
 from thermoforce_mpc.data.clock import Array
 from thermoforce_mpc.data.names import SINGLE, Names, of_each
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import DataError
 
 if TYPE_CHECKING:  # loaded only where tables go out
@@ -92,6 +93,8 @@ class Plan:
     for) (Z, N), and predicted `power_W` (M, N); they are empty for rules. `time_s` (N,) is the start of each step,
     counted from `origin` where the record has time stamps. `T_free_now_C` (Z,) is the control-free temperature the plan
     starts from.
+    `margins` of the first step by name: K inside the lower and the upper bound of each zone (2, Z); `offset` (Z,), K,
+    is added to the prediction, `unused_capacity` (M,) the share of each machine that is not planned for.
     `acting` (A,): source of the action of each actuator; `status` is that of the plan, or of what took the place of the
     plan at one of them. `why` is one sentence for people; `news` (part of it) what the controller learned in this step
     of sensors, meters or its model; `solver_status` is the status reported by the solver. `state`
@@ -115,6 +118,7 @@ class Plan:
     solver_status: str = ""
     iterations: int = 0
     seconds: Mapping[str, float] = field(default_factory=dict)
+    margins: Mapping[str, Array] = field(default_factory=dict)
     names: Names = SINGLE
     acting: tuple[PlanStatus, ...] = ()
     state: object = field(default=None, repr=False)
@@ -133,7 +137,7 @@ class Plan:
     @property
     def T_zone_C(self) -> Array:
         """Predicted zone temperatures at the end of each step, free plus forced (paper eq:compose), (Z, N), °C."""
-        return np.asarray(self.T_free_C + self.T_forced_K, dtype=np.float64)
+        return compose(self.T_free_C, self.T_forced_K)
 
     def to_dataframe(self) -> pd.DataFrame:
         """The planned horizon, one row per step at its start; no rows where nothing was solved.
@@ -148,8 +152,8 @@ class Plan:
             u=self.u,
             power_W=self.power_W,
             T_zone_C=self.T_zone_C,
-            T_low_C=self.T_free_low_C + self.T_forced_K,
-            T_high_C=self.T_free_high_C + self.T_forced_K,
+            T_low_C=compose(self.T_free_low_C, self.T_forced_K),
+            T_high_C=compose(self.T_free_high_C, self.T_forced_K),
             T_free_C=self.T_free_C,
             T_forced_K=self.T_forced_K,
             slack_K=self.slack_K,

@@ -11,6 +11,7 @@ import time
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 from thermoforce_mpc.errors import ConfigError, EngineError
@@ -20,11 +21,8 @@ from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, 
 from thermoforce_mpc.execution.environment import difference, environment
 from thermoforce_mpc.words import counted
 
-_CONNECT_S = 10.0
 # So long an attempt to connect takes at least, and the pause after it.
 _LEAST_S = 1.0
-_LOOK_EVERY_S = 2.0
-_SAID_EVERY_S = 60.0
 _MOST_NAMED = 3
 # So many more tasks than threads wait at the scheduler that a cluster that grows with its work does grow.
 _IN_HAND = 20
@@ -32,12 +30,29 @@ _IN_HAND = 20
 _LARGE_IS_MEANT = {"distributed.admin.large-graph-warning-threshold": "1 GB"}
 
 
+@dataclass(frozen=True)
+class Patience:
+    """How long things may take, s.
+
+    Attributes:
+        connect_s: until a scheduler answers.
+        back_s: until one that is gone is back.
+        look_s: between two looks at the workers.
+        repeat_s: between two messages of why nothing goes on.
+    """
+
+    connect_s: float = 10.0
+    back_s: float = 120.0
+    look_s: float = 2.0
+    repeat_s: float = 60.0
+
+
 class DaskEngine:
     """Tasks on the cluster of the scheduler at `address`; a context manager.
 
     Args:
         address: such as tcp://host:8786.
-        wait_s: how long to wait for a scheduler that is gone.
+        patience: how long to wait for whom.
         say: callback for what a user may want to know.
         warn: callback for why nothing goes on; by default `say`.
 
@@ -50,19 +65,19 @@ class DaskEngine:
         self,
         address: str,
         *,
-        wait_s: float = 120.0,
+        patience: Patience | None = None,
         say: Callable[[str], None] = lambda line: None,
         warn: Callable[[str], None] | None = None,
     ) -> None:
-        self._address, self._wait_s, self._say, self._warn = address, wait_s, say, warn or say
+        self._address, self._patience, self._say, self._warn = address, patience or Patience(), say, warn or say
         self._topic = f"thermoforce-mpc-{uuid.uuid4().hex}"
         self._orders: dict[str, Order] = {}
         self._futures: dict[str, Any] = {}
         self._events: queue.SimpleQueue[Event | tuple[str, Any]] = queue.SimpleQueue()
         self._threads: dict[str, int] = {}  # of each worker
-        self._looked, self._working = 0.0, time.monotonic()
+        self._checked_s, self._working_s = 0.0, time.monotonic()
         try:
-            self._client = self._connect(_CONNECT_S)
+            self._client = self._connect(self._patience.connect_s)
         except (OSError, ValueError) as error:
             raise ConfigError(
                 f"--scheduler {address}: no Dask scheduler answers there ({_first_line(error)}); start one by "
@@ -86,13 +101,13 @@ class DaskEngine:
 
     def _close(self) -> None:
         with suppress(OSError):
-            self._client.close(timeout=_CONNECT_S)
+            self._client.close(timeout=self._patience.connect_s)
 
     @property
     def width(self) -> int:
         """Number of workers, which have one thread each."""
-        if time.monotonic() - self._looked > _LOOK_EVERY_S:
-            self._look()
+        if time.monotonic() - self._checked_s > self._patience.look_s:
+            self._update_workers()
         return sum(self._threads.values())
 
     @property
@@ -120,10 +135,10 @@ class DaskEngine:
     def wait(self) -> Event:
         """The next event; raises `EngineError` if the scheduler does not come back, or a worker does not fit."""
         while True:
-            if self._client.status == "running" and time.monotonic() - self._looked > _LOOK_EVERY_S:
-                self._look()
+            if self._client.status == "running" and time.monotonic() - self._checked_s > self._patience.look_s:
+                self._update_workers()
             try:
-                event = self._events.get(timeout=_LOOK_EVERY_S)
+                event = self._events.get(timeout=self._patience.look_s)
             except queue.Empty:
                 if self._client.status != "running":
                     self._reconnect()
@@ -169,7 +184,7 @@ class DaskEngine:
         except ImportError:
             raise ConfigError("--scheduler needs the extra [fleet]: pip install 'thermoforce-mpc[fleet]'") from None
         check_scheduler(self._address, within_s)
-        client = Client(self._address, timeout=_CONNECT_S, set_as_default=False)
+        client = Client(self._address, timeout=self._patience.connect_s, set_as_default=False)
         client.subscribe_topic(self._topic, self._hear)
         return client
 
@@ -201,22 +216,22 @@ class DaskEngine:
         link: str = self._client.dashboard_link
         return "" if is_missing(link) else f", dashboard {link}"
 
-    def _look(self) -> None:
-        """Which workers there are now; tells which are gone, and where there are none for long."""
+    def _update_workers(self) -> None:
+        """Read which workers there are now; report those that are gone, and where there are none for long."""
         try:
-            former, self._threads = self._threads, self._client.nthreads(callback_timeout=_CONNECT_S)
-            self._tell_gone(sorted(former.keys() - self._threads.keys()))
+            former, self._threads = self._threads, self._client.nthreads(callback_timeout=self._patience.connect_s)
+            self._report_gone(sorted(former.keys() - self._threads.keys()))
             problem = "" if self._threads else self._no_worker()
         except OSError:
             problem = f"the Dask scheduler at {self._address} does not answer; waiting for it"
-        self._looked = time.monotonic()
+        self._checked_s = time.monotonic()
         if not problem:
-            self._working = self._looked
-        elif self._looked - self._working > _SAID_EVERY_S:
-            self._working = self._looked
+            self._working_s = self._checked_s
+        elif self._checked_s - self._working_s > self._patience.repeat_s:
+            self._working_s = self._checked_s
             self._warn(problem)
 
-    def _tell_gone(self, workers: list[str]) -> None:
+    def _report_gone(self, workers: list[str]) -> None:
         if workers:
             names = ", ".join(workers[:_MOST_NAMED]) + (", …" if len(workers) > _MOST_NAMED else "")
             gone, left = counted(len(workers), "worker"), counted(len(self._threads), "worker")
@@ -227,24 +242,24 @@ class DaskEngine:
 
     def _reconnect(self) -> None:
         """Connect to a scheduler that was restarted, and send again what had not ended."""
-        self._warn(f"the Dask scheduler at {self._address} is gone; waiting {self._wait_s:.0f} s for it")
+        self._warn(f"the Dask scheduler at {self._address} is gone; waiting {self._patience.back_s:.0f} s for it")
         self._futures.clear()
-        until = time.monotonic() + self._wait_s
+        until = time.monotonic() + self._patience.back_s
         with suppress(Exception):  # it may be in any state
             self._client.close(timeout=1.0)
         while True:
             try:
-                self._client = self._connect(max(min(_CONNECT_S, until - time.monotonic()), _LEAST_S))
+                self._client = self._connect(max(min(self._patience.connect_s, until - time.monotonic()), _LEAST_S))
                 break
             except OSError as error:
                 if time.monotonic() + _LEAST_S > until:
                     raise EngineError(
-                        f"the Dask scheduler at {self._address} did not come back in {self._wait_s:.0f} s; results "
-                        "until here are kept: start it and repeat the command"
+                        f"the Dask scheduler at {self._address} did not come back in {self._patience.back_s:.0f} s; "
+                        "results until here are kept: start it and repeat the command"
                     ) from error
                 time.sleep(_LEAST_S)
         self._threads = {}  # they ended with their scheduler
-        self._look()
+        self._update_workers()
         self._warn(f"the Dask scheduler is back; {counted(len(self._orders), 'task')} sent again")
         for key in self._orders:
             self._send(key, key)

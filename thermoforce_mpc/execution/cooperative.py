@@ -125,8 +125,8 @@ def within(seconds: float, computation: Computation[Result]) -> Computation[Resu
     until_s = time.monotonic() + seconds
 
     def bounded(request: Request) -> Request:
-        left = until_s - time.monotonic()
-        return replace(request, seconds=left if request.seconds is None else min(left, request.seconds))
+        remaining_s = until_s - time.monotonic()
+        return replace(request, seconds=remaining_s if request.seconds is None else min(remaining_s, request.seconds))
 
     return (yield from altered(computation, bounded))
 
@@ -188,9 +188,9 @@ class DirectHandler:
     def _outcome(self, request: Request, spent: float) -> Outcome:
         began = time.perf_counter()
         call = request.call if request.items is None else lambda: request.call(request.items)
-        left = None if request.seconds is None else request.seconds - spent
+        remaining_s = None if request.seconds is None else request.seconds - spent
         try:
-            value = call() if self.bounded is None else self.bounded(request.owner, call, left)
+            value = call() if self.bounded is None else self.bounded(request.owner, call, remaining_s)
         except Exception as error:  # whatever it is, the computation decides
             return Outcome(error=error, seconds=time.perf_counter() - began)
         return Outcome(value, seconds=time.perf_counter() - began)

@@ -32,10 +32,10 @@ def threads() -> str:
     return os.environ.get("OMP_NUM_THREADS", "")
 
 
-def difference(here: Mapping[str, str], there: Mapping[str, str]) -> str:
+def difference(expected: Mapping[str, str], actual: Mapping[str, str]) -> str:
     """What differs, in words; empty if nothing does."""
     return ", ".join(
-        f"{name} {there.get(name, 'unknown')} instead of {version}"
-        for name, version in here.items()
-        if there.get(name) != version
+        f"{name} {actual.get(name, 'unknown')} instead of {version}"
+        for name, version in expected.items()
+        if actual.get(name) != version
     )

@@ -67,9 +67,9 @@ def execute(
         StorageError: a result could not be kept.
         EngineError: the engine is gone, or has a worker that does not fit.
     """
-    wanted = {task.key: task for task in tasks}
+    requested = {task.key: task for task in tasks}
     todo: list[Task] = []
-    for task in wanted.values():
+    for task in requested.values():
         try:
             yield Outcome(task, kept(results, task))
         except KeyError:
@@ -154,7 +154,7 @@ def collect(
         ThermoForceError: that of the task, of its kind.
         TaskFailed: any other error in a task, or its worker died at every attempt.
     """
-    wanted = {task.key for task in tasks}
+    requested = {task.key for task in tasks}
     values = {}
     with closing(execute(tasks, engine, watcher=watcher)) as outcomes:
         for outcome in outcomes:
@@ -162,7 +162,7 @@ def collect(
                 raise outcome.error(outcome.reason)
             if outcome.reason:
                 raise TaskFailed(outcome)
-            if outcome.task.key in wanted:
+            if outcome.task.key in requested:
                 values[outcome.task.key] = outcome.value
                 on_value(outcome.value)
     return [values[task.key] for task in tasks]

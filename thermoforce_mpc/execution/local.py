@@ -25,17 +25,20 @@ from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, 
 from thermoforce_mpc.execution.local_worker import begin, work
 
 _ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
-_LEAVE_S = 5.0
 
 
 class LocalEngine:
     """Tasks in `jobs` processes, started when first needed and used again; a context manager.
 
     Spawned, not forked: a fork would copy locks of compiled code in an undefined state.
+
+    Args:
+        jobs: number of processes.
+        leave_s: how long a process may take to leave its task when it is cancelled, s; then it is killed.
     """
 
-    def __init__(self, jobs: int) -> None:
-        self._jobs = jobs
+    def __init__(self, jobs: int, *, leave_s: float = 5.0) -> None:
+        self._jobs, self._leave_s = jobs, leave_s
         self._idle: list[_Process] = []
         self._busy: dict[str, _Process] = {}
         self._events: queue.SimpleQueue[Event | tuple[str, _Process, Future[Answer]]] = queue.SimpleQueue()
@@ -96,7 +99,7 @@ class LocalEngine:
         """End processes that have a task: first by SIGTERM, so that they release what they hold."""
         for process in self._busy.values():
             process.terminate()
-        until = time.monotonic() + _LEAVE_S
+        until = time.monotonic() + self._leave_s
         while self._busy:
             self._busy.popitem()[1].leave(max(0.0, until - time.monotonic()))
 
@@ -106,15 +109,15 @@ class _Process:
 
     def __init__(self, events: queue.SimpleQueue[Any]) -> None:
         self._context = Remembering()
-        here, self._there = self._context.Pipe(duplex=False)
-        self._pool = ProcessPoolExecutor(1, self._context, begin, (self._there,))
-        threading.Thread(target=_listen, args=(here, events), daemon=True).start()
+        receiver, self._sender = self._context.Pipe(duplex=False)
+        self._pool = ProcessPoolExecutor(1, self._context, begin, (self._sender,))
+        threading.Thread(target=_listen, args=(receiver, events), daemon=True).start()
 
     def submit(self, key: str, payload: bytes) -> Future[Answer]:
         """Run `payload`; raises `BrokenProcessPool`."""
         with one_thread_each(), _interrupts_blocked():  # the first task starts the process
             future = self._pool.submit(work, key, payload)
-        self._there.close()  # so that the pipe ends with the process
+        self._sender.close()  # so that the pipe ends with the process
         return future
 
     def close(self) -> None:

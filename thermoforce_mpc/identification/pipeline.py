@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from thermoforce_mpc.data import Layout, Record
+from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.confounding import confounding, shared_sd
@@ -211,8 +212,7 @@ def _with_advice(zone: ZoneModel, advice: str) -> ZoneModel:
 
 def _check_names(layout: Layout, records: Sequence[Record]) -> None:
     for record in records:
-        if record.names != layout.names:
-            raise DataError(f"the record is of {record.names}, the layout of {layout.names}: another building?")
+        check_same_building("the record", record.names, "the layout", layout.names)
 
 
 def _times_of(records: Sequence[Record]) -> str:
@@ -261,7 +261,7 @@ def identify_many(
     """Identify buildings of any layouts and records of any lengths.
 
     A model is that of `identify`, whatever the others are. Buildings are taken one at a time, when the next result is
-    requested, so that memory holds one; `benchmarks.bench.identify_many` shows where the time goes.
+    asked for, so that memory holds one.
 
     Args:
         buildings: records and options of each.

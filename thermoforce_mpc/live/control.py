@@ -16,7 +16,8 @@ from typing import Protocol
 import pandas as pd
 
 from thermoforce_mpc.data import Block, Observation, Plan, PlanStatus
-from thermoforce_mpc.errors import DataError, PlantError, ThermoForceError
+from thermoforce_mpc.data.names import check_same_building
+from thermoforce_mpc.errors import PlantError, ThermoForceError
 from thermoforce_mpc.live.building import Applied, LiveBuilding
 from thermoforce_mpc.live.kept import Kept, KeptState
 from thermoforce_mpc.model.screening import limits_of, screened_history
@@ -120,12 +121,12 @@ class _Loop:
         delay_s: float,
         dry: bool,
         outage_h: float,
-        kept: KeptState | None,
-        told: Callable[[Decision], None],
+        kept_state: KeptState | None,
+        on_decision: Callable[[Decision], None],
     ) -> None:
         self._building, self._controller, self._clock = building, controller, clock
         self._step, self._delay = pd.Timedelta(seconds=controller.step_s), pd.Timedelta(seconds=delay_s)
-        self._dry, self._told, self._kept = dry, told, kept
+        self._dry, self._on_decision, self._kept_state = dry, on_decision, kept_state
         self._new_forecasts = partial(Forecasts, building, controller.horizon_s, controller.step_s, outage_h)
         self._forecasts = self._new_forecasts()
         self._allowed = limits_of(controller)
@@ -138,7 +139,7 @@ class _Loop:
         """Decide and act, `steps` times."""
         index = 0
         instant = self._building.instant(self._clock.now())
-        if self._kept is not None and (kept := self._kept.load(instant)):
+        if self._kept_state is not None and (kept := self._kept_state.load(instant)):
             self._building.count_from(pd.Timestamp(kept.origin))
             self._state, self._applied = kept.state_at(instant), list(kept.applied)
         try:
@@ -151,7 +152,7 @@ class _Loop:
                 log_decision(
                     self._controller.name, index, time_s, decision.plan, levels, decision.refused, decision.notes
                 )
-                self._told(decision)
+                self._on_decision(decision)
                 if self._dry:
                     return
                 self._act(decision, before)
@@ -176,8 +177,8 @@ class _Loop:
         building, controller = self._building, self._controller
         record, doubts = screened_history(building.record(instant, self._applied), self._allowed)
         model = getattr(controller, "model", None)
-        if model is not None and model.names != record.names:
-            raise DataError(f"the model is of {model.names}, the map of {record.names}: another building?")
+        if model is not None:
+            check_same_building("the model", model.names, "the map", record.names)
         forecast, _, gaps = self._forecasts.now(record)
         plan = controller.plan(Observation(record, forecast), self._state)
         plan, after = replace(plan, state=None), plan.state
@@ -226,9 +227,9 @@ class _Loop:
 
     def _keep(self, instant: pd.Timestamp, before: object) -> None:
         self._decided = instant, before
-        if self._kept is not None:
+        if self._kept_state is not None:
             origin = self._building.origin.isoformat()
-            self._kept.save(Kept(origin, instant.isoformat(), before, self._state, tuple(self._applied)))
+            self._kept_state.save(Kept(origin, instant.isoformat(), before, self._state, tuple(self._applied)))
 
     def _write(self, u: Sequence[float | None], seconds: float) -> bool:
         """Set levels; says whether they were taken."""

@@ -41,11 +41,11 @@ class Kept:
 
 
 class KeptState:
-    """The file at `path`, of the controller that `of` names (its model and options). It stops no control: what is wrong
+    """The file at `path`, of the `controller` with this digest of model and options. It stops no control: what is wrong
     with the file is in the log."""
 
-    def __init__(self, path: Path, of: str) -> None:
-        self._path, self._of = path, of
+    def __init__(self, path: Path, controller: str) -> None:
+        self._path, self._controller = path, controller
         self._failed = False
 
     def load(self, now: pd.Timestamp) -> Kept | None:
@@ -57,7 +57,7 @@ class KeptState:
         except InputError as error:
             _LOG.warning("%s: begun anew", error)
             return None
-        if not isinstance(kept, Kept) or kept.of != self._of:
+        if not isinstance(kept, Kept) or kept.of != self._controller:
             _LOG.warning("%s is of another model or other options: begun anew", self._path)
             return None
         if now - pd.Timestamp(kept.instant) > _OLDEST:
@@ -69,10 +69,10 @@ class KeptState:
         _LOG.info("goes on from the state of %s in %s", kept.instant, self._path)
         return kept
 
-    def save(self, kept: Kept) -> None:
+    def save(self, content: Kept) -> None:
         """Keep what is known; a first failure is in the log."""
         try:
-            write_state(self._path, replace(kept, of=self._of))
+            write_state(self._path, replace(content, of=self._controller))
         except (StorageError, TypeError) as error:
             if not self._failed:
                 _LOG.warning("the state is not kept, and a restart begins anew: %s", error)

@@ -60,14 +60,14 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Bo
             f"{record.stamps()[-1]}: the forecast must begin there (or before) and go on"
         )
     grid_s = now_s + np.arange(np.floor((time_s[-1] - now_s) / step_s + 1e-6) + 1.0) * step_s
-    read = SignalReader(rows, time_s, grid_s, step_s, ours)
-    outdoor = read.outdoor(ours.outdoor)
-    solar, _ = sunlight(ours, read, grid_s, record.origin)
+    reader = SignalReader(rows, time_s, grid_s, step_s, ours)
+    outdoor = reader.outdoor(ours.outdoor)
+    solar, _ = sunlight(ours, reader, grid_s, record.origin)
     bounds = [
-        [_bound(read, f"{name} of {zone}", limit) for name, limit in zip(("lower", "upper"), pair, strict=True)]
+        [_bound(reader, f"{name} of {zone}", limit) for name, limit in zip(("lower", "upper"), pair, strict=True)]
         for zone, pair in zip(names.zones, zones, strict=True)
     ]
-    price = [_price(read, machine, tariff) for machine, tariff in zip(names.machines, prices, strict=True)]
+    price = [_price(reader, machine, tariff) for machine, tariff in zip(names.machines, prices, strict=True)]
     nothing = np.zeros((len(names.machines), grid_s.size))
     boundary = Boundary(
         grid_s, outdoor, solar, np.zeros((len(names.zones), grid_s.size)), np.array([low for low, _ in bounds]),
@@ -77,16 +77,16 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Bo
     return boundary
 
 
-def _bound(read: SignalReader, what: str, bound: float | Temperature | None) -> Array:
+def _bound(reader: SignalReader, what: str, bound: float | Temperature | None) -> Array:
     if bound is None:
         raise DataError(f"forecast: no {what}: name a number or a column in the map (zones, or forecast for all zones)")
-    return read.bound(what, bound)
+    return reader.bound(what, bound)
 
 
-def _price(read: SignalReader, machine: str, price: float | Price | None) -> Array:
+def _price(reader: SignalReader, machine: str, price: float | Price | None) -> Array:
     if price is None:
         raise DataError(f"forecast: no price of {machine}: name a number or a column in the map (machines or forecast)")
-    return read.price(f"price of {machine}", price)
+    return reader.price(f"price of {machine}", price)
 
 
 def _check_complete(boundary: Boundary, measured: Measurements, name: str) -> None:

@@ -21,32 +21,32 @@ def full_load_W(power_W: Array) -> float:
 
     It ran where it took more than 5 % of the 99th percentile of all steps in which it took anything.
     """
-    taken = power_W[np.isfinite(power_W) & (power_W > 0.0)]
-    if not taken.size:
+    positive = power_W[np.isfinite(power_W) & (power_W > 0.0)]
+    if not positive.size:
         return 0.0
-    running = taken[taken > _RUNNING * np.percentile(taken, _FULL, method="lower")]
+    running = positive[positive > _RUNNING * np.percentile(positive, _FULL, method="lower")]
     return float(np.percentile(running, _FULL, method="lower")) if running.size else 0.0
 
 
-def actuator_levels(rules: MeasurementMap, read: SignalReader, heat: Array, power: Array) -> tuple[Array, list[str]]:
+def actuator_levels(rules: MeasurementMap, reader: SignalReader, heat: Array, power: Array) -> tuple[Array, list[str]]:
     """Levels (A, n) in [0, 1], or [−1, 1] with mode both, and what was decided by rule.
 
     Args:
         rules: the map.
-        read: reads the columns.
+        reader: reads the columns.
         heat: heat of the actuators as mapped (A, n), W.
         power: power of the machines (M, n), W.
     """
     notes: list[str] = []
     if not rules.actuators:
-        return np.full((1, read.grid_s.size - 1), np.nan), notes
+        return np.full((1, reader.grid_s.size - 1), np.nan), notes
     machine_of = rules.layout.machine_of
     actuators: Mapping[str, MappedActuator] = rules.actuators
     rows = []
     for a, (name, actuator) in enumerate(actuators.items()):
         if actuator.level is not None:
             signed = actuator.mode == "both"
-            level = read.level(f"actuators.{name}.level", actuator.level, signed=signed)
+            level = reader.level(f"actuators.{name}.level", actuator.level, signed=signed)
             rows.append(np.clip(level, -1.0 if signed else 0.0, 1.0))
             continue
         what, load = ("heat", heat[a]) if actuator.heat is not None else ("power", power[machine_of[a]])

@@ -135,15 +135,15 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
             f"{tables[0].name}: {len(time_s)} rows from {table.index[0]} to {table.index[-1]} make fewer than "
             f"{_LEAST_STEPS} steps of {step_s:g} s; give more rows, or a shorter step"
         )
-    read = SignalReader(table, time_s, grid_s, step_s, rules)
+    reader = SignalReader(table, time_s, grid_s, step_s, rules)
     zones, actuators, machines = rules.zones.items(), rules.actuators.items(), rules.machines.items()
-    T_zone = np.array([read.temperature(f"zones.{name}.temperature", z.temperature) for name, z in zones])
-    T_out = read.outdoor(rules.outdoor)
-    solar, of_sun = sunlight(rules, read, grid_s, origin)
-    power = _rows([read.power(f"machines.{name}.power", m.power) for name, m in machines], names.machines, grid_s)
-    water = [read.water(f"machines.{name}.return_water", m.return_water) for name, m in machines]
-    heat = _rows([read.power(f"actuators.{name}.heat", a.heat) for name, a in actuators], names.actuators, grid_s)
-    u, of_levels = actuator_levels(rules, read, heat, power)
+    T_zone = np.array([reader.temperature(f"zones.{name}.temperature", z.temperature) for name, z in zones])
+    T_out = reader.outdoor(rules.outdoor)
+    solar, of_sun = sunlight(rules, reader, grid_s, origin)
+    power = _rows([reader.power(f"machines.{name}.power", m.power) for name, m in machines], names.machines, grid_s)
+    water = [reader.water(f"machines.{name}.return_water", m.return_water) for name, m in machines]
+    heat = _rows([reader.power(f"actuators.{name}.heat", a.heat) for name, a in actuators], names.actuators, grid_s)
+    u, of_levels = actuator_levels(rules, reader, heat, power)
     record = Record(
         grid_s, T_zone, T_out, solar, u, power, heat * np.array(layout.signs)[:, None],
         _rows(water, names.machines, grid_s), origin, names,
@@ -154,9 +154,9 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
         T_out,
         solar,
         np.zeros(T_zone.shape),
-        np.array([read.bound(f"zones.{name}.lower", z.lower) for name, z in zones]),
-        np.array([read.bound(f"zones.{name}.upper", z.upper) for name, z in zones]),
-        np.array([read.price(f"machines.{name}.price", m.price) for name, m in machines] or none * np.nan),
+        np.array([reader.bound(f"zones.{name}.lower", z.lower) for name, z in zones]),
+        np.array([reader.bound(f"zones.{name}.upper", z.upper) for name, z in zones]),
+        np.array([reader.price(f"machines.{name}.price", m.price) for name, m in machines] or none * np.nan),
         none,
         names=names,
     )
@@ -171,7 +171,7 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
         zone,
         rows_every_s,
         step_s,
-        tuple(read.summaries),
+        tuple(reader.summaries),
         (*table.notes, *of_clock(zone, rows_every_s, step_s), *of_sun, *of_levels),
         missing(rules, record, conditions),
     )

@@ -225,8 +225,8 @@ def _from_counter(
     flag(back, time_s[1:], "readings below the one before: a reset or a new meter")
     # Readings that came late, in a burst, rise by no more than in the usual time.
     load = amount / np.maximum(lasts, usual_s(time_s))
-    taken = load[load > 0.0]
-    most = _UNUSUAL * float(np.percentile(taken, 99.0, method="lower")) if taken.size else np.inf
+    positive = load[load > 0.0]
+    most = _UNUSUAL * float(np.percentile(positive, 99.0, method="lower")) if positive.size else np.inf
     jumped = load > most
     flag(jumped, time_s[1:], f"rises of more than {_UNUSUAL:g} times the usual largest: a new meter or a wrong reading")
     sound = ~back & ~jumped

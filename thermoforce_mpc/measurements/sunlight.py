@@ -16,19 +16,19 @@ if TYPE_CHECKING:  # pvlib is loaded only where an estimate is needed
 
 
 def sunlight(
-    rules: MeasurementMap, read: SignalReader, grid_s: Array, origin: pd.Timestamp
+    rules: MeasurementMap, reader: SignalReader, grid_s: Array, origin: pd.Timestamp
 ) -> tuple[Array, tuple[str, ...]]:
     """Global horizontal irradiance at `grid_s` (n,), W/m², and what was decided by rule; 0 where there is no sun."""
     if rules.sun is None:
         return np.zeros(grid_s.size), ()
     if rules.sun.signal is not None:
-        return read.irradiance(rules.sun.signal), ()
+        return reader.irradiance(rules.sun.signal), ()
     from thermoforce_mpc.boundary.weather.clearness import sunlight_from_humidity
 
     clear, sun = clear_sky(rules, grid_s, origin)
     if rules.sun.humidity is None:
         return clear, ("irradiance: that of a clear sky, every day; clouds count as a disturbance",)
-    humidity = np.clip(read.humidity("sun.humidity", rules.sun.humidity), 0.0, 1.0)
+    humidity = np.clip(reader.humidity("sun.humidity", rules.sun.humidity), 0.0, 1.0)
     note = "irradiance: clear sky times one clearness per day, from the relative humidity; RMSE of a day about 0.16"
     return sunlight_from_humidity(grid_s, humidity, sun), (note,)
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.data.limits import ROUNDING
+from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import ZONE, feature_matrix
@@ -42,7 +43,7 @@ def forced_history(operator: BuildingOperator, history: Record, *, initial_force
         forced[:, :, 1:] = operator.driven(forced[:, :, 0], drive)
         return forced
     for t in range(n):
-        features[:, t, ZONE] = T_zone[:, t] - forced[:, :, t].sum(axis=(1, 2))
+        features[:, t, ZONE] = control_free(T_zone[:, t], forced[:, :, t].sum(axis=(1, 2)))
         forced[:, :, t + 1] = operator.advance(
             forced[:, :, t], operator.modulated(heat[:, t], features[:, t], forced[:, :, t])
         )
@@ -90,7 +91,7 @@ def _steady_start(operator: BuildingOperator, heat: Array, features: Array) -> A
     T_zone = features[..., ZONE].copy()
     forced = operator.steady_gains_K * heat.mean(axis=1)[:, None]
     for _ in range(_START_ROUNDS):
-        features[..., ZONE] = T_zone - forced.sum(axis=(1, 2))[:, None]
+        features[..., ZONE] = control_free(T_zone, forced.sum(axis=(1, 2))[:, None])
         heads = [operator.of_actuator(a) for a in range(len(operator.actuators))]
         drive = [
             float(np.mean(head.modulation(head.seen(features[z], forced[z, a])) * heat[a]))

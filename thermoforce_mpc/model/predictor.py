@@ -1,4 +1,4 @@
-"""Superposition: the only place where free and forced response are added (paper eq:compose, eq:effect)."""
+"""Prediction before an action is chosen: the free response and what actions add to it (paper eq:compose, eq:effect)."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import SINGLE, Array, Boundary, FreeForecast, Names, Observation, Record
 from thermoforce_mpc.data.limits import ROUNDING
+from thermoforce_mpc.data.superposition import compose, control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution.cooperative import Computation, gather, run, timed
 from thermoforce_mpc.model.forced_history import InitialForce
@@ -46,7 +47,7 @@ class Prediction:
     @property
     def total_C(self) -> Array:
         """Free plus forced (paper eq:compose), shape (..., Z, N), °C."""
-        return np.asarray(self.free_C + self.forced_K)
+        return compose(self.free_C, self.forced_K)
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per step, at its end: `T_zone_C`, its 80 % band `T_low_C` to `T_high_C`, `T_free_C`, `T_forced_K`.
@@ -63,8 +64,8 @@ class Prediction:
 
         columns = self.names.columns(
             T_zone_C=self.total_C,
-            T_low_C=self.free_low_C + self.forced_K,
-            T_high_C=self.free_high_C + self.forced_K,
+            T_low_C=compose(self.free_low_C, self.forced_K),
+            T_high_C=compose(self.free_high_C, self.forced_K),
             T_free_C=self.free_C,
             T_forced_K=self.forced_K,
         )
@@ -209,7 +210,7 @@ class Predictor:
 
     def free_history(self, history: Record) -> Array:
         """Control-free temperature T − F at each boundary of `history`, (Z, n + 1), °C; NaN where T is."""
-        return np.asarray(history.T_zone_C - self.forced_history(history).sum(axis=(1, 3)))
+        return control_free(history.T_zone_C, self.forced_history(history).sum(axis=(1, 3)))
 
     def followed(self, history: Record, state: PredictorState | None = None) -> ForcedState:
         """Forced states at all boundaries of `history`, from those that `state` knows; gaps are bridged (`gaps`)."""
@@ -248,10 +249,10 @@ class Predictor:
         followed = self._checked_estimate(self._estimator.update(before.forced, history), history)
         forced = followed.forced_K
         estimate_s = time.perf_counter() - began
-        free_C = history.T_zone_C - forced.sum(axis=(1, 3))
+        free_C = control_free(history.T_zone_C, forced.sum(axis=(1, 3)))
         zones = range(len(self._free_responses))
         kept = before.free or (None,) * len(zones)
-        has_readings = np.isfinite(free_C).any(axis=1)
+        has_readings = np.asarray(np.isfinite(free_C).any(axis=1))
         if not has_readings.any():
             raise DataError("the zone temperature was never measured in the history: nothing to forecast from")
         measured, states = np.flatnonzero(has_readings).tolist(), list(kept)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.data import SINGLE, Array, Boundary, Layout, Names, Observation, Record
+from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ArtifactError, DataError
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
@@ -181,8 +182,7 @@ class ThermalModel:
             DataError: `u` has another shape or leaves [0, 1], the record is of another building or cannot be split into
                 free and forced response, or the weather has gaps or does not begin where the record ends.
         """
-        if record.names != self.names and not (record.names.single and self.names.single):
-            raise DataError(f"the model is of {self.names}, the record of {record.names}: another building?")
+        check_same_building("the model", self.names, "the record", record.names, single_alike=True)
         methods = free_response or [build_free_response("residual", rc=free) for free in self.free]
         levels = np.asarray(u, dtype=np.float64)
         if levels.ndim == 0:

@@ -41,6 +41,7 @@ from thermoforce_mpc.simulation.folder.run_folder import (
 from thermoforce_mpc.simulation.folder.run_log import log_step, logging_to
 from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
+from thermoforce_mpc.simulation.models.frozen_weights import frozen_proof, weight_hash
 from thermoforce_mpc.simulation.models.identifying import IdentifiedModel
 from thermoforce_mpc.simulation.models.run_models import identify_all, kept_models, origins_of
 from thermoforce_mpc.simulation.views.display import RunDisplay
@@ -259,9 +260,9 @@ def _execute(
         actuation = getattr(controller, "actuation_in_words", None)
         if actuation:
             display.say(f"Actuation: {actuation}")
-        before = _weight_hash(controller)
+        before = weight_hash(controller)
         result = follow(controller)
-        forecaster = _frozen(controller, before)
+        forecaster = frozen_proof(controller, before)
         baselines = {other: follow(built(other)) for other in scenario.baselines if other != name}
         usable = {who: model for who, model in models.items() if not isinstance(model, str)}
         origins = origins_of(identified, name)
@@ -332,19 +333,3 @@ def _follow(
             steps,
             outage_h=scenario.plant.forecast_outage_h,
         )
-
-
-def _weight_hash(controller: Controller) -> str | None:
-    """Hash of the forecasters' weights, where the controller has any with weights; each different one once."""
-    methods = getattr(getattr(controller, "predictor", None), "free_responses", ())
-    different = {id(method): method for method in methods}.values()
-    hashes = [method.weight_hash() for method in different if hasattr(method, "weight_hash")]
-    return " ".join(dict.fromkeys(hashes)) or None
-
-
-def _frozen(controller: Controller, before: str | None) -> dict[str, Any]:
-    """Proof for the manifest that the run left the forecaster as it was."""
-    if before is None:
-        return {}
-    after = _weight_hash(controller)
-    return {"weights_before": before, "weights_after": after, "frozen": before == after}

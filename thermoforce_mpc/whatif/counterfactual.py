@@ -15,6 +15,8 @@ import pandas as pd
 
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Boundary, FreeForecast, Names, Observation, Record
 from thermoforce_mpc.data.dataframes import seconds_at, table
+from thermoforce_mpc.data.names import check_same_building
+from thermoforce_mpc.data.superposition import compose, control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
 from thermoforce_mpc.identification.validation.report import BAND, step_response_of
@@ -127,8 +129,7 @@ def counterfactual(
         DataError: another building, the stretch is not inside the record, a level was not measured in it, a zone never
             was, or `u` has another shape or leaves [0, 1].
     """
-    if model.names != record.names:
-        raise DataError(f"the model is of {model.names}, the record of {record.names}: another building?")
+    check_same_building("the model", model.names, "the record", record.names)
     levels = np.asarray(u, dtype=np.float64)
     n = levels.shape[-1] if levels.ndim else round(hours * HOUR_S / record.step_s)
     if levels.ndim == 0:
@@ -148,11 +149,11 @@ def counterfactual(
     whole, _ = bridged(record.slice(0, first + n))
     past, stretch = whole.slice(0, first), whole.slice(first, first + n)
     forced_K = Predictor(model.operator, [_Recorded(np.empty(0))] * len(record.names.zones)).forced_history(whole)
-    free_C = whole.T_zone_C - forced_K.sum(axis=(1, 3))
+    free_C = control_free(whole.T_zone_C, forced_K.sum(axis=(1, 3)))
     filled = np.array([_without_gaps(row, name) for row, name in zip(free_C, record.names.zones, strict=True)])
     recorded = [_Recorded(row[first + 1 :]) for row in filled]
     history = Record(
-        past.time_s, filled[:, : first + 1] + forced_K.sum(axis=(1, 3))[:, : first + 1], past.T_out_C, past.solar_W_m2,
+        past.time_s, compose(filled, forced_K.sum(axis=(1, 3)))[:, : first + 1], past.T_out_C, past.solar_W_m2,
         past.u, past.power_W, past.heat_W, past.T_return_C, past.origin, past.names,
     )  # fmt: skip
     context = Predictor(model.operator, recorded).context(Observation(history, Boundary.measured(stretch)))

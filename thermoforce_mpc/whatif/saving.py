@@ -27,6 +27,7 @@ from scipy.stats import t as student
 
 from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.data.dataframes import seconds_since, stamps
+from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.whatif.days import LAGS_H, Days, days_of
 from thermoforce_mpc.words import counted
@@ -153,8 +154,7 @@ def verified_saving(before: Record, after: Record, *, level: float = _LEVEL) -> 
     """
     if not 0.0 < level < 1.0:
         raise DataError(f"level is {level:g}: give a number between 0 and 1, such as 0.95")
-    if before.names != after.names:
-        raise DataError(f"the record before is of {before.names}, that after of {after.names}: another building?")
+    check_same_building("the record before", before.names, "that after", after.names)
     after = _on_the_clock_of(before, after)
     meter = _meter(before, after)
     old, new = days_of(before, meter, "before"), days_of(after, meter, "after", before)

@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 from houses import House, random_levels, record
 
-from benchmarks.bench.operator import run_operator_bench
-from benchmarks.bench.operator_data import cut, read_hourly_pairs, read_run
-from benchmarks.bench.operator_score import score_pairs
+from benchmarks.operator.bench import run_operator_bench
+from benchmarks.operator.data import cut, read_hourly_pairs, read_run
+from benchmarks.operator.score import score_pairs
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator import linear_operator
 

@@ -13,8 +13,8 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
-from benchmarks.bench.factual import run_factual_bench
 from benchmarks.factual import suite, tables
+from benchmarks.factual.bench import run_factual_bench
 from benchmarks.factual.evaluate import BEST, METHODS, OURS, RAW, RESIDUAL_PERSISTED, Scores
 from benchmarks.factual.homes import Home, prepared
 from benchmarks.factual.protocol import Protocol

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from paired_windows import GAINS_K, N, data, window
 
-from benchmarks.baselines.seasonal_naive import SeasonalNaive
+from benchmarks.free_response.baselines.seasonal_naive import SeasonalNaive
 from benchmarks.interventions.dataset import Probe
 from benchmarks.interventions.methods import registry, thermoforce
 from benchmarks.interventions.methods.base import (

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarks.bench import interventions
+from benchmarks.interventions import bench as interventions
 from benchmarks.interventions.dataset import load_or_simulate
 from benchmarks.interventions.protocol import QUICK
 from thermoforce_mpc.cli import cli
@@ -119,8 +119,7 @@ def test_studies_have_their_own_methods_and_names(tmp_path):
 
 @pytest.mark.slow
 def test_efficiency_compares_the_parts_with_the_paper(simulated, folder, tmp_path, monkeypatch):
-    from benchmarks.bench import interventions_cost as cost
-    from benchmarks.bench import interventions_studies as studies
+    from benchmarks.interventions import cost, studies
 
     monkeypatch.setattr(interventions, "QUICK", TINY)
     monkeypatch.setattr(cost, "_REPEATS", 2)

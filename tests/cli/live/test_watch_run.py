@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import requests
 from click.testing import CliRunner
+from faults import FaultyHouse
 from rich.console import Console
 from simple_house import SimpleHouse, simple_model
 from two_houses import TwoHouses, two_model
@@ -61,16 +62,13 @@ def cut(folder, there, kind: bytes, number: int):
     return there
 
 
-class GasHouse(SimpleHouse):
-    """Heats with a carrier at a tenth of the price of electricity."""
-
-    def forecast(self, horizon_s, interval_s):
-        boundary = super().forecast(horizon_s, interval_s)
-        return replace(boundary, heating_price_per_kWh=0.1 * boundary.price_per_kWh)
+def cheap_heat(house, boundary):
+    """Heat comes by a carrier at a tenth of the price of electricity."""
+    return replace(boundary, heating_price_per_kWh=0.1 * boundary.price_per_kWh)
 
 
 def test_what_heats_with_a_carrier_of_its_own_costs_its_price(tmp_path):
-    result = run(tmp_path / "gas", GasHouse(), simple_model(), hours=6)
+    result = run(tmp_path / "gas", FaultyHouse(says=cheap_heat), simple_model(), hours=6)
     view = LiveRun(tmp_path / "gas").now()
     assert view.energy_kWh == pytest.approx(result.kpis["ener_tot"])
     assert view.cost == pytest.approx(0.1 * 0.25 * result.kpis["ener_tot"])
@@ -92,17 +90,14 @@ def test_cost_energy_and_discomfort_so_far_are_those_of_the_plant(single):
 
 @pytest.mark.parametrize("lacking", [("price_per_kWh", "heating_price_per_kWh"), ("lower_C",)])
 def test_what_a_forecast_does_not_say_counts_as_in_the_run(tmp_path, lacking):
-    class Holes(SimpleHouse):
-        """Says neither price nor bound of the present hour."""
+    def says(house, boundary):
+        """Neither price nor bound of the present hour."""
+        known = {name: getattr(boundary, name).copy() for name in lacking}
+        for values in known.values():
+            values[..., 0] = np.nan
+        return replace(boundary, **known)
 
-        def forecast(self, horizon_s, interval_s):
-            boundary = super().forecast(horizon_s, interval_s)
-            known = {name: getattr(boundary, name).copy() for name in lacking}
-            for values in known.values():
-                values[..., 0] = np.nan
-            return replace(boundary, **known)
-
-    result = run(tmp_path / "holes", Holes(), simple_model(), hours=24)
+    result = run(tmp_path / "holes", FaultyHouse(says=says), simple_model(), hours=24)
     view = LiveRun(tmp_path / "holes").now()
     assert view.cost == pytest.approx(0.25 * view.energy_kWh)
     assert view.discomfort_Kh == pytest.approx(result.kpis["tdis_tot"], abs=0.02)
@@ -145,13 +140,8 @@ def test_several_zones_and_a_step_under_way(tmp_path):
 
 
 def test_without_a_power_meter_there_is_no_cost(tmp_path):
-    class Unmetered(SimpleHouse):
-        """Its power is not known."""
-
-        def advance(self, u, duration_s):
-            return replace(super().advance(u, duration_s), power_W=np.array([np.nan]))
-
-    run(tmp_path, Unmetered(), simple_model(), hours=2)
+    house = FaultyHouse(shows=lambda house, seen: replace(seen, power_W=np.array([np.nan])))
+    run(tmp_path, house, simple_model(), hours=2)
     view = LiveRun(tmp_path).now()
     assert np.isnan([view.cost, view.energy_kWh]).all()
     told = CliRunner().invoke(cli, ["watch", str(tmp_path), "--once"]).output

@@ -12,6 +12,7 @@ from simple_house import SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.actuation.actuator import ActuationConfig
+from controllers.actuation.actuators import Actuators
 from controllers.actuation.choice import choose_actuation
 from controllers.optimisation.qp import QPSolver
 from controllers.registry import controller_config
@@ -66,9 +67,9 @@ def test_a_machine_without_a_fixed_part_is_a_quadratic_programme_at_any_level():
     model = simple_model()
     boiler = replace(model, power=(PowerModel(law(0.0, 4300.0)),))
     controller = ThermoForceMPC(boiler, MPCConfig(step_s=None), free_response=object())
-    assert isinstance(controller._planners.base.solver, QPSolver)
+    assert isinstance(controller.solver, QPSolver)
     assert controller.actuation_in_words.startswith("modulating, any level")
-    actuators = controller._actuators
+    actuators = Actuators(controller.model.layout, [choose(law(0.0, 4300.0)).actuation])
     (block,) = actuators.realise([0.07], 3600.0, actuators.now(None, beginning())).together()
     assert block.u == (0.07,)
     (block,) = actuators.realise([1e-7], 3600.0, actuators.now(None, beginning())).together()

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from faults import FAILED, ChangedSolver
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, simple_model
@@ -53,9 +54,9 @@ class Room(SimpleHouse):
 
     names = NAMES
 
-    def _measure(self, u=np.nan, cooling=np.nan):
-        one = super()._measure(u)
-        both = [super(Room, self)._measure(level) for level in (u, cooling)]
+    def measure(self, u=np.nan, cooling=np.nan):
+        one = super().measure(u)
+        both = [super(Room, self).measure(level) for level in (u, cooling)]
 
         def rows(name):
             return np.array([getattr(part, name)[0] for part in both])
@@ -64,20 +65,20 @@ class Room(SimpleHouse):
             one.time_s, one.T_zone_C, one.T_out_C, 0.0, rows("u"), rows("power_W"), rows("heat_W"), names=NAMES
         )
 
-    def _advance(self, u, duration_s):
+    def step(self, u, duration_s):
         heating, cooling = (None, None) if u is None else u
         cooling = 0.0 if cooling is None else cooling
-        super()._advance(heating, duration_s)
+        super().step(heating, duration_s)
         share = duration_s / HOUR_S
         self.T -= GAIN_K / (1 - POLE) * (1 - POLE**share) * cooling
         used = self._rows[-1][1].u[0]
-        self._rows[-1] = (duration_s, self._measure(used, cooling))
+        self._rows[-1] = (duration_s, self.measure(used, cooling))
         return self._rows[-1][1]
 
     def advance(self, u, duration_s):
         levels = check_levels(u, duration_s, names=NAMES).u
         self.applied.append((levels, duration_s))
-        return self._advance(levels, duration_s)
+        return self.step(levels, duration_s)
 
     def forecast(self, horizon_s, interval_s):
         one = super().forecast(horizon_s, interval_s)
@@ -89,7 +90,7 @@ class Room(SimpleHouse):
         return replace(one, **rows, names=NAMES)
 
     def past(self, step_s):
-        m = [self._first, *(row for _, row in self._rows)] if step_s == HOUR_S else [self._measure()]
+        m = [self._first, *(row for _, row in self._rows)] if step_s == HOUR_S else [self.measure()]
         weather = {name: np.array([getattr(x, name) for x in m]) for name in ("time_s", "T_out_C", "solar_W_m2")}
         acting = {name: np.array([getattr(x, name) for x in m[1:]]).T for name in ("u", "power_W", "heat_W")}
         acting = {name: rows.reshape(2, -1) for name, rows in acting.items()}
@@ -108,10 +109,11 @@ def coils(**changes) -> TestCase:
     return validate(TestCase, {**TESTCASE, **changes}, "coils.yaml")
 
 
-def mpc(verdicts=(None, None), case=None, **options):
+def mpc(verdicts=(None, None), case=None, changed=lambda n, found: found, **options):
     options = {"step_s": None, "horizon_h": 24.0, "free_response": {"name": "persistence"}, **options}
     built = build_controller("thermoforce_mpc", options, case or coils(), model(verdicts))
-    return ThermoForceMPC(built.model, built.config, free_response=OutdoorResponse())
+    solver = ChangedSolver(built.config, changed)
+    return ThermoForceMPC(built.model, built.config, free_response=OutdoorResponse(), solver=solver)
 
 
 def observation(plant=None, T_C=None) -> Observation:
@@ -169,8 +171,13 @@ def test_the_group_reaches_model_file_layout_and_programme(tmp_path):
     assert coils().layout.exclusive == ((HEAT, COOL),)
     model(exclusive=((HEAT, COOL),)).save(tmp_path / "model")
     assert load_model(tmp_path / "model").layout.exclusive == ((HEAT, COOL),)
-    assert mpc()._formulation.machinery.exclusive == ((HEAT, COOL),), "also to a model that was identified without it"
-    assert mpc(case=coils(exclusive=[]))._formulation.machinery.exclusive == ()
+    seen = observation()
+
+    def exclusive(controller):
+        return controller.instance(controller.predictor.context(seen), seen.history).machinery.exclusive
+
+    assert exclusive(mpc()) == ((HEAT, COOL),), "also to a model that was identified without it"
+    assert exclusive(mpc(case=coils(exclusive=[]))) == ()
 
 
 @pytest.mark.slow
@@ -193,22 +200,15 @@ def test_in_closed_loop_one_coil_acts_in_a_step_and_the_room_is_kept(actuation):
         assert np.count_nonzero(step.plan.u[:, 0]) <= 1
 
 
-class Failing:
-    def __init__(self, u=None) -> None:
-        self.u = u
-
-    def solve(self, problem, guess=None) -> Solution:
-        if self.u is None:
-            return Solution(False, np.empty(0), "failed", 0, "failed on purpose")
-        return Solution(True, np.repeat(self.u[:, None], problem.n_steps, axis=1), "given", 1, "")
+def always(*levels: float):
+    """Every solution is these levels."""
+    return lambda n, found: Solution(True, np.repeat(np.array(levels)[:, None], 24, axis=1), "given", 1, "")
 
 
 def test_a_rule_that_would_heat_and_cool_does_one_of_them():
     """The set-points of the on/off rules, 0.3 K inside a band of 0.4 K, overlap."""
     seen = observation(T_C=21.2)
-    free, bound = mpc(case=coils(exclusive=[])), mpc()
-    for controller in (free, bound):
-        controller._planners.base = replace(controller._planners.base, solver=Failing())
+    free, bound = (mpc(case=case, changed=lambda n, found: FAILED) for case in (coils(exclusive=[]), coils()))
     assert acting(free.plan(seen)) == {HEAT, COOL}, "else this tries nothing"
     plan = bound.plan(seen)
     assert plan.status is PlanStatus.THERMOSTAT
@@ -217,16 +217,14 @@ def test_a_rule_that_would_heat_and_cool_does_one_of_them():
 
 
 def test_a_solution_that_has_both_on_is_not_followed_in_both():
-    controller = mpc(guard={"enabled": False})
-    controller._planners.base = replace(controller._planners.base, solver=Failing(np.array([0.4, 0.9])))
+    controller = mpc(changed=always(0.4, 0.9), guard={"enabled": False})
     plan = controller.plan(observation(T_C=21.2))
     assert acting(plan) == {COOL}
     assert "heating_coil: excluded by cooling_coil" in plan.why
 
 
 def test_the_guard_comes_before_the_plan():
-    controller = mpc()
-    controller._planners.base = replace(controller._planners.base, solver=Failing(np.array([0.0, 1.0])))
+    controller = mpc(changed=always(0.0, 1.0))
     plan = controller.plan(observation(T_C=17.0))
     assert plan.status is PlanStatus.GUARD
     assert acting(plan) == {HEAT}

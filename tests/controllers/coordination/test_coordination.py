@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from mpc_problems import N, machinery_of, random_building, random_building_problem
 
-from benchmarks.bench.joint_optimum import solve_jointly
-from benchmarks.bench.zone_scaling import building_operator, building_problem
+from benchmarks.fleet.joint_optimum import solve_jointly
+from benchmarks.zones.scaling import building_operator, building_problem
 from controllers.checks import ControllerConfigError
 from controllers.coordination import Coordination, QPMember, SharedPower, coordinate
 from controllers.coordination.member import Answer, Settled

@@ -103,9 +103,9 @@ def test_what_is_trained_is_what_acts() -> None:
     for value, known in zip(values, policy.weights, strict=True):
         value.data = torch.from_numpy(known.copy())
     found = Drawer(zone.free, HOUR_S, 1, 5).draw(3, n + 24)
-    course = training._course(found, operator, zone.power, HOUR_S)
-    started = training._started(course, module, 1.0)
-    _, ended = training._rolled(network, module, course, started, 0, n, leads, (1.0, 1.0), configured(), HOUR_S)
+    course = training.course_of(found, operator, zone.power, HOUR_S)
+    started = training.states_near_band(course, module, 1.0)
+    _, ended = training.rollout(network, module, course, started, 0, n, leads, (1.0, 1.0), configured(), HOUR_S)
     for b in range(3):
         features = np.zeros((n, 4))
         ahead = np.stack([found.T_free_C[b], found.lower_C[b], found.upper_C[b]])
@@ -130,7 +130,7 @@ def test_it_is_trained_on_the_heat_of_a_level_at_the_outdoor_temperature() -> No
     factor = HeatInput(reference_C=5.0, per_K=0.03, T_out_range_C=(-5.0, 12.0))
     operator = replace(zone.operator, heat_input=factor)
     found = Drawer(zone.free, HOUR_S, 1, 5).draw(3, 40)
-    course = training._course(found, operator, zone.power, HOUR_S)
+    course = training.course_of(found, operator, zone.power, HOUR_S)
     heat = factor.outdoor_factor(found.T_out_C)
     assert np.ptp(heat) > 0.05
     np.testing.assert_allclose(course.drive_per_u.numpy(), heat, rtol=1e-12)

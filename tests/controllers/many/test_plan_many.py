@@ -273,7 +273,8 @@ class Unreadable:
 
 
 @pytest.mark.slow
-def test_states_of_processes_serve_every_controller_and_what_cannot_travel_costs_its_building():
+def test_states_of_processes_serve_every_controller_and_what_cannot_travel_costs_its_building(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     observations, after = houses(4), {name: later(one) for name, one in houses(4).items()}
     here = plan_many(models(4), observations, config=WEATHER_MODEL)
     expected = plan_many(models(4), after, {n: one.state for n, one in here.items()}, config=WEATHER_MODEL)
@@ -292,8 +293,9 @@ def test_states_of_processes_serve_every_controller_and_what_cannot_travel_costs
         assert {found[f"house {i}"].plan.status for i in (0, 1)} == {PlanStatus.NATIVE}
         assert "pickle" in found["house 0"].reason
         assert "no_such_state" in found["house 1"].reason
-        folders = [Path(worker._folder) for worker in portfolio._workers]
-        assert all(folder.is_dir() and not any(folder.iterdir()) for folder in folders)
+        folders = list(tmp_path.glob("tf-mpc-plans-*"))
+        assert len(folders) == 2
+        assert not any(any(folder.iterdir()) for folder in folders)
     assert not any(folder.exists() for folder in folders)
     same(
         ThermoForceMPC(simple_model(), WEATHER_MODEL).plan(after["house 3"], states["house 3"]),
@@ -321,7 +323,7 @@ def test_parcels_travel_in_files_that_are_gone_then_or_in_memory_where_there_is_
 def test_a_process_that_does_not_answer_costs_its_buildings_their_plan():
     with Portfolio(models(2), WEATHER_MODEL, workers=2) as portfolio:
         portfolio.plan(houses(2))
-        portfolio._deadline_s = LATE_S
+        portfolio.deadline_s = LATE_S
         found = portfolio.plan(houses(2), {"house 0": Slow()})
     assert "no plan within 8 s" in found["house 0"].reason
     assert isinstance(found["house 0"].state, Slow), "its run goes on from where it was"
@@ -333,7 +335,7 @@ def test_a_deadline_holds_for_all_that_wait_behind_and_while_processes_start(mon
     monkeypatch.setattr("controllers.many.portfolio.AT_A_TIME", 1)  # as with hundreds of houses a process
     with Portfolio(models(8), WEATHER_MODEL, workers=2) as portfolio:
         portfolio.plan(houses(8))
-        portfolio._deadline_s = LATE_S
+        portfolio.deadline_s = LATE_S
         found = portfolio.plan(houses(8), {"house 0": Slow()})
         left = [name for name, one in found.items() if "no plan within 8 s" in one.reason]
         assert left == ["house 0", "house 2", "house 4", "house 6"]

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simple_house import SimpleHouse, simple_model
+from faults import FaultyHouse
+from simple_house import simple_model
 from two_houses import SHARED, TWO
 
 from controllers import ThermoForceMPC
@@ -125,27 +126,24 @@ def test_options_of_a_point_come_before_those_of_its_signal():
         Meters(two, single={"power_W[oven]": MeterConfig()})
 
 
-class StuckOutdoors(SimpleHouse):
-    """Its outdoor sensor sticks from an hour after the start on, for some hours."""
+def outdoors_stuck(from_h: float, to_h: float) -> FaultyHouse:
+    """A house whose outdoor sensor sticks between two hours of the run."""
+    shown_C: list[float] = []
 
-    def __init__(self, from_h: float, hours: float) -> None:
-        super().__init__()
-        self.stuck_s = 10 * DAY_S + from_h * HOUR_S, 10 * DAY_S + (from_h + hours) * HOUR_S
-        self.value = None
+    def shows(house, seen):
+        if not from_h <= house.hours < to_h:
+            return seen
+        shown_C.append(seen.T_out_C)
+        return replace(seen, T_out_C=shown_C[0])
 
-    def _measure(self, u=np.nan):
-        true = super()._measure(u)
-        if not self.stuck_s[0] <= self.now_s < self.stuck_s[1]:
-            return true
-        self.value = true.T_out_C if self.value is None else self.value
-        return replace(true, T_out_C=self.value)
+    return FaultyHouse(shows)
 
 
 def test_the_mpc_plans_without_it_marked():
     options = {"step_s": 3600, "horizon_h": 12, "gate": {"enabled": False}, "free_response": {"name": "linear_weather"}}
     controller = ThermoForceMPC(simple_model(), MPCConfig(**options))
     period = Period("test", 10 * DAY_S, 24 * HOUR_S, 2 * DAY_S)
-    found = run_closed_loop(StuckOutdoors(4, 12), controller, period)
+    found = run_closed_loop(outdoors_stuck(4, 16), controller, period)
     marked = [step for step in found.steps if "T_out_C has been" in step.plan.why]
     assert len(marked) >= 8
     assert {step.plan.status for step in marked} == {PlanStatus.BRIDGED}

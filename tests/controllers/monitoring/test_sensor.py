@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simple_house import OutdoorResponse, SimpleHouse, outdoor_C, simple_model
+from faults import FaultyHouse, draught_K
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from two_houses import TWO, TwoHouses, two_model
 
 from controllers import ThermoForceMPC
 from controllers.checks import ControllerConfigError
 from controllers.mpc.config import MPCConfig
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, FreeForecast, PlanStatus, Record
+from thermoforce_mpc.data import DAY_S, Boundary, FreeForecast, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 
@@ -30,35 +31,24 @@ class Exact(OutdoorResponse):
         return super().forecast(np.array([T]), history, boundary)
 
 
-class FaultySensor(SimpleHouse):
-    """`shows(T, number of the faulty reading)` for `hours` from hour 20 of the run."""
+def sensor(shows=None, hours: float = 6.0, opens: float = 0.0, resolution_K: float = 0.0) -> FaultyHouse:
+    """A house whose sensor says `shows(T, reading before)` for some hours from hour 20 of the run.
 
-    def __init__(self, shows=None, hours: float = 6.0, opens: float = 0.0, resolution_K: float = 0.0) -> None:
-        super().__init__()
-        self.shows, self.hours, self.opens, self.resolution_K = shows, hours, opens, resolution_K
+    `opens`: a window that opens meanwhile, in shares of the distance to outdoors an hour.
+    """
+    last_C = [np.nan]
 
-    def reset(self, start_s, warmup_s, price="constant"):
-        self.from_s, self.last, self.running = start_s + FROM_H * HOUR_S, np.nan, False
-        measured = super().reset(start_s, warmup_s, price)
-        self.running = True
-        return measured
+    def faulty(house) -> bool:
+        return FROM_H < house.hours <= FROM_H + hours
 
-    def _faulty(self) -> bool:
-        return self.from_s < self.now_s <= self.from_s + self.hours * HOUR_S
+    def shown(house, seen):
+        T = house.T
+        if resolution_K:
+            T = round(T / resolution_K) * resolution_K
+        last_C[0] = shows(T, last_C[0]) if shows and faulty(house) else T
+        return replace(seen, T_zone_C=last_C[0])
 
-    def _measure(self, u: float = np.nan):
-        measurement, T = super()._measure(u), self.T
-        if self.resolution_K:
-            T = round(T / self.resolution_K) * self.resolution_K
-        if self.shows and self._faulty():
-            T = self.shows(T, self.last)
-        self.last = T
-        return replace(measurement, T_zone_C=T)
-
-    def _advance(self, u, duration_s):
-        if self.opens and self._faulty():
-            self.T += self.opens * duration_s / HOUR_S * (float(outdoor_C(self.now_s)) - self.T)
-        return super()._advance(u, duration_s)
+    return FaultyHouse(shown, moves=lambda house, hours: draught_K(house, opens, hours) if faulty(house) else 0.0)
 
 
 def run(house: SimpleHouse, days: float = 3.0, **options) -> RunResult:
@@ -84,7 +74,7 @@ def statuses(result: RunResult) -> list[PlanStatus]:
     ids=["silent", "0 K", "0 °C", "850 °C", "2 K up", "2 K down"],
 )
 def test_for_hours_the_model_stands_in_and_nobody_feels_it(shows, says):
-    healthy, result = run(FaultySensor()), run(FaultySensor(shows, hours=5.0))
+    healthy, result = run(sensor()), run(sensor(shows, hours=5.0))
     assert set(statuses(healthy)) == {PlanStatus.SOLVED}
     assert statuses(result)[FROM_H + 1 : FROM_H + 6] == [PlanStatus.BRIDGED] * 5
     assert set(statuses(result)[: FROM_H + 1] + statuses(result)[FROM_H + 7 :]) == {PlanStatus.SOLVED}
@@ -96,7 +86,7 @@ def test_for_hours_the_model_stands_in_and_nobody_feels_it(shows, says):
 
 
 def test_after_its_time_the_building_is_left_to_its_own_control_until_the_sensor_is_back():
-    result = run(FaultySensor(lambda T, last: np.nan, hours=12.0), sensor={"bridge_h": 4.0})
+    result = run(sensor(lambda T, last: np.nan, hours=12.0), sensor={"bridge_h": 4.0})
     found = statuses(result)
     assert found[FROM_H + 1 : FROM_H + 5] == [PlanStatus.BRIDGED] * 4
     assert found[FROM_H + 5 : FROM_H + 13] == [PlanStatus.NATIVE] * 8
@@ -107,7 +97,7 @@ def test_after_its_time_the_building_is_left_to_its_own_control_until_the_sensor
 
 def test_a_rule_acts_on_the_models_temperature_where_native_control_is_not_wanted():
     options = {"sensor": {"bridge_h": 1.0}, "fallback": {"stand_back": "rule"}}
-    result = run(FaultySensor(lambda T, last: np.nan, hours=8.0), **options)
+    result = run(sensor(lambda T, last: np.nan, hours=8.0), **options)
     held = result.steps[FROM_H + 3 : FROM_H + 8]
     assert {step.plan.status for step in held} == {PlanStatus.THERMOSTAT}
     assert all("°C against" in step.plan.why for step in held)
@@ -115,25 +105,25 @@ def test_a_rule_acts_on_the_models_temperature_where_native_control_is_not_wante
 
 
 def test_a_stuck_sensor_is_found_and_its_readings_since_are_not_believed():
-    result = run(FaultySensor(lambda T, last: last, hours=200.0), days=4.0)
+    result = run(sensor(lambda T, last: last, hours=200.0), days=4.0)
     found = statuses(result)
     first = next(i for i, status in enumerate(found) if status is not PlanStatus.SOLVED)
     assert FROM_H < first <= FROM_H + 6
     assert "in which the model moved away" in result.steps[first].plan.why
     assert found[-1] is PlanStatus.NATIVE
-    believed = run(FaultySensor(lambda T, last: last, hours=200.0), days=4.0, sensor={"enabled": False})
+    believed = run(sensor(lambda T, last: last, hours=200.0), days=4.0, sensor={"enabled": False})
     assert result.kpis["tdis_tot"] < 0.5 * believed.kpis["tdis_tot"]
 
 
 @pytest.mark.parametrize("resolution_K", [0.1, 0.5])
 def test_a_coarse_sensor_that_repeats_itself_is_not_stuck(resolution_K):
-    result = run(FaultySensor(resolution_K=resolution_K), days=5.0)
+    result = run(sensor(resolution_K=resolution_K), days=5.0)
     assert set(statuses(result)) <= {PlanStatus.SOLVED, PlanStatus.WATCH}
     assert not any("has been" in step.plan.why for step in result.steps)
 
 
 def test_a_window_that_is_opened_is_the_zone_and_not_the_sensor():
-    result = run(FaultySensor(hours=8.0, opens=0.25), watch={"enabled": False})
+    result = run(sensor(hours=8.0, opens=0.25), watch={"enabled": False})
     told = statuses(result)[FROM_H + 1 : FROM_H + 9]
     assert told.count(PlanStatus.BRIDGED) <= 2
     assert PlanStatus.NATIVE not in told
@@ -142,17 +132,14 @@ def test_a_window_that_is_opened_is_the_zone_and_not_the_sensor():
 
 
 def test_a_sensor_that_was_moved_for_good_is_believed_again_after_a_day():
-    result = run(FaultySensor(lambda T, last: T + 2.0, hours=200.0), days=4.0, watch={"enabled": False})
+    result = run(sensor(lambda T, last: T + 2.0, hours=200.0), days=4.0, watch={"enabled": False})
     found = statuses(result)
     assert found[FROM_H + 1 : FROM_H + 24].count(PlanStatus.SOLVED) == 0
     assert set(found[FROM_H + 27 :]) == {PlanStatus.SOLVED}
 
 
 def test_a_silent_sensor_is_the_business_of_its_own_zone_and_its_options_are_its_own():
-    class Silent(FaultySensor):
-        pass
-
-    houses = TwoHouses(first=Silent(lambda T, last: np.nan, hours=10.0))
+    houses = TwoHouses(first=sensor(lambda T, last: np.nan, hours=10.0))
     options = {"sensors": {TWO.zones[0]: {"bridge_h": 2.0}}}
     config = MPCConfig(step_s=None, horizon_h=24.0, **options)
     mpc = ThermoForceMPC(two_model(), config, free_response=Exact())

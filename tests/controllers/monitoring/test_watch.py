@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, outdoor_C, simple_model
+from faults import FaultyHouse, draught_K
+from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, native_level, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.monitoring.watch import Watch, e_value
@@ -31,42 +32,36 @@ from thermoforce_mpc.simulation.views.watching import watch_spells
 FROM_S, TO_S = 13 * DAY_S, 15 * DAY_S
 
 
-class FaultyHouse(SimpleHouse):
-    """The simple house with a fault from day 3 to day 5 of the run; a moved sensor hangs at the outer wall."""
+def faulty(fault: str, to_s: float = TO_S) -> FaultyHouse:
+    """The simple house with a fault from day 3 of the run, to its day 5; a moved sensor hangs at the outer wall."""
 
-    def __init__(self, fault: str) -> None:
-        super().__init__()
-        self.fault = fault
+    def now(begun_s: float) -> str:
+        return fault if FROM_S <= begun_s < to_s else "none"
 
-    @property
-    def now_faulty(self) -> str:
-        return self.fault if FROM_S <= self.now_s < TO_S else "none"
-
-    def _measure(self, u: float = np.nan):
-        measurement = super()._measure(u)
-        shown_C = 0.6 * self.T + 0.4 * measurement.T_out_C
-        return replace(measurement, T_zone_C=shown_C) if self.now_faulty == "sensor" else measurement
-
-    def _advance(self, u, duration_s):
-        fault = self.now_faulty
-        if fault == "window":
-            share = 0.05 * duration_s / HOUR_S
-            self.T += share * (float(outdoor_C(self.now_s)) - self.T)
-        native = float(self.T < 21.2) * 0.5
-        weak = 0.5 * (native if u is None else u)
+    def gives(house, u):
+        weak = 0.5 * (native_level(house.T) if u is None else u)
         given = {"weak": weak, "weak unseen": weak, "stuck": 0.0, "stuck unseen": 0.0, "overridden": None}
-        measurement = super()._advance(given.get(fault, u), duration_s)
-        if fault == "weak":
-            measurement = replace(measurement, u=2.0 * measurement.u)
-        if fault.endswith("unseen"):
-            measurement = replace(measurement, u=np.nan if u is None else u, power_W=np.nan, heat_W=np.nan)
-        return measurement
+        return given.get(now(house.began_s), u)
+
+    def shows(house, seen):
+        if now(house.now_s) == "sensor":
+            seen = replace(seen, T_zone_C=0.6 * house.T + 0.4 * seen.T_out_C)
+        if now(house.began_s) == "weak":
+            seen = replace(seen, u=2.0 * seen.u)
+        if now(house.began_s).endswith("unseen"):
+            seen = replace(seen, u=np.nan if house.asked is None else house.asked, power_W=np.nan, heat_W=np.nan)
+        return seen
+
+    def moves(house, hours):
+        return draught_K(house, 0.05, hours) if now(house.now_s) == "window" else 0.0
+
+    return FaultyHouse(shows, gives=gives, moves=moves)
 
 
 def run(fault: str, days: float = 9.0, **options: object) -> RunResult:
     options = {"step_s": None, "horizon_h": 24.0, **options}
     mpc = ThermoForceMPC(simple_model(), MPCConfig(**options), free_response=OutdoorResponse())
-    house = FaultyHouse(fault)
+    house = faulty(fault)
     return run_closed_loop(house, mpc, replace(house.period("x"), scored_s=days * DAY_S))
 
 
@@ -132,13 +127,8 @@ def test_the_rule_can_act_instead_and_keeps_the_zone_warm():
 
 @pytest.mark.slow
 def test_a_machine_that_stays_weak_is_adapted_to():
-    class Weak(FaultyHouse):
-        @property
-        def now_faulty(self) -> str:
-            return "weak" if self.now_s >= FROM_S else "none"
-
     mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
-    house = Weak("weak")
+    house = faulty("weak", to_s=np.inf)
     result = run_closed_loop(house, mpc, replace(house.period("x"), scored_s=12 * DAY_S))
     assert watched(result)
     assert result.steps[-1].plan.status is PlanStatus.SOLVED
@@ -150,18 +140,16 @@ def test_a_machine_that_stays_weak_is_adapted_to():
 @pytest.mark.slow
 @pytest.mark.parametrize("stand_back", ["native", "rule"])
 def test_a_weak_machine_whose_heat_is_metered_is_adapted_to_once(stand_back):
-    class Metered(SimpleHouse):
-        @property
-        def given(self) -> float:
-            return 0.5 if self.now_s >= FROM_S else 1.0
+    def share(begun_s: float) -> float:
+        return 0.5 if begun_s >= FROM_S else 1.0
 
-        def _advance(self, u, duration_s):
-            level = float(self.T < 21.2) * 0.5 if u is None else u
-            heat_W = 10_000.0 * level * self.given
-            measured = super()._advance(level * self.given, duration_s)
-            measured = replace(measured, u=level, heat_W=heat_W, power_W=0.4 * heat_W)
-            self._rows[-1] = (duration_s, measured)
-            return measured
+    def shows(house, seen):
+        given = share(house.began_s)
+        heat_W = 10_000.0 * seen.u
+        return replace(seen, u=seen.u / given, heat_W=heat_W, power_W=0.4 * heat_W)
+
+    def gives(house, u):
+        return share(house.began_s) * (native_level(house.T) if u is None else u)
 
     law = MachineLoad((0.0, 0.0, 10_000.0, 0.0), (-20.0, 30.0))
     model = ThermalModel.single(
@@ -169,7 +157,8 @@ def test_a_weak_machine_whose_heat_is_metered_is_adapted_to_once(stand_back):
         PowerModel(replace(law, coefficients=(0.0, 0.0, 4_000.0, 0.0))),
     )
     options = {"step_s": None, "horizon_h": 24.0, "fallback": {"stand_back": stand_back}}
-    mpc, house = ThermoForceMPC(model, MPCConfig(**options), free_response=OutdoorResponse()), Metered()
+    mpc = ThermoForceMPC(model, MPCConfig(**options), free_response=OutdoorResponse())
+    house = FaultyHouse(shows, gives=gives)
     result = run_closed_loop(house, mpc, replace(house.period("x"), scored_s=9 * DAY_S))
     (spell,) = watch_spells(result)
     assert "the machine's heat was" in spell.why
@@ -245,9 +234,15 @@ def test_predictions_from_before_a_return_do_not_count_against_the_effect():
     now = 20 * DAY_S
     judged = np.array([Judged(now - h * HOUR_S, 0, -0.2, 0.1, 0.4) for h in range(24)])
     state = WatchState(tracks=(Track(judged=judged),))
-    assert "less effect" in watch._less_effect(state, now)
-    assert watch._less_effect(state, now + HOUR_S) == "", "every 6 h"
-    assert watch._less_effect(replace(state, returned_s=now - 12 * HOUR_S), now) == ""
+    house = SimpleHouse()
+
+    def alarm(state: WatchState, now: float) -> str:
+        house.reset(now, DAY_S)
+        return watch.validate(state, house.past(HOUR_S), None, None).alarm
+
+    assert "less effect" in alarm(state, now)
+    assert alarm(state, now + HOUR_S) == "", "every 6 h"
+    assert alarm(replace(state, returned_s=now - 12 * HOUR_S), now) == ""
 
 
 def record(asked: list[float], u: list[float], heat_W: list[float] | None = None) -> tuple[list, Record]:
@@ -305,7 +300,7 @@ def test_an_old_plan_is_followed_only_while_its_own_promise_holds():
     house.reset(10 * DAY_S, 0.0)
 
     def followed(T_zone_C: float) -> float | None:
-        now = replace(house._measure(), time_s=HOUR_S, T_zone_C=T_zone_C)
+        now = replace(house.measure(), time_s=HOUR_S, T_zone_C=T_zone_C)
         return policy.level_to_follow(good, Observation(Record.beginning(now), house.forecast(DAY_S, HOUR_S)))
 
     assert followed(21.2) == 0.4

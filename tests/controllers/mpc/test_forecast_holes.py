@@ -6,26 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from faults import FaultyHouse
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
-from thermoforce_mpc.data import HOUR_S, Boundary, PlanStatus
+from thermoforce_mpc.data import Boundary, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 
 FROM_H, TO_H = 20, 26
 
 
-class HalfBlind(SimpleHouse):
-    """`changed(forecast)` from hour 20 to hour 26 of the run."""
-
-    def __init__(self, changed, from_h: float = FROM_H) -> None:
-        super().__init__()
-        self.changed, self.from_h = changed, from_h
-
-    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        given, hours = super().forecast(horizon_s, interval_s), (self.now_s - self.start_s) / HOUR_S
-        return self.changed(given) if self.from_h <= hours < TO_H else given
+def half_blind(changed, from_h: float = FROM_H) -> FaultyHouse:
+    """A house with `changed(forecast)` to hour 26 of the run."""
+    return FaultyHouse(says=lambda house, given: changed(given) if from_h <= house.hours < TO_H else given)
 
 
 def without(*names: str, at=slice(None)):
@@ -57,7 +51,7 @@ def run(house: SimpleHouse) -> RunResult:
     ids=["weather", "hole", "prices", "bounds", "3 h", "now only"],
 )
 def test_plans_go_on_with_what_was_known_before(changed, says):
-    healthy, result = run(SimpleHouse()), run(HalfBlind(changed))
+    healthy, result = run(SimpleHouse()), run(half_blind(changed))
     status = [step.plan.status for step in result.steps]
     assert status[FROM_H:TO_H] == [PlanStatus.BRIDGED] * (TO_H - FROM_H)
     assert set(status[:FROM_H] + status[TO_H:]) == {PlanStatus.SOLVED}
@@ -69,7 +63,7 @@ def test_plans_go_on_with_what_was_known_before(changed, says):
 @pytest.mark.parametrize("name", ["price_per_kWh", "lower_C", "T_out_C"])
 def test_what_was_never_known_is_not_invented(name):
     names = (name, "upper_C") if name == "lower_C" else (name, "heating_price_per_kWh")[: 1 + name.startswith("price")]
-    result = run(HalfBlind(without(*names), from_h=-1.0))
+    result = run(half_blind(without(*names), from_h=-1.0))
     status = [step.plan.status for step in result.steps]
     # The weather of the record is known, prices and bounds are not: a rule acts, on safe set-points without bounds.
     expected = PlanStatus.BRIDGED if name == "T_out_C" else PlanStatus.THERMOSTAT
@@ -81,4 +75,4 @@ def test_what_was_never_known_is_not_invented(name):
 
 
 def test_the_plans_of_a_run_without_holes_are_not_touched():
-    assert {step.plan.status for step in run(HalfBlind(lambda given: given)).steps} == {PlanStatus.SOLVED}
+    assert {step.plan.status for step in run(half_blind(lambda given: given)).steps} == {PlanStatus.SOLVED}

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from faults import FaultyHouse
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.mpc.controller import MPCState
 from controllers.mpc.margin_rules import OF_LOOPS, LearnedMargin, learned_K, of_plans
 from controllers.mpc.margins import Margins
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Measurement, Observation
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 ALLOWED_K = 0.0135
@@ -130,20 +131,16 @@ def test_the_bounds_of_a_problem_move_inside_by_what_was_learned():
     np.testing.assert_array_equal(kept.upper_C, plain.upper_C)
 
 
-class ColdBetweenReadings(SimpleHouse):
-    """The simple house under a draught that comes and goes: 0.25 K off every other hour, which no forecast sees."""
-
-    def _advance(self, u: float | None, duration_s: float) -> Measurement:
-        hour = round(self.now_s / HOUR_S)
-        self.T += 0.25 if hour % 2 else -0.25
-        return super()._advance(u, duration_s)
+def swings(house: FaultyHouse, hours: float) -> float:
+    """A draught that comes and goes, K: every other hour, which no forecast sees."""
+    return 0.25 if round(house.now_s / HOUR_S) % 2 else -0.25
 
 
 def test_a_swing_that_no_plan_sees_costs_less_comfort_once_it_was_seen():
     def discomfort_Kh(reserve: bool) -> float:
         config = MPCConfig(step_s=None, horizon_h=24.0, reserve=reserve)
         mpc = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
-        house = ColdBetweenReadings()
+        house = FaultyHouse(moves=swings)
         period = replace(house.period("x"), scored_s=4 * DAY_S)
         return run_closed_loop(house, mpc, period).kpis["tdis_tot"]
 

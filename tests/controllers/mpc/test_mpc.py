@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from faults import ChangedResponse, ChangedSolver
 from simple_house import FIXED_W, GAIN_K, PER_U_W, OutdoorResponse, SimpleHouse, simple_model
 from waiting import wait_for
 
@@ -26,9 +27,11 @@ from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 
-def controller(free=None, **options) -> ThermoForceMPC:
+def controller(free=None, changed=None, **options) -> ThermoForceMPC:
+    """A controller; its solutions may be `changed(number of the solve, solution)`."""
     config = MPCConfig(**{"step_s": None, "horizon_h": 24.0, **options})
-    return ThermoForceMPC(simple_model(), config, free_response=free or OutdoorResponse())
+    solver = changed and ChangedSolver(config, changed)
+    return ThermoForceMPC(simple_model(), config, free_response=free or OutdoorResponse(), solver=solver)
 
 
 def observation(house: SimpleHouse | None = None) -> Observation:
@@ -107,24 +110,14 @@ def test_every_plan_is_finite_inside_limits_and_one_step_long(solver, mode):
     assert plan.why
 
 
-class FailingSolver:
-    def __init__(self, inner, failing: set[int]) -> None:
-        self.inner, self.failing, self.calls = inner, failing, 0
-
-    def solve(self, problem, guess=None) -> Solution:
-        self.calls += 1
-        if self.calls - 1 in self.failing:
-            return Solution(False, np.empty(0), "Restoration_Failed", 7, "Ipopt ended with Restoration_Failed")
-        return self.inner.solve(problem, guess)
-
-
-def failing(mpc: ThermoForceMPC, steps: set[int]) -> ThermoForceMPC:
-    mpc._planners.base = replace(mpc._planners.base, solver=FailingSolver(mpc._planners.base.solver, steps))
-    return mpc
+def failing(steps: set[int]) -> ThermoForceMPC:
+    """A controller whose solver fails in some steps."""
+    failed = Solution(False, np.empty(0), "Restoration_Failed", 7, "Ipopt ended with Restoration_Failed")
+    return controller(changed=lambda n, found: failed if n in steps else found)
 
 
 def test_failed_solves_go_down_the_ladder_and_are_counted_and_explained():
-    house, mpc = SimpleHouse(), failing(controller(), set(range(10, 16)))
+    house, mpc = SimpleHouse(), failing(set(range(10, 16)))
     result = run_closed_loop(house, mpc, house.period("x"))
     status = [step.plan.status for step in result.steps]
     assert status[10:16] == [PlanStatus.SHIFTED] * 3 + [PlanStatus.THERMOSTAT] * 3
@@ -135,7 +128,7 @@ def test_failed_solves_go_down_the_ladder_and_are_counted_and_explained():
 
 
 def test_the_shifted_plan_is_dropped_when_the_zone_is_not_where_it_was_predicted():
-    mpc = failing(controller(), {1})
+    mpc = failing({1})
     state = mpc.plan(observation()).state
     later = observation(SimpleHouse(T_start_C=12.0))
     later = Observation(
@@ -145,16 +138,6 @@ def test_the_shifted_plan_is_dropped_when_the_zone_is_not_where_it_was_predicted
     plan = mpc.plan(later, state)
     assert plan.status is PlanStatus.THERMOSTAT
     assert [block.u for block in plan.blocks] == [(1.0,)], "the zone is cold"
-
-
-class Sabotage:
-    name = "sabotage"
-
-    def __init__(self, action) -> None:
-        self.action = action
-
-    def forecast(self, free_C, history, boundary):
-        return self.action(OutdoorResponse().forecast(free_C, history, boundary))
 
 
 def _raise(error):
@@ -180,7 +163,7 @@ broken = pytest.mark.parametrize(
 
 @broken
 def test_a_broken_forecast_is_replaced_by_the_weather_models_with_a_reason(action):
-    plan = controller(free=Sabotage(action)).plan(observation())
+    plan = controller(free=ChangedResponse(lambda n, found: action(found))).plan(observation())
     assert plan.status is PlanStatus.BRIDGED
     assert "free forecast by linear_weather instead (" in plan.why
     assert np.isfinite(plan.T_zone_C).all()
@@ -188,27 +171,22 @@ def test_a_broken_forecast_is_replaced_by_the_weather_models_with_a_reason(actio
 
 @broken
 def test_a_broken_forecast_without_a_substitute_falls_back_with_a_reason(action):
-    plan = controller(free=Sabotage(action), free_response={"substitutes": False}).plan(observation())
+    plan = controller(free=ChangedResponse(lambda n, found: action(found)), free_response={"substitutes": False}).plan(
+        observation()
+    )
     assert plan.status is PlanStatus.THERMOSTAT
     assert plan.why.startswith("no prediction (")
     assert plan.blocks[0].u in ((0.0,), (1.0,))
 
 
-class Raising:
-    def solve(self, problem, guess=None):
-        raise KeyError("no such status")
-
-
 def test_a_solver_that_raises_is_a_failed_solve():
-    mpc = controller()
-    mpc._planners.base = replace(mpc._planners.base, solver=Raising())
-    plan = mpc.plan(observation())
+    plan = controller(changed=lambda n, found: _raise(KeyError("no such status"))).plan(observation())
     assert plan.status is PlanStatus.THERMOSTAT
     assert plan.why.startswith("the solver failed (KeyError: 'no such status')")
 
 
 def test_mistakes_of_the_caller_raise_before_anything_else():
-    seen, mpc = observation(), controller(free=Sabotage(lambda f: _raise(AssertionError("too late"))))
+    seen, mpc = observation(), controller(free=ChangedResponse(lambda n, found: _raise(AssertionError("too late"))))
     with pytest.raises(DataError, match=r"boundary forecast has 23 steps, the horizon needs 24 of 3600 s"):
         mpc.plan(Observation(seen.history, seen.boundary.head(23)))
     old = replace(seen.boundary, time_s=seen.boundary.time_s - 6 * HOUR_S)

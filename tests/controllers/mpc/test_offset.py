@@ -18,16 +18,13 @@ from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 HELD = {"mode": "modulating", "lowest_level": 0.0}
 
 
-class Forgetful(OutdoorResponse):
-    """The exact forecast from where the zone is; what the machine missed in the last step is not foreseen."""
-
-
 def settled_K(offset_h: float | None) -> float:
     """Mean distance of the zone from its lower bound in the second night's last hours, K."""
     strong = linear_operator(np.array([POLE]), np.array([1.4 * GAIN_K]), step_s=HOUR_S)
     model = ThermalModel.of_zone(replace(simple_model().only, operator=strong))
     config = MPCConfig(step_s=None, horizon_h=24.0, offset_h=offset_h, backoff_level=0.5, backoff_violation_K=None)
-    mpc = ThermoForceMPC(model, config, free_response=Forgetful())
+    # The exact forecast from where the zone is: what the machine missed in the last step is not foreseen.
+    mpc = ThermoForceMPC(model, config, free_response=OutdoorResponse())
     house = SimpleHouse()
     result = run_closed_loop(house, mpc, house.period("x"))
     nights = [s for s in result.samples if s.lower_C[0] > 20 and (s.start_s % 86400) / HOUR_S < 6]

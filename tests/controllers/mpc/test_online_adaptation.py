@@ -6,27 +6,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simple_house import OutdoorResponse, SimpleHouse, simple_model
+from faults import FaultyHouse
+from simple_house import OutdoorResponse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 
-class WeakHouse(SimpleHouse):
+def weak_house() -> FaultyHouse:
     """A house whose heater gives four fifths of what the model was told."""
-
-    def _advance(self, u, duration_s):
-        measurement = super()._advance(None if u is None else 0.8 * u, duration_s)
-        measurement = replace(measurement, u=measurement.u / 0.8)
-        self._rows[-1] = (duration_s, measurement)
-        return measurement
+    return FaultyHouse(
+        shows=lambda house, seen: replace(seen, u=seen.u / 0.8), gives=lambda house, u: None if u is None else 0.8 * u
+    )
 
 
 @pytest.mark.slow
 def test_online_adaptation_finds_a_weaker_machine_and_plans_with_it():
     found = {}
     for enabled in (False, True):
-        house = WeakHouse()
+        house = weak_house()
         config = MPCConfig(step_s=None, horizon_h=24.0, adaptation={"enabled": enabled, "gain_sd": 0.3})
         mpc = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
         period = replace(house.period("x"), scored_s=8 * 86400.0)

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from faults import FAILED, ChangedSolver
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.mpc.no_model import NoModelController
-from controllers.optimisation.solution import Solution
 from controllers.rules.native import NativeController
 from controllers.rules.pi import PIConfig, PIController
 from controllers.rules.thermostat import Thermostat, ThermostatState
@@ -120,18 +120,6 @@ def test_the_state_of_a_later_plan_is_refused(build):
         controller.plan(seen, state)
 
 
-class Failing:
-    """A solver that fails now and then."""
-
-    def __init__(self, inner, seed: int) -> None:
-        self.inner, self._draw = inner, np.random.default_rng(seed)
-
-    def solve(self, problem, *guess) -> Solution:
-        if self._draw.random() < 0.4:
-            return Solution(False, np.empty(0), "failed", 0, "failed on purpose")
-        return self.inner.solve(problem, *guess)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("follow_steps", [0, 1])
 def test_minimum_times_hold_whatever_acts(follow_steps):
@@ -139,10 +127,9 @@ def test_minimum_times_hold_whatever_acts(follow_steps):
         # The forecaster is exact at hourly steps only, which the watch would notice.
         fallback = {"follow_steps": follow_steps}
         config = MPCConfig(step_s=900.0, horizon_h=6.0, fallback=fallback, watch={"enabled": False})
-        controller = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
-        controller._planners.base = replace(
-            controller._planners.base, solver=Failing(controller._planners.base.solver, seed)
-        )
+        draw = np.random.default_rng(seed)
+        solver = ChangedSolver(config, lambda n, found, draw=draw: FAILED if draw.random() < 0.4 else found)
+        controller = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse(), solver=solver)
         house = SimpleHouse(T_start_C=20.6)
         result = run_closed_loop(house, controller, house.period("x"))
         assert result.fallback_levels()["solved"] > 50

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from faults import FAILED, ChangedSolver, FaultyHouse, shifted
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from two_houses import SHARED, TWO, TwoHouses, reordered, two_model, two_observation
 
@@ -13,10 +14,9 @@ from controllers import MPCConfig, ThermoForceMPC
 from controllers.monitoring.single_actuator import single_actuator_records
 from controllers.monitoring.watch_state import WatchState
 from controllers.monitoring.watch_tests import applied_levels
-from controllers.mpc.model_watch import _later
+from controllers.mpc.model_watch import later_state
 from controllers.mpc.no_model import NoModelController
 from controllers.mpc.state import MPCState
-from controllers.optimisation.solution import Solution
 from controllers.rules.pi import PIController
 from controllers.rules.thermostat import Thermostat
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation, PlanStatus
@@ -25,6 +25,7 @@ from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.predictor import PredictorState
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
@@ -33,9 +34,11 @@ LAYOUT = Layout(TWO, (1, 1), (0, 1), (0, 1), (0.0,) * 2, (0.0,) * 2, (60.0, 40.0
 RADIATOR, FLOOR = range(2)
 
 
-def mpc(model: ThermalModel | None = None, free=None, **options) -> ThermoForceMPC:
+def mpc(model: ThermalModel | None = None, free=None, fails=False, **options) -> ThermoForceMPC:
+    """A controller; `fails`: its solver does, but for the first solve."""
     config = MPCConfig(**{"step_s": None, "horizon_h": 24.0, **options})
-    return ThermoForceMPC(model or two_model(), config, free_response=free or OutdoorResponse())
+    solver = ChangedSolver(config, lambda n, found: FAILED if fails and n else found)
+    return ThermoForceMPC(model or two_model(), config, free_response=free or OutdoorResponse(), solver=solver)
 
 
 def level(plan, actuator: int) -> float | None:
@@ -123,16 +126,14 @@ def first_state(seen: Observation) -> MPCState:
     return state
 
 
-class Stuck(SimpleHouse):
-    """From the second day on its actuator does nothing, which is measured."""
-
-    def _advance(self, u, duration_s):
-        return super()._advance(0.0 if 11 * DAY_S <= self.now_s < 12 * DAY_S else u, duration_s)
+def stuck(house: FaultyHouse, u: float | None) -> float | None:
+    """On the second day the actuator does nothing, which is measured."""
+    return 0.0 if 11 * DAY_S <= house.now_s < 12 * DAY_S else u
 
 
 def test_an_actuator_that_fails_is_handed_back_alone_and_returns():
     period = replace(SimpleHouse().period("x"), scored_s=5 * DAY_S)
-    result = run_closed_loop(TwoHouses(first=Stuck()), mpc(), period)
+    result = run_closed_loop(TwoHouses(first=FaultyHouse(gives=stuck)), mpc(), period)
     held = [step for step in result.steps if step.plan.acting[RADIATOR] is PlanStatus.WATCH]
     assert held
     assert 11 * DAY_S < held[0].time_s <= 12 * DAY_S
@@ -146,14 +147,6 @@ def test_an_actuator_that_fails_is_handed_back_alone_and_returns():
     assert (np.array([s.T_zone_C[1] for s in result.samples[24:]]) - lower).min() > -0.3
 
 
-class Warm(OutdoorResponse):
-    """A forecast that is finite, confident and 12 K too warm."""
-
-    def forecast(self, free_C, history, boundary):
-        right = super().forecast(free_C, history, boundary)
-        return replace(right, quantiles_C=right.quantiles_C + 12.0)
-
-
 @pytest.mark.parametrize("cold", [RADIATOR, FLOOR])
 def test_the_guard_acts_in_the_zone_that_is_outside_and_in_no_other(cold):
     houses = [SimpleHouse(), SimpleHouse()]
@@ -162,7 +155,7 @@ def test_the_guard_acts_in_the_zone_that_is_outside_and_in_no_other(cold):
     plant.reset(10 * DAY_S, 0.0)
     seen = Observation(plant.past(900.0), plant.forecast(DAY_S, HOUR_S))
     free = [OutdoorResponse(), OutdoorResponse()]
-    free[cold] = Warm()
+    free[cold] = shifted(12.0)
     plan = mpc(free=free, actuation={"mode": "modulating", "lowest_level": 0.0}).plan(seen)
     other = 1 - cold
     assert plan.status is PlanStatus.GUARD
@@ -193,14 +186,11 @@ def test_a_zone_without_a_reading_goes_to_native_control_and_the_other_follows_t
 
 
 def test_a_sensor_that_is_silent_for_a_whole_run_and_one_that_comes_back():
-    class Silent(SimpleHouse):
-        def _measure(self, u=np.nan):
-            measurement = super()._measure(u)
-            return replace(measurement, T_zone_C=np.nan) if self.now_s < self.silent_until_s else measurement
+    def silent_until(until_s):
+        return lambda house, seen: replace(seen, T_zone_C=np.nan) if house.now_s < until_s else seen
 
     for until_s in (np.inf, 11 * DAY_S):
-        house = Silent()
-        house.silent_until_s = until_s
+        house = FaultyHouse(silent_until(until_s))
         result = run_closed_loop(TwoHouses(first=house), mpc(), SimpleHouse().period("x"))
         assert {step.plan.acting[FLOOR] for step in result.steps[24:]} == {PlanStatus.SOLVED}
         radiator = [step.plan.acting[RADIATOR] for step in result.steps]
@@ -222,13 +212,8 @@ def test_two_silent_sensors_leave_the_building_to_native_control():
         mpc().predictor.context(seen)
 
 
-class Failing:
-    def solve(self, problem, guess=None) -> Solution:
-        return Solution(False, np.empty(0), "failed", 0, "failed on purpose")
-
-
 def test_after_a_failed_solve_each_actuator_falls_back_by_its_own_zone():
-    controller, seen = mpc(), two_observation()
+    controller, seen = mpc(fails=True), two_observation()
     plan = controller.plan(seen)
     later = replace(
         seen,
@@ -239,7 +224,6 @@ def test_after_a_failed_solve_each_actuator_falls_back_by_its_own_zone():
     T[:, -1] = plan.T_zone_C[:, 0]
     T[1, -1] -= 0.9
     later = replace(later, history=replace(later.history, T_zone_C=T))
-    controller._planners.base = replace(controller._planners.base, solver=Failing())
     after = controller.plan(later, plan.state)
     assert after.acting == (PlanStatus.SHIFTED, PlanStatus.THERMOSTAT)
     assert after.status is PlanStatus.THERMOSTAT
@@ -400,13 +384,13 @@ def test_the_predictor_of_those_that_went_on_is_kept_when_one_returns():
     history, weather = seen.history.slice(0, seen.history.n_steps - 1), seen.boundary
     before = Observation(history, replace(weather, time_s=weather.time_s - HOUR_S))
     older = mpc().predictor.context(before, None).state
-    assert _later(state, older) == replace(state, forced=None)
-    assert _later(older, state) is state
-    assert _later(None, older) is older
+    assert later_state(state, older) == replace(state, forced=None)
+    assert later_state(older, state) is state
+    assert later_state(None, older) is older
 
 
 def test_a_plan_made_without_a_reading_is_not_followed_when_the_sensor_is_back():
-    controller, seen = mpc(), two_observation()
+    controller, seen = mpc(fails=True), two_observation()
     blind = controller.plan(silenced(seen, 0))
     later = replace(
         seen,
@@ -416,7 +400,6 @@ def test_a_plan_made_without_a_reading_is_not_followed_when_the_sensor_is_back()
     T = later.history.T_zone_C.copy()
     T[:, -1] = blind.T_zone_C[:, 0]
     later = replace(later, history=replace(later.history, T_zone_C=T))
-    controller._planners.base = replace(controller._planners.base, solver=Failing())
     assert controller.plan(later, blind.state).acting == (PlanStatus.THERMOSTAT, PlanStatus.SHIFTED)
 
 
@@ -444,7 +427,7 @@ def test_the_gain_in_a_zone_without_a_reading_sees_the_mean_of_the_others():
         states = []
         for history in (known, silent):
             state = predictor.followed(history.slice(0, begun))
-            states.append(predictor._estimator.update(state, history).forced_K)
+            states.append(predictor.followed(history, PredictorState(state)).forced_K)
         np.testing.assert_allclose(states[1], states[0], atol=1e-12)
         assert np.abs(states[0]).max() > 1.0
 

@@ -28,6 +28,7 @@ from controllers.optimisation.milp import ChoiceResult, Highs, MilpConfig, MilpS
 from controllers.optimisation.problem import MPCProblem, PowerCap, ProblemShape, Weights, every_step
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.qp_backends import QPConfig
+from controllers.optimisation.sparse_qp import SparseQP
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
@@ -40,9 +41,9 @@ def machine(rng: np.random.Generator, order: int = 2) -> BuildingOperator:
     return single(replace(random_operator(rng, order), heat_input=HeatInput(heat=HEAT)))
 
 
-def solver(operator: BuildingOperator, held_steps: int | None = 2, n_steps: int = N) -> MilpSolver:
+def solver(operator: BuildingOperator, held_steps: int | None = 2, n_steps: int = N, choose=None) -> MilpSolver:
     shape = ProblemShape(every_step(n_steps), EquipmentLayout.one(lowest_level=0.3), held_steps=held_steps)
-    return MilpSolver(operator, shape, EXACT)
+    return MilpSolver(operator, shape, EXACT, choose=choose)
 
 
 def optimum_of_choice(problem: MPCProblem, operator: BuildingOperator, on: np.ndarray) -> float:
@@ -139,8 +140,9 @@ def test_the_plan_is_the_best_of_all_choices(signs, machine_of, lowest, exclusiv
         assert float(problem.cost(operator, solution.u)) == pytest.approx(best, rel=1e-6)
         assert solution.gap <= 1e-6
         assert ((solution.u[machinery.held] == 0.0) | (solution.u[machinery.held] >= 0.3 - 1e-9)).all()
-        drive = relaxed._sparse_qp.drive(problem)
-        below = replace(problem, held_steps=0).cost_under(bound.u, relaxed._sparse_qp.modes(problem, drive, bound.u))
+        programme = SparseQP(operator, relaxed.shape)
+        modes_K = programme.modes(problem, programme.drive(problem), bound.u)
+        below = replace(problem, held_steps=0).cost_under(bound.u, modes_K)
         gained.append(best - float(below))
     assert min(gained) > -1e-6
     assert max(gained) > 1e-3, "a choice that costs nothing tests nothing"
@@ -172,19 +174,20 @@ def test_later_steps_are_relaxed_and_reported_as_the_held_level_of_the_same_heat
     rng = np.random.default_rng(5)
     operator, problem = machine(rng), random_problem(rng, 2, lowest=0.3, curvature=1e-6)
     problem = replace(problem, T_free_C=problem.T_free_C + 5.0)
-    milp = solver(operator, held_steps=2)
+    results, highs = [], Highs(EXACT)
+
+    def choose(*given):
+        results.append(highs(*given))
+        return results[-1]
+
+    milp = solver(operator, held_steps=2, choose=choose)
     solution = milp.solve(problem)
-    shares = []
-    choose = milp._sparse_qp.levels
-    milp._sparse_qp.levels = lambda x: shares.append(choose(x)) or shares[-1]  # type: ignore[method-assign]
-    milp.solve(problem)
-    drive = milp._sparse_qp.drive(problem)
-    solved = milp._sparse_qp.as_solved(problem)
-    np.testing.assert_allclose(
-        problem.modes_K(operator, solution.u), milp._sparse_qp.modes(solved, drive, shares[0]), atol=1e-9
-    )
-    np.testing.assert_allclose(solution.u[:, :2], shares[0][:, :2])
-    assert np.abs(solution.u[:, 2:] - shares[0][:, 2:]).max() > 0.01, "part load gives another heat than a share"
+    programme = SparseQP(operator, milp.shape)
+    share = programme.levels(results[0].x)
+    modes_K = programme.modes(programme.as_solved(problem), programme.drive(problem), share)
+    np.testing.assert_allclose(problem.modes_K(operator, solution.u), modes_K, atol=1e-9)
+    np.testing.assert_allclose(solution.u[:, :2], share[:, :2])
+    assert np.abs(solution.u[:, 2:] - share[:, 2:]).max() > 0.01, "part load gives another heat than a share"
 
 
 def test_exclusion_later_is_in_time():
@@ -251,57 +254,51 @@ def test_numbers_that_are_not_finite_are_a_failed_solve():
         (lambda r: ChoiceResult(np.empty(0), "Time limit reached", 0, -np.inf), "Time limit reached and no plan"),
     ],
 )
-def test_an_answer_that_is_not_what_it_claims_is_refused(monkeypatch, spoil, reason):
+def test_an_answer_that_is_not_what_it_claims_is_refused(spoil, reason):
     rng = np.random.default_rng(4)
     operator, problem = machine(rng), random_problem(rng, 2, lowest=0.3)
-    milp = solver(operator)
-    assert milp.solve(problem).ok
-    found = Highs.__call__
-    monkeypatch.setattr(Highs, "__call__", lambda self, *given: spoil(found(self, *given)))
-    solution = milp.solve(problem)
+    assert solver(operator).solve(problem).ok
+    highs = Highs(EXACT)
+    solution = solver(operator, choose=lambda *given: spoil(highs(*given))).solve(problem)
     assert (solution.ok, solution.u.size) == (False, 0)
     assert reason in solution.problem
 
 
-def test_a_solver_that_raises_is_a_failed_solve(monkeypatch):
-    rng = np.random.default_rng(4)
-    milp = solver(machine(rng))
-
-    def crash(self, *given):
+def test_a_solver_that_raises_is_a_failed_solve():
+    def crash(*given):
         raise MemoryError("out of memory")
 
-    monkeypatch.setattr(Highs, "__call__", crash)
+    rng = np.random.default_rng(4)
+    milp = solver(machine(rng), choose=crash)
     assert "raised MemoryError: out of memory" in milp.solve(random_problem(rng, 2, lowest=0.3)).problem
 
 
-def test_a_gap_that_is_left_is_reported(monkeypatch):
+def test_a_gap_that_is_left_is_reported():
     rng = np.random.default_rng(4)
     operator, problem = machine(rng), random_problem(rng, 2, lowest=0.3)
-    found = Highs.__call__
+    highs = Highs(EXACT)
 
-    def halfway(self, programme, choices, start):
-        result = found(self, programme, choices, start)
+    def halfway(programme, choices, start):
+        result = highs(programme, choices, start)
         return replace(result, status="Time limit reached", bound=0.5 * (programme.linear @ result.x))
 
-    monkeypatch.setattr(Highs, "__call__", halfway)
-    solution = solver(operator).solve(problem)
+    solution = solver(operator, choose=halfway).solve(problem)
     assert solution.ok, solution.problem
     assert solution.gap == pytest.approx(0.5, rel=0.2)
     assert solution.status.startswith("highs:Time limit reached, gap 0.")
 
 
-def test_it_starts_from_the_relaxation_rounded_within_lowest_levels_and_exclusion(monkeypatch):
+def test_it_starts_from_the_relaxation_rounded_within_lowest_levels_and_exclusion():
     rng = np.random.default_rng(9)
     operator = random_building(rng, 2, (1, 1, 1))
     machinery = machinery_of(operator, (0, 1, 2), lowest_level=np.array([0.3, 1.0, 0.4]), exclusive=((0, 1),))
-    milp = MilpSolver(operator, ProblemShape(every_step(N), machinery, held_steps=6), EXACT)
-    found, starts = Highs.__call__, []
+    highs, starts = Highs(EXACT), []
 
-    def seen(self, programme, choices, start):
+    def seen(programme, choices, start):
         starts.append(start[choices].reshape(3, 6))
-        return found(self, programme, choices, start)
+        return highs(programme, choices, start)
 
-    monkeypatch.setattr(Highs, "__call__", seen)
+    milp = MilpSolver(operator, ProblemShape(every_step(N), machinery, held_steps=6), EXACT, choose=seen)
     for _ in range(5):
         assert milp.solve(random_building_problem(rng, operator, machinery)).ok
     on = np.array(starts)

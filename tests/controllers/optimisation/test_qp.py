@@ -115,13 +115,10 @@ def test_the_second_solver_acts_when_the_first_lies_or_fails(answer, reason):
     rng = np.random.default_rng(9)
     operator, shape = single(random_operator(rng, 2)), SHAPES["every step"]
     problem = random_problem(rng, 2, curvature=1e-6)
-    solver = QPSolver(operator, shape, QPConfig())
-    solver._solve_with["piqp"] = answer
-    solution = solver.solve(problem)
+    solution = QPSolver(operator, shape, QPConfig(), {"piqp": answer}).solve(problem)
     assert solution.ok
     assert solution.status == "clarabel:Solved"
-    solver._solve_with["clarabel"] = answer
-    failed = solver.solve(problem)
+    failed = QPSolver(operator, shape, QPConfig(), {"piqp": answer, "clarabel": answer}).solve(problem)
     assert (failed.ok, failed.u.size) == (False, 0)
     assert failed.problem.count(reason) == 2, failed.problem
 

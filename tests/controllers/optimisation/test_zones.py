@@ -17,6 +17,7 @@ from controllers.optimisation.problem import Cooling, PowerCap, ProblemShape, We
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.qp_backends import QPConfig
 from controllers.optimisation.solution import checked_solution
+from controllers.optimisation.sparse_qp import SparseQP
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -188,13 +189,10 @@ def test_the_optimum_for_a_machine_that_cycles_is_ipopts(below):
 def test_a_machine_of_one_actuator_needs_no_variable_of_its_own():
     rng = np.random.default_rng(6)
     operator = random_building(rng, 2, (1, 1))
-    own = QPSolver(operator, ProblemShape(every_step(N), machinery_of(operator, (0, 1))), QPConfig())
-    shared = QPSolver(operator, ProblemShape(every_step(N), machinery_of(operator, (0, 0))), QPConfig())
-    assert own._sparse_qp.n_variables == 6 * N
-    assert shared._sparse_qp.n_variables == 7 * N
-    assert QPSolver(
-        single(random_operator(rng, 3)), ProblemShape(every_step(N)), QPConfig()
-    )._sparse_qp.n_variables == (3 * N)
+    own = SparseQP(operator, ProblemShape(every_step(N), machinery_of(operator, (0, 1))))
+    shared = SparseQP(operator, ProblemShape(every_step(N), machinery_of(operator, (0, 0))))
+    alone = SparseQP(single(random_operator(rng, 3)), ProblemShape(every_step(N)))
+    assert (own.n_variables, shared.n_variables, alone.n_variables) == (6 * N, 7 * N, 3 * N)
 
 
 def test_capacity_is_kept_where_it_would_be_exceeded():

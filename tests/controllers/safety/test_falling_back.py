@@ -8,17 +8,22 @@ from itertools import groupby
 
 import numpy as np
 import pytest
+from faults import ChangedResponse, ChangedSolver, FaultyHouse
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from waiting import wait_for
 
 from controllers import ThermoForceMPC
-from controllers.monitoring.zone_sensors import ZoneSensors
 from controllers.mpc.config import MPCConfig
+from controllers.mpc.planner import build_solver
+from controllers.mpc.readings import ReadingsFilter
 from controllers.mpc.state import MPCState
+from controllers.optimisation.qp import QPSolver
+from controllers.optimisation.qp_backends import Clarabel, Piqp, QPConfig
 from controllers.optimisation.solution import Solution
 from thermoforce_mpc.data import HOUR_S, FreeForecast, Observation, Plan, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
+CONFIG = MPCConfig(step_s=None, horizon_h=24.0)
 # Long enough for what does answer, on any machine.
 SOON_S = 3.0
 
@@ -27,38 +32,17 @@ class Panic(BaseException):
     """As a compiled library raises it."""
 
 
-def mpc(free=None, **options) -> ThermoForceMPC:
+def mpc(free=None, changed=lambda n, found: found, **options) -> ThermoForceMPC:
+    """A controller whose solutions are `changed(number of the solve, solution)`."""
     config = MPCConfig(**{"step_s": None, "horizon_h": 24.0, **options})
-    return ThermoForceMPC(simple_model(), config, free_response=free or OutdoorResponse())
+    solver = ChangedSolver(config, changed)
+    return ThermoForceMPC(simple_model(), config, free_response=free or OutdoorResponse(), solver=solver)
 
 
 def observation() -> Observation:
     house = SimpleHouse()
     house.reset(10 * 86400.0, 2 * 86400.0)
     return Observation(house.past(HOUR_S), house.forecast(24 * HOUR_S, HOUR_S))
-
-
-class Solver:
-    """The controller's solver, with `acts(number of the call, its solution)` in between."""
-
-    def __init__(self, controller: ThermoForceMPC, acts) -> None:
-        self.inner, self.acts, self.calls = controller._planners.base.solver, acts, 0
-        controller._planners.base = replace(controller._planners.base, solver=self)
-
-    def solve(self, problem, guess=None):
-        self.calls += 1
-        return self.acts(self.calls - 1, self.inner.solve(problem, guess))
-
-
-class Forecaster:
-    name = "exact"
-
-    def __init__(self, acts) -> None:
-        self.acts, self.calls = acts, 0
-
-    def forecast(self, free_C, history, boundary):
-        self.calls += 1
-        return self.acts(self.calls - 1, OutdoorResponse().forecast(free_C, history, boundary))
 
 
 def raising(error: BaseException):
@@ -93,9 +77,7 @@ def released():
     ids=["key", "memory", "exit", "panic", "nothing", "nan", "above", "below", "short", "status"],
 )
 def test_no_answer_of_a_solver_acts_unchecked(acts, says):
-    controller = mpc()
-    Solver(controller, acts)
-    plan = controller.plan(observation())
+    plan = mpc(changed=acts).plan(observation())
     assert plan.status is PlanStatus.THERMOSTAT
     assert plan.acting == (PlanStatus.THERMOSTAT,)
     assert says in plan.why
@@ -104,9 +86,9 @@ def test_no_answer_of_a_solver_acts_unchecked(acts, says):
 
 
 def test_a_solver_that_hangs_is_left_behind_within_its_time_and_another_one_takes_over(released):
-    controller = mpc(deadline={"solve_s": SOON_S})
+    hanging = lambda n, found: found if n else released.wait(30.0)  # noqa: E731
+    controller = mpc(changed=hanging, deadline={"solve_s": SOON_S})
     seen = observation()
-    Solver(controller, lambda n, found: released.wait(30.0))
     plan = controller.plan(seen)
     assert plan.status is PlanStatus.THERMOSTAT
     assert "the solver failed (no answer within 3 s)" in plan.why
@@ -114,7 +96,7 @@ def test_a_solver_that_hangs_is_left_behind_within_its_time_and_another_one_take
 
 
 def test_a_forecaster_that_hangs_is_replaced_within_its_time_until_it_returns(released):
-    hanging = Forecaster(lambda n, found: found if n else released.wait(30.0) and found)
+    hanging = ChangedResponse(lambda n, found: found if n else released.wait(30.0) and found)
     controller = mpc(hanging, deadline={"forecast_s": SOON_S})
     seen = observation()
     first = controller.plan(seen)
@@ -130,7 +112,7 @@ def test_a_forecaster_that_hangs_is_replaced_within_its_time_until_it_returns(re
 
 def test_it_ends_in_time_without_substitutes_too(released):
     controller = mpc(
-        Forecaster(lambda n, found: released.wait(30.0)),
+        ChangedResponse(lambda n, found: released.wait(30.0)),
         deadline={"forecast_s": 0.3},
         free_response={"substitutes": False},
     )
@@ -141,7 +123,7 @@ def test_it_ends_in_time_without_substitutes_too(released):
 
 @pytest.mark.parametrize("error", [Panic("thread panicked"), SystemExit(2), RecursionError()])
 def test_a_forecaster_may_raise_anything(error):
-    plan = mpc(Forecaster(lambda n, found: raising(error))).plan(observation())
+    plan = mpc(ChangedResponse(lambda n, found: raising(error))).plan(observation())
     assert plan.status is PlanStatus.BRIDGED
     assert type(error).__name__ in plan.why
     assert np.isfinite(plan.T_zone_C).all()
@@ -152,11 +134,13 @@ def test_a_forecast_that_is_absurd_for_good_costs_no_comfort():
         return replace(found, quantiles_C=found.quantiles_C * 0.0 - 50.0 + found.levels[:, None])
 
     house = SimpleHouse()
-    result = run_closed_loop(house, mpc(Forecaster(absurd)), house.period("x"))
+    result = run_closed_loop(house, mpc(ChangedResponse(absurd)), house.period("x"))
     assert {step.plan.status for step in result.steps} == {PlanStatus.BRIDGED}
     assert all("to -49.5 °C" in step.plan.why for step in result.steps)
     assert result.kpis["tdis_tot"] < 1.0
-    believed = run_closed_loop(house, mpc(Forecaster(absurd), free_response={"substitutes": False}), house.period("x"))
+    believed = run_closed_loop(
+        house, mpc(ChangedResponse(absurd), free_response={"substitutes": False}), house.period("x")
+    )
     assert believed.kpis["cost_tot"] > 1.2 * result.kpis["cost_tot"], "it would be heated for the cold that never comes"
 
 
@@ -166,12 +150,17 @@ def ended_early(solution_of):
 
 
 def test_levels_of_a_solver_that_stopped_early_act_where_they_cost_no_more_than_what_else_there_is():
+    config = QPConfig()
+
     def planned(acts) -> Plan:
-        controller = mpc()
-        backends = controller._planners.base.solver._solve_with
-        for name in tuple(backends):
-            backends[name] = acts(backends[name])
-        return controller.plan(observation())
+        def solver(operator, machinery):
+            backends = {"piqp": acts(Piqp(config)), "clarabel": acts(Clarabel(config))}
+            shape = build_solver(CONFIG, operator, machinery).shape
+            return QPSolver(operator, shape, config, backends)
+
+        return ThermoForceMPC(simple_model(), CONFIG, free_response=OutdoorResponse(), solver=solver).plan(
+            observation()
+        )
 
     optimal = mpc().plan(observation())
     plan = planned(ended_early(lambda found: found))
@@ -187,8 +176,7 @@ def test_levels_of_a_solver_that_stopped_early_act_where_they_cost_no_more_than_
 
 
 def test_the_ladder_is_climbed_down_and_up_again_and_each_level_is_named():
-    controller = mpc()
-    Solver(controller, lambda n, found: raising(RuntimeError("broken")) if 10 <= n < 20 else found)
+    controller = mpc(changed=lambda n, found: raising(RuntimeError("broken")) if 10 <= n < 20 else found)
     house = SimpleHouse()
     result = run_closed_loop(house, controller, house.period("x"))
     status = [step.plan.status for step in result.steps]
@@ -203,13 +191,13 @@ def test_the_ladder_is_climbed_down_and_up_again_and_each_level_is_named():
 def test_after_failures_on_end_it_starts_without_what_it_kept():
     kept = []
 
-    class Following(Forecaster):
+    class Following(ChangedResponse):
         def follow(self, free_C, history, boundary, state):
             kept.append(state)
             return self.forecast(free_C, history, boundary), len(kept)
 
-    controller = mpc(Following(lambda n, found: found), fallback={"cold_after": 2})
-    Solver(controller, lambda n, found: raising(RuntimeError("broken")) if n in (1, 2) else found)
+    broken = lambda n, found: raising(RuntimeError("broken")) if n in (1, 2) else found  # noqa: E731
+    controller = mpc(Following(lambda n, found: found), broken, fallback={"cold_after": 2})
     state, seen = None, observation()
     for _ in range(5):
         state = controller.plan(seen, state).state
@@ -217,7 +205,7 @@ def test_after_failures_on_end_it_starts_without_what_it_kept():
 
 
 def test_an_error_of_the_controller_itself_releases_the_building(monkeypatch):
-    monkeypatch.setattr(ZoneSensors, "validate", lambda *given: raising(ZeroDivisionError("a defect")))
+    monkeypatch.setattr(ReadingsFilter, "clean", lambda *given, **options: raising(ZeroDivisionError("a defect")))
     plan = mpc().plan(observation())
     assert plan.status is PlanStatus.NATIVE
     assert plan.why == "no decision was made (ZeroDivisionError: a defect): native control"
@@ -240,19 +228,16 @@ def test_minimum_times_hold_over_all_levels_and_every_action_is_inside_limits(se
             ]
         )()
 
-    class Noisy(SimpleHouse):
-        def _measure(self, u=np.nan):
-            measurement = super()._measure(u)
-            shown = measurement.T_zone_C + rng.choice([0.0, 0.0, 0.0, np.nan, 3.0, -300.0])
-            return replace(measurement, T_zone_C=shown)
+    def noisy(house, seen):
+        return replace(seen, T_zone_C=seen.T_zone_C + rng.choice([0.0, 0.0, 0.0, np.nan, 3.0, -300.0]))
 
     controller = mpc(
-        Forecaster(lambda n, found: found if rng.random() < 0.7 else raising(ValueError("broken"))),
+        ChangedResponse(lambda n, found: found if rng.random() < 0.7 else raising(ValueError("broken"))),
+        broken,
         actuation={"mode": "duty", "min_on_s": 900.0, "min_off_s": 900.0},
         fallback={"stand_back": "rule"},
     )
-    Solver(controller, broken)
-    house = Noisy()
+    house = FaultyHouse(noisy)
     result = run_closed_loop(house, controller, house.period("x"))
     found = {step.plan.status for step in result.steps}
     assert len(found) >= 4, found

@@ -2,36 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from simple_house import OutdoorResponse, SimpleHouse, bounds_C, simple_model
+from faults import shifted
+from simple_house import SimpleHouse, bounds_C, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
 from controllers.safety.overrides import GuardConfig
-from thermoforce_mpc.data import Array, Boundary, FreeForecast, Observation, PlanStatus, Record
+from thermoforce_mpc.data import Array, Observation, PlanStatus, Record
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 
 # The forecast is to be believed although the weather model says otherwise.
 WRONG = {"free_response": {"substitutes": False}}
 
 
-class Offset(OutdoorResponse):
-    """A forecast that is finite, confident and wrong by `off_K`."""
-
-    def __init__(self, off_K: float) -> None:
-        self.off_K = off_K
-
-    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
-        right = super().forecast(free_C, history, boundary)
-        return replace(right, quantiles_C=right.quantiles_C + self.off_K)
-
-
 def run(off_K: float, **guard: object) -> RunResult:
     config = MPCConfig(step_s=None, horizon_h=24.0, guard=GuardConfig(**guard), watch={"enabled": False}, **WRONG)
-    mpc = ThermoForceMPC(simple_model(), config, free_response=Offset(off_K))
+    mpc = ThermoForceMPC(simple_model(), config, free_response=shifted(off_K))
     house = SimpleHouse()
     return run_closed_loop(house, mpc, house.period("x"))
 
@@ -67,8 +55,8 @@ def test_minimum_off_time_holds_and_the_overruled_plan_is_not_followed_later():
     house = SimpleHouse(T_start_C=17.0)
     house.reset(10 * 86400.0, 0.0)
     config = MPCConfig(step_s=None, horizon_h=24.0, guard=GuardConfig(margin_K=0.5), **WRONG)
-    mpc = ThermoForceMPC(simple_model(), config, free_response=Offset(12.0))
-    seen = Observation(Record.beginning(house._measure()), house.forecast(86400.0, 3600.0))
+    mpc = ThermoForceMPC(simple_model(), config, free_response=shifted(12.0))
+    seen = Observation(Record.beginning(house.measure()), house.forecast(86400.0, 3600.0))
     plan = mpc.plan(seen)
     assert plan.status is PlanStatus.GUARD
     assert plan.u[0, 0] < 0.5, "the plan itself stays readable"
@@ -81,7 +69,7 @@ def test_cooling_is_guarded_the_other_way_round():
 
     house = SimpleHouse(T_start_C=26.0)
     house.reset(10 * 86400.0, 0.0)
-    seen = Observation(Record.beginning(house._measure()), house.forecast(86400.0, 3600.0))
+    seen = Observation(Record.beginning(house.measure()), house.forecast(86400.0, 3600.0))
     level, why = guard_level(GuardConfig(), seen, u=0.0, highest=0.8, sign=-1)
     assert level == 0.8
     assert "2.00 K above" in why

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from houses import House, record
 
-from benchmarks.bench.identify_many import plain_fit
+from benchmarks.fleet.identify_many import plain_fit
 from thermoforce_mpc.data import Layout
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.estimation.modes import mode_priors

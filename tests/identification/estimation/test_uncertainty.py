@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 from houses import House, record
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.identification import IdentificationConfig, identify
@@ -111,7 +112,9 @@ def test_levels_of_cooling_are_drawn(tmp_path, monkeypatch):
     # The legend above the courses leaves their title free.
     drawn[0].draw_without_rendering()
     courses = drawn[0].subfigs[0].axes[0]
-    assert not courses._left_title.get_window_extent().overlaps(courses.get_legend().get_window_extent())
+    title = courses.get_title(loc="left")
+    (shown,) = (text for text in courses.findobj(Text) if title and text.get_text() == title)
+    assert not shown.get_window_extent().overlaps(courses.get_legend().get_window_extent())
 
 
 def test_inspect_shows_bands_and_they_survive_saving(models, tmp_path):

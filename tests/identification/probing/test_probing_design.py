@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simple_house import SimpleHouse
 
-from benchmarks.interventions.pair_probing import probe_pair
+from benchmarks.probing.pair_probing import probe_pair
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import ConfigError, DataError

@@ -36,12 +36,12 @@ class Watched(SimpleHouse):
         self.resets += 1
         return super().reset(start_s, warmup_s, price)
 
-    def _advance(self, u, duration_s):
+    def step(self, u, duration_s):
         if not self.deaf or u is None:
-            return super()._advance(u, duration_s)
-        super()._advance(0.2, duration_s)
+            return super().step(u, duration_s)
+        super().step(0.2, duration_s)
         self._rows.pop()
-        measurement = self._measure(u)
+        measurement = self.measure(u)
         self._rows.append((duration_s, measurement))
         return measurement
 
@@ -127,7 +127,7 @@ class LightHouse(SimpleHouse):
         self.walls_C = self.T_start_C
         return super().reset(start_s, warmup_s, price)
 
-    def _advance(self, u, duration_s):
+    def step(self, u, duration_s):
         level = float(self.T < 21.2) * 0.03 if u is None else u
         share = 1.0 - np.exp(-duration_s / 300.0)
         target = self.walls_C - 1.0 + 12.0 * level
@@ -138,7 +138,7 @@ class LightHouse(SimpleHouse):
             * (0.08 * (self.T - self.walls_C) + 0.01 * (float(outdoor_C(self.now_s)) - self.walls_C))
         )
         self.now_s += duration_s
-        measurement: Measurement = self._measure(level)
+        measurement: Measurement = self.measure(level)
         self._rows.append((duration_s, measurement))
         return measurement
 

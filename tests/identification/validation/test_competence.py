@@ -16,9 +16,9 @@ from thermoforce_mpc.identification.estimation.regression import run_regression
 from thermoforce_mpc.identification.validation.competence import (
     MOST_ERROR_K,
     MOST_RELATIVE_SD,
-    _Errors,
-    _missed,
+    HeldOutErrors,
     is_well_known,
+    missed_criteria,
 )
 from thermoforce_mpc.identification.validation.held_out import Case, held_out
 from thermoforce_mpc.identification.validation.order import earlier_fold
@@ -160,8 +160,8 @@ def test_little_excitation_is_condemned_with_levels_and_hours():
 def test_what_misses_the_bar_by_a_hair_does_not_read_as_if_it_met_it(sd_K, known):
     """Probing said that an effect was known to ± 40 % only, need 40 %."""
     verdict = Competence(True, effect_K=10.0, effect_sd_K=sd_K, horizons=(HorizonScore(1.0, 0.502, 1.0, 1.0, 5.0, 8),))
-    found = {1.0: _Errors(*(np.zeros(3),) * 3, np.zeros(3, dtype=np.intp), np.zeros(3))}
-    reasons, _ = _missed(verdict, found, [record(HOUSE, 1.0)], MOST_ERROR_K)
+    found = {1.0: HeldOutErrors(*(np.zeros(3),) * 3, np.zeros(3, dtype=np.intp), np.zeros(3))}
+    reasons, _ = missed_criteria(verdict, found, [record(HOUSE, 1.0)], MOST_ERROR_K)
     assert reasons[0] == f"the effect of 8 h at full level is known to ± {known} % only, need 40 %"
     assert reasons[1] == "1 h ahead it errs by 0.51 K, need 0.5 K"
 

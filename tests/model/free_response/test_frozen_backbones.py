@@ -22,9 +22,10 @@ from forecasting import LEVELS, boundary_of, daily, history_of, hours
 from safetensors.torch import load_file, save_file
 
 from thermoforce_mpc.errors import BackboneError, ConfigError, DataError
-from thermoforce_mpc.model.free_response.backbones import bolt, loading
+from thermoforce_mpc.model.free_response.backbones import loading
 from thermoforce_mpc.model.free_response.backbones.base import Context, padded_series
-from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES, load_backbone
+from thermoforce_mpc.model.free_response.backbones.bolt import BoltBackbone
+from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES, load_backbone, shipped_folder
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.registry import build_free_response
 
@@ -121,18 +122,26 @@ def test_the_traced_model_gives_the_bits_of_the_library(monkeypatch: pytest.Monk
     sets = [[context(known, steps) for known, steps in of] for of in (
         [(30, 5)], [(97, 24)], [(511, 64), (240, 24), (168, 48)], [(240, 24)] * 60, [(700, 64)], [(300, 24), (300, 90)],
     )]  # fmt: skip
-    backbone = load_backbone("shipped")
-    assert isinstance(backbone, bolt.BoltBackbone)
-    monkeypatch.setattr(backbone, "_pass", backbone._by_library)
-    by_library = [backbone.quantiles_C(contexts) for contexts in sets]
-    pipeline = backbone._pipeline
+    from chronos import BaseChronosPipeline
+
+    pipeline = BaseChronosPipeline.from_pretrained(shipped_folder(), device_map="cpu", dtype=torch.float32)
+    pipeline.model.eval().requires_grad_(False)
+    by_library = [BoltBackbone(pipeline, "library").quantiles_C(contexts) for contexts in sets]
     for contexts, quantiles in zip(sets[:3], by_library, strict=False):
         series = torch.from_numpy(padded_series(contexts))
         expected, _ = pipeline.predict_quantiles(series, len(quantiles[0][0]), LEVELS.tolist())
         np.testing.assert_allclose(quantiles[0], expected[0].T.numpy(), atol=1e-5)
-    monkeypatch.setattr(bolt, "_PASSES_BEFORE_TRACE", backbone._passes + 1)
+    backbone = BoltBackbone(pipeline, "traced", traced_after=1)
     backbone.quantiles_C(sets[0])
-    monkeypatch.setattr(backbone, "_by_library", None)  # what is forecast at once is not asked of the library any more
+    asked, forward = [], pipeline.model.forward
+
+    def counted(*given: object, **options: object) -> object:
+        asked.append(options)
+        return forward(*given, **options)
+
+    monkeypatch.setattr(pipeline.model, "forward", counted)
+    backbone.quantiles_C(sets[1])
+    assert not asked, "what is forecast at once is not asked of the library any more"
     for _ in range(3):  # the first calls of a traced model are still being optimised
         for contexts, quantiles in zip(sets, by_library, strict=True):
             for now, before in zip(backbone.quantiles_C(contexts), quantiles, strict=True):
@@ -369,9 +378,8 @@ def test_offline_mode_is_respected(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_without_the_optional_package_its_name_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    monkeypatch.setattr(loading, "_SHARED", weakref.WeakValueDictionary())  # none is in use
     with pytest.raises(BackboneError, match="pip install fracast"):
-        load_backbone("fracast")
+        loading.REGISTRY.find("fracast")()
 
 
 def test_residual_adds_the_backbone_to_the_linear_model_and_tells_its_hash(bolt_folder: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from forecasting import boundary_of, history_of, hours
 
 from thermoforce_mpc.model.free_response.registry import build_free_response
-from thermoforce_mpc.simulation.run import _frozen, _weight_hash
+from thermoforce_mpc.simulation.models.frozen_weights import frozen_proof, weight_hash
 
 
 @pytest.mark.parametrize("calibrate", [False, True])
@@ -21,19 +21,19 @@ def test_hashes_before_and_after_are_equal_unless_a_weight_changed(
 
     free_response = build_free_response(name, backbone=str(bolt_folder), calibrate=calibrate)
     controller = SimpleNamespace(predictor=SimpleNamespace(free_responses=(free_response, free_response)))
-    before = _weight_hash(controller)
+    before = weight_hash(controller)
     assert before is not None
     free = 15 + 2 * (hours(200) % 24 > 12)
     free_response.forecast(free, history_of(free), boundary_of(200, 24))
-    assert _frozen(controller, before) == {"weights_before": before, "weights_after": before, "frozen": True}
+    assert frozen_proof(controller, before) == {"weights_before": before, "weights_after": before, "frozen": True}
     inner = free_response
     while not hasattr(inner, "modules"):
         inner = inner.inner if hasattr(inner, "inner") else inner.backbone
     with torch.no_grad():
         next(inner.modules[0].parameters())[0] += 1e-3
-    assert _frozen(controller, before)["frozen"] is False
+    assert frozen_proof(controller, before)["frozen"] is False
 
 
 def test_a_rule_has_no_weights_to_prove() -> None:
-    assert _weight_hash(SimpleNamespace()) is None
-    assert _frozen(SimpleNamespace(), None) == {}
+    assert weight_hash(SimpleNamespace()) is None
+    assert frozen_proof(SimpleNamespace(), None) == {}

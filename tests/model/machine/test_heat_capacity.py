@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from machine_history import machine_history
 
-from benchmarks.bench.operator_data import cut, read_run
+from benchmarks.operator.data import cut, read_run
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig
 from thermoforce_mpc.identification.validation.held_out import identified_heat_input

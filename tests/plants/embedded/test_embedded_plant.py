@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from one_zone_kpis import compute_kpis
 
-from benchmarks.bench.plants_together import advance_together
+from benchmarks.plant.plants_together import advance_together
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S

@@ -14,7 +14,7 @@ from thermoforce_mpc.plants.envelope import MASSES
 from thermoforce_mpc.plants.occupants import PATTERNS, at_home
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, house_testcase, physics
 from thermoforce_mpc.plants.random_houses.draw import MACHINES, heat_pump_cop
-from thermoforce_mpc.plants.random_houses.plant import _year_of
+from thermoforce_mpc.plants.random_houses.plant import year_of
 from thermoforce_mpc.plants.random_houses.schedule import bounds_C, native_setpoint_C
 from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.protocols import Plant
@@ -301,7 +301,7 @@ def test_it_is_a_plant_and_the_same_inputs_give_the_same_bytes():
         assert start.time_s == 20 * DAY_S
         for u in (None, 0.3, 1.0):
             plant.advance(u, 900.0)
-        _year_of.cache_clear()  # made anew, not taken over
+        year_of.cache_clear()  # made anew, not taken over
         past = plant.past(900.0)
         assert past.n_steps == 2 * 96 + 3
         assert past.time_s[-1] == 20 * DAY_S + 2700.0
@@ -312,9 +312,10 @@ def test_it_is_a_plant_and_the_same_inputs_give_the_same_bytes():
 
 def test_plants_of_one_house_share_a_year_that_none_can_change():
     first, second = (GeneratedHousePlant(draw_house(SEED, 1)) for _ in range(2))
-    assert first._grid is second._grid
-    assert first._noise is second._noise
-    for values in (first._grid, first._noise):
+    assert first.weather is second.weather
+    _, grid, noise = year_of(first.house)
+    assert all(kept is again for kept, again in zip((grid, noise), year_of(second.house)[1:], strict=True))
+    for values in (grid, noise):
         with pytest.raises(ValueError, match="read-only"):
             values[0] = 0.0
 

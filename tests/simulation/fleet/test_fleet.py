@@ -470,7 +470,7 @@ def test_without_a_heated_run_no_saving_is_said() -> None:
     (everything,) = groups(paired(rows, "mpc", "rule"))
     said = headline(everything, "mpc", "rule")
     assert said.startswith("mpc against rule in 1 run, 0 of which count for the saving: saving –; 0 % more than 0.5 K")
-    assert fleet_command._saving(everything) == ("–", "–", "–")
+    assert fleet_command.saving_cells(everything) == ("–", "–", "–")
 
 
 MAP = """\

@@ -22,7 +22,6 @@ from thermoforce_mpc.errors import ConfigError, StorageError
 from thermoforce_mpc.files import write_whole, written
 from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.folder.run_log import logging_to
-from thermoforce_mpc.simulation.journal import journal
 from thermoforce_mpc.simulation.journal.journal import read_journal
 
 WORDS = ("run", "--testcase", "bestest_hydronic_heat_pump", "--controller", "thermostat", "--baselines", "")
@@ -95,10 +94,14 @@ def test_a_full_disk_before_the_first_step_leaves_nothing_behind(call, tmp_path)
 
 
 def test_a_journal_that_cannot_be_made_leaves_nothing_behind(call, tmp_path, monkeypatch):
-    def refuse(path: Path, size: int) -> int:
-        raise StorageError(f"{path}: cannot be written (no room for another file)")
+    opened = os.open
 
-    monkeypatch.setattr(journal, "_opened", refuse)
+    def refuse(path, *given, **options):
+        if Path(path).name == "journal.jsonl":
+            raise OSError(28, "no room for another file")
+        return opened(path, *given, **options)
+
+    monkeypatch.setattr(os, "open", refuse)
     done = call(SimpleHouse(), *WORDS, "--days", 1, "--out", tmp_path / "full")
     assert isinstance(done.exception, StorageError)
     assert not (tmp_path / "full").exists()

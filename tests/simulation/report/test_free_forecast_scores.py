@@ -4,24 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from simple_house import OutdoorResponse, SimpleHouse, simple_model
+from faults import shifted
+from simple_house import SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
-from thermoforce_mpc.data import FreeForecast
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.report.forecast_check import free_forecast_scores
-
-
-class Off(OutdoorResponse):
-    """The exact free response shifted by `error_K`, with an interval of ±0.2 K."""
-
-    def __init__(self, error_K: float) -> None:
-        self.error_K = error_K
-
-    def forecast(self, free_C, history, boundary):
-        exact = super().forecast(free_C, history, boundary)
-        return FreeForecast(exact.levels, exact.quantiles_C + self.error_K, exact.note)
 
 
 @pytest.mark.parametrize(("error_K", "coverage"), [(0.1, 1.0), (0.3, 0.0)])
@@ -29,7 +18,7 @@ def test_errors_and_coverage_are_those_of_the_free_forecast_alone(error_K, cover
     house = SimpleHouse()
     # What would answer the error is off: the scores are those of the forecast.
     config = MPCConfig.model_validate({"step_s": None, "horizon_h": 24, "offset_h": None, "watch": {"enabled": False}})
-    mpc = ThermoForceMPC(simple_model(), config, free_response=Off(error_K))
+    mpc = ThermoForceMPC(simple_model(), config, free_response=shifted(error_K))
     result = run_closed_loop(house, mpc, house.period("x"))
     rows = free_forecast_scores(result, horizons_h=(1.0, 6.0), settle_h=4.0)
     assert [row["hours"] for row in rows] == [1.0, 6.0]

@@ -199,3 +199,15 @@ def test_times_outside_the_run_and_folders_without_one_are_refused(folder, tmp_p
     lines = (folder / "journal.jsonl").read_bytes().split(b"\n")
     (tmp_path / "journal.jsonl").write_bytes(b"\n".join(lines[:2]) + b"\n")
     assert "no step was decided yet" in str(call("explain", tmp_path).exception)
+
+
+def test_the_margins_of_a_plan_are_told_and_add_up(folder):
+    decision = decision_at(folder, "10 04:00")
+    assert set(decision.margins) == {"comfort", "backoff", "reserve", "learned", "offset", "unused_capacity"}
+    inside_K = sum(decision.margins[name] for name in ("comfort", "backoff", "reserve", "learned"))
+    assert inside_K.shape == (2, 1)
+    (line,) = decision.margins_in_words()
+    assert f"{inside_K[0, 0]:.2f} K inside the lower bound (comfort 0.02" in line
+    assert f"{inside_K[1, 0]:.2f} K inside the upper bound" in line
+    assert f"margin: {line}" in call("explain", folder, "--at", "10 04:00").output
+    assert not decision_at(folder, "10 04:00", "thermostat").margins_in_words()

@@ -38,6 +38,11 @@ def bounds_C(time_s: Array) -> tuple[Array, Array]:
     return np.where(occupied, 21.0, 15.0), np.where(occupied, 24.0, 30.0)
 
 
+def native_level(T_C: float) -> float:
+    """The level of native control."""
+    return float(T_C < 21.2) * 0.5
+
+
 class SimpleHouse:
     """Implements `Plant`; `fail_at_s` makes the next advance past that time raise `PlantError`."""
 
@@ -52,25 +57,25 @@ class SimpleHouse:
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
         self.now_s, self.T, self._rows = start_s - warmup_s, self.T_start_C, []
-        self._first = self._measure()
+        self._first = self.measure()
         while self.now_s < start_s - 1e-6:
-            self._advance(None, HOUR_S)
+            self.step(None, HOUR_S)
         self.applied.clear()
         self.start_s, self.kWh, self.Kh = start_s, 0.0, 0.0
-        return self._measure()
+        return self.measure()
 
-    def _measure(self, u: float = np.nan) -> Measurement:
+    def measure(self, u: float = np.nan) -> Measurement:
         power = (FIXED_W * (u > 0) + PER_U_W * u) if np.isfinite(u) else np.nan
         return Measurement(self.now_s, self.T, float(outdoor_C(self.now_s)), 0.0, u, power, 2.5 * power)
 
-    def _advance(self, u: float | None, duration_s: float) -> Measurement:
-        level = float(self.T < 21.2) * 0.5 if u is None else u
+    def step(self, u: float | None, duration_s: float) -> Measurement:
+        level = native_level(self.T) if u is None else u
         share = duration_s / HOUR_S
         pole = POLE**share
         gain = GAIN_K / (1 - POLE) * (1 - pole)
         self.T = pole * self.T + (1 - pole) * float(outdoor_C(self.now_s)) + gain * level
         self.now_s += duration_s
-        measurement = self._measure(level)
+        measurement = self.measure(level)
         self._rows.append((duration_s, measurement))
         return measurement
 
@@ -79,7 +84,7 @@ class SimpleHouse:
         if self.now_s + duration_s > self.fail_at_s:
             raise PlantError("the simple house lost its connection")
         self.applied.append((level, duration_s))
-        measurement = self._advance(level, duration_s)
+        measurement = self.step(level, duration_s)
         lower, upper = bounds_C(np.array(self.now_s))
         self.kWh += float(measurement.power_W[0]) * duration_s / 3.6e6
         self.Kh += float(max(lower - self.T, self.T - upper, 0.0)) * duration_s / HOUR_S

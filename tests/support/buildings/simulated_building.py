@@ -47,8 +47,8 @@ class SimulatedBuilding:
     def wait_until(self, at: pd.Timestamp) -> None:
         while (left_s := (at - self.at).total_seconds()) > 1e-6:
             part_s = min(60.0, left_s)
-            row = {"time": self.at, "T": self.house.T, "out": self.house._measure().T_out_C, "sun": 0.0}
-            done = self.house._advance(self.level, part_s)
+            row = {"time": self.at, "T": self.house.T, "out": self.house.measure().T_out_C, "sun": 0.0}
+            done = self.house.step(self.level, part_s)
             self.rows.append(row | {"u": done.u[0], "P": done.power_W[0], "low": 20.0, "high": 24.0})
             self.at += pd.Timedelta(seconds=part_s)
 
@@ -57,7 +57,7 @@ class SimulatedBuilding:
         return pd.DataFrame([*self.rows[-4 * 1440 :], self._present()])
 
     def _present(self):
-        return {"time": self.at, "T": self.house.T, "out": self.house._measure().T_out_C, "sun": 0.0}
+        return {"time": self.at, "T": self.house.T, "out": self.house.measure().T_out_C, "sun": 0.0}
 
     def forecast(self) -> pd.DataFrame:
         self.failing("forecast", self.at)

@@ -66,7 +66,7 @@ class TwoHouses:
         return replace(one, **both, names=self.names)
 
     def past(self, step_s):
-        return Record.beginning(self._both([house._measure() for house in self.houses]))
+        return Record.beginning(self._both([house.measure() for house in self.houses]))
 
     def kpis(self):
         each = [house.kpis() for house in self.houses]

@@ -6,7 +6,7 @@ Run inside the FMU, in a process of its own. The environment can make it fail, t
 import os
 import signal
 
-from pythonfmu import Boolean, Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
+from fmu_points import FmuWithPoints
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
@@ -15,37 +15,14 @@ from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS, OVERWRITES
 _LEVELS = {"oveHeaPumY": "level", "oveTSet": "T_setpoint"}
 
 
-class FmuHouse(Fmi2Slave):
-    author = "tests"
+class FmuHouse(FmuWithPoints):
     description = "emulator of bestest_hydronic_heat_pump"
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
         self._plant = None
-        self._inputs = {}
-        self._outputs = {}
-        for name, low, _ in OVERWRITES:
-            self._inputs[f"{name}_u"], self._inputs[f"{name}_activate"] = low, False
-            self._declare_input(Real, f"{name}_u", low)
-            self._declare_input(Boolean, f"{name}_activate", False)
-        for name in [*MEASUREMENTS, *(f"{name}_y" for name, _, _ in OVERWRITES)]:
-            self._outputs[name] = 0.0
-            self.register_variable(
-                Real(name, causality=Fmi2Causality.output, getter=lambda name=name: self._outputs[name]), nested=False
-            )
-
-    def _declare_input(self, kind, name, start):
-        self.register_variable(
-            kind(
-                name,
-                start=start,
-                causality=Fmi2Causality.input,
-                variability=Fmi2Variability.discrete,
-                getter=lambda: self._inputs[name],
-                setter=lambda value: self._inputs.__setitem__(name, value),
-            ),
-            nested=False,
-        )
+        overwrites = {name: low for name, low, _ in OVERWRITES}
+        self.declare(overwrites, [*MEASUREMENTS, *(f"{name}_y" for name in overwrites)])
 
     def setup_experiment(self, start_time, stop_time=None, tolerance=None):
         print("an FMU may print whatever it likes", flush=True)
@@ -72,5 +49,5 @@ class FmuHouse(Fmi2Slave):
         for name, column in MEASUREMENTS.items():
             self._outputs[name] = float(record[column])
         for name, low, _ in OVERWRITES:
-            acting = self._inputs[f"{name}_u"] if self._inputs[f"{name}_activate"] else low
-            self._outputs[f"{name}_y"] = float(record[_LEVELS[name]]) if name in _LEVELS else float(acting)
+            shown = record[_LEVELS[name]] if name in _LEVELS else self.acting(name, low)
+            self._outputs[f"{name}_y"] = float(shown)

@@ -21,7 +21,6 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS, OVERWRITES
-from thermoforce_mpc.plants.embedded.kernel import RECORD
 
 NAME = "bestest_hydronic_heat_pump"
 _FORECAST = {
@@ -61,11 +60,10 @@ def unit_of(name: str) -> str | None:
 
 @functools.cache
 def template() -> EmbeddedPlant:
-    plant = EmbeddedPlant(synthetic_weather())
-    plant.reset(3600.0, 3600.0)  # compiled now: later it would cost a client's patience
     # Finding windows takes a simulated year; which ones they are is not tested here.
     days = {"peak_heat_day": 16, "typical_heat_day": 108}
-    plant._periods = {name: Period(name, day * DAY_S) for name, day in days.items()}
+    plant = EmbeddedPlant(synthetic_weather(), periods={name: Period(name, day * DAY_S) for name, day in days.items()})
+    plant.reset(3600.0, 3600.0)  # compiled now: later it would cost a client's patience
     return plant
 
 
@@ -98,6 +96,7 @@ class Service:
     steps: dict[str, float] = field(default_factory=dict)
     ends: dict[str, float] = field(default_factory=dict)
     scenarios: dict[str, dict] = field(default_factory=dict)
+    prices: dict[str, str] = field(default_factory=dict)
     bodies: list[tuple[str, dict]] = field(default_factory=list)
     message: str = ""
     faults: list[Fault] = field(default_factory=list)
@@ -157,16 +156,15 @@ class Service:
         return {name: {"Unit": units.get(name), "Description": name} for name in [*_FORECAST, *_PRICES]}
 
     def _now(self, plant):
-        level = plant._record[-1][-1, RECORD.index("level")] if plant._record else 0.0
-        points = plant._measurement(np.empty((0, len(RECORD)))).points
+        record = plant.recorded(plant.now_s, plant.now_s)
+        points = {name: float(record[column][-1]) for name, column in MEASUREMENTS.items()}
+        level = float(record["level"][-1]) if plant.now_s > plant.begin_s else 0.0
         # JSON has no NaN: the service writes null.
-        return {k: None if np.isnan(v) else v for k, v in points.items()} | {
-            "oveHeaPumY_u": level,
-            "time": plant._now_s,
-        }
+        points = {name: None if np.isnan(value) else value for name, value in points.items()}
+        return points | {"oveHeaPumY_u": level, "time": plant.now_s}
 
     def _initialize(self, testid, plant, body):
-        plant.reset(float(body["start_time"]), float(body["warmup_period"]), plant._price)
+        plant.reset(float(body["start_time"]), float(body["warmup_period"]), self._price(testid))
         self.ends[testid] = np.inf
         return self._now(plant)
 
@@ -174,17 +172,22 @@ class Service:
         if not body:
             return self.scenarios.get(testid, {})
         if body.get("electricity_price"):
-            plant._price = body["electricity_price"]
+            self.prices[testid] = body["electricity_price"]
+        price = self._price(testid)
+        plant.use(price, None)
         self.scenarios[testid] = self.scenarios.get(testid, {}) | body
-        out = dict.fromkeys(body) | {"electricity_price": plant._price}
+        out = dict.fromkeys(body) | {"electricity_price": price}
         if body.get("time_period"):
             if body["time_period"] not in ("peak_heat_day", "typical_heat_day"):
                 raise rejected(f"Scenario parameter time_period is {body['time_period']}, but should be one of ...")
             period = plant.period(body["time_period"])
-            plant.reset(period.start_s, period.warmup_s, plant._price)
+            plant.reset(period.start_s, period.warmup_s, price)
             self.ends[testid] = period.start_s + period.scored_s
             out["time_period"] = self._now(plant)
         return out
+
+    def _price(self, testid):
+        return self.prices.get(testid, "constant")
 
     def _step(self, testid, plant, body):
         if "step" in body:
@@ -194,7 +197,7 @@ class Service:
         return self.steps[testid]
 
     def _advance(self, testid, plant, body):
-        if plant._now_s >= self.ends[testid]:
+        if plant.now_s >= self.ends[testid]:
             return {}
         overrides = {}
         for name, low, high in OVERWRITES:
@@ -211,7 +214,7 @@ class Service:
         out = {"time": boundary.time_s.tolist()}
         for name in body["point_names"]:
             if name in _PRICES:
-                out[name] = plant._tariffs[_PRICES[name]](boundary.time_s).tolist()
+                out[name] = plant.tariff(_PRICES[name])(boundary.time_s).tolist()
             elif name in _FORECAST:
                 attribute, shift = _FORECAST[name]
                 out[name] = (np.atleast_2d(getattr(boundary, attribute))[0] + shift).tolist()

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from boptest_client import Point
 
-_WEATHER = {
+WEATHER = {
     "TDryBul": "K", "TWetBul": "K", "TDewPoi": "K", "TBlaSky": "K", "HGloHor": "W/m2", "HDirNor": "W/m2",
     "HDifHor": "W/m2", "HHorIR": "W/m2", "pAtm": "Pa", "lon": "rad", "lat": "rad", "relHum": "1", "nTot": "1",
     "nOpa": "1", "ceiHei": "m", "winSpe": "m/s", "winDir": "rad", "cloTim": "s", "solTim": "s", "solZen": "rad",
@@ -34,17 +34,17 @@ class Documented:
     forecast: dict[str, Point]
 
 
-def _points(units: dict[str, str]) -> dict[str, Point]:
+def points_of(units: dict[str, str]) -> dict[str, Point]:
     return {name: Point(name, unit, "", None, None) for name, unit in units.items()}
 
 
-def _inputs(limits: dict[str, tuple[str, float, float]]) -> dict[str, Point]:
+def inputs_of(limits: dict[str, tuple[str, float, float]]) -> dict[str, Point]:
     acting = {f"{name}_u": Point(f"{name}_u", unit, "", low, high) for name, (unit, low, high) in limits.items()}
     return acting | {f"{name}_activate": Point(f"{name}_activate", None, "", None, None) for name in limits}
 
 
 def _station(prefix: str) -> dict[str, str]:
-    return {f"{prefix}weaSta_reaWea{name[0].upper()}{name[1:]}_y": unit for name, unit in _WEATHER.items()}
+    return {f"{prefix}weaSta_reaWea{name[0].upper()}{name[1:]}_y": unit for name, unit in WEATHER.items()}
 
 
 def _hydronic(heating: tuple[float, float], cooling: tuple[float, float]) -> Documented:
@@ -56,7 +56,7 @@ def _hydronic(heating: tuple[float, float], cooling: tuple[float, float]) -> Doc
         "oveTSetHea": ("K", *heating), "oveTSetCoo": ("K", *cooling), "oveTSetSup": ("K", 293.15, 353.15),
         "ovePum": ("1", 0.0, 1.0),
     }  # fmt: skip
-    return Documented(_inputs(inputs), _points(measured | _station("")), _points(_WEATHER | _SURROUNDINGS))
+    return Documented(inputs_of(inputs), points_of(measured | _station("")), points_of(WEATHER | _SURROUNDINGS))
 
 
 def _air(heating: tuple[float, float], cooling: tuple[float, float]) -> Documented:
@@ -68,7 +68,7 @@ def _air(heating: tuple[float, float], cooling: tuple[float, float]) -> Document
         "fcu_oveTSup": ("K", 285.15, 313.15), "fcu_oveFan": ("1", 0.0, 1.0),
         "con_oveTSetHea": ("K", *heating), "con_oveTSetCoo": ("K", *cooling),
     }  # fmt: skip
-    return Documented(_inputs(inputs), _points(measured | _station("zon_")), _points(_WEATHER | _SURROUNDINGS))
+    return Documented(inputs_of(inputs), points_of(measured | _station("zon_")), points_of(WEATHER | _SURROUNDINGS))
 
 
 _NARROW = ((288.15, 296.15), (296.15, 303.15))

@@ -41,9 +41,9 @@ class FmuTest:
         self._stretches.append(self._worker.advance(sent, step_s))
         self.time_s = float(self._stretches[-1].time_s[-1])
         final = self._stretches[-1].final
-        return {self._said(name): value for name, value in final.items()} | {"time": self.time_s}
+        return {self.answered_as(name): value for name, value in final.items()} | {"time": self.time_s}
 
-    def _said(self, output: str) -> str:
+    def answered_as(self, output: str) -> str:
         point = output.removesuffix("_y")
         return f"{point}_u" if f"{point}{_OVERWRITTEN}" in self.archive.inputs else output
 
@@ -51,7 +51,7 @@ class FmuTest:
         time_s = np.concatenate([stretch.time_s for stretch in self._stretches])
         rows = np.vstack([stretch.rows for stretch in self._stretches])
         within = (time_s >= start_s - 1e-6) & (time_s <= final_s + 1e-6)
-        column = {self._said(name): i for i, name in enumerate(self.archive.outputs)}
+        column = {self.answered_as(name): i for i, name in enumerate(self.archive.outputs)}
         return {name: rows[within, column[name]].tolist() for name in names} | {"time": time_s[within].tolist()}
 
     def close(self) -> None:
@@ -77,7 +77,7 @@ class FmuService(Service):
 
     def _measurements(self, testid: str, test: FmuTest, body: Any) -> Any:
         points = test.archive.points(test.archive.outputs)
-        return _described({name: point for name, point in points.items() if test._said(name) == name})
+        return _described({name: point for name, point in points.items() if test.answered_as(name) == name})
 
     def _forecast_points(self, testid: str, test: FmuTest, body: Any) -> Any:
         return {name: {"Unit": test.archive.boundary.unit(name)} for name in test.archive.boundary.series}

@@ -7,7 +7,7 @@ get_inputs.json, get_measurements.json, get_forecast_points.json, and releasenot
 
 from __future__ import annotations
 
-from documented_points import _WEATHER, Documented, _inputs, _points
+from documented_points import WEATHER, Documented, inputs_of, points_of
 
 HOUSE_ROOMS = ("Liv", "Ro1", "Ro2", "Ro3", "Bth")  # with a valve; the hall has none
 _HOUSE_ZONES = (*HOUSE_ROOMS, "Hal")
@@ -25,12 +25,12 @@ _GAS = {"EmissionsGasPower": "kgCO2/kWh", "PriceGasPower": "($/Euro)/kWh"}
 
 
 def _station(prefix: str) -> dict[str, str]:
-    return {f"{prefix}_reaWea{name[0].upper()}{name[1:]}_y": unit for name, unit in _WEATHER.items()}
+    return {f"{prefix}_reaWea{name[0].upper()}{name[1:]}_y": unit for name, unit in WEATHER.items()}
 
 
 def _forecast(zones: tuple[str, ...], prices: dict[str, str]) -> dict[str, str]:
     of_zones = {f"{name}[{zone}]": unit for zone in zones for name, unit in _ZONE_FORECAST.items()}
-    return _WEATHER | of_zones | prices
+    return WEATHER | of_zones | prices
 
 
 def _house() -> Documented:
@@ -47,7 +47,7 @@ def _house() -> Documented:
         measured |= {f"conCoo{zone}_reaPCoo_y": "W", f"reaHea{zone}_y": "W"}
         measured[f"{'ext' if zone in ('Liv', 'Bth') else 'inf'}{zone}_reaCO2RooAir_y"] = "ppm"
     forecast = _forecast(_HOUSE_ZONES, _ELECTRICITY | _GAS)
-    return Documented(_inputs(inputs), _points(measured | _station("weatherStation")), _points(forecast))
+    return Documented(inputs_of(inputs), points_of(measured | _station("weatherStation")), points_of(forecast))
 
 
 def _office() -> Documented:
@@ -67,7 +67,7 @@ def _office() -> Documented:
         own = {"CO2Zon": "ppm", "TSup": "K", "TZon": "K", "V_flow": "m3/s"}
         measured |= {f"hvac_reaZon{zone}_{name}_y": unit for name, unit in own.items()}
     forecast = _forecast(tuple(zone.lower() for zone in OFFICE_ZONES), _ELECTRICITY)
-    return Documented(_inputs(inputs), _points(measured | _station("weaSta")), _points(forecast))
+    return Documented(inputs_of(inputs), points_of(measured | _station("weaSta")), points_of(forecast))
 
 
 MULTIZONE = {"multizone_residential_hydronic": _house(), "multizone_office_simple_air": _office()}

@@ -15,6 +15,7 @@ from thermoforce_mpc.cli.building.schedule_file import levels_of
 from thermoforce_mpc.cli.options import FiniteRange, course_options, measured_model_options
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.dataframes import seconds_at
+from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import written
 from thermoforce_mpc.model.predictor import Prediction
@@ -63,10 +64,7 @@ def command(
     thermal = load_model(model)
     measured = read_measurements(list(files), map_file).served()
     record = measured.record
-    if thermal.names != record.names:
-        raise DataError(
-            f"--model {model}: is of {thermal.names}, the map {map_file} of {record.names}: another building?"
-        )
+    check_same_building(f"--model {model}:", thermal.names, f"the map {map_file}", record.names)
     n = round(hours * HOUR_S / record.step_s)
     truth = np.full((len(record.names.zones), n), np.nan)
     applied: Array | None = None

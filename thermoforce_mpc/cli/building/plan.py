@@ -14,6 +14,7 @@ from rich.table import Table
 from thermoforce_mpc.cli.building.identify import BELOW_THE_BAR
 from thermoforce_mpc.cli.options import FiniteRange, plot_option
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Plan
+from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import written
 from thermoforce_mpc.scenario.settings import parse_overrides, validate
@@ -75,8 +76,7 @@ def command(
     thermal = load_model(model)
     measured = read_measurements(files, map_file, step_s=step_s).served()
     record = measured.record
-    if thermal.names != record.names:
-        raise DataError(f"--model {model}: is of {thermal.names}, {map_file} of {record.names}: another building?")
+    check_same_building(f"--model {model}:", thermal.names, str(map_file), record.names)
     ahead = read_forecast(forecast, measured)
     there_h = ahead.n_steps * step_s / HOUR_S
     horizon_h = min(_USUAL_H, there_h) if hours is None else hours

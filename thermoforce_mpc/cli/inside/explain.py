@@ -120,6 +120,7 @@ def _lines(decision: Decision) -> list[str]:
     if told["solver_status"]:
         lines.append(f"solver: {told['solver_status']}, {told['iterations']} iterations")
     lines += [f"bound: {bound}" for bound in decision.bounds()]
+    lines += [f"margin: {margin}" for margin in decision.margins_in_words()]
     lines.append("applied: " + "; then ".join(_block(block, names.actuators) for block in told["blocks"]))
     if decision.after:
         last = decision.after[-1]

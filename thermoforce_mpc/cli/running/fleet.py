@@ -217,7 +217,7 @@ def _line(outcome: Outcome) -> str:
     return f"{outcome.task.title}: {kpis['cost_tot']:.4f} / {kpis['tdis_tot']:.2f} K·h ({outcome.seconds:.0f} s)"
 
 
-def _saving(group: Group) -> tuple[str, str, str]:
+def saving_cells(group: Group) -> tuple[str, str, str]:
     """Median saving, its range and the share that is cheaper, %; dashes where no run has a saving."""
     if not group.counted:
         return "–", "–", "–"
@@ -240,7 +240,7 @@ def _show(console: Console, rows: pd.DataFrame, reference: str) -> None:
             table.add_row(
                 f"{group.by} {group.value}".strip(),
                 str(group.runs),
-                *_saving(group),
+                *saving_cells(group),
                 f"{100 * group.colder:.0f}",
             )
         print_whole(table, console, folded=True)

@@ -41,8 +41,8 @@ MOST_ERROR_K = {1.0: 0.5, 6.0: 1.0}
 # this probability): a quiet day held out makes persistence good.
 MOST_OVER_PERSISTENCE, WORSE_PROBABILITY = 1.1, 0.95
 # The same for being better than the weather alone at one of the judged lead times. Below, what the action does was not
-# seen. Of actuators that do nothing, hardly one comes to this test (`research.zones.placebo`): the explained share and
-# the standard deviation of the effect stop them. At 95 % it would stop rooms that need little heat.
+# seen. Of actuators that do nothing, hardly one comes to this test (`python -m benchmarks.zones.placebo`): explained
+# share and standard deviation of the effect stop them. At 95 % it would stop rooms that need little heat.
 BETTER_PROBABILITY = 0.9
 # Largest relative standard deviation of the effect of eight hours at full level, the length of a pre-heating; plans of
 # later steps correct what comes later. At 0.43 the sign is certain to 99 %; at 0.4 the 90 % interval is a third to five
@@ -89,7 +89,7 @@ class Fold:
 
 
 @dataclass(frozen=True)
-class _Errors:
+class HeldOutErrors:
     """Held-out errors of one lead time, run by run: of model, weather alone and persistence, (n,) each, K.
 
     `blocks` (n,): block numbers; `solar` (n,): mean irradiance over the lead time, W/m².
@@ -102,7 +102,7 @@ class _Errors:
     solar: Array
 
     @classmethod
-    def joined(cls, parts: Sequence[_Errors]) -> _Errors:
+    def joined(cls, parts: Sequence[HeldOutErrors]) -> HeldOutErrors:
         """Errors of several parts, one after another."""
         return cls(*(np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(cls)))
 
@@ -179,7 +179,7 @@ def judge(
         held_out_h=hours_held_out,
     )
     most_K = dict.fromkeys(JUDGED_H, math.inf) if own_loops else MOST_ERROR_K
-    reasons, advice = _missed(verdict, last, [case.histories[0] for case, _ in fold.runs], most_K)
+    reasons, advice = missed_criteria(verdict, last, [case.histories[0] for case, _ in fold.runs], most_K)
     return replace(verdict, competent=not reasons, reasons=reasons, advice=advice)
 
 
@@ -235,7 +235,9 @@ def _innovations(
     return innovations
 
 
-def _errors_of(fold: Fold, priors: ModePriors, sign: int, block_h: float, number: int = 0) -> dict[float, _Errors]:
+def _errors_of(
+    fold: Fold, priors: ModePriors, sign: int, block_h: float, number: int = 0
+) -> dict[float, HeldOutErrors]:
     """Held-out errors of a fold by lead time; blocks of its runs are numbered from run `number` on."""
     runs = fold.runs
     regressions, first = [c.regression for c, _ in runs], [int(s.judged[0]) for _, s in runs]
@@ -244,7 +246,7 @@ def _errors_of(fold: Fold, priors: ModePriors, sign: int, block_h: float, number
     model = _innovations(runs, effects, [fold.fit.log_tau], LEAD_TIMES_H)
     weather = _innovations(runs, none, [fold.fit.log_tau, priors.log_tau], LEAD_TIMES_H)
     return {
-        hours: _Errors.joined(
+        hours: HeldOutErrors.joined(
             [
                 _errors(number + i, case, model[i], weather[i], first[i], hours, block_h)
                 for i, (case, _) in enumerate(runs)
@@ -262,7 +264,7 @@ def _errors(
     first: int,
     hours: float,
     block_h: float,
-) -> _Errors:
+) -> HeldOutErrors:
     """Errors at held-out rows, each predicted from the last row `hours` or more before it."""
     regression, solar = case.regression, case.histories[0].solar_W_m2
     starts, targets = _held_out(case, first, hours)
@@ -272,7 +274,7 @@ def _errors(
     blocks = number * 10**6 + ((at[targets] - at[first]) // block_h).astype(np.intp)
     persistence = regression.target[targets] - regression.target[starts]
     predicted, alone = model.ahead(starts, targets), weather.ahead(starts, targets)
-    return _Errors(predicted, alone, persistence, np.asarray(blocks, dtype=np.intp), sun)
+    return HeldOutErrors(predicted, alone, persistence, np.asarray(blocks, dtype=np.intp), sun)
 
 
 def _held_out(case: Case, first: int, hours: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -285,13 +287,13 @@ def _held_out(case: Case, first: int, hours: float) -> tuple[NDArray[np.intp], N
     return starts[near], targets[near]
 
 
-def _score(hours: float, errors: _Errors, before: _Errors) -> HorizonScore:
+def _score(hours: float, errors: HeldOutErrors, before: HeldOutErrors) -> HorizonScore:
     """RMSE of the errors; tests of these and of those `before` together."""
 
     def rmse(values: Array) -> float:
         return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
-    both = _Errors.joined([errors, before])
+    both = HeldOutErrors.joined([errors, before])
     better_t, blocks, still_t = float("nan"), 0, float("nan")
     if both.model.size:
         better_t, blocks = standard_errors_saved(both.weather, both.model, both.blocks)
@@ -301,8 +303,8 @@ def _score(hours: float, errors: _Errors, before: _Errors) -> HorizonScore:
     )
 
 
-def _missed(
-    verdict: Competence, errors: dict[float, _Errors], records: Sequence[Record], most_K: Mapping[float, float]
+def missed_criteria(
+    verdict: Competence, errors: dict[float, HeldOutErrors], records: Sequence[Record], most_K: Mapping[float, float]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the criteria that are missed, and what to do about them."""
     reasons, advice = [], []
@@ -375,7 +377,7 @@ def _levels(records: Sequence[Record]) -> str:
     return "hold full level and off for 4 hours or longer at times, as far as comfort allows: the slow part shows then"
 
 
-def _signals(errors: _Errors, records: Sequence[Record]) -> str:
+def _signals(errors: HeldOutErrors, records: Sequence[Record]) -> str:
     """Advice on signals, from what the errors go with."""
     if all(not np.any(r.solar_W_m2) for r in records):
         return "the record has no irradiance: name a signal for the sun"

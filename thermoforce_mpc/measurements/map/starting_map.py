@@ -130,8 +130,8 @@ def _stamp_format(column: pd.Series) -> list[str]:
         return []
     fitting = []
     for form in _STAMPS:
-        read = pd.to_datetime(stamps, format=form, errors="coerce")
-        if read.notna().all() and (read.diff() < pd.Timedelta(0)).sum() <= 1:  # the end of summer time goes back
+        times = pd.to_datetime(stamps, format=form, errors="coerce")
+        if times.notna().all() and (times.diff() < pd.Timedelta(0)).sum() <= 1:  # the end of summer time goes back
             fitting.append(form)
     if not fitting:
         return [f"  format: FILL IN  # of stamps such as {stamps.iloc[0]}: %d day, %m month, %Y year, %H:%M"]

@@ -25,18 +25,18 @@ def instants(table: RawTable, clock: Clock, notes: list[str]) -> pd.Series:
             f"{table.where(int(empty[0]))}: the time stamp is empty ({empty.size} such rows); remove the row"
         )
     if pd.api.types.is_numeric_dtype(stamps):
-        read = _counted(table, clock)
+        times = _counted(table, clock)
     elif pd.api.types.is_datetime64_any_dtype(stamps):
-        read = stamps
+        times = stamps
     else:
-        read = _parsed(table, stamps.astype(str), clock)
-    if read.dt.tz is not None:
+        times = _parsed(table, stamps.astype(str), clock)
+    if times.dt.tz is not None:
         if clock.zone is not None:
-            return read.dt.tz_convert(clock.zone)
-        return read
+            return times.dt.tz_convert(clock.zone)
+        return times
     if clock.zone is None:
-        return read
-    return _localised(table, read, clock, notes)
+        return times
+    return _localised(table, times, clock, notes)
 
 
 def _counted(table: RawTable, clock: Clock) -> pd.Series:
@@ -80,8 +80,8 @@ def _parsed(table: RawTable, text: pd.Series, clock: Clock) -> pd.Series:
                 f"{table.where(other)}: the time stamp {text.iloc[other]!r} {words[0]}, {text.iloc[0]!r} before it "
                 f"{words[1]}: two clocks in one table; write all stamps with an offset, or none"
             ) from error
-        read = pd.to_datetime(text, format=form, utc=bool(with_one.all()), errors="coerce")
-        wrong = np.flatnonzero(read.isna().to_numpy())
+        times = pd.to_datetime(text, format=form, utc=bool(with_one.all()), errors="coerce")
+        wrong = np.flatnonzero(times.isna().to_numpy())
         if wrong.size:
             raise DataError(
                 f"{table.where(int(wrong[0]))}: {text.iloc[wrong[0]]!r} is no time stamp of the form "
@@ -94,7 +94,7 @@ def _parsed(table: RawTable, text: pd.Series, clock: Clock) -> pd.Series:
                 f"{table.where(second)}: the time stamps have the offsets {kinds.iloc[0]} and {kinds.iloc[1]}: "
                 "daylight saving, or two time zones; name the building's as time.zone, such as Europe/Brussels"
             ) from error
-        return read
+        return times
 
 
 def _with_offset(text: pd.Series) -> NDArray[np.bool_]:
@@ -102,34 +102,34 @@ def _with_offset(text: pd.Series) -> NDArray[np.bool_]:
     return np.asarray(text.str.contains(_OFFSET, regex=True), dtype=bool)
 
 
-def _localised(table: RawTable, read: pd.Series, clock: Clock, notes: list[str]) -> pd.Series:
+def _localised(table: RawTable, times: pd.Series, clock: Clock, notes: list[str]) -> pd.Series:
     """Stamps of the wall clock as instants, by the rules of the map for the hours of summer time's begin and end."""
     zone = str(clock.zone)
-    existing = read.dt.tz_localize(zone, ambiguous=np.ones(len(read), dtype=bool), nonexistent="NaT")
+    existing = times.dt.tz_localize(zone, ambiguous=np.ones(len(times), dtype=bool), nonexistent="NaT")
     lost = np.flatnonzero(existing.isna().to_numpy())
     if lost.size:
         what = (
-            f"{table.where(int(lost[0]))}: {read.iloc[lost[0]]} does not exist in {zone}, where summer time begins "
+            f"{table.where(int(lost[0]))}: {times.iloc[lost[0]]} does not exist in {zone}, where summer time begins "
             f"({lost.size} such rows)"
         )
         if clock.nonexistent == "refuse":
             raise DataError(
-                f"{what}; a clock without summer time is time.zone: {_all_year(zone, read.iloc[0])}, "
+                f"{what}; a clock without summer time is time.zone: {_all_year(zone, times.iloc[0])}, "
                 "time.nonexistent: gap leaves the rows out"
             )
         notes.append(f"{what}: left out")
-        read = read[existing.notna()]
+        times = times[existing.notna()]
     rule = {"infer": "infer", "gap": "NaT"}.get(clock.ambiguous)
     try:
-        ambiguous = rule or np.full(len(read), clock.ambiguous == "first")
-        local = read.dt.tz_localize(zone, ambiguous=ambiguous)
+        ambiguous = rule or np.full(len(times), clock.ambiguous == "first")
+        local = times.dt.tz_localize(zone, ambiguous=ambiguous)
     except ValueError as error:
-        twice = read.dt.tz_localize(zone, ambiguous="NaT")
-        row = int(read.index[int(np.argmax(twice.isna().to_numpy()))])
+        twice = times.dt.tz_localize(zone, ambiguous="NaT")
+        row = int(times.index[int(np.argmax(twice.isna().to_numpy()))])
         raise DataError(
-            f"{table.where(row)}: {read.loc[row]} comes twice in {zone}, where summer time ends, and the order of the "
+            f"{table.where(row)}: {times.loc[row]} comes twice in {zone}, where summer time ends, and the order of the "
             "rows does not tell which it is; set time.ambiguous: first, second or gap, or, for a clock without summer "
-            f"time, time.zone: {_all_year(zone, read.iloc[0])}"
+            f"time, time.zone: {_all_year(zone, times.iloc[0])}"
         ) from error
     unclear = int(local.isna().sum())
     if unclear:

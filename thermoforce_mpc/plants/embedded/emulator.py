@@ -102,12 +102,14 @@ class EmbeddedPlant:
         *,
         highly_dynamic: tariffs.Tariff | None = None,
         forecast_error: ForecastError | None = None,
+        periods: Mapping[str, Period] | None = None,
     ) -> None:
         """Build the plant for a weather year.
 
         Args:
             highly_dynamic: highly dynamic tariff; default: a synthetic one, see `boundary.tariffs`.
             forecast_error: weather forecast errors; default: a perfect forecast.
+            periods: windows by name; default: those of BOPTEST's rule for this weather.
         """
         self.weather = weather
         self._forecast_error = forecast_error
@@ -115,7 +117,7 @@ class EmbeddedPlant:
         self._grid = build_exposure(weather).grid
         self._tariffs = tariffs.by_name(highly_dynamic)
         self._price = "constant"
-        self._periods: dict[str, Period] | None = None
+        self._periods = periods
         self.reset(0.0, 0.0)
 
     @property
@@ -139,7 +141,7 @@ class EmbeddedPlant:
             day = float(name)
         except ValueError:
             if self._periods is None:
-                self._periods = published_windows(self.weather.fingerprint) or heating_windows(self._native_year())
+                self._periods = published_windows(self.weather.fingerprint) or heating_windows(self.native_power_W())
             if name not in self._periods:
                 raise InputError(f"period '{name}': expected {', '.join(self._periods)} or a start day") from None
             return self._periods[name]
@@ -385,7 +387,7 @@ class EmbeddedPlant:
         self._times.append(time_s)
         return rows
 
-    def _native_year(self) -> Array:
+    def native_power_W(self) -> Array:
         """Return 15-min means of the compressor power over a year of native control, W, shape (35040,)."""
         here = self.snapshot()
         try:

@@ -1,8 +1,8 @@
 """EnergyPlus simulation in this process: a PI loop sets the heat source, and every data step is recorded.
 
-The engine keeps global state, so a process must never run two simulations at once; `research.interventions.pool`
-ensures that. There is no snapshot: to branch, simulate again from the start. The engine drops exceptions of callbacks,
-so they are stored, the simulation is stopped, and they are raised afterwards.
+The engine keeps global state, so a process must never run two simulations at once. There is no snapshot: to branch,
+simulate again from the start. The engine drops exceptions of callbacks, so they are stored, the simulation is stopped,
+and they are raised afterwards.
 """
 
 from __future__ import annotations

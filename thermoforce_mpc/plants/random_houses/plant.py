@@ -94,7 +94,7 @@ class GeneratedHousePlant:
         self._tariffs = {name: _gas if house.machine == "boiler" else by_name[name] for name in by_name}
         self.testcase = house_testcase(house)
         self._points = self.testcase.points
-        self.weather, self._grid, self._noise = _year_of(house)
+        self.weather, self._grid, self._noise = year_of(house)
         self._parameters = physics.parameters(house)
         self.reset(0.0, 0.0)
 
@@ -279,7 +279,7 @@ def _gas(time_s: Array) -> Array:
 
 
 @functools.lru_cache(maxsize=2)
-def _year_of(house: House) -> tuple[Weather, Array, Array]:
+def year_of(house: House) -> tuple[Weather, Array, Array]:
     """Weather, `build_grid`, and noise of the sensor (see `physics.advance`) of a house, the same in all its runs.
 
     Kept for those that follow one another in a process: they take about 0.2 s to make and 10 MB.

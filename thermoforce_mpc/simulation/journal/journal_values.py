@@ -148,6 +148,13 @@ def plan_json(plan: Plan, blocks: Sequence[Block], refused: str) -> Json:
     }
     if plan.news:
         found["news"] = plan.news
+    if plan.margins:
+        found["margins"] = {name: np.round(values, 4).tolist() for name, values in plan.margins.items()}
     if plan.u.size:
         found["plan"] = {name: pack(getattr(plan, name), "<f4") for name in PLANNED}
     return found
+
+
+def margins_of(told: Mapping[str, Any]) -> dict[str, Array]:
+    """The margins of a decision (`Plan.margins`); empty where nothing was planned, and in journals of before."""
+    return {str(name): np.asarray(values, dtype=np.float64) for name, values in dict(told.get("margins", {})).items()}

@@ -13,7 +13,14 @@ from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, sample_of
 from thermoforce_mpc.simulation.journal.journal import NAME, Entry, JournalError, making_sense, read_run
-from thermoforce_mpc.simulation.journal.journal_values import PLANNED, block_of, measurement_of, names_of, unpack
+from thermoforce_mpc.simulation.journal.journal_values import (
+    PLANNED,
+    block_of,
+    margins_of,
+    measurement_of,
+    names_of,
+    unpack,
+)
 from thermoforce_mpc.simulation.journal.told_steps import ToldStep, next_forecast, told_loops, told_steps
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
 
@@ -132,6 +139,7 @@ def _plan(step: ToldStep, blocks: tuple[Block, ...], seconds: Mapping[str, float
         solver_status=str(told["solver_status"]),
         iterations=int(told["iterations"]),
         seconds=seconds,
+        margins=margins_of(told),
         names=step.names,
         acting=tuple(PlanStatus(one) for one in told["acting"]),
     )

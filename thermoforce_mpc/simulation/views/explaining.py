@@ -14,7 +14,7 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Names, Observation
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.simulation.journal.journal import NAME, JournalError, making_sense, read_run
-from thermoforce_mpc.simulation.journal.journal_values import unpack
+from thermoforce_mpc.simulation.journal.journal_values import margins_of, unpack
 from thermoforce_mpc.simulation.journal.told_steps import ToldStep, forecast_of, history_before, told_loops, told_steps
 
 # A planned temperature nearer to its bound than this is bound by it, K.
@@ -26,13 +26,14 @@ class Decision:
     """One step of a run: what was known, planned, decided and done.
 
     `steps` are those of the loop until then, this one last; `boundary` the forecast it was made on, gaps filled as in
-    the run; `plan` the planned courses by name (rows as in `Plan`).
+    the run; `plan` the planned courses and `margins` those of the first step, by name (rows as in `Plan`).
     """
 
     controller: str
     steps: tuple[ToldStep, ...]
     boundary: Boundary
     plan: Mapping[str, Array]
+    margins: Mapping[str, Array]
 
     @property
     def step(self) -> ToldStep:
@@ -112,6 +113,26 @@ class Decision:
                 found.append(f"{of}the plan is up to {outside[worst]:.2f} K outside the {worst} bound")
         return found
 
+    def margins_in_words(self) -> list[str]:
+        """What the plan kept inside the comfort bounds of its first step, zone by zone, and what it learned else."""
+        margins, lines = self.margins, []
+        for z, zone in enumerate(self.names.zones if margins else ()):
+            of = "" if self.names.single else f"{zone}: "
+            parts = []
+            for b, bound in enumerate(("lower", "upper")):
+                sizes_K = {name: values[b, z] for name, values in margins.items() if values.ndim == 2}
+                listed = ", ".join(f"{name} {size_K:.2f}" for name, size_K in sizes_K.items() if round(size_K, 2))
+                parts.append(
+                    f"{sum(sizes_K.values()):.2f} K inside the {bound} bound" + (f" ({listed})" if listed else "")
+                )
+            if round(offset_K := float(margins["offset"][z]), 2):
+                parts.append(f"prediction moved by {offset_K:+.2f} K")
+            lines.append(of + ", ".join(parts))
+        for machine, unused in zip(self.names.machines, margins.get("unused_capacity", ()), strict=False):
+            if round(unused, 2):
+                lines.append(f"{machine}: {unused:.0%} of its capacity left unused")
+        return lines
+
 
 def decision_at(folder: Path, at: str | None = None, controller: str | None = None) -> Decision:
     """The step of a run in force at an instant.
@@ -151,7 +172,7 @@ def _decision_at(path: Path, at: str | None, controller: str | None) -> Decision
             )
         steps = [step for step in steps if step.time_s <= seconds]
     plan = {key: unpack(packed) for key, packed in steps[-1].told.get("plan", {}).items()}
-    return Decision(name, tuple(steps), forecast_of(steps), plan)
+    return Decision(name, tuple(steps), forecast_of(steps), plan, margins_of(steps[-1].told))
 
 
 def seconds_of(at: str) -> float:

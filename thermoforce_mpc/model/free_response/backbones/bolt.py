@@ -19,16 +19,19 @@ if TYPE_CHECKING:
 _AT_ONCE = 48
 # Contexts of one length below which they join a batch of longer ones.
 _FEW = 16
-# Passes of the library's code before it is traced, which takes as long as about 100 of them.
-_PASSES_BEFORE_TRACE = 50
 
 
 class BoltBackbone:
-    """`Backbone` of a `ChronosBoltPipeline`; uses the series only."""
+    """`Backbone` of a `ChronosBoltPipeline`; uses the series only.
 
-    def __init__(self, pipeline: Any, label: str) -> None:
-        self._pipeline = pipeline
-        self._label = label
+    Args:
+        pipeline: the library's pipeline, frozen.
+        label: name for reports.
+        traced_after: passes of the library's code before it is traced, which takes as long as about 100 of them.
+    """
+
+    def __init__(self, pipeline: Any, label: str, *, traced_after: int = 50) -> None:
+        self._pipeline, self._label, self._traced_after = pipeline, label, traced_after
         settings = pipeline.model.chronos_config
         self._patch, self._at_once = int(settings.input_patch_size), int(settings.prediction_length)
         self._longest = int(settings.context_length)
@@ -100,7 +103,7 @@ class BoltBackbone:
         often: the same operations in the same order, and the same bits.
         """
         self._passes += 1
-        if self._passes == _PASSES_BEFORE_TRACE and self._longest % self._patch == 0:
+        if self._passes == self._traced_after and self._longest % self._patch == 0:
             self._pass = _traced(self._by_library, self._longest)
         return self._pass(series)
 

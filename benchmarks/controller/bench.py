@@ -1,0 +1,194 @@
+"""`tf-mpc bench controller`: solve times against do-mpc on the same instances, and the parts of a control step."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from benchmarks.controller.do_mpc_peer import DoMpcPeer, without_extras
+from controllers.mpc.config import MPCConfig
+from controllers.mpc.controller import ThermoForceMPC
+from controllers.optimisation.ipopt import IpoptSolver
+from controllers.optimisation.problem import MPCProblem, ProblemShape, blocked_moves, every_step
+from controllers.optimisation.qp import QPSolver
+from controllers.optimisation.solution import Solution
+from controllers.registry import build_controller
+from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.simulation.bench_result import Target, bench_result
+from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
+from thermoforce_mpc.simulation.folder.run_folder import steps_frame, trajectory_frame
+from thermoforce_mpc.simulation.models.identifying import identify_on
+
+_TESTCASE = "bestest_hydronic_heat_pump"
+# Number of instances; do-mpc needs a large part of a second for each.
+_INSTANCES, _QUICK_INSTANCES = 60, 8
+_DEFAULT, _BLOCKED, _IPOPT = "qp by PIQP", "qp by PIQP, moves blocked as by default", "ipopt"
+# do-mpc with the operator and its network as a model, and with the gain of each step as a precomputed parameter.
+_PEER, _HELPED_PEER = "do-mpc", "do-mpc, gain worked out beforehand"
+
+Row = dict[str, Any]
+
+
+class Recorder:
+    """Wrapper of a solver that records its problems."""
+
+    def __init__(self, inner: Any) -> None:
+        self.inner, self.problems = inner, list[MPCProblem]()
+
+    def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
+        """Record `problem` and solve it with the inner solver."""
+        self.problems.append(problem)
+        solution: Solution = self.inner.solve(problem, guess)
+        return solution
+
+
+def run_controller_bench(*, quick: bool = False, progress: Callable[[str], None] = lambda line: None) -> dict[str, Any]:
+    """Record instances in a closed loop on the embedded plant and solve them with every solver.
+
+    Returns:
+        Result of the bench: one row per solver, then one per part of a step.
+    """
+    progress("identifying and recording a closed loop on the embedded plant")
+    mpc, recorder, result = _recorded(days=1.0 if quick else 14.0)
+    every = max(1, len(recorder.problems) // (_QUICK_INSTANCES if quick else _INSTANCES))
+    problems = [without_extras(problem) for problem in recorder.problems[::every]]
+    seconds, costs = _timed(_contestants(mpc, problems[0], progress), problems, mpc._planners.base.operator, progress)
+    rows = [_solver_row(name, seconds, costs, problems[0].n_steps) for name in seconds]
+    rows += _parts(result)
+    return bench_result("controller", rows, _targets(rows, result))
+
+
+def _contestants(
+    mpc: ThermoForceMPC, example: MPCProblem, progress: Callable[[str], None]
+) -> dict[str, Callable[[MPCProblem], Array]]:
+    """Every solver by name, built for problems like `example`; default move blocking is a separate entry."""
+    operator, config = mpc._planners.base.operator, MPCConfig()
+    free = ProblemShape(every_step(example.n_steps), example.machinery)
+    blocked = replace(
+        free,
+        move_of_step=blocked_moves(
+            example.n_steps, example.step_s, config.move_blocking.free_h, config.move_blocking.hold_h
+        ),
+    )
+    clarabel = config.qp.model_copy(update={"backends": ("clarabel",)})
+    solvers = {
+        _DEFAULT: _levels(QPSolver(operator, free, config.qp)),
+        _BLOCKED: _levels(QPSolver(operator, blocked, config.qp)),
+        "qp by Clarabel": _levels(QPSolver(operator, free, clarabel)),
+        _IPOPT: _levels(IpoptSolver(operator, free, config.ipopt)),
+    }
+    try:
+        solvers[_PEER] = DoMpcPeer(operator.of_actuator(0), example, gain_beforehand=False).solve
+        solvers[_HELPED_PEER] = DoMpcPeer(operator.of_actuator(0), example, gain_beforehand=True).solve
+    except ConfigError as error:
+        progress(str(error))
+    return solvers
+
+
+def _timed(
+    solvers: Mapping[str, Callable[[MPCProblem], Array]],
+    problems: Sequence[MPCProblem],
+    operator: BuildingOperator,
+    progress: Callable[[str], None],
+) -> tuple[dict[str, list[float]], dict[str, list[float]]]:
+    """Time, s, and cost of each solver on each problem; solvers alternate, so that other load affects all of them."""
+    seconds: dict[str, list[float]] = {name: [] for name in solvers}
+    costs: dict[str, list[float]] = {name: [] for name in solvers}
+    for i, problem in enumerate(problems):
+        for name, solve in solvers.items():
+            began = time.perf_counter()
+            u = np.atleast_2d(solve(problem))
+            seconds[name].append(time.perf_counter() - began)
+            costs[name].append(float(problem.cost(operator, np.clip(u, 0.0, problem.machinery.u_max[:, None]))))
+        if i % 10 == 9:
+            progress(f"{i + 1} of {len(problems)} instances")
+    return seconds, costs
+
+
+def _solver_row(name: str, seconds: Mapping[str, list[float]], costs: Mapping[str, list[float]], steps: int) -> Row:
+    """Median time of one solver, ms, ratio to do-mpc, and largest relative difference of the cost to Ipopt's."""
+    median = float(np.median(seconds[name]))
+    reference = np.array(costs[_IPOPT])
+    worst = float(np.max(np.abs(np.array(costs[name]) - reference) / (1e-9 + np.abs(reference))))
+    row: Row = {"solver": name, "steps": steps, "instances": len(reference), "median_ms": 1e3 * median}
+    for label, peer in (("times_faster_than_do_mpc", _PEER), ("than_helped_do_mpc", _HELPED_PEER)):
+        row[label] = float(np.median(seconds[peer])) / median if peer in seconds else None
+    return row | {"worst_relative_difference_to_ipopt": worst}
+
+
+def _recorded(days: float) -> tuple[ThermoForceMPC, Recorder, RunResult]:
+    testcase = load_testcase(_TESTCASE)
+    with closing(EmbeddedPlant(synthetic_weather())) as plant:
+        period = replace(plant.period("peak_heat_day"), scored_s=days * 86400.0)
+        model = identify_on(plant, before=period, days=3.0, testcase=testcase)
+        mpc = build_controller("thermoforce_mpc", {}, testcase, model)
+        if not isinstance(mpc, ThermoForceMPC):
+            raise TypeError("the registry's thermoforce_mpc is not a ThermoForceMPC")
+        recorder = Recorder(mpc._planners.base.solver)
+        mpc._planners.base = replace(mpc._planners.base, solver=recorder)
+        result = run_closed_loop(plant, mpc, period)
+    return mpc, recorder, result
+
+
+def _levels(solver: QPSolver | IpoptSolver) -> Callable[[MPCProblem], Array]:
+    def solve(problem: MPCProblem) -> Array:
+        solution = solver.solve(problem)
+        if not solution.ok:
+            raise RuntimeError(f"bench controller: {solution.problem}")
+        return solution.u
+
+    return solve
+
+
+def _parts(result: RunResult) -> list[Row]:
+    """Time of each part of a control step: median, ms, and total of the run, s."""
+    steps = result.steps
+    parts = {f"controller: {name}": [step.plan.seconds[name] for step in steps] for name in steps[0].plan.seconds}
+    parts |= {
+        "controller: all": [step.plan_seconds for step in steps],
+        "boundary forecast": [step.forecast_seconds for step in steps],
+        "plant": [step.plant_seconds for step in steps],
+        "journal": [_journal_seconds(result) / len(steps)] * len(steps),
+    }
+    return [
+        {"part of a step": name, "median_ms": 1e3 * float(np.median(values)), "total_s": float(np.sum(values))}
+        for name, values in parts.items()
+    ]
+
+
+def _journal_seconds(result: RunResult) -> float:
+    """Time to write all steps of the run to disk, s."""
+    began = time.perf_counter()
+    with TemporaryDirectory() as folder:
+        trajectory_frame(result.steps).to_csv(Path(folder) / "trajectory.csv", index=False)
+        steps_frame(result.steps).to_csv(Path(folder) / "steps.csv", index=False)
+    return time.perf_counter() - began
+
+
+def _targets(rows: Sequence[Row], result: RunResult) -> list[Target]:
+    by_name = {row["solver"]: row for row in rows if "solver" in row}
+    same = "worst_relative_difference_to_ipopt"
+    targets = [
+        Target(f"{_DEFAULT}: worst relative difference of its optimum to Ipopt's", by_name[_DEFAULT][same], 1e-6)
+    ]
+    if _PEER in by_name:
+        targets += [
+            Target(f"{name}: times faster than {_PEER}", by_name[name]["times_faster_than_do_mpc"], goal, "at least")
+            for name, goal in ((_DEFAULT, 50.0), (_BLOCKED, 50.0), (_IPOPT, 3.0))
+        ]
+        targets.append(Target(f"{_PEER}: worst relative difference of its optimum", by_name[_PEER][same], 1e-4))
+    controller = sum(step.plan_seconds for step in result.steps)
+    plant = sum(step.plant_seconds for step in result.steps)
+    return [*targets, Target("time in the controller over time in the plant", controller / plant, 1.0)]

@@ -1,0 +1,1 @@
+"""Plain forecasters of the free response that the frozen one is compared with."""

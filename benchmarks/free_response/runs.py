@@ -1,0 +1,143 @@
+"""Free-response bench, further parts: intervals over two weeks, length of context, resolutions, computing time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.free_response.score import forecast_origins, mae_K, score, window
+from benchmarks.free_response.sources import Source, embedded_sources
+from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
+from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S
+from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
+from thermoforce_mpc.model.free_response.registry import build_free_response
+from thermoforce_mpc.simulation.bench_result import Target
+
+Row = dict[str, Any]
+
+_LEVEL: Level = "medium"
+_ERROR_SEED = 1
+_LEADS_H = (6, 24)
+# Hourly forecasts start after two weeks of history; the first two days, the settling time, are not scored.
+_START_STEP, _SETTLING_STEPS, _LEAST_STEPS = 14 * 24, 48, 10 * 24
+_OFF_BY = 0.03
+_CONTEXTS_H = (48, 96, 168, 336)
+_BUILDINGS, _REPEATS = 32, 15
+_FINE_STEP_S, _LONG_H = 900.0, 48.0
+
+
+def interval_runs(
+    sources: Sequence[Source], backbone: str, progress: Callable[[str], None]
+) -> tuple[list[Row], list[Target]]:
+    """Coverage of calibrated 80 % intervals of `residual` in runs of two weeks with BOPTEST's medium forecast errors.
+
+    One row per sufficiently long hourly source: coverage over all lead times, and 6 h and 24 h ahead.
+    """
+    rows: list[Row] = []
+    targets: list[Target] = []
+    for source in sources:
+        origins = range(_START_STEP, source.free_C.size - source.horizon)
+        if source.history.step_s != HOUR_S or len(origins) < _LEAST_STEPS:
+            continue
+        method = build_free_response("residual", backbone=backbone, calibrate=True)
+        inside = score(method, source, origins, ForecastError(_LEVEL, _ERROR_SEED)).inside[_SETTLING_STEPS:]
+        share = float(inside.mean())
+        ahead = {f"held_{hours}h_ahead": float(inside[:, hours - 1].mean()) for hours in _LEADS_H}
+        rows.append(
+            {"source": source.name, "two weeks": f"{_LEVEL} forecast errors", "forecasts": len(inside), "held": share}
+            | ahead
+        )
+        targets.append(Target(f"{source.name}, two weeks: 80 % interval off by", abs(share - 0.8), _OFF_BY))
+        progress(f"{source.name}: two weeks of hourly forecasts")
+    for hours in _LEADS_H if rows else ():
+        off_by = abs(float(np.mean([row[f"held_{hours}h_ahead"] for row in rows])) - 0.8)
+        targets.append(Target(f"mean of {len(rows)} runs, {hours} h ahead: 80 % interval off by", off_by, _OFF_BY))
+    return rows, targets
+
+
+def context_rows(sources: Sequence[Source], backbone: str, at_most: int) -> list[Row]:
+    """24-h error of the frozen model by length of context, from the same origins, one row per group."""
+    method = build_free_response("chronos", backbone=backbone)
+    rows = []
+    for group in dict.fromkeys(source.group for source in sources):
+        # The same origins for all lengths: those with the longest context.
+        longest = max(_CONTEXTS_H)
+        row: Row = {"group": group, "24-h error in K by context": "chronos"}
+        for hours in _CONTEXTS_H:
+            errors = []
+            for source in sources:
+                per_hour = HOUR_S / source.history.step_s
+                full = replace(source, least_context_steps=round(longest * per_hour))
+                origins = forecast_origins(full, at_most)
+                if source.group == group and origins:
+                    errors.append(
+                        mae_K(score(method, replace(full, context_steps=round(hours * per_hour)), origins), 24)
+                    )
+            row[f"{hours} h"] = float(np.mean(errors)) if errors else None
+        if row[f"{longest} h"] is not None:
+            rows.append(row)
+    return rows
+
+
+def look_rows(backbone: str, at_most: int) -> list[Row]:
+    """Error and coverage over 48 h at 15 min on the embedded plant, for one resolution and for several."""
+    sources = embedded_sources(_FINE_STEP_S, _LONG_H)
+    day = round(DAY_S / _FINE_STEP_S)
+    rows: list[Row] = []
+    for resolutions in ("one", "several"):
+        method = build_free_response("chronos", backbone=backbone, resolutions=resolutions)
+        found = [score(method, source, forecast_origins(source, at_most)) for source in sources]
+        row: Row = {"48 h at 15 min, embedded": f"{resolutions} resolution{'s' if resolutions == 'several' else ''}"}
+        for label, part in (("first day", slice(0, day)), ("second day", slice(day, None))):
+            row[f"error in K, {label}"] = float(np.mean([one.errors_K[:, part].mean() for one in found]))
+            row[f"inside 80 %, {label}"] = float(np.mean([one.inside[:, part].mean() for one in found]))
+        rows.append(row)
+    return rows
+
+
+def cost_rows(source: Source, backbone: str) -> list[Row]:
+    """Median time of one forecast of 24 h and of 48 h on one thread, and of a batch of many buildings.
+
+    Processor time is given as well, since it is independent of other load on the machine.
+    """
+    method = ChronosFreeResponse(backbone)
+    free, history, boundary, _ = window(source, forecast_origins(source, 1)[0])
+    n = source.horizon
+    long = replace(
+        boundary,
+        **{
+            name: np.concatenate([getattr(boundary, name), getattr(boundary, name)[..., 1:]], axis=-1)
+            for name in CONDITIONS
+            if name != "time_s"
+        },
+        time_s=boundary.time_s[0] + boundary.step_s * np.arange(2 * n + 1),
+        names=boundary.names,
+    )
+    one, two = (free, history, boundary), (free, history, long)
+    rows = []
+    for label, tasks in (
+        ("24 h", [one]),
+        ("48 h", [two]),
+        (f"24 h of {_BUILDINGS} buildings at once", [one] * _BUILDINGS),
+    ):
+        method.forecast_many(tasks)
+        wall, processor = [], []
+        for _ in range(_REPEATS):
+            began, worked = time.perf_counter(), time.thread_time()
+            method.forecast_many(tasks)
+            wall.append((time.perf_counter() - began) * 1e3)
+            processor.append((time.thread_time() - worked) * 1e3)
+        middle = float(np.median(processor))
+        rows.append(
+            {
+                "forecast": label,
+                "ms": float(np.median(wall)),
+                "processor_ms": middle,
+                "processor_ms_per_building": middle / len(tasks),
+            }
+        )
+    return rows

@@ -1,0 +1,1 @@
+"""What records of ordinary operation tell: the effect of acting, and verified savings."""

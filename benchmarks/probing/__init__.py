@@ -1,0 +1,1 @@
+"""Informative probing against random probing, wrong priors, and online adaptation."""

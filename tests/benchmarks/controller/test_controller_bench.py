@@ -1,0 +1,61 @@
+"""The peer of the controller bench solves the same problem, and says what to install where it is missing."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mpc_problems import N, random_operator, random_problem
+
+from benchmarks.controller.bench import _solver_row
+from benchmarks.controller.do_mpc_peer import DoMpcPeer, without_extras
+from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
+from controllers.optimisation.problem import ProblemShape, Weights, every_step
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.model.operator.building import single
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gain_beforehand", [False, True])
+def test_do_mpc_finds_the_optimum_of_ipopt(gain_beforehand):
+    pytest.importorskip("do_mpc", reason="extra [bench]", exc_type=ImportError)
+    rng = np.random.default_rng(3)
+    operator = random_operator(rng, 3)
+    problems = [random_problem(rng, 3, curvature=1e-6) for _ in range(3)]
+    peer, operator = DoMpcPeer(operator, problems[0], gain_beforehand=gain_beforehand), single(operator)
+    ipopt = IpoptSolver(operator, ProblemShape(every_step(N)), IpoptConfig())
+    for problem in problems:
+        best = float(problem.cost(operator, ipopt.solve(problem).u))
+        assert float(problem.cost(operator, np.clip(peer.solve(problem), 0, 1)[None])) == pytest.approx(best, rel=1e-4)
+        assert float(problem.cost(operator, np.zeros((1, N)))) > 1.001 * best
+
+
+def test_a_missing_do_mpc_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "do_mpc", None)
+    rng = np.random.default_rng(3)
+    with pytest.raises(ConfigError, match=r"pip install 'thermoforce-mpc\[bench\]'"):
+        DoMpcPeer(random_operator(rng, 1), random_problem(rng, 1), gain_beforehand=True)
+
+
+def test_what_the_peer_cannot_express_is_left_out():
+    rng = np.random.default_rng(4)
+    problem = replace(
+        random_problem(rng, 2),
+        terminal_price_per_K=np.ones((1, 1, 2)),
+        weights=Weights(5.0, 1e-6, peak=1.0),
+        peak_so_far_W=1.0,
+    )
+    plain = without_extras(problem)
+    assert not plain.terminal_price_per_K.any()
+    assert (plain.weights.peak, plain.weights.comfort) == (0.0, 5.0)
+
+
+def test_rows_compare_with_the_peer_and_the_reference():
+    seconds = {"ipopt": [0.2, 0.4, 0.3], "do-mpc": [0.9, 0.9, 1.5], "qp by PIQP": [0.01, 0.02, 0.03]}
+    costs = {"ipopt": [1.0, 2.0, 4.0], "do-mpc": [1.0, 2.0, 4.0], "qp by PIQP": [1.0, 2.0, 4.4]}
+    row = _solver_row("qp by PIQP", seconds, costs, steps=N)
+    assert row["times_faster_than_do_mpc"] == pytest.approx(45.0)
+    assert row["than_helped_do_mpc"] is None
+    assert row["worst_relative_difference_to_ipopt"] == pytest.approx(0.1)

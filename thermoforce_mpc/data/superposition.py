@@ -1,0 +1,21 @@
+"""Superposition (paper eq:compose): a zone's temperature is its free response plus the forced one.
+
+Every sum and difference of the two in the package is one of these functions, but for those of solvers, which state the
+sum in their own variables, and of identification, which estimates both parts of a measured temperature at once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from thermoforce_mpc.data.clock import Array
+
+
+def compose(T_free_C: Array, forced_K: Array | float) -> Array:
+    """T = T_free + F, °C; shapes that broadcast, such as (Z, N) and (..., Z, N)."""
+    return np.asarray(T_free_C + forced_K, dtype=np.float64)
+
+
+def control_free(T_zone_C: Array, forced_K: Array | float) -> Array:
+    """T_free = T − F, °C: a measured temperature without what actions added to it; NaN where T is not measured."""
+    return np.asarray(T_zone_C - forced_K, dtype=np.float64)
