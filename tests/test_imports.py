@@ -1,8 +1,10 @@
-"""Modules import one way: nobody imports, over any detour, whoever imports it. Type-checking imports count."""
+"""Modules import one way, type-checking imports counted, and tests stand in rooms and use public names."""
 
 from __future__ import annotations
 
 import ast
+from collections import Counter
+from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -31,3 +33,42 @@ def test_no_imports_go_in_a_circle():
     assert len(known) > 100
     # Raises CycleError with the circle.
     TopologicalSorter({name: _imported(file, known) - {name} for name, file in known.items()}).prepare()
+
+
+def _is_private(name: str) -> bool:
+    return name.startswith("_") and not name.startswith("__") and name != "_"
+
+
+def _reached(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Lines on which a module reaches for a private name of something else, and the names."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and _is_private(node.attr):
+            if ast.unparse(node.value) not in ("self", "cls", "super()", "os"):
+                yield node.lineno, node.attr
+        elif isinstance(node, ast.ImportFrom):
+            parts = [*(node.module or "").split("."), *(alias.name for alias in node.names)]
+            yield from ((node.lineno, part) for part in parts if _is_private(part))
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in ("setattr", "getattr", "delattr"):
+            named = [arg.value for arg in node.args if isinstance(arg, ast.Constant) and isinstance(arg.value, str)]
+            yield from ((node.lineno, name) for name in named if _is_private(name.split(".")[-1]))
+
+
+def test_tests_reach_for_no_private_name():
+    """What a test replaces is an argument of something public, and what it looks at comes out of it."""
+    files = sorted((ROOT / "tests").rglob("*.py"))
+    assert len(files) > 200
+    reached = [
+        f"{file.relative_to(ROOT)}:{line}: {name}"
+        for file in files
+        for line, name in _reached(ast.parse(file.read_text(encoding="utf-8")))
+    ]
+    assert reached == []
+
+
+def test_a_folder_of_tests_holds_a_dozen_modules_and_their_names_differ():
+    """Test modules are imported by their names alone, and five at most stand in no room."""
+    files = [file for file in (ROOT / "tests").rglob("*.py") if file.name != "conftest.py"]
+    of_folder = Counter(file.parent.relative_to(ROOT) for file in files)
+    assert of_folder[Path("tests")] <= 5
+    assert {str(folder): n for folder, n in of_folder.items() if n > 14} == {}
+    assert [name for name, n in Counter(file.name for file in files).items() if n > 1] == []

@@ -71,6 +71,7 @@ def test_the_wheel_holds_every_file_of_the_packages_and_the_configurations(wheel
     expected |= {f"thermoforce_mpc/{path.relative_to(ROOT)}" for path in (ROOT / "configs").rglob("*.*")}
     assert len(expected) > 400
     assert not expected - found
+    assert not [name for name in found if name.split("/")[0] in ("benchmarks", "tests", "tools", "examples")]
     beside = {name.split("/")[0] for name in found - expected}
     assert {name.partition("-")[0] for name in beside} == {"thermoforce_mpc"}, "something else is in the wheel"
     (folder,) = beside
@@ -93,9 +94,10 @@ def test_the_sdist_holds_what_one_needs_to_join(sdist):
     }
     expected |= {
         str(path.relative_to(ROOT))
-        for folder in ("tests", "examples", "docs")
+        for folder in ("benchmarks", "tests", "examples", "docs")
         for path in (ROOT / folder).rglob("*.py")
     }
+    expected.add("benchmarks/interventions/templates/interventions.html.j2")
     assert not expected - found
 
 
@@ -114,9 +116,29 @@ def test_the_wheel_works_outside_the_repository(installed, tmp_path):
     assert (tmp_path / "done" / "report.html").is_file()
 
 
+def test_benchmarks_are_in_a_checkout_alone_whatever_else_has_their_name(installed, tmp_path):
+    tf_mpc = [sys.executable, "-c", "from thermoforce_mpc.cli import main; main()"]
+    for name in ("bench", "chaos"):
+        assert run([*tf_mpc, name, "--help"], ROOT, tmp_path).stdout.startswith("Usage:")
+    other = tmp_path / "other"
+    (other / "benchmarks" / "cli").mkdir(parents=True)
+    for path in ("__init__.py", "cli/__init__.py", "cli/bench.py", "cli/chaos.py"):
+        (other / "benchmarks" / path).write_text("raise SystemExit('of somebody else')\n")
+    for words in (["bench"], ["bench", "operator", "--quick"], ["chaos", "--help"]):
+        done = run([*tf_mpc, *words], installed, other)
+        assert (done.returncode, done.stdout) == (2, "")
+        (line,) = done.stderr.splitlines()
+        assert line.startswith(f"Error: tf-mpc {words[0]} is not part of the wheel: clone the repository")
+        assert "pip install -e '.[bench]'" in line
+    assert "  bench  " in run([*tf_mpc, "--help"], installed, other).stdout
+    hidden = run([*tf_mpc, "bench"], Path(f"{other}{os.pathsep}{ROOT}"), tmp_path)
+    assert hidden.returncode == 2
+    assert f"which {other / 'benchmarks' / '__init__.py'} hides" in hidden.stderr
+
+
 # Refuses modules by their first name, then imports what every user may call.
 WITHOUT = """
-import importlib, sys
+import sys
 refused = set(sys.argv[1].split(","))
 class Refuse:
     def find_spec(self, name, path=None, target=None):
@@ -126,8 +148,8 @@ sys.meta_path.insert(0, Refuse())
 import thermoforce_mpc, thermoforce_mpc.cli as cli
 for name in thermoforce_mpc.__all__:
     getattr(thermoforce_mpc, name)
-for name, (module, _) in cli._COMMANDS.items():
-    assert callable(importlib.import_module(module).command), name
+for name in cli.cli.list_commands(None):
+    assert callable(cli.cli.get_command(None, name)), name
 import controllers.registry, thermoforce_mpc.plants.registry
 """
 

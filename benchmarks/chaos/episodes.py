@@ -12,17 +12,18 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.cases import TaskFailed
 from benchmarks.chaos.episode import Outcome, Setting, run_episode
 from benchmarks.chaos.troubles import Trouble, drawn
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S
-from thermoforce_mpc.execution import LocalEngine, Task, TaskFailed, execute
+from thermoforce_mpc.execution import LocalEngine, Task, execute
 from thermoforce_mpc.execution import Outcome as Executed
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.scenario.scenario import load_scenario, load_testcase
 from thermoforce_mpc.service.server import serving
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.simulation.models.identifying import model_for
 
 TESTCASE = "bestest_hydronic_heat_pump"
@@ -83,7 +84,7 @@ def run_chaos(
             raise
         progress(f"interrupted after {len(found)} of {episodes} episodes")
     outcomes = [found[n] for n in sorted(found)]
-    return bench_result("chaos", _rows(calm, outcomes), _targets(calm, outcomes))
+    return results_json("chaos", _rows(calm, outcomes), _targets(calm, outcomes))
 
 
 def _troubles(setting: Setting, seed: int, n: int) -> tuple[tuple[Trouble, ...], int]:

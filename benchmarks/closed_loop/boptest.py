@@ -8,13 +8,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from benchmarks.cases import run_all
 from thermoforce_mpc.errors import InputError, ThermoForceError
-from thermoforce_mpc.execution import Engine, run_all
+from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.fmu.archive import read_archive
 from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.scenario.settings import named_configs
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.simulation.run import run
 
 CONTROLLER, NATIVE = "thermoforce_mpc", "native"
@@ -87,7 +88,7 @@ def run_boptest_bench(
         progress(done + (f"FAILED, {outcome.failed}" if outcome.failed else f"{row[CONTROLLER]}, {row[NATIVE]}"))
 
     outcomes = run_all(run_case, cases, engine, on_done)
-    return bench_result("boptest", [*(o.row() for o in outcomes), *rows], targets(outcomes))
+    return results_json("boptest", [*(o.row() for o in outcomes), *rows], targets(outcomes))
 
 
 def _found(folder: Path, price: str, days: float) -> tuple[list[Case], list[Row]]:

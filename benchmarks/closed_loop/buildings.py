@@ -17,18 +17,19 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.cases import run_all
 from controllers.registry import build_controller
 from thermoforce_mpc.data import DAY_S, HOUR_S, ZERO_C_K, Array, Period, PlanStatus
 from thermoforce_mpc.errors import DataError, InputError
-from thermoforce_mpc.execution import Engine, run_all
+from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, House, draw_house
 from thermoforce_mpc.plants.random_houses.schedule import bounds_C
 from thermoforce_mpc.plants.weeks import WEEKS
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.simulation.models.identifying import identification_settings, identify_on
 
 # Population that is reported; development uses other seeds, see docs/evidence/generated-houses.md.
@@ -139,7 +140,7 @@ def run_buildings_bench(
     n = min(houses, _QUICK_HOUSES) if quick else houses
     cases = [Case(seed, index, week, draw=out is not None) for index in range(n) for week in WEEKS]
     outcomes = run_cases(cases, engine, progress)
-    result = bench_result("buildings", [o.row() for o in outcomes] + _summary(outcomes), targets(outcomes))
+    result = results_json("buildings", [o.row() for o in outcomes] + _summary(outcomes), targets(outcomes))
     if out is not None:
         for outcome in outcomes:
             if outcome.plot:

@@ -15,8 +15,8 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.scenario.scenario import load_testcase
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.simulation.composition import scored_period
 from thermoforce_mpc.simulation.models.identifying import identify_on
 
@@ -86,7 +86,7 @@ def run_dpc_bench(
         Target("time of a decision over that of the MPC's solve, worst window", max(over["decision"]), 1.0),
         Target("steps of dpc that the policy did not decide", max(over["fallbacks"]), 0.0),
     ]
-    return bench_result("dpc", rows, targets)
+    return results_json("dpc", rows, targets)
 
 
 _SOUND = ("solved", "bridged", "rule")

@@ -26,8 +26,8 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.scenario.scenario import load_testcase
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.simulation.folder.run_folder import steps_frame, trajectory_frame
 from thermoforce_mpc.simulation.models.identifying import identify_on
 
@@ -67,7 +67,7 @@ def run_controller_bench(*, quick: bool = False, progress: Callable[[str], None]
     seconds, costs = _timed(_contestants(mpc, problems[0], progress), problems, mpc._planners.base.operator, progress)
     rows = [_solver_row(name, seconds, costs, problems[0].n_steps) for name in seconds]
     rows += _parts(result)
-    return bench_result("controller", rows, _targets(rows, result))
+    return results_json("controller", rows, _targets(rows, result))
 
 
 def _contestants(

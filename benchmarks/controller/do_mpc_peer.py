@@ -29,7 +29,7 @@ def load_do_mpc() -> Any:
             warnings.simplefilter("ignore")
             import do_mpc
     except ImportError as error:
-        raise ConfigError("do-mpc is not installed: pip install 'thermoforce-mpc[bench]'") from error
+        raise ConfigError("do-mpc is not installed: pip install -e '.[bench]'") from error
     return do_mpc
 
 

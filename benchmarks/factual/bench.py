@@ -16,7 +16,7 @@ from benchmarks.factual.protocol import QUICK, Protocol
 from benchmarks.factual.suite import run_suite
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 _MOST_S, _ROOMS = 300.0, 9
 
@@ -78,7 +78,7 @@ def run_factual_bench(
     width = max(1, engine.width)
     work = float(np.mean([s.about["seconds"] for s in scores])) * _ROOMS / width
     goals.append(Target(f"seconds for {_ROOMS} homes on {width} processes", work, _MOST_S))
-    result = bench_result("factual", [row for rows in found.values() for row in rows], goals)
+    result = results_json("factual", [row for rows in found.values() for row in rows], goals)
     result["manifest"] = {
         "protocol": protocol.to_json(),
         "backbone": backbone,

@@ -14,6 +14,7 @@ from benchmarks.factual.baselines import persistence, rmse_K, truth_of
 from benchmarks.factual.homes import Prepared
 from benchmarks.factual.operators import Forced
 from benchmarks.factual.protocol import Protocol
+from benchmarks.parameter_count import parameter_count
 from thermoforce_mpc.data import HOUR_S, Array, Boundary
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
@@ -194,8 +195,6 @@ class Evaluation:
 
     def _backbones(self, forced: Forced) -> dict[str, dict[str, float]]:
         """Test error of the first horizon of every other backbone, raw and composed with the same operator."""
-        from thermoforce_mpc.model.free_response.backbones.loading import parameter_count
-
         found: dict[str, dict[str, float]] = {}
         first = self.home.steps(min(self.protocol.horizons_h))
         for name in self.others:

@@ -9,11 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from benchmarks.cases import run_all
 from benchmarks.factual.evaluate import BEST, RAW, Evaluation, Scores
 from benchmarks.factual.homes import Home, Prepared, prepared
 from benchmarks.factual.protocol import Protocol
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.execution import Engine, run_all, source_fingerprint
+from thermoforce_mpc.execution import Engine, source_fingerprint
 from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES, shipped_folder
 from thermoforce_mpc.simulation.comparison.cells import Inputs
 from thermoforce_mpc.simulation.folder.run_folder import write_json
@@ -108,7 +109,7 @@ def _weights(backbones: Sequence[str]) -> list[list[str]]:
 
 def _key(home: Prepared, protocol: Protocol, weights: Sequence[Sequence[str]]) -> str:
     """Hash of everything that a home's scores depend on, the source code included."""
-    settings = [protocol.to_json(), list(weights), source_fingerprint()]
+    settings = [protocol.to_json(), list(weights), source_fingerprint("benchmarks")]
     digest = hashlib.sha256(json.dumps(settings).encode())
     record = home.record
     for values in (record.time_s, home.truth_C, record.T_out_C, record.solar_W_m2, *home.levels.values(), home.usable):

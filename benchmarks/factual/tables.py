@@ -24,7 +24,7 @@ from benchmarks.factual.evaluate import (
 )
 from benchmarks.factual.protocol import Protocol
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.simulation.bench_result import Target
+from thermoforce_mpc.simulation.comparison.results_json import Target
 
 Row = dict[str, Any]
 

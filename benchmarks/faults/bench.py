@@ -27,8 +27,8 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.scenario.scenario import load_testcase
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.simulation.models.identifying import identify_on
 
 _BLIND: Mapping[str, Any] = {"reports_u": False, "meters": False}
@@ -109,7 +109,7 @@ def run_faults_bench(
             rows += _period_rows(period, start_day, faults, progress, stand_back)
         elif not rows:
             rows += _period_rows(period, start_day, _QUICK, progress, stand_back)
-    return bench_result("faults", rows, _targets(rows))
+    return results_json("faults", rows, _targets(rows))
 
 
 def _period_rows(

@@ -26,8 +26,8 @@ from thermoforce_mpc.model.free_response.following import follow
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.scenario.scenario import load_testcase
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.simulation.models.identifying import identify_on
 
 _START_DAY, _FROM_DAYS, _LONGEST_DAYS = 16, 2.5, 14.0
@@ -104,7 +104,7 @@ def run_fallback_bench(*, quick: bool = False, progress: Callable[[str], None] =
         case = CASES[name]
         without = run(case, _UNPROTECTED).kpis["tdis_tot"] if case.unprotected else None
         rows.append(_row(name, case, run(case, {}), without))
-    return bench_result("fallback", rows, _targets(rows))
+    return results_json("fallback", rows, _targets(rows))
 
 
 class _Broken:

@@ -11,7 +11,7 @@ from benchmarks.fleet.coordination import SILENT, coordinated
 from benchmarks.fleet.identify_many import measure
 from benchmarks.fleet.plan_many import measure_plan_many
 from benchmarks.fleet.scaling import campaign, overhead
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 Part = Literal["identify", "plan", "coordinate", "campaign"]
 PARTS: tuple[Part, ...] = ("identify", "plan", "coordinate", "campaign")
@@ -46,7 +46,7 @@ def run_fleet_bench(
         some, its = measured[part](quick, progress)
         rows += some
         targets += its
-    return bench_result("fleet", rows, targets)
+    return results_json("fleet", rows, targets)
 
 
 def _identify(quick: bool, progress: Progress) -> tuple[list[Row], list[Target]]:

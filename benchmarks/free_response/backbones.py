@@ -17,14 +17,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks.operator.data import FLOOR_AREA_M2, cut, read_run
+from benchmarks.parameter_count import parameter_count
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Observation, Record
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.model.free_response.backbones.loading import FRACAST, SHIPPED_SCALES, parameter_count
+from thermoforce_mpc.model.free_response.backbones.loading import FRACAST, SHIPPED_SCALES
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
 from thermoforce_mpc.model.predictor import Predictor, PredictorState
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 _PROBE_DAYS, _CONTEXT_DAYS, _EMBEDDED_DAYS = 3, 7, 16
 _HORIZON_H = 6
@@ -94,7 +95,7 @@ def run_backbone_bench(
     ]
     if out is not None:
         _plot(rows, out)
-    return bench_result("backbones", rows, targets)
+    return results_json("backbones", rows, targets)
 
 
 _FIGURES = ("raw_rmse_K", "composed_rmse_K", "change_percent", "with_weather_rmse_K", "ms")

@@ -22,7 +22,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.protocols import FreeResponse
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 # Baselines of the shipped forecaster: same context, no weather.
 NAIVE = ("persistence", "seasonal_naive", "ar26", "ar49", "ets")
@@ -67,7 +67,7 @@ def run_free_response_bench(
         with LocalEngine(1) as engine:
             sources += energyplus.energyplus_sources(engine)
     else:
-        progress("EnergyPlus left out: not installed (pip install 'thermoforce-mpc[energyplus]')")
+        progress("EnergyPlus left out: not installed (pip install -e '.[energyplus]')")
     sources += boptest_sources(reference) if reference else []
     sources += mons_sources(houses) if houses else []
     scores: dict[str, dict[str, Score]] = {}
@@ -105,7 +105,7 @@ def run_free_response_bench(
         Target("chronos: median processor ms per 24-h forecast", costs[0]["processor_ms"], 5.0),
         *runs[1],
     ]
-    return bench_result("free-response", [*rows, *runs[0], *limits, *contexts, *looks, *costs], targets)
+    return results_json("free-response", [*rows, *runs[0], *limits, *contexts, *looks, *costs], targets)
 
 
 def _methods(backbone: str) -> dict[str, FreeResponse]:

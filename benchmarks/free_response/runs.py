@@ -15,7 +15,7 @@ from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.registry import build_free_response
-from thermoforce_mpc.simulation.bench_result import Target
+from thermoforce_mpc.simulation.comparison.results_json import Target
 
 Row = dict[str, Any]
 

@@ -18,7 +18,7 @@ from benchmarks.interventions.suite import SuiteResult, run_suite
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.plants.energyplus.climates import CLIMATES
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 Row = dict[str, Any]
 Say = Callable[[str], None]
@@ -92,7 +92,7 @@ def run_interventions_bench(
     rows = [row for k in days for row in table_rows(suite, k)]
     rows += [row for k in days for row in wilcoxon_rows(suite, k)]
     rows += [cell_row(score) for score in suite.scores]
-    result = bench_result("interventions", rows, targets(suite, days[0]) if not methods else [])
+    result = results_json("interventions", rows, targets(suite, days[0]) if not methods else [])
     result["manifest"] = data.manifest
     out.mkdir(parents=True, exist_ok=True)
     figures = {

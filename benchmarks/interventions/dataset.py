@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.interventions.pool import simulate_all
+from benchmarks.interventions.pool import engine_hash, simulate_all
 from benchmarks.interventions.protocol import (
     WARMUP_DAYS,
     WINDOW_START_H,
@@ -29,9 +29,9 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.plants.energyplus.climates import CLIMATES, Climate, ClimateName, base_setpoint, gains
-from thermoforce_mpc.plants.energyplus.engine import engine_hash, engine_version, file_hash, weather_file
+from thermoforce_mpc.plants.energyplus.engine import engine_version, file_hash, weather_file
 from thermoforce_mpc.plants.energyplus.simulate import Job
-from thermoforce_mpc.plants.energyplus.zone import model_hash, zone_model
+from thermoforce_mpc.plants.energyplus.zone import zone_model
 
 # Days dropped at the start of the warm-up; the rest of it is the context of the forecasters.
 _FORGOTTEN_DAYS = 4
@@ -134,10 +134,11 @@ def _made_from(protocol: Protocol) -> dict[str, Any]:
     for name in protocol.climates:
         climate = CLIMATES[name]
         weather = weather_file(climate.spec.weather)
+        model = json.dumps(zone_model(climate.spec, climate.first_day, WARMUP_DAYS), sort_keys=True)
         climates[name] = asdict(climate) | {
             "weather_file": weather.name,
             "weather_sha256": file_hash(weather),
-            "model_sha256": model_hash(zone_model(climate.spec, climate.first_day, WARMUP_DAYS)),
+            "model_sha256": hashlib.sha256(model.encode()).hexdigest(),
         }
     return {
         "format": _FORMAT,

@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 
 def write_page(path: Path, result: Mapping[str, Any], figures: Mapping[str, Path]) -> None:
-    """Write the page of `result` (a dictionary of `bench_result`) with SVG `figures` by caption."""
+    """Write the page of `result` (a dictionary of `results_json`) with SVG `figures` by caption."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("benchmarks.interventions", "templates"),
         autoescape=True,

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
+from benchmarks.cases import TaskFailed, run_all
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import PlantError
-from thermoforce_mpc.execution import Engine, TaskFailed, run_all
-from thermoforce_mpc.plants.energyplus.engine import engine_folder
+from thermoforce_mpc.execution import Engine
+from thermoforce_mpc.plants.energyplus.engine import engine_folder, file_hash
 from thermoforce_mpc.plants.energyplus.simulate import simulate
 
 J = TypeVar("J")
@@ -34,3 +35,12 @@ def simulate_all(
         return run_all(run, jobs, engine, lambda n, record: on_done(n))
     except TaskFailed as error:
         raise PlantError(f"EnergyPlus crashed: {error}") from error
+
+
+def engine_hash() -> str:
+    """Return the SHA-256 of the engine's shared library; raises `PlantError` if it is missing."""
+    folder = engine_folder().parent
+    for name in ("libenergyplusapi.so", "libenergyplusapi.dylib", "EnergyPlusAPI.dll"):
+        if (folder / name).is_file():
+            return file_hash((folder / name).resolve())
+    raise PlantError(f"EnergyPlus: its shared library is not beside {folder / 'pyenergyplus'}; install the wheel again")

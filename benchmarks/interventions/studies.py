@@ -25,7 +25,7 @@ from benchmarks.interventions.protocol import PROBE_DAYS
 from benchmarks.interventions.suite import run_suite, score_cells, training_of
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.simulation.folder.run_folder import write_json
 
 Row = dict[str, Any]
@@ -89,7 +89,7 @@ def run_study(
         measured = {row["component"]: (row["here"], row["paper"]) for row in rows if row["unit"] == "ms"}
         figure = bars_figure(measured, "ms")
     return _written(
-        name, bench_result(f"interventions {name}", rows, targets) | {"manifest": data.manifest}, figure, out, progress
+        name, results_json(f"interventions {name}", rows, targets) | {"manifest": data.manifest}, figure, out, progress
     )
 
 
@@ -133,7 +133,7 @@ def _office(out: Path, quick: bool, backbone: str, seed: int, draw: int, engine:
     figure = bars_figure(
         {r["method"]: (r["effect_K"], r["factual_K"]) for r in rows}, "K", ("effect RMSE", "factual RMSE"), log=False
     )
-    return _written("office", bench_result("interventions office", rows, targets), figure, out, say)
+    return _written("office", results_json("interventions office", rows, targets), figure, out, say)
 
 
 def _ablation(data: Dataset, days: Sequence[int], backbone: str, seed: int, say: Say) -> list[Row]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.cases import run_all
 from benchmarks.interventions.dataset import ClimateData, Dataset, Window
 from benchmarks.interventions.methods.base import Predictor, Training
 from benchmarks.interventions.methods.registry import METHODS, Forecasters, find_method
@@ -15,7 +16,7 @@ from benchmarks.interventions.protocol import WINDOW_START_H
 from benchmarks.interventions.scores import LEVELS, CellScore, score_cell
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.execution import Engine, run_all
+from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.plants.energyplus.climates import ClimateName
 
 

@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.cases import run_all
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Measurement, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.execution import Engine, run_all
+from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
 from thermoforce_mpc.model.free_response.persistence import Persistence
@@ -25,7 +26,7 @@ from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.rooms import HouseOfRooms, house_of_rooms
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 Row = dict[str, Any]
 
@@ -74,7 +75,7 @@ def run_operation_bench(
         progress(f"{done} of {len(cases)}: {first['building']}, {first['operation']}, day {first['start_day']}")
 
     found = [row for rows in run_all(run_case, cases, engine, told) for row in rows]
-    return bench_result("operation", summary(found), targets(found))
+    return results_json("operation", summary(found), targets(found))
 
 
 def run_case(case: Case) -> list[Row]:

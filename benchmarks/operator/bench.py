@@ -23,7 +23,7 @@ from benchmarks.operator.training_speed import (
 )
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 # Targets of this bench, K unless stated otherwise.
 _PAIRS_GOAL_K, _SIGN_GOAL, _AGAINST_FIRST_ORDER = 0.035, 0.995, 0.5
@@ -73,7 +73,7 @@ def run_operator_bench(
     for part_rows, part_targets in parts:
         rows += part_rows
         targets += part_targets
-    return bench_result("operator", rows, targets)
+    return results_json("operator", rows, targets)
 
 
 def _trained_on_pairs(

@@ -16,7 +16,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.two_stage import fit_two_stage
-from thermoforce_mpc.simulation.bench_result import Target
+from thermoforce_mpc.simulation.comparison.results_json import Target
 
 # Targets, K unless stated otherwise.
 _FEW_SHOT_GOALS_K = {1: 0.12, 3: 0.08}

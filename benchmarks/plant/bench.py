@@ -15,7 +15,7 @@ from thermoforce_mpc.boundary.weather import load_weather
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 _T_RMSE_K = {"excite": 0.10, "off": 0.15, "native": 0.10}
 
@@ -90,7 +90,7 @@ def run_plant_bench(
         rows += scaling(plant.weather)
     if out is not None and errors:
         _plot(errors, out)
-    return bench_result("plant", rows, targets)
+    return results_json("plant", rows, targets)
 
 
 def _effects(plant: EmbeddedPlant, folder: Path, progress: Callable[[str], None]) -> dict[str, list[Array]]:

@@ -17,7 +17,7 @@ from boptest_client import BoptestClient
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.gym import ID
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 _TESTCASE = "bestest_hydronic_heat_pump"
 _START_S = 16 * DAY_S
@@ -118,7 +118,7 @@ def _result(seconds: Mapping[str, list[float]], branching_s: float) -> dict[str,
         ),
         Target("embedded over one POST advance alone", base / best["BOPTEST points, embedded"], 20.0, "at least"),
     ]
-    return bench_result("gym", rows, targets)
+    return results_json("gym", rows, targets)
 
 
 def _steps(env: Any, steps: int) -> None:

@@ -14,7 +14,7 @@ from thermoforce_mpc.boundary.tariffs import Tariff, held_prices
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.simulation.bench_result import Target
+from thermoforce_mpc.simulation.comparison.results_json import Target
 
 STEP_S = 900.0
 SCORED_S = 14 * DAY_S

@@ -25,7 +25,7 @@ from thermoforce_mpc.identification.estimation.adaptation import AdaptationConfi
 from thermoforce_mpc.identification.probing.design import Designer
 from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 _LEVELS = (0.0, 0.4, 0.7, 1.0)
 _PAIR_DAYS, _START_DAYS = (12, 25, 40, 60, 75, 90, 300, 330), (18, 33, 50, 68, 83, 310)
@@ -54,7 +54,7 @@ def run_probing_bench(*, quick: bool = False, progress: Callable[[str], None] | 
         _adaptation(plant, say),
     ):
         rows, targets = [*rows, *more_rows], [*targets, *more_targets]
-    return bench_result("probing", rows, targets)
+    return results_json("probing", rows, targets)
 
 
 def _pairs(plant: EmbeddedPlant, quick: bool, say: Callable[[str], None]) -> list[ReferencePair]:

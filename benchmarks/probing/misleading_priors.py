@@ -19,7 +19,7 @@ from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
 from thermoforce_mpc.identification.validation.report import BAND
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.simulation.bench_result import Target
+from thermoforce_mpc.simulation.comparison.results_json import Target
 
 # Given floor areas as shares of the true one.
 _TOLD = (1.0, 1.25, 0.8)

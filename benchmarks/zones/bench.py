@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.cases import run_all
 from benchmarks.closed_loop.boptest import verdict_in_words
 from benchmarks.zones.apart import OnePerZone
 from benchmarks.zones.effects import PairScore, score_pairs, worst
@@ -23,14 +24,14 @@ from controllers.mpc.config import MPCConfig
 from controllers.registry import controller_config
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
-from thermoforce_mpc.execution import Engine, run_all
+from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.rooms.plant import HouseOfRooms
 from thermoforce_mpc.scenario.scenario import load_scenario
-from thermoforce_mpc.simulation.bench_result import Target, bench_result
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.simulation.composition import build_plant, controller_options, scored_period
 from thermoforce_mpc.simulation.models.identifying import identification_task, run_identification
 from thermoforce_mpc.simulation.run import run
@@ -160,7 +161,7 @@ def run_zones_bench(
                 ("do-mpc, modes shared", beside.helped_s),
             )
         ]
-    return bench_result("zones", rows, [*targets(outcomes), *speed_targets(times, beside)])
+    return results_json("zones", rows, [*targets(outcomes), *speed_targets(times, beside)])
 
 
 def _cases(fmus: Path | None, quick: bool) -> list[Case]:

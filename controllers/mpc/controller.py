@@ -37,7 +37,6 @@ from controllers.safety.overrides import (
     Situation,
     WatchAlarm,
     decide,
-    expected_levels,
 )
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
@@ -259,10 +258,12 @@ class ThermoForceMPC(ActuatedController):
         """The numbers of the problem, with overridden actuators at the levels that are expected of them."""
         if isinstance(forecast, Failure):
             return forecast
-        held_u = expected_levels(overrides, readings.history, forecast.context.n_steps) if overrides else None
-        operator, context = forecast.planner.operator, forecast.context
+        operator, context, history = forecast.planner.operator, forecast.context, readings.history
+        last_u = self._guess(state.good, readings.time_s)
         try:
-            return self._formulation.instance(operator, context, readings.history, state.margins, state.peak_W, held_u)
+            return self._formulation.instance(
+                operator, context, history, state.margins, state.peak_W, overrides, last_u
+            )
         except Exception as error:  # of a forecast that lacks what the problem needs
             return Failure(f"no prediction ({message_of(error)})", state)
 

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.actuation.actuators import Actuators
 from controllers.mpc.config import MPCConfig
+from controllers.mpc.held_actuators import Held, expected_levels, with_held
 from controllers.mpc.margins import Bounds, MarginRules, Margins
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import Cooling, MPCProblem, PowerCap, Weights
+from controllers.safety.overrides import Override
 from thermoforce_mpc.data import J_PER_KWH, Array, Boundary, Record
-from thermoforce_mpc.data.superposition import compose
+from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
-
-# Bounds of a zone that no planned actuator serves are further apart by this on either side, K: what holds its actuators
-# keeps it comfortable, and its neighbours must not be asked to.
-_NOT_PLANNED_FOR_K = 100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,18 +30,26 @@ class Instance:
     Attributes:
         problem: the numbers; the response of held actuators is in its `T_free_C`.
         bounds: comfort bounds and the margins inside them.
-        held_u: levels of the actuators that an override holds (A, N), 0 for the others; None where none is held.
-        held_K: forced response to them (Z, N), K.
+        held: levels and response of the actuators that are not planned for; None where there are none.
     """
 
     problem: MPCProblem
     bounds: Bounds
-    held_u: Array | None = None
-    held_K: Array | float = 0.0
+    held: Held | None = None
+
+    @property
+    def T_free_C(self) -> Array:
+        """Free response (Z, N), °C, with the offset that was learned."""
+        return self.problem.T_free_C if self.held is None else control_free(self.problem.T_free_C, self.held.forced_K)
 
     def levels(self, u: Array) -> Array:
         """Levels of all actuators (A, N), given those that were planned."""
-        return u if self.held_u is None else u + self.held_u
+        return u if self.held is None else u + self.held.u
+
+    def forced_K(self, operator: BuildingOperator, u: Array) -> Array:
+        """Forced response (Z, N), K, to planned levels and to those of held actuators."""
+        forced_K = self.problem.forced_K(operator, u)
+        return forced_K if self.held is None else forced_K + self.held.forced_K
 
 
 class Formulation:
@@ -90,7 +97,8 @@ class Formulation:
         history: Record,
         margins: Margins,
         peak_W: float = 0.0,
-        held_u: Array | None = None,
+        overrides: Mapping[int, Override] = MappingProxyType({}),
+        last_u: Array | None = None,
     ) -> Instance:
         """Return the instance of one step.
 
@@ -100,7 +108,8 @@ class Formulation:
             history: the record until now, for the return water.
             margins: what was learned of bounds, predictions and capacities.
             peak_W: highest mean power of the building over a step so far, W.
-            held_u: levels of the actuators that are not planned for (A, N), NaN for the others; None: all are planned.
+            overrides: what holds actuators, by number; the others are planned for.
+            last_u: levels of the last plan, one step on (A, N); None without one.
 
         Raises:
             DataError: a bound or price of the boundary is missing.
@@ -108,39 +117,11 @@ class Formulation:
         context.boundary.check("lower_C", "upper_C", "price_per_kWh")
         bounds = self.margins.bounds(operator, context.free, context.boundary, margins.learned)
         problem = self._problem(operator, context, history, margins, bounds, peak_W)
-        if held_u is None:
+        if not overrides:
             return Instance(problem, bounds)
-        return self._with_held(operator, Instance(problem, bounds), np.isfinite(held_u[:, 0]), held_u)
-
-    def _with_held(self, operator: BuildingOperator, instance: Instance, held: NDArray[np.bool_], u: Array) -> Instance:
-        """The instance with the actuators that are `held` (A,) at levels `u` (A, N).
-
-        Their response is known, so it joins the free one; what they take of capacity and power is no longer there for
-        the others. That a machine runs anyway while they are on is not counted.
-        """
-        p, held_u = instance.problem, np.where(held[:, None], u, 0.0)
-        held_K = p.modes_K(operator, held_u)[:, held].sum(axis=(1, 3))
-        served = np.zeros(p.T_free_C.shape[0], dtype=bool)
-        served[[z for a, z in enumerate(self._layout.home) if not held[a]]] = True
-        alone = np.array([bool(self._layout.actuators_of(z)) and not served[z] for z in range(served.size)])
-        away_K = np.where(alone, _NOT_PLANNED_FOR_K, 0.0)[:, None]
-        taken = self.machinery.fed_by @ (self.machinery.share[:, None] * np.maximum(held_u, 0.0))
-        capacity = np.ones(taken.shape) if p.capacity is None else p.capacity
-        held_W = p.power_W(held_u).sum(axis=0)
-        cap = p.power_cap
-        problem = replace(
-            p,
-            planned=~held,
-            forced_state_K=np.where(held[:, None], 0.0, p.forced_state_K),
-            terminal_price_per_K=np.where(held[:, None], 0.0, p.terminal_price_per_K),
-            T_free_C=compose(p.T_free_C, held_K),
-            lower_C=p.lower_C - away_K,
-            upper_C=p.upper_C + away_K,
-            capacity=np.maximum(capacity - taken, 0.0) if taken.any() else p.capacity,
-            peak_so_far_W=max(p.peak_so_far_W - float(held_W.mean()), 0.0),
-            power_cap=cap and replace(cap, limit_W=np.maximum(cap.limit_W - held_W, 0.0)),
-        )
-        return replace(instance, problem=problem, held_u=held_u, held_K=held_K)
+        u = expected_levels(operator, problem, overrides, last_u)
+        rest, held = with_held(operator, problem, overrides, u)
+        return Instance(rest, bounds, held)
 
     def _problem(
         self,

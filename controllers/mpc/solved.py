@@ -34,8 +34,7 @@ def solved_plan(instance: Instance, solution: Solution, solve_s: float, forecast
     """
     problem, context, free = instance.problem, forecast.context, forecast.context.free
     u, names = instance.levels(solution.u), readings.observation.names
-    forced_K = problem.forced_K(forecast.planner.operator, solution.u) + instance.held_K
-    T_free_C = problem.T_free_C - instance.held_K
+    T_free_C, forced_K = instance.T_free_C, instance.forced_K(forecast.planner.operator, solution.u)
     T_zone_C = compose(T_free_C, forced_K)
     slack_K = problem.slack_K(T_zone_C)
     doubts = (*readings.doubts, free.doubt)

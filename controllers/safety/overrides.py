@@ -12,13 +12,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-import numpy as np
 from pydantic import Field
 
 from controllers.monitoring.watch_state import WatchState
 from controllers.monitoring.zone_sensors import Zones
 from controllers.safety.fallback_policy import FallbackPolicy
-from thermoforce_mpc.data import DAY_S, Array, Layout, Observation, PlanStatus, Record
+from thermoforce_mpc.data import Layout, Observation, PlanStatus
 from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.scenario.settings import StrictModel
 
@@ -212,19 +211,3 @@ def guard_level(
         return None
     side = f"{below:.2f} K below" if below > above else f"{above:.2f} K above"
     return level, f"guard: {T:.2f} °C is {side} the comfort band at a planned level of {u:.2f}: {level:.2f} instead"
-
-
-def expected_levels(overrides: Mapping[int, Override], history: Record, n_steps: int) -> Array:
-    """Levels that overridden actuators are expected at over `n_steps`, (A, N); NaN for those that are planned.
-
-    What acts in their place follows its own loop, so its mean level of the last day stands for it; the level of the
-    first step is known where it is not native control. Without any measured level it is taken to be off.
-    """
-    levels = np.full((history.u.shape[0], n_steps), np.nan)
-    for a, override in overrides.items():
-        recent = history.u[a, -max(1, round(DAY_S / history.step_s)) :] if history.n_steps else np.zeros(0)
-        measured = recent[np.isfinite(recent)]
-        levels[a] = measured.mean() if measured.size else 0.0
-        if override.level is not None:
-            levels[a, 0] = override.level
-    return levels

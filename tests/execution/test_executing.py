@@ -10,7 +10,8 @@ import executed_tasks as functions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from thermoforce_mpc.execution import Task, execute, run_all
+from benchmarks.cases import run_all
+from thermoforce_mpc.execution import Task, execute
 from thermoforce_mpc.execution.engine import Begun, Ended, Event, Lost, Told, answer_to
 from thermoforce_mpc.execution.execute import MOST_ATTEMPTS
 

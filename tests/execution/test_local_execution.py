@@ -13,8 +13,9 @@ import pytest
 from places import ROOT, SUPPORT
 from waiting import LONG_S, wait_for
 
+from benchmarks.cases import TaskFailed, collect
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.execution import JsonResults, LocalEngine, Outcome, Task, TaskFailed, collect, execute, local
+from thermoforce_mpc.execution import JsonResults, LocalEngine, Outcome, Task, execute, local
 from thermoforce_mpc.execution.engine import Begun
 
 

@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 
 import click
 
+from thermoforce_mpc.cli.benchmarks import benchmark_command
 from thermoforce_mpc.errors import EngineError, InputError, NoSuchTest, PlantError, StorageError
 from thermoforce_mpc.files import DoubtfulInput
 from thermoforce_mpc.version import VERSION
@@ -71,14 +72,17 @@ _COMMANDS = {
         "thermoforce_mpc.cli.inside.free_responses",
         "List forecasters of the free response, and backbones.",
     ),
-    "chaos": ("thermoforce_mpc.cli.chaos", "Run controllers with everything around them failing on purpose."),
+    "chaos": (
+        "benchmarks.cli.chaos",
+        "Run controllers with everything around them failing on purpose (in a checkout).",
+    ),
     "doctor": (
         "thermoforce_mpc.cli.inside.doctor",
         "Check installation, solvers, forecaster, plant, service, clock and disk.",
     ),
     "serve": ("thermoforce_mpc.cli.live.serve", "Serve the embedded plant over BOPTEST's REST protocol."),
     "weather": ("thermoforce_mpc.cli.inside.weather", "Download the weather file of the BOPTEST test case."),
-    "bench": ("thermoforce_mpc.cli.bench", "Run benchmarks and compare the results with their targets."),
+    "bench": ("benchmarks.cli.bench", "Run benchmarks and compare the results with their targets (in a checkout)."),
     "testcases": (
         "thermoforce_mpc.cli.inside.testcases",
         "List the shipped test cases, scenarios, comparisons and fleets.",
@@ -95,7 +99,12 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _COMMANDS:
             return None
-        command: click.Command = importlib.import_module(_COMMANDS[cmd_name][0]).command
+        module, _ = _COMMANDS[cmd_name]
+        command: click.Command
+        if module.startswith("benchmarks."):
+            command = benchmark_command(module)
+        else:
+            command = importlib.import_module(module).command
         command.name = cmd_name  # all are functions of the same name; the command line reference shows this one
         return command
 

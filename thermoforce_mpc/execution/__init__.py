@@ -2,13 +2,13 @@
 
 from thermoforce_mpc.execution.cluster import DaskEngine
 from thermoforce_mpc.execution.engine import Engine, tell
-from thermoforce_mpc.execution.execute import Watcher, collect, execute, run_all
+from thermoforce_mpc.execution.execute import Watcher, execute
 from thermoforce_mpc.execution.keys import content_key, source_fingerprint
 from thermoforce_mpc.execution.local import LocalEngine
 from thermoforce_mpc.execution.opening import open_engine
 from thermoforce_mpc.execution.progress import TaskProgress
 from thermoforce_mpc.execution.results import JsonResults, Results
-from thermoforce_mpc.execution.task import Outcome, Task, TaskFailed
+from thermoforce_mpc.execution.task import Outcome, Task
 
 __all__ = [
     "DaskEngine",
@@ -18,14 +18,11 @@ __all__ = [
     "Outcome",
     "Results",
     "Task",
-    "TaskFailed",
     "TaskProgress",
     "Watcher",
-    "collect",
     "content_key",
     "execute",
     "open_engine",
-    "run_all",
     "source_fingerprint",
     "tell",
 ]

@@ -5,17 +5,13 @@ from __future__ import annotations
 import pickle
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import closing
-from typing import Any, Protocol, TypeVar
+from collections.abc import Generator, Iterable
+from typing import Protocol
 
 from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Engine, Lost, Told, payload_of
 from thermoforce_mpc.execution.plan import Plan, kept
 from thermoforce_mpc.execution.results import Results
-from thermoforce_mpc.execution.task import Outcome, Task, TaskFailed
-
-C = TypeVar("C")
-R = TypeVar("R")
+from thermoforce_mpc.execution.task import Outcome, Task
 
 # A worker may die of something else than its task: the task is begun again, then without company.
 MOST_ATTEMPTS = 3
@@ -140,58 +136,6 @@ def execute(
     finally:
         if since:
             engine.cancel()
-
-
-def collect(
-    tasks: Sequence[Task],
-    engine: Engine,
-    watcher: Watcher | None = None,
-    on_value: Callable[[Any], None] = lambda value: None,
-) -> list[Any]:
-    """The values of all tasks, in their order; the first failure ends the rest. `on_value` gets them as they come.
-
-    Raises:
-        ThermoForceError: that of the task, of its kind.
-        TaskFailed: any other error in a task, or its worker died at every attempt.
-    """
-    requested = {task.key for task in tasks}
-    values = {}
-    with closing(execute(tasks, engine, watcher=watcher)) as outcomes:
-        for outcome in outcomes:
-            if outcome.error is not None:
-                raise outcome.error(outcome.reason)
-            if outcome.reason:
-                raise TaskFailed(outcome)
-            if outcome.task.key in requested:
-                values[outcome.task.key] = outcome.value
-                on_value(outcome.value)
-    return [values[task.key] for task in tasks]
-
-
-def run_all(
-    function: Callable[[C], R],
-    cases: Sequence[C],
-    engine: Engine,
-    on_done: Callable[[int, R], None] = lambda n, value: None,
-) -> list[R]:
-    """`function` of every case, in the order of `cases`; nothing is kept, and the first failure ends the rest.
-
-    `on_done` is called with the number of cases done so far and the value of the latest.
-
-    Raises:
-        ThermoForceError, TaskFailed: as `collect`.
-    """
-    tasks = [
-        Task(str(n), f"{function.__name__} {n + 1} of {len(cases)}", function, case) for n, case in enumerate(cases)
-    ]
-    done = 0
-
-    def count(value: R) -> None:
-        nonlocal done
-        done += 1
-        on_done(done, value)
-
-    return collect(tasks, engine, on_value=count)
 
 
 def _outcome(task: Task, answer: Answer, attempts: int) -> Outcome:

@@ -43,11 +43,14 @@ def digest(content: Mapping[str, Any]) -> str:
 
 
 @functools.cache
-def source_fingerprint() -> str:
-    """Hash of the source files, 16 hexadecimal digits; distinguishes working trees of one version."""
+def source_fingerprint(*others: str) -> str:
+    """Hash of the source files, 16 hexadecimal digits; distinguishes working trees of one version.
+
+    `others` are folders beside this package whose code takes part too.
+    """
     total = hashlib.sha256()
     root = Path(__file__).resolve().parents[2]
-    for package in _PACKAGES:
+    for package in (*_PACKAGES, *others):
         for path in sorted((root / package).rglob("*.py")):
             total.update(str(path.relative_to(root)).encode() + path.read_bytes())
     return total.hexdigest()[:16]

@@ -43,13 +43,3 @@ class Outcome:
     poisoned: bool = False
     error: type[ThermoForceError] | None = None
     details: str = ""
-
-
-class TaskFailed(ThermoForceError):
-    """A task has no result, since of an unexpected error or since its worker died at every attempt."""
-
-    def __init__(self, outcome: Outcome) -> None:
-        super().__init__(
-            f"{outcome.task.title}: {outcome.reason}" + (f"\n{outcome.details}" if outcome.details else "")
-        )
-        self.outcome = outcome

@@ -25,9 +25,7 @@ class ExponentialSmoothing:
     def __init__(self) -> None:
         """Import statsmodels; raises `ConfigError` if it is not installed."""
         if importlib.util.find_spec("statsmodels") is None:
-            raise ConfigError(
-                "the baseline 'ets' needs statsmodels, which is not installed: pip install 'thermoforce-mpc[bench]'"
-            )
+            raise ConfigError("the baseline 'ets' needs statsmodels, which is not installed: pip install -e '.[bench]'")
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`.

@@ -35,7 +35,7 @@ def test_do_mpc_finds_the_optimum_of_ipopt(gain_beforehand):
 def test_a_missing_do_mpc_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "do_mpc", None)
     rng = np.random.default_rng(3)
-    with pytest.raises(ConfigError, match=r"pip install 'thermoforce-mpc\[bench\]'"):
+    with pytest.raises(ConfigError, match=r"pip install -e '\.\[bench\]'"):
         DoMpcPeer(random_operator(rng, 1), random_problem(rng, 1), gain_beforehand=True)
 
 

@@ -121,7 +121,7 @@ def test_scores_are_computed_anew_for_other_weights(
     assert (computed(), computed()) == (1, 0)
     (weights / "more.json").write_text("{}")
     assert (computed(), computed()) == (1, 0)
-    monkeypatch.setattr(suite, "source_fingerprint", lambda: "other")
+    monkeypatch.setattr(suite, "source_fingerprint", lambda *packages: "other")
     assert computed() == 1
 
 

@@ -107,5 +107,5 @@ def test_gaps_are_bridged_by_smoothing_and_refused_in_the_lags() -> None:
 
 def test_without_the_extra_its_command_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r"pip install 'thermoforce-mpc\[bench\]'"):
+    with pytest.raises(ConfigError, match=r"pip install -e '\.\[bench\]'"):
         ExponentialSmoothing()

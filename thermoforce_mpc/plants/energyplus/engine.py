@@ -65,12 +65,3 @@ def file_hash(path: Path) -> str:
     """Return the SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def engine_hash() -> str:
-    """Return the SHA-256 of the engine's shared library; raises `PlantError` if it is missing."""
-    folder = engine_folder().parent
-    for name in ("libenergyplusapi.so", "libenergyplusapi.dylib", "EnergyPlusAPI.dll"):
-        if (folder / name).is_file():
-            return file_hash((folder / name).resolve())
-    raise PlantError(f"EnergyPlus: its shared library is not beside {folder / 'pyenergyplus'}; install the wheel again")

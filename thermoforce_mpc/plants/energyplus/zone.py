@@ -6,8 +6,6 @@ or a cooled ceiling. An ideal-loads system would reach the set-point within one 
 
 from __future__ import annotations
 
-import hashlib
-import json
 from dataclasses import dataclass
 from datetime import date, timedelta
 from typing import Any, Literal
@@ -146,11 +144,6 @@ def zone_model(spec: ZoneSpec, first_day: int, days: int) -> EpJson:
             }
         },
     }
-
-
-def model_hash(model: EpJson) -> str:
-    """Return the SHA-256 of a model in canonical JSON (sorted keys)."""
-    return hashlib.sha256(json.dumps(model, sort_keys=True).encode()).hexdigest()
 
 
 def _equipment(radiant: float) -> dict[str, Any]:

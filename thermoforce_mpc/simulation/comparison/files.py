@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from thermoforce_mpc.files import write_whole
-from thermoforce_mpc.simulation.bench_result import bench_result
 from thermoforce_mpc.simulation.comparison.outcome import (
     KPIS,
     Row,
@@ -21,6 +20,7 @@ from thermoforce_mpc.simulation.comparison.outcome import (
     verdicts,
 )
 from thermoforce_mpc.simulation.comparison.paired import in_words, pairs, reference_of
+from thermoforce_mpc.simulation.comparison.results_json import results_json
 from thermoforce_mpc.simulation.folder.run_folder import write_json
 
 HEADINGS = {
@@ -55,12 +55,12 @@ def write_outcome(
         swept: labels, by variant, of the points connected by a line.
 
     Returns:
-        The content of `results.json`, in the format of `bench_result`.
+        The content of `results.json`, in the format of `results_json`.
     """
     from thermoforce_mpc.simulation.comparison.page import comparison_page
 
     rows = outcome_rows(records)
-    result = bench_result(name, rows, cost_targets(rows))
+    result = results_json(name, rows, cost_targets(rows))
     write_json(folder / "results.json", result)
     write_whole(folder / "table.csv", _csv(rows))
     says = verdicts(rows)

@@ -7,7 +7,7 @@ from typing import Any
 
 from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.plants.kpis import zone_kpis
-from thermoforce_mpc.simulation.bench_result import Target
+from thermoforce_mpc.simulation.comparison.results_json import Target
 from thermoforce_mpc.simulation.comparison.store import DONE
 
 COST, DISCOMFORT = "cost_tot", "tdis_tot"

@@ -10,17 +10,14 @@ import functools
 import os
 import weakref
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from thermoforce_mpc.errors import BackboneError
 from thermoforce_mpc.model.free_response.backbones.base import Backbone
 from thermoforce_mpc.registry import Registry, builder
-
-if TYPE_CHECKING:
-    from torch import nn
 
 SHIPPED = "shipped"
 FRACAST = "fracast"
@@ -73,12 +70,6 @@ def shipped_folder(name: str = SHIPPED) -> Path:
             resources.files("thermoforce_mpc.model.free_response.backbones").joinpath("weights", _SHIPPED_FOLDERS[name])
         )
     )
-
-
-def parameter_count(modules: Sequence[nn.Module]) -> int:
-    """Return the number of weights; shared tensors count once."""
-    tensors = {p.data_ptr(): p.numel() for module in modules for p in module.parameters()}
-    return sum(tensors.values())
 
 
 def _fracast() -> Backbone:

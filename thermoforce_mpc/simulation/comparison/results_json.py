@@ -1,4 +1,4 @@
-"""Common JSON format of all benchmarks: rows of figures, and targets with whether they are met."""
+"""JSON of comparisons and benchmarks: rows of figures, and targets with whether they are met."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from thermoforce_mpc.simulation.folder.run_folder import environment
 
 @dataclass(frozen=True)
 class Target:
-    """Target of a benchmark: `value` must be at most (or at least) `goal`. NaN does not meet it."""
+    """Target of a figure: `value` must be at most (or at least) `goal`. NaN does not meet it."""
 
     name: str
     value: float
@@ -28,8 +28,8 @@ class Target:
         return self.value <= self.goal if self.sense == "at most" else self.value >= self.goal
 
 
-def bench_result(name: str, rows: Iterable[Mapping[str, Any]], targets: Iterable[Target]) -> dict[str, Any]:
-    """Result of a benchmark as a JSON object, with command and environment."""
+def results_json(name: str, rows: Iterable[Mapping[str, Any]], targets: Iterable[Target]) -> dict[str, Any]:
+    """Rows and targets of a comparison or benchmark as a JSON object, with command and environment."""
     return {
         "bench": name,
         "command": " ".join(["tf-mpc", *sys.argv[1:]]),

@@ -55,7 +55,7 @@ def command(
       tf-mpc chaos --episodes 200 --seed 7 --jobs 4 --json chaos.json --keep chaos
     """
     from benchmarks.chaos.episodes import run_chaos
-    from thermoforce_mpc.cli.bench import show
+    from benchmarks.cli.show import show
     from thermoforce_mpc.model.thermal_model import load_model
 
     found = run_chaos(

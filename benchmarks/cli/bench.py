@@ -1,0 +1,35 @@
+"""`tf-mpc bench NAME`: benchmarks that reproduce the figures in the documentation."""
+
+from __future__ import annotations
+
+import click
+
+from benchmarks.cli import closed_loop, models, speed, suites
+
+
+@click.group(short_help="Run benchmarks and compare the results with their targets.")
+def command() -> None:
+    """Run a benchmark: print its table, check its targets, write plots and JSON."""
+
+
+for _command in (
+    closed_loop.buildings_command,
+    closed_loop.boptest_command,
+    closed_loop.zones_command,
+    closed_loop.dpc_command,
+    closed_loop.faults_command,
+    closed_loop.fallback_command,
+    models.operator_command,
+    models.probing_command,
+    models.operation_command,
+    models.saving_command,
+    models.free_response_command,
+    models.backbones_command,
+    speed.plant_command,
+    speed.controller_command,
+    speed.gym_command,
+    speed.fleet_command,
+    suites.factual_command,
+    suites.interventions_command,
+):
+    command.add_command(_command)

@@ -1,0 +1,116 @@
+"""Commands of `tf-mpc bench` that run controllers on buildings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from benchmarks.cli.options import FOLDER, JSON, QUICK, say
+from benchmarks.cli.show import show
+from thermoforce_mpc.cli.options import FiniteRange, Opening, execution_options
+
+
+@click.command("buildings")
+@click.option("--houses", type=click.IntRange(1), default=40, show_default=True, help="Number of generated houses.")
+@click.option("--seed", type=click.IntRange(0), default=2026, show_default=True, help="Seed of the population.")
+@execution_options()
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder for a plot of each window and outcomes.json with every figure.",
+)
+@QUICK
+@JSON
+def buildings_command(
+    houses: int, seed: int, engine: Opening, out: Path | None, quick: bool, json_file: Path | None
+) -> None:
+    """Run the default configuration on generated houses, against a thermostat and the houses' own control.
+
+    Two weeks a house: the coldest and a sunny one in spring. Costs in EUR/m² and discomfort in K·h of the week.
+    """
+    from benchmarks.closed_loop.buildings import run_buildings_bench
+
+    with engine(say) as where:
+        result = run_buildings_bench(houses=houses, seed=seed, engine=where, quick=quick, out=out, progress=say)
+    show(result, json_file)
+
+
+@click.command("boptest")
+@click.option("--fmus", required=True, type=FOLDER, help="Folder with FMUs of test cases, NAME.fmu.")
+@click.option(
+    "--price",
+    type=click.Choice(["constant", "dynamic", "highly_dynamic"]),
+    default="constant",
+    show_default=True,
+    help="Tariff.",
+)
+@execution_options()
+@QUICK
+@JSON
+def boptest_command(fmus: Path, price: str, engine: Opening, quick: bool, json_file: Path | None) -> None:
+    """Run the default configuration on test cases from their FMUs, over all their scenarios, beside native control.
+
+    Cost per m² in the test case's currency and discomfort in K·h of two weeks (extra [fmu]).
+    """
+    from benchmarks.closed_loop.boptest import run_boptest_bench
+
+    with engine(say) as where:
+        show(run_boptest_bench(fmus, price=price, engine=where, quick=quick, progress=say), json_file)
+
+
+@click.command("zones")
+@click.option("--fmus", type=FOLDER, help="Folder with twozone_apartment_hydronic.fmu; without it, it is left out.")
+@execution_options()
+@click.option("--only-speed", is_flag=True, help="Time a step alone, without buildings.")
+@QUICK
+@JSON
+def zones_command(fmus: Path | None, engine: Opening, only_speed: bool, quick: bool, json_file: Path | None) -> None:
+    """Run the default configuration on buildings of several zones, and time a step over the number of zones.
+
+    Five zones are solved in do-mpc too (extra [bench]).
+    """
+    from benchmarks.zones.bench import run_zones_bench
+
+    with engine(say) as where:
+        result = run_zones_bench(fmus=fmus, engine=where, quick=quick, only_speed=only_speed, progress=say)
+    show(result, json_file)
+
+
+@click.command("dpc")
+@click.option("--days", type=FiniteRange(0, min_open=True), default=14.0, show_default=True, help="Days a window.")
+@click.option(
+    "--price",
+    type=click.Choice(["constant", "dynamic", "highly_dynamic"]),
+    default="constant",
+    show_default=True,
+    help="Tariff.",
+)
+@QUICK
+@JSON
+def dpc_command(days: float, price: str, quick: bool, json_file: Path | None) -> None:
+    """Put a policy trained through the model beside the MPC and the thermostat: cost, discomfort, training, time."""
+    from benchmarks.closed_loop.dpc import run_dpc_bench
+
+    show(run_dpc_bench(days=days, price=price, quick=quick, progress=say), json_file)
+
+
+@click.command("faults")
+@click.option("--stand-back", type=click.Choice(["native", "rule"]), default="native", help="Who acts after an alarm.")
+@QUICK
+@JSON
+def faults_command(stand_back: str, quick: bool, json_file: Path | None) -> None:
+    """Measure how soon the watch notices faults of the embedded plant that last a day, and what they cost."""
+    from benchmarks.faults.bench import run_faults_bench
+
+    show(run_faults_bench(quick=quick, progress=say, stand_back=stand_back), json_file)
+
+
+@click.command("fallback")
+@QUICK
+@JSON
+def fallback_command(quick: bool, json_file: Path | None) -> None:
+    """Measure what broken sensors, forecasts and solvers cost on the embedded plant, with protection and without."""
+    from benchmarks.faults.fallback import run_fallback_bench
+
+    show(run_fallback_bench(quick=quick, progress=say), json_file)

@@ -1,0 +1,112 @@
+"""Commands of `tf-mpc bench` that score what a model says: effects of actions, savings, free responses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from benchmarks.cli.options import FOLDER, JSON, QUICK, say
+from benchmarks.cli.show import show
+from thermoforce_mpc.cli.options import Opening, execution_options
+
+
+@click.command("operator")
+@click.option("--reference", required=True, type=FOLDER, help="Folder with records of the real test case.")
+@QUICK
+@JSON
+def operator_command(reference: Path, quick: bool, json_file: Path | None) -> None:
+    """Score identified operators on held-out interventions and time the rollout against a plain loop."""
+    from benchmarks.operator.bench import run_operator_bench
+
+    show(run_operator_bench(reference, quick=quick, progress=say), json_file)
+
+
+@click.command("probing")
+@QUICK
+@JSON
+def probing_command(quick: bool, json_file: Path | None) -> None:
+    """Compare designed with random probing, and test online adaptation to a loss of capacity, on the embedded plant."""
+    from benchmarks.probing.bench import run_probing_bench
+
+    show(run_probing_bench(quick=quick, progress=say), json_file)
+
+
+@click.command("operation")
+@execution_options()
+@QUICK
+@JSON
+def operation_command(engine: Opening, quick: bool, json_file: Path | None) -> None:
+    """Score models from 3, 7 and 28 days of a thermostat, a PI loop and a timer beside those from probing.
+
+    On the embedded plant and a house of three rooms, by the effect of acting on pairs of days; heat is not measured.
+    Target: a model that is wrong says so.
+    """
+    from benchmarks.operation.bench import run_operation_bench
+
+    with engine(say) as where:
+        show(run_operation_bench(engine=where, quick=quick, progress=say), json_file)
+
+
+@click.command("saving")
+@click.option("--cases", type=click.IntRange(1), default=40, show_default=True, help="Number of cases.")
+@click.option("--seed", type=int, default=7, show_default=True, help="Seed of houses, start days and set-points.")
+@execution_options()
+@QUICK
+@JSON
+def saving_command(cases: int, seed: int, engine: Opening, quick: bool, json_file: Path | None) -> None:
+    """Compare verified savings with the truth: houses run both with a change of operation and without it.
+
+    Every fourth case changes nothing. Targets: the 95 % interval holds the truth in 85 % of the cases or more, and no
+    saving is claimed where there was none.
+    """
+    from benchmarks.operation.saving import run_saving_bench
+
+    with engine(say) as where:
+        show(run_saving_bench(n=cases, seed=seed, engine=where, quick=quick, progress=say), json_file)
+
+
+@click.command("free-response")
+@click.option("--reference", type=FOLDER, help="Folder with records of the real test case.")
+@click.option("--houses", type=FOLDER, help="Folder with measured houses.")
+@click.option("--backbone", default="shipped", show_default=True, help="Weights of the forecaster.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the plot.")
+@QUICK
+@JSON
+def free_response_command(
+    reference: Path | None,
+    houses: Path | None,
+    backbone: str,
+    out: Path | None,
+    quick: bool,
+    json_file: Path | None,
+) -> None:
+    """Score 24 h free-response forecasts of every method from many origins, on the same history (extra [bench]).
+
+    Also measures the coverage of the intervals over two weeks and the share of the error that weather can explain
+    (both left out with --quick), the effect of history length and number of resolutions, and the time per forecast.
+    """
+    from benchmarks.free_response.bench import run_free_response_bench
+
+    result = run_free_response_bench(reference, houses, backbone=backbone, quick=quick, out=out, progress=say)
+    show(result, json_file)
+
+
+@click.command("backbones")
+@click.option(
+    "--backbones",
+    help="Comma-separated: shipped, shipped_small, shipped_tiny, fracast, directories, hub names.  [default: the "
+    "shipped ones, and fracast where installed]",
+)
+@click.option("--reference", type=FOLDER, help="Folder with records of the real test case.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the plot.")
+@QUICK
+@JSON
+def backbones_command(
+    backbones: str | None, reference: Path | None, out: Path | None, quick: bool, json_file: Path | None
+) -> None:
+    """Compare forecasters, alone and composed with the operator, 6 h ahead on records with control."""
+    from benchmarks.free_response.backbones import run_backbone_bench
+
+    names = [name.strip() for name in (backbones or "").split(",") if name.strip()]
+    show(run_backbone_bench(names, reference, quick=quick, out=out, progress=say), json_file)
