@@ -22,7 +22,7 @@ class PackedState:
     """A controller's state in bytes. It may be pickled, as any state.
 
     Attributes:
-        name: of no other state; the process that packed it still knows it by this name for a while.
+        name: of no other state; the process that packed it still keeps it by this name for a while.
         packed: the state, pickled.
     """
 
@@ -63,19 +63,19 @@ def checked_state(state: object, kind: type[State], names: Names) -> State | Non
         state = state.unpacked()
     if state is None:
         return None
-    wanted = f"expected None (a run begins) or the Plan.state of the last plan of the same controller ({kind.__name__})"
+    hint = f"expected None (a run begins) or the Plan.state of the last plan of the same controller ({kind.__name__})"
     if not isinstance(state, kind):
-        raise DataError(f"state is a {type(state).__name__}, {wanted}")
+        raise DataError(f"state is a {type(state).__name__}, {hint}")
     for what, n in state.rows.items():
         if n != len(getattr(names, what)):
-            raise DataError(f"state is of {n} {what}, the controller of {names}: another building? {wanted}")
+            raise DataError(f"state is of {n} {what}, the controller of {names}: another building? {hint}")
     return state
 
 
 def check_later(last_s: float | None, now_s: float) -> None:
-    """Raise `DataError` where the plan that a state is from, of `last_s`, comes after `now_s`: it knows nothing of now.
+    """Raise `DataError` where the plan that a state is from, of `last_s`, comes after `now_s`: it holds nothing of now.
 
-    What is remembered by its time (readings judged, predictions to come true) would be waited for until then.
+    What is kept by its time (readings validated, predictions to come true) would be waited for until then.
     """
     if last_s is not None and last_s > now_s + CLOCK_TOLERANCE_S:
         raise DataError(
@@ -84,11 +84,11 @@ def check_later(last_s: float | None, now_s: float) -> None:
         )
 
 
-def check_names(option: str, given: Iterable[str], what: str, known: Sequence[str]) -> None:
-    """Raise `ControllerConfigError` where `option` names one, of `what`, that is not among the `known`."""
-    for unknown in [name for name in given if name not in known]:
+def check_names(option: str, names: Iterable[str], what: str, existing: Sequence[str]) -> None:
+    """Raise `ControllerConfigError` where `option` names one, of `what`, that is not among the `existing`."""
+    for unknown in [name for name in names if name not in existing]:
         raise ControllerConfigError(
-            f"controller.options.{option}: there is no {what} '{unknown}'; the building has {', '.join(known)}"
+            f"controller.options.{option}: there is no {what} '{unknown}'; the building has {', '.join(existing)}"
         )
 
 

@@ -55,7 +55,7 @@ def _mpc_config() -> type[StrictModel]:
 def _build_mpc(name: str, config: Any, testcase: TestCase, model: ThermalModel | str | None) -> Controller:
     from controllers.mpc.controller import ThermoForceMPC
 
-    return _on_model(ThermoForceMPC, name, config, testcase, model)
+    return _build_on_model(ThermoForceMPC, name, config, testcase, model)
 
 
 def _dpc_config() -> type[StrictModel]:
@@ -67,10 +67,10 @@ def _dpc_config() -> type[StrictModel]:
 def _build_dpc(name: str, config: Any, testcase: TestCase, model: ThermalModel | str | None) -> Controller:
     from controllers.dpc.controller import DPC
 
-    return _on_model(DPC, name, config, testcase, model)
+    return _build_on_model(DPC, name, config, testcase, model)
 
 
-def _on_model(
+def _build_on_model(
     kind: Callable[..., Controller], name: str, config: Any, testcase: TestCase, model: ThermalModel | str | None
 ) -> Controller:
     """A controller of `kind` on a model that fits the test case; one that stands back where there is none."""
@@ -83,12 +83,12 @@ def _on_model(
     of = f"test case '{testcase.name}'"
     check_same_building("the model", model.names, of, testcase.layout.names, error=ControllerConfigError)
     for a, actuator in enumerate(model.operator.actuators):
-        found, wanted = model.layout.mode(a), testcase.layout.mode(a)
-        if found != wanted:
+        mode, expected_mode = model.layout.mode(a), testcase.layout.mode(a)
+        if mode != expected_mode:
             of = "" if model.names.single else f" {actuator}"
             raise ControllerConfigError(
-                f"the model{of} was identified for {found}, test case '{testcase.name}' is for {wanted}: "
-                f"what the one does says nothing of the other; identify on data of {wanted}"
+                f"the model{of} was identified for {mode}, test case '{testcase.name}' is for {expected_mode}: "
+                f"what the one does says nothing of the other; identify on data of {expected_mode}"
             )
     # The test case says what may act together, also to a model that was identified before it did.
     return kind(replace(model, exclusive=testcase.layout.exclusive), config, name=name)
@@ -184,20 +184,20 @@ _OWN: dict[str, Entry] = {
 }
 
 
-def _plugin(name: str, found: Entry | Callable[..., Controller]) -> Entry:
+def _plugin_entry(name: str, plugin: Entry | Callable[..., Controller]) -> Entry:
     """A plugin's entry, or that of a class or function whose parameters are its options."""
-    if isinstance(found, Entry):
-        return found
-    needs_model = "model" in inspect.signature(found).parameters
+    if isinstance(plugin, Entry):
+        return plugin
+    needs_model = "model" in inspect.signature(plugin).parameters
 
     def build(name: str, options: Any, testcase: TestCase, model: ThermalModel | str | None) -> Controller:
-        def made(model: ThermalModel | None, config: Any, *, name: str) -> Controller:
-            controller: Controller = called(found, config, {"testcase": testcase, "model": model})
+        def make(model: ThermalModel | None, config: Any, *, name: str) -> Controller:
+            controller: Controller = called(plugin, config, {"testcase": testcase, "model": model})
             return controller
 
-        return _on_model(made, name, options, testcase, model) if needs_model else made(None, options, name=name)
+        return _build_on_model(make, name, options, testcase, model) if needs_model else make(None, options, name=name)
 
-    return Entry(first_line(found) or name, needs_model, lambda: options_model(found, _HANDED), build)
+    return Entry(first_line(plugin) or name, needs_model, lambda: options_model(plugin, _HANDED), build)
 
 
 # What a plugin's class or function is handed, where it has a parameter of the name.
@@ -207,8 +207,8 @@ REGISTRY: Registry[Entry] = Registry(
     "controllers",
     _OWN,
     ControllerConfigError,
-    lambda found: "" if isinstance(found, Entry) else unfit(found, _HANDED),
-    _plugin,
+    lambda plugin: "" if isinstance(plugin, Entry) else unfit(plugin, _HANDED),
+    _plugin_entry,
 )
 
 
@@ -232,14 +232,14 @@ def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase)
     if name == "pi":
         check_layout(testcase.layout)
     points = testcase.points
-    actuators = [one.actuator for one in points.actuators]
-    named = zip(points.layout.names.actuators, points.layout.machine_of, strict=True)
-    behind = [actuator for actuator, m in named if points.machines[m].supply is not None]
+    actuators = [point.actuator for point in points.actuators]
+    machines = zip(points.layout.names.actuators, points.layout.machine_of, strict=True)
+    behind = [actuator for actuator, m in machines if points.machines[m].supply is not None]
     if all(isinstance(actuator, RoomSetpoints) for actuator in actuators):
         if entry.needs_model:
             own = {"actuation": testcase.defaults.actuation} if testcase.defaults.actuation else {}
-            known = entry.config().model_fields
-            of_rooms = {key: value for key, value in merge(_ROOM_SETPOINTS, own).items() if key in known}
+            fields = entry.config().model_fields
+            of_rooms = {key: value for key, value in merge(_ROOM_SETPOINTS, own).items() if key in fields}
             defaults = dict(merge(defaults, of_rooms))
     elif "actuation" in entry.config().model_fields and "actuation" not in entry.defaults:
         kinds = [_actuation_by_kind(actuator, entry) for actuator in actuators if isinstance(actuator, Actuator)]

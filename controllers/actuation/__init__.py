@@ -1,1 +1,1 @@
-"""From levels of a plan to what an actuator is told: on/off blocks, held levels, room set-points."""
+"""From levels of a plan to signals of actuators: on/off blocks, held levels, room set-points."""

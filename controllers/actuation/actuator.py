@@ -147,9 +147,9 @@ class Actuation:
             return state
         if not (u.size and np.isfinite(u[-1])):
             return ActuationState() if state is None else _UNKNOWN
-        return self._seen(u, step_s)
+        return self._state_from_levels(u, step_s)
 
-    def _seen(self, u: Array, step_s: float) -> ActuationState:
+    def _state_from_levels(self, u: Array, step_s: float) -> ActuationState:
         """State estimated from the mean levels of past steps; where ambiguous, the one with the longer wait."""
         level = self.config.level
         off, full = u <= _OFF, u >= level - _OFF
@@ -169,13 +169,13 @@ class Actuation:
     ) -> tuple[tuple[Block, ...], ActuationState]:
         """Blocks of total length `step_s` whose mean level is as near to `u` (in [0, `highest`]) as the limits allow.
 
-        `u` None is native control; `water`: level of an open valve, by `supply` (0: as this one asks for).
+        `u` None is native control; `water`: level of an open valve, by `supply` (0: as this one needs it).
         Returns the blocks and the machine's state after them.
         """
         if u is None:
             return (Block(None, step_s),), ActuationState(native=True)
         if self.by_supply:
-            return self._open_for(u, step_s, state, water or self.water(u))
+            return self._valve_blocks(u, step_s, state, water or self.water(u))
         if self.modulates:
             return (Block(self._held_level(u), step_s),), state
         return self._duty_blocks(u, step_s, state)
@@ -184,7 +184,7 @@ class Actuation:
         """Least level at which an open valve can give `u` over a step."""
         return min(max(u, self.config.lowest_level, _OFF), 1.0)
 
-    def _open_for(
+    def _valve_blocks(
         self, u: float, step_s: float, state: ActuationState, water: float
     ) -> tuple[tuple[Block, ...], ActuationState]:
         """Open for about the share of the step in which level `water` gives `u`.
@@ -217,8 +217,8 @@ class Actuation:
         # The remainder exceeds one block only through minimum times; the cap limits its accumulation.
         cap = max(c.block_s, c.min_on_s, c.min_off_s)
         owed_s = min(max(wanted_s - on_s, -cap), cap)
-        level, other = (c.level, 0.0) if on else (0.0, c.level)
-        blocks = tuple(Block(u, t) for u, t in ((level, stays_s), (other, step_s - stays_s)) if t > 0)
+        level, level_after = (c.level, 0.0) if on else (0.0, c.level)
+        blocks = tuple(Block(u, t) for u, t in ((level, stays_s), (level_after, step_s - stays_s)) if t > 0)
         if stays_s < step_s:
             return blocks, ActuationState(not on, step_s - stays_s, owed_s)
         return blocks, ActuationState(on, state.held_s + step_s, owed_s)

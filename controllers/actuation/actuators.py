@@ -2,14 +2,14 @@
 
 Each actuator has its own `Actuation`. On/off blocks of actuators that share a machine lie within those of the one that
 is on longest, so that the machine runs no longer: all at the start of a step while it runs, all at its end while it
-stands. Two such steps in a row join to one run. Within it they take turns where more would be asked for at once than
+stands. Two such steps in a row join to one run. Within it they take turns where together they would need more than
 the machine has: beyond its capacity the water cools, and the warmest rooms go without. Where turns do not suffice, each
 holds a part level for all of the run. Minimum on and off times are those of the machine, whichever of its actuators is
-on: a valve may open and close while it runs. Where the plan sets the machine's water, it is as warm as the valve that
-asks for most needs it when it is open for all of the step.
+on: a valve may open and close while it runs. Where the plan sets the machine's water, it is as warm as the valve with
+the highest level needs it when it is open for all of the step.
 
-Of actuators that exclude one another one acts in a step, whoever asked: one that must stay on for its minimum time,
-else the one that is asked for most.
+Of actuators that exclude one another one acts in a step: one that must stay on for its minimum time, else the one
+with the largest demand.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ Demand = float | None | tuple[Block, ...]
 
 
 @dataclass(frozen=True)
-class Acted:
+class ActuatorBlocks:
     """Blocks of each actuator (A,), each of one actuator, and the states after them (A,).
 
-    `excluded`: actuators that do not do what was asked of them, each with the one that excludes it.
+    `excluded`: actuators that do not meet their demand, each with the one that excludes it.
     """
 
     blocks: tuple[tuple[Block, ...], ...]
@@ -79,14 +79,14 @@ class Actuators:
             for a, actuation in enumerate(self.each)
         )
 
-    def realise(self, demands: Sequence[Demand], step_s: float, states: Sequence[ActuationState]) -> Acted:
+    def realise(self, demands: Sequence[Demand], step_s: float, states: Sequence[ActuationState]) -> ActuatorBlocks:
         """Blocks of length `step_s` that come as near to `demands` (A,) as the limits allow, and the states after."""
-        wanted = [self._wanted(a, demand, states[a]) for a, demand in enumerate(demands)]
+        wanted = [self._demand_size(a, demand, states[a]) for a, demand in enumerate(demands)]
         excluded = self.layout.excluded(wanted)
         native = {a for a in excluded if demands[excluded[a]] is None}
-        told = {a: by for a, by in excluded.items() if a in native or demands[a]}
+        exclusions = {a: by for a, by in excluded.items() if a in native or demands[a]}
         demands = [None if a in native else 0.0 if a in excluded else demand for a, demand in enumerate(demands)]
-        found = [self._alone(a, demand, step_s, states[a]) for a, demand in enumerate(demands)]
+        realised = [self._realise_one(a, demand, step_s, states[a]) for a, demand in enumerate(demands)]
         for fed in self._shared:
             levels = {
                 a: float(level)
@@ -94,30 +94,32 @@ class Actuators:
                 if isinstance(level := demands[a], float | int) and not self.each[a].modulates
             }
             if len(levels) > 1:
-                for a, one in self._aligned(levels, step_s, states, excluded).items():
-                    found[a] = one
+                for a, blocks_and_state in self._realise_shared(levels, step_s, states, excluded).items():
+                    realised[a] = blocks_and_state
         for fed in self._water:
-            asked = {a: float(level) for a in fed if isinstance(level := demands[a], float | int)}
-            water = max((self.each[a].water(level) for a, level in asked.items()), default=0.0)
-            for a, level in asked.items():
-                found[a] = self.each[a].realise(level, step_s, states[a], water)
-        # Exclusion comes before minimum times, for which one may be on that nobody asked for.
+            valve_levels = {a: float(level) for a in fed if isinstance(level := demands[a], float | int)}
+            water = max((self.each[a].water(level) for a, level in valve_levels.items()), default=0.0)
+            for a, level in valve_levels.items():
+                realised[a] = self.each[a].realise(level, step_s, states[a], water)
+        # Exclusion comes before minimum times, for which one may be on without a demand.
         acts = [
             None if demands[a] is None else any(block.u[0] for block in blocks) * (1.0 + (wanted[a] or 0.0))
-            for a, (blocks, _) in enumerate(found)
+            for a, (blocks, _) in enumerate(realised)
         ]
         for a in self.layout.excluded(acts):
-            found[a] = (Block(0.0, step_s),), ActuationState(on=False, held_s=step_s)
-        told = {a: by for a, by in told.items() if not any(block.u[0] for block in found[a][0])}
-        return Acted(tuple(blocks for blocks, _ in found), tuple(state for _, state in found), told)
+            realised[a] = (Block(0.0, step_s),), ActuationState(on=False, held_s=step_s)
+        exclusions = {a: by for a, by in exclusions.items() if not any(block.u[0] for block in realised[a][0])}
+        return ActuatorBlocks(
+            tuple(blocks for blocks, _ in realised), tuple(state for _, state in realised), exclusions
+        )
 
     def named(self, a: int, text: str) -> str:
         """`text`, with the actuator's name where there are several."""
         names = self.layout.names.actuators
         return text if len(names) == 1 else f"{names[a]}: {text}"
 
-    def excluded_in_words(self, acted: Acted) -> list[str]:
-        """Which actuators do not do what was asked of them, because another one acts."""
+    def excluded_in_words(self, acted: ActuatorBlocks) -> list[str]:
+        """Which actuators do not meet their demand because another one acts."""
         names = self.layout.names.actuators
         return [
             self.named(a, f"excluded by {names[by]}" + (", which is native: native control" if native else ""))
@@ -125,22 +127,22 @@ class Actuators:
             for native in [acted.states[by].native]
         ]
 
-    def _wanted(self, a: int, demand: Demand, state: ActuationState) -> float | None:
-        """How much actuator `a` is wanted, see `Layout.excluded`; one that has to stay on before all others."""
+    def _demand_size(self, a: int, demand: Demand, state: ActuationState) -> float | None:
+        """How much actuator `a` is wanted, see `Layout.excluded`; one that must stay on comes before all others."""
         if demand is None or isinstance(demand, tuple):
             return None if demand is None else max(abs(block.u[0] or 0.0) for block in demand)
         actuation = self.each[a]
         must_stay = not actuation.modulates and state.on and state.held_s < actuation.config.min_on_s
         return demand / actuation.highest + must_stay
 
-    def _alone(
+    def _realise_one(
         self, a: int, demand: Demand, step_s: float, state: ActuationState
     ) -> tuple[tuple[Block, ...], ActuationState]:
         if isinstance(demand, tuple):
             return demand, state
         return self.each[a].realise(demand, step_s, state)
 
-    def _aligned(
+    def _realise_shared(
         self,
         levels: Mapping[int, float],
         step_s: float,
@@ -153,13 +155,13 @@ class Actuators:
             for a, level in levels.items()
         }
         lead = max(levels, key=lambda a: (wanted_s[a], a not in excluded, states[a].on))
-        running = _machine_of([states[a] for a in levels])
+        running = _machine_state([states[a] for a in levels])
         blocks, after = self.each[lead].realise(levels[lead], step_s, replace(running, owed_s=states[lead].owed_s))
         runs_s = sum(block.duration_s for block in blocks if block.u[0])
-        found = {lead: (blocks, after)}
+        realised = {lead: (blocks, after)}
         block_s = {a: self.each[a].config.block_s for a in levels}
         on_s = {a: min(round(max(wanted_s[a], 0.0) / block_s[a]) * block_s[a], runs_s) for a in levels if a != lead}
-        slots, most = self._spread(lead, on_s, runs_s)
+        slots, most = self._assign_slots(lead, on_s, runs_s)
         acting = [lead, *(a for a, seconds in on_s.items() if seconds)]
         if most > 1.0 and all(self.each[a].part_levels for a in acting):
             return self._at_part_levels(levels, step_s, running, lead)
@@ -167,13 +169,13 @@ class Actuators:
         for a, of_run in slots.items():
             level, slot_s = self.each[a].config.level, runs_s / len(of_run)
             run = [Block(level if on else 0.0, slot_s * len(list(same))) for on, same in groupby(of_run)]
-            parts = [*run, idle] if starts_on else [idle, *run[::-1]]
+            sequence = [*run, idle] if starts_on else [idle, *run[::-1]]
             owed_s = min(max(wanted_s[a] - on_s[a], -block_s[a]), block_s[a])
-            own = tuple(part for part in parts if part.duration_s > _SAME_S)
-            found[a] = own, replace(after, owed_s=owed_s)
-        return found
+            own_blocks = tuple(block for block in sequence if block.duration_s > _SAME_S)
+            realised[a] = own_blocks, replace(after, owed_s=owed_s)
+        return realised
 
-    def _spread(self, lead: int, on_s: Mapping[int, float], runs_s: float) -> tuple[dict[int, list[bool]], float]:
+    def _assign_slots(self, lead: int, on_s: Mapping[int, float], runs_s: float) -> tuple[dict[int, list[bool]], float]:
         """Whether each actuator beside the `lead` is on in each slot of a run, and the largest load of a slot.
 
         The load is a share of the machine's capacity. Actuators that take most choose first: the first slots in which
@@ -182,14 +184,14 @@ class Actuators:
         """
         shares = self.layout.shares
         loads = [shares[lead]] * max(1, round(runs_s / self.each[lead].config.block_s))
-        found: dict[int, list[bool]] = {}
+        is_on: dict[int, list[bool]] = {}
         for a in sorted(on_s, key=lambda a: -shares[a] * on_s[a]):
             count = round(on_s[a] / runs_s * len(loads)) if runs_s else 0
             excess = [max(load + shares[a] - 1.0, 0.0) for load in loads]
-            chosen = sorted(range(len(loads)), key=lambda i: excess[i])[:count]
-            found[a] = [i in chosen for i in range(len(loads))]
-            loads = [load + shares[a] * on for load, on in zip(loads, found[a], strict=True)]
-        return found, max(loads)
+            slots = sorted(range(len(loads)), key=lambda i: excess[i])[:count]
+            is_on[a] = [i in slots for i in range(len(loads))]
+            loads = [load + shares[a] * on for load, on in zip(loads, is_on[a], strict=True)]
+        return is_on, max(loads)
 
     def _at_part_levels(
         self, levels: Mapping[int, float], step_s: float, running: ActuationState, lead: int
@@ -202,14 +204,14 @@ class Actuators:
         on = max(levels[lead], load * self.each[lead].config.level)
         blocks, after = self.each[lead].realise(on, step_s, running)
         runs_s = sum(block.duration_s for block in blocks if block.u[0])
-        after, found = replace(after, owed_s=0.0), {}
+        after, realised = replace(after, owed_s=0.0), {}
         for a, level in levels.items():
-            held = min(level * step_s / runs_s, self.each[a].config.level) if runs_s else 0.0
-            found[a] = tuple(Block(held if block.u[0] else 0.0, block.duration_s) for block in blocks), after
-        return found
+            run_level = min(level * step_s / runs_s, self.each[a].config.level) if runs_s else 0.0
+            realised[a] = tuple(Block(run_level if block.u[0] else 0.0, block.duration_s) for block in blocks), after
+        return realised
 
 
-def _machine_of(states: Sequence[ActuationState]) -> ActuationState:
+def _machine_state(states: Sequence[ActuationState]) -> ActuationState:
     """State of a machine from those of its actuators: it runs while one of them is on, since the first came on."""
     running = [state.held_s for state in states if state.on]
     return ActuationState(bool(running), max(running) if running else min(state.held_s for state in states))
@@ -219,18 +221,18 @@ def merged(blocks: Sequence[Sequence[Block]]) -> tuple[Block, ...]:
     """Blocks of single actuators (A,), each sequence of one length in time, as blocks of all."""
     if len(blocks) == 1:
         return tuple(blocks[0])
-    ends = sorted({end for one in blocks for end in _ends(one)})
+    ends = sorted({end for own_blocks in blocks for end in _end_times(own_blocks)})
     instants = [end for i, end in enumerate(ends) if i == 0 or end - ends[i - 1] > _SAME_S]
     out, start = [], 0.0
     for end in instants:
-        at = [_at(one, 0.5 * (start + end)) for one in blocks]
+        at = [_block_at(own_blocks, 0.5 * (start + end)) for own_blocks in blocks]
         bands = [block.band_C[0] for block in at]
         out.append(Block(tuple(block.u[0] for block in at), end - start, bands if any(bands) else None))
         start = end
     return tuple(out)
 
 
-def _ends(blocks: Sequence[Block]) -> list[float]:
+def _end_times(blocks: Sequence[Block]) -> list[float]:
     ends, t = [], 0.0
     for block in blocks:
         t += block.duration_s
@@ -238,7 +240,7 @@ def _ends(blocks: Sequence[Block]) -> list[float]:
     return ends
 
 
-def _at(blocks: Sequence[Block], time_s: float) -> Block:
+def _block_at(blocks: Sequence[Block], time_s: float) -> Block:
     """The block in force at `time_s` from the start of the step."""
     t = 0.0
     for block in blocks:

@@ -5,8 +5,8 @@ its most efficient level. One without modulates. Both laws are affine in the lev
 and the most efficient level is an end: full, or the lowest.
 
 Where heat is not measured, the choice follows from the expected cost of heat at part load, with the heat estimated from
-the temperature (`CostAtPartLoad`). Not knowing that heat makes its expected cost higher, so that what cannot be told
-ends in blocks: they run the machine at full level, where power and effect are both identified.
+the temperature (`CostAtPartLoad`). Not knowing that heat makes its expected cost higher, so that an unclear case ends
+in blocks: they run the machine at full level, where power and effect are both identified.
 """
 
 from __future__ import annotations
@@ -36,29 +36,29 @@ def choose_actuation(
 ) -> ActuationChoice:
     """Decide `mode: auto` from the identified laws, or from the cost that was `estimated` without a heat meter.
 
-    A mode that is named stays.
+    A mode other than auto stays.
     """
     if config.mode == "auto" and estimated is not None and heat_input.heat is None:
-        return _by_cost(config, estimated)
-    found = part_load(power, heat_input.heat)
-    proportional = found is not None and abs(found.at_half - 1.0) <= _SWITCH_FROM
+        return _choose_by_cost(config, estimated)
+    at_part_load = part_load(power, heat_input.heat)
+    proportional = at_part_load is not None and abs(at_part_load.at_half - 1.0) <= _SWITCH_FROM
     if config.mode != "auto":
         actuation = Actuation(config, proportional=proportional)
         return ActuationChoice(actuation, f"{actuation.in_words}, as configured")
     # Blocks are the choice here, not all that the actuator can do; heat at a part level shows in its meter.
     blocks = Actuation(config.model_copy(update={"mode": "duty"}), part_levels=heat_input.heat is not None)
-    if found is None:
+    if at_part_load is None:
         return ActuationChoice(blocks, f"{blocks.in_words}: the data hold off and full level only")
-    if found.at_half > 1.0 + _SWITCH_FROM:
+    if at_part_load.at_half > 1.0 + _SWITCH_FROM:
         actuation = blocks
     else:
-        lowest = 0.0 if proportional else found.lowest_seen
-        chosen = config.model_copy(update={"mode": "modulating", "lowest_level": lowest})
-        actuation = Actuation(chosen, proportional=proportional)
-    return ActuationChoice(actuation, f"{actuation.in_words}: {found}")
+        lowest = 0.0 if proportional else at_part_load.lowest_seen
+        modulating = config.model_copy(update={"mode": "modulating", "lowest_level": lowest})
+        actuation = Actuation(modulating, proportional=proportional)
+    return ActuationChoice(actuation, f"{actuation.in_words}: {at_part_load}")
 
 
-def _by_cost(config: ActuationConfig, estimated: CostAtPartLoad) -> ActuationChoice:
+def _choose_by_cost(config: ActuationConfig, estimated: CostAtPartLoad) -> ActuationChoice:
     """Any level where heat at part load is not expected to cost more by the margin, else blocks.
 
     With any level, heat and power are both counted in proportion to the level: that is right at full level, and what
@@ -67,6 +67,6 @@ def _by_cost(config: ActuationConfig, estimated: CostAtPartLoad) -> ActuationCho
     if estimated.cost > 1.0 + _SWITCH_FROM:
         actuation = Actuation(config.model_copy(update={"mode": "duty"}))
     else:
-        chosen = config.model_copy(update={"mode": "modulating", "lowest_level": 0.0})
-        actuation = Actuation(chosen, proportional=True)
+        modulating = config.model_copy(update={"mode": "modulating", "lowest_level": 0.0})
+        actuation = Actuation(modulating, proportional=True)
     return ActuationChoice(actuation, f"{actuation.in_words}: {estimated}")

@@ -50,7 +50,7 @@ def room_blocks(
         block_s: least time between two set-points, s.
     """
     lower, upper = bounds_C
-    holding = _holding(u_last, T_now_C, bounds_C)
+    holding = _holding_sign(u_last, T_now_C, bounds_C)
     hold = math.copysign(max(_OFF, abs(u_last)), holding) if holding else 0.0
     if abs(u) < _OFF:
         return (Block(hold, step_s, bounds_C),)
@@ -59,18 +59,18 @@ def room_blocks(
     to_go = end - T_now_C if u > 0 else T_now_C - end
     if not to_go > _MOVES_K:
         return (Block(u, step_s, band),)
-    kept = abs(hold) if hold * u > 0 else 0.0
+    base_level = abs(hold) if hold * u > 0 else 0.0
     full = 1.0 if u > 0 else -lowest
-    share = max(abs(u) - kept, 0.0) / max(full - kept, _OFF)
+    share = max(abs(u) - base_level, 0.0) / max(full - base_level, _OFF)
     moving_s = min(max(math.ceil(_SLOWS * share * step_s / block_s), 1) * block_s, step_s)
-    level = (abs(u) - kept) * step_s / moving_s + kept
+    level = (abs(u) - base_level) * step_s / moving_s + base_level
     moving = Block(math.copysign(min(max(level, _OFF), full), u), moving_s, band)
     if moving_s >= step_s:
         return (moving,)
     return Block(hold, step_s - moving_s, bounds_C), moving
 
 
-def _holding(u_last: float, T_now_C: float, bounds_C: tuple[float, float]) -> int:
+def _holding_sign(u_last: float, T_now_C: float, bounds_C: tuple[float, float]) -> int:
     """+1 or −1 where the heating or cooling loop held the zone at its bound in the last step, else 0."""
     if u_last > _WORKED and T_now_C < bounds_C[0] + _AT_BOUND_K:
         return 1

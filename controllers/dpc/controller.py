@@ -76,7 +76,7 @@ class DPC(ThermoForceMPC):
         if model.layout.lowest[0] < 0.0:
             raise ControllerConfigError("dpc does not heat and cool by room set-points: use thermoforce_mpc")
         self._policy = policy or (load_policy(Path(config.policy)) if config.policy else None)
-        self._progress, self._trained_on = progress, at_step(model, config)[0]
+        self._progress, self._model_at_step = progress, at_step(model, config)[0]
         super().__init__(model, config, solver=self._policy_solver, name=name)
         self._check()
 
@@ -100,21 +100,21 @@ class DPC(ThermoForceMPC):
 
             assert isinstance(self.config, DPCConfig)
             self._policy = train_policy(
-                self._trained_on.actuator(0), self._actuators.each[0], self.config, self.step_s, self._progress
+                self._model_at_step.actuator(0), self._actuators.each[0], self.config, self.step_s, self._progress
             )
         return PolicySolver(self._policy, operator)
 
     def _check(self) -> None:
         """Raise `ControllerConfigError` for a policy of another operator, step or actuation."""
         actuation = self._actuators.each[0]
-        found = self.policy
+        policy = self.policy
         wrong = []
-        if found.operator_sha256 != operator_sha256(self.planning_operator.of_actuator(0)):
+        if policy.operator_sha256 != operator_sha256(self.planning_operator.of_actuator(0)):
             wrong.append("another model")
-        if found.step_s != self.step_s:
-            wrong.append(f"steps of {found.step_s:g} s instead of {self.step_s:g} s")
-        if (found.highest, found.lowest) != (actuation.highest, actuation.lowest_level):
-            wrong.append(f"levels {found.lowest:g} to {found.highest:g}, not {actuation.in_words}")
+        if policy.step_s != self.step_s:
+            wrong.append(f"steps of {policy.step_s:g} s instead of {self.step_s:g} s")
+        if (policy.highest, policy.lowest) != (actuation.highest, actuation.lowest_level):
+            wrong.append(f"levels {policy.lowest:g} to {policy.highest:g}, not {actuation.in_words}")
         if wrong:
             raise ControllerConfigError(
                 f"controller.options.policy: the policy was trained for {' and '.join(wrong)}: train it again"

@@ -53,8 +53,8 @@ def scales_K(operator: OperatorParameters) -> tuple[Array, float]:
     """S_j (J,), and the coarse scale, K, positive."""
 
     def effect_K(steps: Array) -> Array:
-        held = (1.0 - operator.poles ** steps[:, None]) / (1.0 - operator.poles)
-        return np.maximum(np.abs((operator.gains * held).sum(axis=1)), 1e-6)
+        response = (1.0 - operator.poles ** steps[:, None]) / (1.0 - operator.poles)
+        return np.maximum(np.abs((operator.gains * response).sum(axis=1)), 1e-6)
 
     coarse = np.array([max(1.0, round(_COARSE_H * HOUR_S / operator.step_s))])
     return effect_K(lead_steps(operator.step_s)), float(effect_K(coarse)[0])
@@ -149,17 +149,17 @@ def load_policy(folder: Path) -> Policy:
     path = folder / JSON_NAME
     if not folder.is_dir():
         raise ArtifactError(f"{folder}: no such folder; `tf-mpc train` makes one")
-    found = parse_json(read_bounded(path, _MOST_BYTES, ArtifactError), str(path), ArtifactError)
-    if found.get("format") != FORMAT or found.get("version") != FORMAT_VERSION:
+    document = parse_json(read_bounded(path, _MOST_BYTES, ArtifactError), str(path), ArtifactError)
+    if document.get("format") != FORMAT or document.get("version") != FORMAT_VERSION:
         raise ArtifactError(f"{path}: not a policy of version {FORMAT_VERSION} of thermoforce-mpc; train it again")
-    if content_sha256(found) != found.get("sha256") or found.get("leads_h") != list(map(float, LEADS_H)):
+    if content_sha256(document) != document.get("sha256") or document.get("leads_h") != list(map(float, LEADS_H)):
         raise ArtifactError(f"{path}: damaged or edited; train it again")
     raw = read_bounded(folder / ARRAYS_NAME, _MOST_BYTES, ArtifactError)
-    if hashlib.sha256(raw).hexdigest() != found.get("weights_sha256"):
+    if hashlib.sha256(raw).hexdigest() != document.get("weights_sha256"):
         raise ArtifactError(f"{folder / ARRAYS_NAME}: damaged or swapped, its sha256 is not the one in {JSON_NAME}")
     try:
         arrays = load_tensors(raw)
-        policy = Policy(tuple(arrays[name] for name in _LAYERS), **{name: found[name] for name in _FIELDS})
+        policy = Policy(tuple(arrays[name] for name in _LAYERS), **{name: document[name] for name in _FIELDS})
         h = policy.weights[0].shape[0]
         shapes = [(h, N_INPUTS), (h,), (h, h), (h,), (1, h), (1,)]
         if [w.shape for w in policy.weights] != shapes or not all(np.isfinite(w).all() for w in policy.weights):
@@ -181,8 +181,8 @@ def drive_parts(operator: OperatorParameters, features: Array) -> tuple[Array, A
     if load is None:
         return np.zeros_like(highest), np.asarray(highest)
     fixed, per_u = load.parts(features[..., OUTDOOR])
-    whole = fixed + per_u
-    return np.asarray(highest * fixed / whole), np.asarray(highest * per_u / whole)
+    full = fixed + per_u
+    return np.asarray(highest * fixed / full), np.asarray(highest * per_u / full)
 
 
 @njit(cache=True)
@@ -199,7 +199,7 @@ def _levels(
         for i in range(r):
             fading[j, i] = poles[i] ** leads[j]
     for k in range(n):
-        mean, asked = 0.0, -np.inf
+        mean, need = 0.0, -np.inf
         for j in range(J):
             at = k + leads[j] - 1  # rows hold the ends of steps
             off = ahead[0, at]
@@ -212,13 +212,13 @@ def _levels(
             x[J + j] = min(max(above / step_K[j], -MOST), MOST)
             x[2 * J + j] = min(max(below / coarse_K, -MOST), MOST)
             x[3 * J + j] = min(max(above / coarse_K, -MOST), MOST)
-            asked = max(asked, -x[j])
+            need = max(need, -x[j])
             mean += abs(relative[at]) / J
         for j in range(J):
             x[4 * J + j] = min(max(relative[k + leads[j] - 1] / max(mean, 1e-300) - 1.0, -MOST), MOST)
         first = np.tanh(w1 @ x + b1)
         second = np.tanh(w2 @ first + b2)
-        logit = (w3 @ second + b3)[0] + STEEP * (asked - 0.5)
+        logit = (w3 @ second + b3)[0] + STEEP * (need - 0.5)
         out[k] = highest / (1.0 + np.exp(-logit))
         drive = min(out[k] / lowest, 1.0) * fixed[k] + per_u[k] * out[k]
         for i in range(r):

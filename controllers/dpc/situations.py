@@ -67,10 +67,10 @@ class Drawer:
 
     def draw(self, courses: int, n_steps: int) -> Situations:
         """Draw `courses` of `n_steps`, not longer than half a year, in which something is to be done."""
-        found = [self._one(n_steps) for _ in range(courses)]
-        return Situations(*(np.stack(rows) for rows in zip(*found, strict=True)))
+        drawn = [self._draw_one(n_steps) for _ in range(courses)]
+        return Situations(*(np.stack(rows) for rows in zip(*drawn, strict=True)))
 
-    def _one(self, n: int) -> tuple[Array, ...]:
+    def _draw_one(self, n: int) -> tuple[Array, ...]:
         rng = self._rng
         for _ in range(_PATIENCE):
             T_free, T_out, solar = self._years[int(rng.integers(_WEATHERS))]

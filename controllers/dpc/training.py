@@ -62,8 +62,8 @@ class Network(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Share of the highest level (...,) for inputs (..., 5 J)."""
         first, second, third = self.layers
-        asked = -x[..., : x.shape[-1] // 5].amin(-1)
-        return torch.sigmoid(third(torch.tanh(second(torch.tanh(first(x)))))[..., 0] + STEEP * (asked - 0.5))
+        need = -x[..., : x.shape[-1] // 5].amin(-1)
+        return torch.sigmoid(third(torch.tanh(second(torch.tanh(first(x)))))[..., 0] + STEEP * (need - 0.5))
 
 
 @dataclass(frozen=True)
@@ -138,18 +138,18 @@ def train_policy(
     return Policy(weights, highest, lowest, step_s, operator_sha256(params), t.iterations, last)
 
 
-def course_of(found: Situations, operator: OperatorParameters, power: PowerModel, step_s: float) -> Course:
+def course_of(situations: Situations, operator: OperatorParameters, power: PowerModel, step_s: float) -> Course:
     """The situations as tensors; costs in currency."""
-    before = np.concatenate([found.T_free_C[:, :1], found.T_free_C[:, :-1]], axis=1)
-    features = feature_matrix(before, found.T_out_C, found.solar_W_m2, found.time_s)
+    before = np.concatenate([situations.T_free_C[:, :1], situations.T_free_C[:, :-1]], axis=1)
+    features = feature_matrix(before, situations.T_out_C, situations.solar_W_m2, situations.time_s)
     drive_fixed, drive_per_u = drive_parts(operator, features)
-    fixed_W, per_u_W = power.parts(found.T_out_C)
-    price = found.price_per_kWh * step_s / J_PER_KWH
+    fixed_W, per_u_W = power.parts(situations.T_out_C)
+    price = situations.price_per_kWh * step_s / J_PER_KWH
     relative = price * (fixed_W + per_u_W) / (drive_fixed + drive_per_u)
     return Course(
-        T_free=torch.from_numpy(found.T_free_C),
-        lower=torch.from_numpy(found.lower_C),
-        upper=torch.from_numpy(found.upper_C),
+        T_free=torch.from_numpy(situations.T_free_C),
+        lower=torch.from_numpy(situations.lower_C),
+        upper=torch.from_numpy(situations.upper_C),
         drive_fixed=torch.from_numpy(drive_fixed),
         drive_per_u=torch.from_numpy(drive_per_u),
         relative=torch.from_numpy(relative),

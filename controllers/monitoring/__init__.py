@@ -1,1 +1,1 @@
-"""What is believed of sensors and meters, and whether the model's predictions come true."""
+"""Which readings of sensors and meters are used, and whether the model's predictions come true."""

@@ -1,4 +1,4 @@
-"""Which readings of weather sensors and meters are believed: one that stays while what it follows moves is stuck.
+"""Which readings of weather sensors and meters are used: one that stays while what it follows moves is stuck.
 
 | reading | follows | stuck, by default, where meanwhile |
 |---|---|---|
@@ -8,10 +8,10 @@
 | heat of an actuator | its level | it moved by a quarter of full level |
 
 So the sun at night and the power of a machine that is off, or runs evenly, may stay as they are. A meter that reads
-next to nothing is not judged: a machine that does not run reads that too, and the watch compares it with what was asked
-for. Nor is a point that never moved in the record, since nothing measures it.
+next to nothing is not validated: a machine that does not run reads that too, and the watch compares it with the level
+that was requested. Nor is a point that never moved in the record, since nothing measures it.
 
-What is not believed counts as not measured, from its second reading on; it is believed again when it moves.
+What is rejected counts as not measured, from its second reading on; it is used again when it moves.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ class MeterConfig(StrictModel):
 
 @dataclass(frozen=True)
 class MeterState:
-    """What is known of one point: its last reading, since when, and the range of what it follows since then.
+    """State of one point: its last reading, since when, and the range of what it follows since then.
 
-    `refused_s`: instants whose readings are not believed (for power and heat, the begin of the step).
+    `refused_s`: instants whose readings are rejected (for power and heat, the begin of the step).
     """
 
     value: float = math.nan
@@ -66,9 +66,9 @@ class MeterState:
 
 
 @dataclass(frozen=True)
-class Metered:
-    """What was found now: `why` readings are not believed, which are again (`news`), and whether some of the past are
-    `found` that were believed until now.
+class MeterFindings:
+    """Result of a validation: `why` readings are rejected, which are used again (`news`), and whether past readings
+    that were used until now were `found` to be stuck.
     """
 
     why: str = ""
@@ -78,7 +78,7 @@ class Metered:
 
 @dataclass(frozen=True)
 class Meters:
-    """Judges the weather sensors and meters of a building; it holds no state.
+    """Validates the readings of weather sensors and meters of a building; it holds no state.
 
     Args:
         layout: what acts where.
@@ -94,11 +94,11 @@ class Meters:
     single: Mapping[str, MeterConfig] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        known = [*_MOVED, *(self._label(*point) for point in self._points)]
+        names = [*_MOVED, *(self._label(*point) for point in self._points)]
         for name in self.single:
-            if name not in known:
+            if name not in names:
                 raise ControllerConfigError(
-                    f"controller.options.meters: there is no '{name}'; known are {', '.join(dict.fromkeys(known))}"
+                    f"controller.options.meters: there is no '{name}'; known are {', '.join(dict.fromkeys(names))}"
                 )
 
     @property
@@ -107,36 +107,36 @@ class Meters:
         return (MeterState(),) * len(self._points)
 
     def mask_rejected(self, states: tuple[MeterState, ...], history: Record) -> Record:
-        """The record with readings that were not believed taken as not measured."""
-        found: dict[str, Array] = {}
+        """The record with rejected readings taken as not measured."""
+        masked: dict[str, Array] = {}
         for (name, row), state in zip(self._points, states, strict=True):
             if not state.refused_s:
                 continue
-            values = found.setdefault(name, np.array(getattr(history, name)))
-            at = history.time_s[: values.shape[-1]]
+            values = masked.setdefault(name, np.array(getattr(history, name)))
+            time_s = history.time_s[: values.shape[-1]]
             rows = values if values.ndim == 1 else values[row]
-            rows[np.isin(at, np.array(state.refused_s))] = np.nan
-        return replace(history, **found) if found else history  # type: ignore[arg-type]
+            rows[np.isin(time_s, np.array(state.refused_s))] = np.nan
+        return replace(history, **masked) if masked else history  # type: ignore[arg-type]
 
     def validate(
         self, states: tuple[MeterState, ...], history: Record, boundary: Boundary
-    ) -> tuple[tuple[MeterState, ...], Metered]:
+    ) -> tuple[tuple[MeterState, ...], MeterFindings]:
         """The states after the latest readings of `history`; `boundary` is the forecast from now on, without gaps."""
-        after, why, news, found = [], [], [], False
+        after, why, news, newly_stuck = [], [], [], False
         for (name, row), before in zip(self._points, states, strict=True):
             label = self._label(name, row)
             config = self.single.get(label, self.single.get(name, self.common))
             state = before
             if config.enabled:
-                state = self._followed(before, name, row, history, boundary)
+                state = self._update(before, name, row, history, boundary)
                 state = self._validated(state, config, name, row, history)
             if state.stuck:
                 why.append(f"{label} {state.stuck}: not believed")
             elif before.stuck:
                 news.append(f"{label}: readings are believed again")
-            found |= bool(state.stuck and not before.stuck)
+            newly_stuck |= bool(state.stuck and not before.stuck)
             after.append(state)
-        return tuple(after), Metered("; ".join(why), "; ".join(news), found)
+        return tuple(after), MeterFindings("; ".join(why), "; ".join(news), newly_stuck)
 
     @property
     def _points(self) -> list[tuple[str, int]]:
@@ -147,17 +147,17 @@ class Meters:
     def _label(self, name: str, row: int) -> str:
         return name if name in _WEATHER else self.layout.names.label(name, row)
 
-    def _followed(self, state: MeterState, name: str, row: int, history: Record, boundary: Boundary) -> MeterState:
+    def _update(self, state: MeterState, name: str, row: int, history: Record, boundary: Boundary) -> MeterState:
         """The state with the latest reading and what it follows."""
         values = _values(history, name, row)
         value = float(values[-1]) if values.size else math.nan
-        at_s, follows = float(history.time_s[values.size - 1]), self._follows(name, row, history, boundary)
+        at_s, reference = float(history.time_s[values.size - 1]), self._reference(name, row, history, boundary)
         same = math.isclose(value, state.value, rel_tol=_SAME) if math.isfinite(value) else False
         if not same:
-            return replace(state, value=value, since_s=at_s, low=follows, high=follows, stuck="")
-        return replace(state, low=_least(state.low, follows), high=-_least(-state.high, -follows))
+            return replace(state, value=value, since_s=at_s, low=reference, high=reference, stuck="")
+        return replace(state, low=_lesser(state.low, reference), high=-_lesser(-state.high, -reference))
 
-    def _follows(self, name: str, row: int, history: Record, boundary: Boundary) -> float:
+    def _reference(self, name: str, row: int, history: Record, boundary: Boundary) -> float:
         """What a reading follows now: its forecast, or the levels of the last step."""
         if name in _WEATHER:
             return float(getattr(boundary, name)[0])
@@ -165,11 +165,11 @@ class Meters:
         fed = self.layout.fed_by(row) if name == "power_W" else [row]
         if len(fed) == 1:
             return float(levels[fed[0]])
-        # Beyond its capacity a shared machine gives no more, whatever it is asked for.
+        # Beyond its capacity a shared machine gives no more, whatever the levels.
         return float(np.minimum(np.sum(self.layout.weights[fed] * levels[fed]), 1.0))
 
     def _validated(self, state: MeterState, config: MeterConfig, name: str, row: int, history: Record) -> MeterState:
-        """The state, with its readings not believed where they are stuck."""
+        """The state, with its readings rejected where they are stuck."""
         values = _values(history, name, row)
         at_s = history.time_s[: values.size]
         if not values.size or not math.isfinite(state.value):
@@ -179,13 +179,13 @@ class Meters:
         if not state.stuck:
             if hours < config.frozen_h - 1e-6 or not moved >= least:
                 return state
-            known = np.abs(values[np.isfinite(values)])
-            if np.ptp(known) == 0.0 or (name not in _WEATHER and abs(state.value) <= _NOTHING * known.max()):
+            magnitudes = np.abs(values[np.isfinite(values)])
+            if np.ptp(magnitudes) == 0.0 or (name not in _WEATHER and abs(state.value) <= _NOTHING * magnitudes.max()):
                 return state
-        what = "forecast" if name in _WEATHER else "level"
+        reference = "forecast" if name in _WEATHER else "level"
         unit = {"T_out_C": " K", "solar_W_m2": " W/m²"}.get(name, "")
-        read = f"{state.value:.4g} {_UNITS[name]}"
-        stuck = f"has been {read} for {hours:.3g} h, in which its {what} moved by {moved:.3g}{unit}"
+        reading = f"{state.value:.4g} {_UNITS[name]}"
+        stuck = f"has been {reading} for {hours:.3g} h, in which its {reference} moved by {moved:.3g}{unit}"
         new = tuple(float(t) for t in at_s[at_s > state.since_s] if float(t) not in state.refused_s)
         return replace(state, stuck=stuck, refused_s=(*state.refused_s, *new))
 
@@ -196,6 +196,6 @@ def _values(history: Record, name: str, row: int) -> Array:
     return np.asarray(values if values.ndim == 1 else values[row])
 
 
-def _least(a: float, b: float) -> float:
+def _lesser(a: float, b: float) -> float:
     """The lesser of two, or the one that is known."""
     return b if math.isnan(a) else a if math.isnan(b) else min(a, b)

@@ -1,8 +1,8 @@
 """A zone as if only its own actuator acted: record and prediction with the effect of all others taken out.
 
-Adaptation and watch judge one actuator on its home zone. What the others did to it is known from their measured levels
+Adaptation and watch take one actuator on its home zone. What the others did to it is known from their measured levels
 and the model, so it is subtracted from the temperature; for one actuator nothing is. The power of a machine that feeds
-others too says nothing of one of them and is left out, and so does the level of an actuator while they all ask for more
+others too says nothing of one of them and is left out, and so does the level of an actuator while they all need more
 than the machine has: what it got is in its heat meter, if anywhere.
 """
 
@@ -48,30 +48,30 @@ def single_actuator_records(model: ThermalModel, history: Record, forced_K: Arra
     """
     shared = {m for m in model.machine_of if model.machine_of.count(m) > 1}
     beyond = {m: _beyond_capacity(model, history, m) for m in shared}
-    return tuple(_own_record(model, history, forced_K, a, beyond) for a in range(len(model.operator.actuators)))
+    return tuple(_zone_record(model, history, forced_K, a, beyond) for a in range(len(model.operator.actuators)))
 
 
-def _own_record(
+def _zone_record(
     model: ThermalModel, history: Record, forced_K: Array | None, a: int, beyond: Mapping[int, NDArray[np.bool_]]
 ) -> Record:
     """See `single_actuator_records`; `beyond`: steps (n,) beyond the capacity of each machine that feeds several."""
     z = model.operator.home[a]
     m = model.machine_of[a]
-    part = history.part(z, [a], [] if m in beyond else [m])
+    record = history.part(z, [a], [] if m in beyond else [m])
     if m in beyond:
-        part = replace(part, u=np.where(beyond[m], np.nan, part.u))
+        record = replace(record, u=np.where(beyond[m], np.nan, record.u))
     others = [b for b in range(len(model.operator.actuators)) if b != a and model.operator.pairs[z][b] is not None]
     if not others:
-        return part
+        return record
     T = np.full(history.n_steps + 1, np.nan)
     if forced_K is not None:
-        known = min(forced_K.shape[2], T.size)
-        T[:known] = part.T_zone_C[0, :known] - forced_K[z, others, :known].sum(axis=(0, 2))
-    return replace(part, T_zone_C=T)
+        n_known = min(forced_K.shape[2], T.size)
+        T[:n_known] = record.T_zone_C[0, :n_known] - forced_K[z, others, :n_known].sum(axis=(0, 2))
+    return replace(record, T_zone_C=T)
 
 
 def _beyond_capacity(model: ThermalModel, history: Record, m: int) -> NDArray[np.bool_]:
-    """Steps (n,) in which the actuators of machine `m` may together have asked for more than it has.
+    """Steps (n,) in which the actuators of machine `m` may together have needed more than it has.
 
     A level may be the share of a step in which an actuator is on, so all that act count in full. Where all are metered,
     what they take when it is cold is in the maps of their heat, and what the machine has is the most of an hour so far.
@@ -82,8 +82,10 @@ def _beyond_capacity(model: ThermalModel, history: Record, m: int) -> NDArray[np
     acting = history.u[fed] > ROUNDING
     maps = [model.operator.of_actuator(b).heat_input.heat for b in fed]
     shares = np.array([model.shares[b] for b in fed])
-    if any(one is None for one in maps):
+    if any(heat_map is None for heat_map in maps):
         return np.asarray(shares @ acting > 1.0 + ROUNDING)
-    full_W = np.abs([one(np.ones(history.n_steps), history.T_out_C[:-1]) for one in maps if one is not None])
+    full_W = np.abs(
+        [heat_map(np.ones(history.n_steps), history.T_out_C[:-1]) for heat_map in maps if heat_map is not None]
+    )
     most_W = largest_W(np.abs(history.heat_W[fed].sum(axis=0)), history.step_s)
     return np.asarray((full_W * acting).sum(axis=0) > most_W)

@@ -26,7 +26,7 @@ _LATEST_S = 14 * DAY_S
 # autumn.
 _EVERY_S, _DARK_W_M2 = 20 * HOUR_S, 1.0
 # Probabilities from which a look finds sun, more than identification asks of its one record, since looks are many, and
-# below which sun that was found before is no longer believed.
+# below which sun that was found before is dropped.
 _FOUND, _UNLIKELY = 0.99, 0.1
 # Share of the standard deviation of what is taken off that a new find must undercut.
 _CLEARLY_SURER = 0.7
@@ -50,55 +50,59 @@ class SunOnSensors:
 
     Args:
         model: the building, at the control step.
-        judged: of each zone (Z,) whether its sensor is judged.
+        validated: of each zone (Z,) whether the readings of its sensor are validated.
     """
 
-    def __init__(self, model: ThermalModel, judged: Sequence[bool]) -> None:
+    def __init__(self, model: ThermalModel, validated: Sequence[bool]) -> None:
         self._model, self._config = model, IdentificationConfig()
-        self._judged = tuple(judged)
+        self._validated = tuple(validated)
 
     def update(self, state: SunState, history: Record) -> SunState:
         """The state after a look, where it is dark and the last one was in the night before."""
         now_s = float(history.time_s[-1])
         if state.looked_s is None:
-            return SunState(now_s, (None,) * len(self._judged))
+            return SunState(now_s, (None,) * len(self._validated))
         if now_s - state.looked_s < _EVERY_S or not history.solar_W_m2[-1] <= _DARK_W_M2:
             return state
         try:
-            return SunState(now_s, tuple(self._after(z, before, history) for z, before in enumerate(state.found)))
+            return SunState(now_s, tuple(self._update_zone(z, before, history) for z, before in enumerate(state.found)))
         except Exception as error:  # what is learned for later must not cost the plan of now
             return SunState(now_s, state.found, f"sun on the sensors could not be looked for ({message_of(error)})")
 
     def of_zones(self, state: SunState) -> tuple[SunOnSensor | None, ...]:
         """Sun on the sensor of each zone (Z,), by the model or by a look."""
-        known = self._model.sun_on_sensors
-        return tuple(found or had for found, had in zip(state.found or known, known, strict=True))
+        identified = self._model.sun_on_sensors
+        return tuple(latest or before for latest, before in zip(state.found or identified, identified, strict=True))
 
     def news(self, before: SunState, after: SunState) -> str:
         """What a look changed in what is taken off readings, in words; empty where nothing."""
         zones = self._model.names.zones
-        found = [after.failed] if after.failed and after != before else []
-        for zone, had, has in zip(zones, self.of_zones(before), self.of_zones(after), strict=True):
-            if had != has:
-                told = "the latest days show no sun on the zone sensor any more" if has is None else has.in_words()
-                found.append(told if len(zones) == 1 else f"{zone}: {told}")
-        return "; ".join(found)
+        changes = [after.failed] if after.failed and after != before else []
+        for zone, sun_before, sun_after in zip(zones, self.of_zones(before), self.of_zones(after), strict=True):
+            if sun_before != sun_after:
+                text = (
+                    "the latest days show no sun on the zone sensor any more"
+                    if sun_after is None
+                    else sun_after.in_words()
+                )
+                changes.append(text if len(zones) == 1 else f"{zone}: {text}")
+        return "; ".join(changes)
 
-    def _after(self, z: int, before: SunOnSensor | None, history: Record) -> SunOnSensor | None:
+    def _update_zone(self, z: int, before: SunOnSensor | None, history: Record) -> SunOnSensor | None:
         """What looks have found for zone `z` after one more: another find replaces one that is clearly less certain."""
-        now = self._look(z, history)
-        if now is None:
+        latest = self._estimate(z, history)
+        if latest is None:
             return before
-        if now.probability < _FOUND:
-            return None if now.probability < _UNLIKELY else before
-        had = before or self._model.sun_on_sensors[z]
-        return now if had is None or now.sd_K < _CLEARLY_SURER * had.sd_K else before
+        if latest.probability < _FOUND:
+            return None if latest.probability < _UNLIKELY else before
+        current = before or self._model.sun_on_sensors[z]
+        return latest if current is None or latest.sd_K < _CLEARLY_SURER * current.sd_K else before
 
-    def _look(self, z: int, history: Record) -> SunOnSensor | None:
-        """The likeliest sun on the sensor of zone `z` in the latest days; None where they do not tell."""
+    def _estimate(self, z: int, history: Record) -> SunOnSensor | None:
+        """The likeliest sun on the sensor of zone `z` in the latest days; None where they do not show it."""
         layout = self._model.layout
         actuators = layout.actuators_of(z)
-        if not self._judged[z] or not actuators:
+        if not self._validated[z] or not actuators:
             return None
         own = actuators[0]
         order = [own, *others_of(layout, own, self._config)]

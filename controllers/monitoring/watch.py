@@ -1,6 +1,6 @@
 """Watch over the model while it runs: are its predictions 1 h and 6 h ahead as good as it promises?
 
-Every hour a prediction is put down: free forecast, forced state and features. When it comes due it is judged for the
+Every hour a prediction is recorded: free forecast, forced state and features. When it comes due it is compared for the
 levels that were applied since, since a plan is replaced many times in 6 h. The error is divided by what was promised:
 the 80 % band of the free forecast together with the uncertainty of the gain on the model's card. The band counts with
 at most `widest` times the median band of the last week, because calibration widens it after errors and would excuse
@@ -15,7 +15,7 @@ predictions with probability n / A at most, whatever the dependence between the 
 by summing over all of them.
 
 Half of `false_alarm` is for these detectors, half for the check of `watch_effect` on the size of the effect of acting.
-Two direct checks are faster: levels measured against levels asked for, and heat or power against the machine's model.
+Two direct checks are faster: levels measured against levels requested, and heat or power against the machine's model.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ _T2_90, _NORMAL_90 = 1.8856, 1.2816
 _LEAST_P = 1e-5
 # Days of bands whose median is the usual promise, and hours of errors that are kept.
 _USUAL_DAYS, _KEPT_H = 7, 72.0
-# Hourly comparisons of meters before a change can be told.
+# Hourly comparisons of meters before a change can be seen.
 _LEAST_RATIOS = 12
-# Share of predictions inside their band, and share of those expected that were judged, to hand control back.
+# Share of predictions inside their band, and share of those expected that came due, to hand control back.
 _INSIDE, _JUDGED = 0.7, 0.75
 # A second alarm within this time after a return doubles the wait, up to the limit; h.
 _RELAPSE_H, _LONGEST_WAIT_H = 48.0, 48.0
@@ -60,7 +60,10 @@ _ADAPTED = "the model adapted since"
 
 
 class Watch:
-    """Judges predictions and decides when control is handed back and when it returns; all state is in `WatchState`."""
+    """Compares predictions with what came and decides when control is handed back and returns; it holds no state.
+
+    All state is in `WatchState`.
+    """
 
     def __init__(self, config: WatchConfig, model: ZoneModel, n_steps: int, power: Callable[[Record], Array]) -> None:
         """Watch predictions of `n_steps` steps at the step of `model`.
@@ -82,11 +85,11 @@ class Watch:
         self._adaptation = OnlineAdaptation(model, _SCALES)
 
     def due(self, time_s: float) -> bool:
-        """Whether a prediction is to be put down at `time_s`."""
+        """Whether a prediction is to be recorded at `time_s`."""
         return self.config.enabled and round(time_s / self.step_s) % self.every == 0
 
     def issued(self, track: Track, context: SingleActuatorContext, operator: OperatorParameters) -> Track:
-        """The track with the prediction of `context` put down, made with `operator`."""
+        """The track with the prediction of `context` recorded, made with `operator`."""
         at = np.array(self.leads) - 1
         free, now = context.free, float(context.boundary.time_s[0])
         median = free.median_C[at]
@@ -94,13 +97,13 @@ class Watch:
         new = Issued(now, operator, context.forced_K, context.features[: self.leads[-1]], median, below, above)
         band = np.concatenate([[now], 0.5 * (below + above)])[None]
         bands = np.concatenate([track.bands, band]) if len(track.bands) else band
-        kept = bands[now - bands[:, 0] <= _USUAL_DAYS * DAY_S]
-        return replace(track, pending=(*track.pending, new), bands=kept)
+        last_week = bands[now - bands[:, 0] <= _USUAL_DAYS * DAY_S]
+        return replace(track, pending=(*track.pending, new), bands=last_week)
 
     def validate(
         self, state: WatchState | None, history: Record, adaptation: AdaptationState | None, predictor: object
     ) -> WatchState:
-        """The state after the predictions that came due; it says whether the model may be used in this step.
+        """The state after the predictions that came due; `alarm` is empty where the model may be used in this step.
 
         Args:
             state: state after the last step; None at the start of a run.
@@ -112,28 +115,30 @@ class Watch:
         state = replace(state or WatchState(), news="")
         now = float(history.time_s[-1])
         levels = cache(partial(applied_levels, state.asked, history))
-        state = replace(state, tracks=tuple(self._came_due(track, history, levels) for track in state.tracks))
+        state = replace(state, tracks=tuple(self._validate_due(track, history, levels) for track in state.tracks))
         if state.alarm:
-            return self._back_if_it_holds(self._adapted(state, history), history)
+            return self._return_if_holding(self._update_candidate(state, history), history)
         fault, state = self._direct_fault(state, history)
         fault = fault or self._broken_promise(state.tracks[0]) or self._less_effect(state, now)
         if not fault:
             return state
-        used = replace(
+        in_use = replace(
             state.tracks[0].cleared(),
             adaptation=adaptation or self._adaptation.started(),
             predictor=predictor if isinstance(predictor, PredictorState) else None,
         )
-        assert used.adaptation is not None
-        tracks = [used]
-        if used.adaptation.adapted:
-            tracks.append(Track("the model as identified", self._adaptation.started(), _without_force(used.predictor)))
+        assert in_use.adaptation is not None
+        tracks = [in_use]
+        if in_use.adaptation.adapted:
+            tracks.append(
+                Track("the model as identified", self._adaptation.started(), _without_force(in_use.predictor))
+            )
         relapse = now - state.returned_s < _RELAPSE_H * HOUR_S
         wait_h = min(2 * state.wait_h, _LONGEST_WAIT_H) if relapse else self.config.return_h
         return replace(state, tracks=tuple(tracks), alarm=fault, since_s=now, wait_h=wait_h)
 
     def record_request(self, state: WatchState, time_s: float, level: float) -> WatchState:
-        """The state with the mean `level` asked for in the step from `time_s` (NaN: native control)."""
+        """The state with the mean `level` requested in the step from `time_s` (NaN: native control)."""
         recent = tuple(item for item in state.asked if time_s - item[0] < LEVELS_H * HOUR_S)
         return replace(state, asked=(*recent, (time_s, level)))
 
@@ -141,23 +146,23 @@ class Watch:
         """Whether evidence has gathered halfway (in the exponent) to an alarm: older plans are not to be followed."""
         return state.tracks[0].worst[0] >= math.sqrt(self.threshold)
 
-    def _came_due(self, track: Track, history: Record, levels: Callable[[HeatInput], Array]) -> Track:
-        """The track after judging every pending prediction whose lead has passed.
+    def _validate_due(self, track: Track, history: Record, levels: Callable[[HeatInput], Array]) -> Track:
+        """The track after every pending prediction whose lead has passed is compared with the record.
 
         `levels` gives those (n,) that were applied, of a machine with this heat.
         """
-        now, pending, found = float(history.time_s[-1]), [], list[Judged]()
+        now, pending, outcomes = float(history.time_s[-1]), [], list[Judged]()
         evidence = dict(track.evidence)
         for item in track.pending:
-            passed = round((now - item.time_s) / self.step_s)
+            elapsed = round((now - item.time_s) / self.step_s)
             for lead in range(item.judged, len(self.leads)):
-                if passed < self.leads[lead]:
+                if elapsed < self.leads[lead]:
                     break
                 item = replace(item, judged=lead + 1)
                 outcome = self._outcome(item, lead, history, levels(item.operator.heat_input), track)
                 if outcome is None:
                     continue
-                found.append(outcome)
+                outcomes.append(outcome)
                 phases = -(-self.leads[lead] // self.every)
                 phase = round(item.time_s / self.step_s) // self.every % phases
                 for side in (1, -1):
@@ -165,9 +170,9 @@ class Watch:
                     evidence[lead, phase, side] = (M + 1.0) * e_value(side * outcome.error_K / outcome.promise_K)
             if item.judged < len(self.leads):
                 pending.append(item)
-        judged = np.concatenate([track.judged, np.array(found)]) if found else track.judged
-        kept = judged[now - judged[:, 0] <= _KEPT_H * HOUR_S]
-        return replace(track, pending=tuple(pending), judged=kept, evidence=evidence)
+        rows = np.concatenate([track.judged, np.array(outcomes)]) if outcomes else track.judged
+        recent = rows[now - rows[:, 0] <= _KEPT_H * HOUR_S]
+        return replace(track, pending=tuple(pending), judged=recent, evidence=evidence)
 
     def _outcome(self, item: Issued, lead: int, history: Record, levels: Array, track: Track) -> Judged | None:
         """The prediction of `item` at `lead` beside what was measured; None where that or a level is not known."""
@@ -207,8 +212,8 @@ class Watch:
         if round(now / self.step_s) % every:
             return ""
         since = max(now - watch_effect.WINDOW_H * HOUR_S, state.returned_s) + 1.0
-        judged = state.tracks[0].judged
-        last = Judged.of(judged[(judged[:, 1] == 0) & (judged[:, 0] > since)])
+        rows = state.tracks[0].judged
+        last = Judged.of(rows[(rows[:, 1] == 0) & (rows[:, 0] > since)])
         if last.error_K.size < _JUDGED * watch_effect.WINDOW_H * HOUR_S / (self.every * self.step_s):
             return ""
         return watch_effect.effect_fault(last.error_K, last.effect_K, last.promise_K, self._share)
@@ -220,26 +225,26 @@ class Watch:
         if fault or not self.due(now):
             return fault, state
         recent = [item for item in state.asked if now - item[0] <= LEADS_H[-1] * HOUR_S]
-        found = machine_ratio(recent, history, self._model.operator.heat_input.heat, self._power)
-        if found is None:
+        comparison = machine_ratio(recent, history, self._model.operator.heat_input.heat, self._power)
+        if comparison is None:
             return "", state
-        what, ratio = found
+        meter, ratio = comparison
         before = [value for time_s, value in state.ratios if now - time_s > LEADS_H[-1] * HOUR_S]
-        kept = tuple(item for item in state.ratios if now - item[0] <= _USUAL_DAYS * DAY_S)
-        state = replace(state, ratios=(*kept, (now, ratio)))
+        ratios = tuple(item for item in state.ratios if now - item[0] <= _USUAL_DAYS * DAY_S)
+        state = replace(state, ratios=(*ratios, (now, ratio)))
         limit = self.config.machine_factor
         # A map that never fitted this machine is no change of the machine.
         if len(before) < _LEAST_RATIOS:
             return "", state
         change = ratio / max(float(np.median(before)), 1e-6)
-        # A model that was adapted to the machine is no witness of how the machine was at first.
-        used = state.tracks[0].adaptation
-        adapted = used is not None and used.adapted
+        # A model that was adapted to the machine does not show how the machine was at first.
+        adaptation = state.tracks[0].adaptation
+        adapted = adaptation is not None and adaptation.adapted
         if any(1.0 / limit <= value <= limit for value in ((change,) if adapted else (ratio, change))):
             return "", state
-        return f"the machine's {what} was {ratio:.0%} of the model's in the last hours ({change:.0%} of before)", state
+        return f"the machine's {meter} was {ratio:.0%} of the model's in the last hours ({change:.0%} of before)", state
 
-    def _adapted(self, state: WatchState, history: Record) -> WatchState:
+    def _update_candidate(self, state: WatchState, history: Record) -> WatchState:
         """The state with a candidate whose gain and heat are scaled to what was measured since; every 6 h.
 
         The gain follows from the errors of the model in use over the predicted effects of the levels, with a prior; the
@@ -247,26 +252,26 @@ class Watch:
         cause explains the errors, the candidate's own errors say so.
         """
         hours = (float(history.time_s[-1]) - state.since_s) / HOUR_S
-        used = state.tracks[0]
-        recent = used.judged[:, 0] > state.since_s - _ADAPT_EVERY_H * HOUR_S
-        last = Judged.of(used.judged[recent & (used.judged[:, 1] == len(self.leads) - 1)])
-        whole = hours > 0 and abs(hours % _ADAPT_EVERY_H) * HOUR_S < 0.5 * self.step_s
-        if not whole or last.error_K.size < _ADAPT_EVERY_H or used.adaptation is None:
+        in_use = state.tracks[0]
+        recent = in_use.judged[:, 0] > state.since_s - _ADAPT_EVERY_H * HOUR_S
+        last = Judged.of(in_use.judged[recent & (in_use.judged[:, 1] == len(self.leads) - 1)])
+        due = hours > 0 and abs(hours % _ADAPT_EVERY_H) * HOUR_S < 0.5 * self.step_s
+        if not due or last.error_K.size < _ADAPT_EVERY_H or in_use.adaptation is None:
             return state
         error, effect = last.error_K, last.effect_K
         prior = float(np.mean(last.promise_K**2)) / _GAIN_PRIOR_SD**2
         low, high = _SCALES.gain_bounds
         gain = float(np.clip(1.0 + effect @ error / (effect @ effect + prior), low, high))
         heat = self._heat_since(state, history)
-        gain /= float(np.clip(self._heat_of_levels(state, history, used.adaptation), low, high))
+        gain /= float(np.clip(self._heat_of_levels(state, history, in_use.adaptation), low, high))
         adapted = self._adaptation.rescaled(
-            used.adaptation, gain, float(np.exp(used.adaptation.log_heat)) if heat is None else heat
+            in_use.adaptation, gain, float(np.exp(in_use.adaptation.log_heat)) if heat is None else heat
         )
         if adapted is None:
             return state
         before = [track for track in state.tracks if track.name == _ADAPTED]
-        track = before[0] if before else Track(_ADAPTED, bands=used.bands)
-        track = replace(track, adaptation=adapted, predictor=_without_force(track.predictor or used.predictor))
+        track = before[0] if before else Track(_ADAPTED, bands=in_use.bands)
+        track = replace(track, adaptation=adapted, predictor=_without_force(track.predictor or in_use.predictor))
         return replace(state, tracks=(*(other for other in state.tracks if other.name != _ADAPTED), track))
 
     def _heat_since(self, state: WatchState, history: Record) -> float | None:
@@ -274,51 +279,51 @@ class Watch:
         steps = round((float(history.time_s[-1]) - state.since_s) / self.step_s)
         return heat_ratio(history.last(steps), self._model.operator.heat_input)
 
-    def _heat_of_levels(self, state: WatchState, history: Record, used: AdaptationState) -> float:
-        """Heat measured over that of the model in use at the levels that its latest predictions were judged for.
+    def _heat_of_levels(self, state: WatchState, history: Record, adaptation: AdaptationState) -> float:
+        """Heat measured over that of the model in use at the levels that its latest predictions were compared for.
 
         1 where it is not known, and where these levels are those that give the measured heat.
         """
-        heat_input = used.model.operator.heat_input
+        heat_input = adaptation.model.operator.heat_input
         since_h = (float(history.time_s[-1]) - state.since_s) / HOUR_S + _ADAPT_EVERY_H
         last = history.last(round(min(since_h, LEVELS_H) * HOUR_S / self.step_s))
-        found = heat_ratio(replace(last, u=applied_levels(state.asked, last, heat_input)[None]), heat_input)
-        return 1.0 if found is None else found
+        ratio = heat_ratio(replace(last, u=applied_levels(state.asked, last, heat_input)[None]), heat_input)
+        return 1.0 if ratio is None else ratio
 
-    def _contradicted(self, state: WatchState, track: Track, since: float | None) -> bool:
+    def _meter_contradicts(self, state: WatchState, track: Track, heat_since: float | None) -> bool:
         """Whether the meter of heat shows another machine than that of `track`, before the alarm and since.
 
-        Predictions of native control are judged for the heat that it gave, so they say nothing of the heat of a level.
+        Predictions of native control are compared for the heat that it gave: they say nothing of the heat of a level.
         """
-        if since is None or not state.ratios or track.adaptation is None:
+        if heat_since is None or not state.ratios or track.adaptation is None:
             return False
         assumed, limit = math.exp(track.adaptation.log_heat), self.config.machine_factor
-        return not any(1.0 / limit <= ratio / assumed <= limit for ratio in (state.ratios[-1][1], since))
+        return not any(1.0 / limit <= ratio / assumed <= limit for ratio in (state.ratios[-1][1], heat_since))
 
-    def _back_if_it_holds(self, state: WatchState, history: Record) -> WatchState:
+    def _return_if_holding(self, state: WatchState, history: Record) -> WatchState:
         """The state with control returned to the best track that has kept its promise for long enough."""
         now, wait_s = float(history.time_s[-1]), state.wait_h * HOUR_S
         if now - state.since_s < wait_s - 1.0:
             return state
-        since = self._heat_since(state, history)
-        wrong = {track.name: self._contradicted(state, track, since) for track in state.tracks}
+        heat_since = self._heat_since(state, history)
+        wrong = {track.name: self._meter_contradicts(state, track, heat_since) for track in state.tracks}
         on_trial = now - state.since_s >= 2 * wait_s
         holding = [t for t in state.tracks if self._holds(t, now) and (on_trial or not wrong[t.name])]
         if holding:
-            best = min(holding, key=lambda track: (wrong[track.name], self._size(track, now)))
+            best = min(holding, key=lambda track: (wrong[track.name], self._mean_error_ratio(track, now)))
             news = f"predictions of {best.name} were as promised for {self.config.return_h:g} h: control returns"
         elif on_trial and not any(self._recent(track, now).lead.size for track in state.tracks):
             best, news = state.tracks[0], "no prediction could be judged: control returns on trial"
         else:
             return state
-        used = replace(best.cleared(), name=IN_USE, adaptation=best.adaptation, predictor=best.predictor)
+        in_use = replace(best.cleared(), name=IN_USE, adaptation=best.adaptation, predictor=best.predictor)
         # The machine as it is now is the new reference of its meters.
-        return replace(state, tracks=(used,), ratios=(), asked=(), alarm="", returned_s=now, news=news)
+        return replace(state, tracks=(in_use,), ratios=(), asked=(), alarm="", returned_s=now, news=news)
 
     def _recent(self, track: Track, now: float) -> Judged:
         return Judged.of(track.judged[now - track.judged[:, 0] < self.config.return_h * HOUR_S - 1.0])
 
-    def _size(self, track: Track, now: float) -> float:
+    def _mean_error_ratio(self, track: Track, now: float) -> float:
         """Mean error over promise of the last hours."""
         recent = self._recent(track, now)
         return float(np.mean(np.abs(recent.error_K) / recent.promise_K))
@@ -348,9 +353,14 @@ def _without_force(state: PredictorState | None) -> PredictorState:
 
 def _relative_gain_sd(model: ZoneModel, hours: float) -> float:
     """Relative standard deviation of the effect of `hours` at full level, from the card; 0 where it says nothing."""
-    known = model.card.uncertainty
-    at = [int(key.split("_")[2][:-1]) for key in known if key.startswith("step_response_") and key.endswith("h_K")]
-    if not at:
+    uncertainty = model.card.uncertainty
+    leads_h = [
+        int(key.split("_")[2][:-1]) for key in uncertainty if key.startswith("step_response_") and key.endswith("h_K")
+    ]
+    if not leads_h:
         return 0.0
-    share = [known[f"step_response_{h}h_sd_K"] / max(abs(known[f"step_response_{h}h_K"]), 1e-9) for h in sorted(at)]
-    return float(np.interp(hours, sorted(at), np.minimum(share, 1.0)))
+    share = [
+        uncertainty[f"step_response_{h}h_sd_K"] / max(abs(uncertainty[f"step_response_{h}h_K"]), 1e-9)
+        for h in sorted(leads_h)
+    ]
+    return float(np.interp(hours, sorted(leads_h), np.minimum(share, 1.0)))

@@ -3,7 +3,7 @@
 A machine that gives less heat than its level makes the zone colder (cooling: warmer) than predicted, the more so the
 longer it ran. The forecaster takes a lasting error for a disturbance within hours, so each error stays inside the
 promise; what they have in common does not. Over a day the errors 1 h ahead are regressed on the predicted effect of the
-levels since each prediction, weighted by the promise. Predictions 1 h ahead, put down every hour, do not overlap. Under
+levels since each prediction, weighted by the promise. Predictions 1 h ahead, recorded every hour, do not overlap. Under
 the promise (errors no larger than promised, uncorrelated from hour to hour, their weighted sum over a day normal) the
 missing share over its standard deviation exceeds the normal quantile of level p with probability p at most. It is
 tested every 6 h, with p such that all tests of 30 days together have the stated probability of a false alarm. An error
@@ -46,8 +46,8 @@ def missing_effect(error_K: Array, effect_K: Array, promise_K: Array) -> tuple[f
     information = float(weight @ effect_K**2)
     if information <= 0.0:
         return 0.0, 0.0
-    counted = np.clip(error_K, -_LARGEST * promise_K, _LARGEST * promise_K)
-    share = -float(weight @ (counted * effect_K)) / information
+    clipped_K = np.clip(error_K, -_LARGEST * promise_K, _LARGEST * promise_K)
+    share = -float(weight @ (clipped_K * effect_K)) / information
     return share, share * math.sqrt(information) * _NORMAL_90
 
 

@@ -1,4 +1,4 @@
-"""What the watch over a model is told to do, and what it knows of a run."""
+"""Options of the watch over a model, and its state during a run."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class WatchConfig(StrictModel):
 
 @dataclass(frozen=True)
 class Issued:
-    """A prediction put down at `time_s`: state and inputs of the forced response, and the promise at each lead.
+    """A prediction recorded at `time_s`: state and inputs of the forced response, and the promise at each lead.
 
     `operator` at the control step; `forced_K` (r,) K; `features` (n, 4); `median_C`, `below_K`, `above_K` (L,): free
     response and distances to the ends of its 80 % band at the leads.
@@ -83,7 +83,7 @@ _NONE_JUDGED, _NO_BANDS = np.empty((0, len(Judged._fields))), np.empty((0, 0))
 
 @dataclass(frozen=True)
 class Track:
-    """A model under judgement: predictions pending and judged, and the evidence against it.
+    """A model under test: predictions pending and compared (`judged`), and the evidence against it.
 
     `judged` (k, 5): the fields of `Judged`. `bands` (k, 1 + L) of the last week: time, s, and half-width at each lead,
     K. `evidence` maps (lead, phase, side) to the detector's M. While standing back `adaptation`
@@ -113,12 +113,12 @@ class Track:
 
 @dataclass(frozen=True)
 class WatchState:
-    """What the watch knows of a run.
+    """State of the watch during a run.
 
-    `tracks`: the model in use; while standing back also its candidates for return. `asked`: (start s, mean level) of
-    the last plans. `ratios`: (time s, measured heat or power over modelled). `alarm`: why control was handed back at
-    `since_s`, empty while the model is in use. `wait_h`: shortest time of standing back; `returned_s`: last return, and
-    `news` what to say of it in this step's plan.
+    `tracks`: the model in use; while standing back also its candidates for return. `asked`: (start s, mean level) that
+    the last plans requested. `ratios`: (time s, measured heat or power over modelled). `alarm`: why control was handed
+    back at `since_s`, empty while the model is in use. `wait_h`: shortest time of standing back; `returned_s`: last
+    return, and `news` what to say of it in this step's plan.
     """
 
     tracks: tuple[Track, ...] = (Track(),)

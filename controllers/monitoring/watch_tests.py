@@ -1,4 +1,4 @@
-"""Direct checks of the watch: does the actuator do what it was asked, and does the machine give what it gave?"""
+"""Direct checks of the watch: does the actuator follow its level, and does the machine give what it gave?"""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
-# Differences between asked and measured level count from here: rounding and rate limits of an actuator are below.
+# Differences between requested and measured level count from here: rounding and rate limits of an actuator are below.
 _SAME = 0.1
-# Full-load hours of difference that make a fault, and their least share of what was asked or measured, in one of the
-# windows, h. The long one is for levels that are low and wrong for long: native control that holds a zone on a mild day
-# runs at a level of 0.1 to 0.2, less than an hour at full level in 6 h, where the plan wanted nothing.
+# Full-load hours of difference that make a fault, and their least share of what was requested or measured, in one of
+# the windows, h. The long one is for levels that are low and wrong for long: native control that holds a zone on a mild
+# day runs at a level of 0.1 to 0.2, less than an hour at full level in 6 h, where the plan wanted nothing.
 _DIFFERENT_H, _DIFFERENT_SHARE = 1.0, 0.25
 _WINDOWS_H = (6.0, 24.0)
-# Hours of asked levels that are compared.
+# Hours of requested levels that are compared.
 LEVELS_H = _WINDOWS_H[-1]
 # Full-load hours that a comparison of meters needs.
 _RUNNING_H = 1.5
@@ -28,19 +28,19 @@ _RUNNING_H = 1.5
 _LEVELS = np.linspace(0.0, 1.0, 41)
 
 
-def applied_levels(asked: Sequence[tuple[float, float]], history: Record, heat_input: HeatInput) -> Array:
-    """Levels (n,) in [0, 1] to judge the predictions of a record by; NaN where neither level nor heat is known.
+def applied_levels(requests: Sequence[tuple[float, float]], history: Record, heat_input: HeatInput) -> Array:
+    """Levels (n,) in [0, 1] to compare the predictions of a record for; NaN where neither level nor heat is known.
 
-    They are those of the record. Where it has none, and where native control acted (no level in `asked`, see
-    `level_fault`), which holds levels for which the map from level to heat was not identified, the level is taken that
-    gives the measured heat.
+    They are those of the record. Where it has none, and where native control acted (no level in `requests`,
+    see `level_fault`), which holds levels for which the map from level to heat was not identified, the level is taken
+    that gives the measured heat.
     """
     levels = np.array(history.u[0])
     if heat_input.heat is None:
         return levels
-    wanted, steps = _found(asked, history)
+    requested, steps = _match_steps(requests, history)
     by_heat = np.isnan(levels)
-    by_heat[steps[~np.isfinite(wanted)]] = True
+    by_heat[steps[~np.isfinite(requested)]] = True
     for step in np.flatnonzero(by_heat & np.isfinite(history.heat_W[0] + history.T_out_C[:-1])):
         share = abs(float(history.heat_W[0, step])) / heat_input.reference_W
         levels[step] = np.interp(share, heat_input(_LEVELS, history.T_out_C[step]), _LEVELS)
@@ -51,58 +51,58 @@ def heat_ratio(history: Record, heat_input: HeatInput) -> float | None:
     """Measured heat of a record over that of the map at its levels; None where little of both is known."""
     if heat_input.heat is None:
         return None
-    known = np.isfinite(history.heat_W[0]) & np.isfinite(history.u[0]) & np.isfinite(history.T_out_C[:-1])
-    u = np.clip(history.u[0, known], 0.0, 1.0)
+    usable = np.isfinite(history.heat_W[0]) & np.isfinite(history.u[0]) & np.isfinite(history.T_out_C[:-1])
+    u = np.clip(history.u[0, usable], 0.0, 1.0)
     if not u.size or float(u.sum()) * history.step_s / HOUR_S < _RUNNING_H:
         return None
-    modelled = heat_input.heat(u, history.T_out_C[:-1][known])
-    return float(np.abs(history.heat_W[0, known]).sum() / modelled.sum())
+    modelled = heat_input.heat(u, history.T_out_C[:-1][usable])
+    return float(np.abs(history.heat_W[0, usable]).sum() / modelled.sum())
 
 
-def level_fault(asked: Sequence[tuple[float, float]], history: Record) -> str:
-    """What is wrong between `asked` levels (start of the step s, mean level) and those measured; empty if nothing is.
+def level_fault(requests: Sequence[tuple[float, float]], history: Record) -> str:
+    """What is wrong between levels of `requests` (start of the step s, level) and those measured; empty if nothing is.
 
-    A plant that does not report its level cannot fail here: the record then holds the level asked for.
+    A plant that does not report its level cannot fail here: the record then holds the level requested.
     """
     hours = history.step_s / HOUR_S
-    all_want, all_got, all_index = _steps(asked, history)
+    all_requested, all_measured, all_index = _paired_levels(requests, history)
     for window_h in _WINDOWS_H:
         begin = float(history.time_s[-1]) - window_h * HOUR_S - 1.0
         last = slice(int(np.searchsorted(history.time_s[all_index], begin, side="right")), None)
-        want, got, index = all_want[last], all_got[last], all_index[last]
-        off = np.abs(_hourly(got - want, index, hours))
+        requested, measured, index = all_requested[last], all_measured[last], all_index[last]
+        off = np.abs(_hourly(measured - requested, index, hours))
         off_h = float(off[off > _SAME].sum()) * hours
-        if off_h >= max(_DIFFERENT_H, _DIFFERENT_SHARE * float(np.maximum(want, got).sum()) * hours):
+        if off_h >= max(_DIFFERENT_H, _DIFFERENT_SHARE * float(np.maximum(requested, measured).sum()) * hours):
             return (
-                f"the actuator does not follow: {want.mean():.2f} was asked for on average in the last"
-                f" {want.size * hours:g} h, {got.mean():.2f} was measured"
+                f"the actuator does not follow: {requested.mean():.2f} was asked for on average in the last"
+                f" {requested.size * hours:g} h, {measured.mean():.2f} was measured"
             )
     return ""
 
 
 def machine_ratio(
-    asked: Sequence[tuple[float, float]],
+    requests: Sequence[tuple[float, float]],
     history: Record,
     heat: MachineLoad | None,
     power_W: Callable[[Record], Array],
 ) -> tuple[str, float] | None:
-    """Which meter was read, and its sum over the modelled sum at the levels asked for; None where little was running.
+    """Which meter was read, and its sum over the modelled sum at the levels requested; None where little was running.
 
     Args:
-        asked: see `level_fault`.
+        requests: see `level_fault`.
         history: record until now.
         heat: the machine's heat, used where it is measured.
         power_W: electric power (n,) W expected for the levels of a record (n steps).
     """
-    want, got, index = _steps(asked, history)
-    used = index[np.abs(got - want) <= _SAME]
-    for what, measured in (("heat", np.abs(history.heat_W[0])), ("power", history.power_W[0])):
-        if what == "heat" and heat is None:
+    requested, levels, index = _paired_levels(requests, history)
+    following = index[np.abs(levels - requested) <= _SAME]
+    for meter, measured in (("heat", np.abs(history.heat_W[0])), ("power", history.power_W[0])):
+        if meter == "heat" and heat is None:
             continue
-        steps = used[np.isfinite(measured[used]) & np.isfinite(history.T_out_C[used])]
+        steps = following[np.isfinite(measured[following]) & np.isfinite(history.T_out_C[following])]
         if not steps.size or float(history.u[0, steps].sum()) * history.step_s / HOUR_S < _RUNNING_H:
             continue
-        if what == "heat":
+        if meter == "heat":
             assert heat is not None
             modelled = heat(np.clip(history.u[0, steps], 0.0, 1.0), history.T_out_C[steps])
         else:
@@ -110,34 +110,34 @@ def machine_ratio(
             modelled = power_W(history.slice(first, history.n_steps))[steps - first]
         if not (np.isfinite(modelled).all() and modelled.sum() > 0):
             continue
-        return what, float(measured[steps].sum() / modelled.sum())
+        return meter, float(measured[steps].sum() / modelled.sum())
     return None
 
 
-def _found(asked: Sequence[tuple[float, float]], history: Record) -> tuple[Array, NDArray[np.intp]]:
-    """Levels asked for and the index of their steps of `history`, both (n,), without those that are not in it."""
-    time_s, level = np.array(asked, dtype=np.float64).reshape(-1, 2).T
+def _match_steps(requests: Sequence[tuple[float, float]], history: Record) -> tuple[Array, NDArray[np.intp]]:
+    """Levels requested and the index of their steps of `history`, both (n,), without those that are not in it."""
+    time_s, level = np.array(requests, dtype=np.float64).reshape(-1, 2).T
     half_s = 0.5 * history.step_s
     step = np.searchsorted(history.time_s, time_s - half_s)
-    known = step < history.n_steps
-    known[known] = np.abs(history.time_s[step[known]] - time_s[known]) <= half_s
-    return level[known], step[known]
+    in_history = step < history.n_steps
+    in_history[in_history] = np.abs(history.time_s[step[in_history]] - time_s[in_history]) <= half_s
+    return level[in_history], step[in_history]
 
 
 def _hourly(values: Array, index: NDArray[np.intp], hours: float) -> Array:
     """`values` (n,) at steps `index` of `hours`, each replaced by the mean of its hour.
 
-    A level that is metered heat swings about what was asked for where its machine runs on and off by itself.
+    A level that is metered heat swings about what was requested where its machine runs on and off by itself.
     """
     if not values.size:  # before the first step its length is unknown
         return values
-    of = index // max(1, round(1.0 / hours))
-    return np.asarray((np.bincount(of, values) / np.maximum(np.bincount(of), 1))[of])
+    hour = index // max(1, round(1.0 / hours))
+    return np.asarray((np.bincount(hour, values) / np.maximum(np.bincount(hour), 1))[hour])
 
 
-def _steps(asked: Sequence[tuple[float, float]], history: Record) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Levels asked for and measured, both (n,), and the index (n,) of those steps, where both are known."""
-    want, index = _found(asked, history)
-    got = history.u[0, index]
-    both = np.isfinite(want) & np.isfinite(got)
-    return want[both], got[both], index[both]
+def _paired_levels(requests: Sequence[tuple[float, float]], history: Record) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Levels requested and measured, both (n,), and the index (n,) of those steps, where both are known."""
+    requested, index = _match_steps(requests, history)
+    measured = history.u[0, index]
+    known = np.isfinite(requested) & np.isfinite(measured)
+    return requested[known], measured[known], index[known]

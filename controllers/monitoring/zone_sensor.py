@@ -1,12 +1,12 @@
-"""Which readings of a zone sensor are believed, and the model's temperature where none is.
+"""Which readings of a zone sensor are used, and the model's temperature where none is.
 
-A reading is not believed where it is missing, outside its range, further from its prediction than the record ever
+A reading is rejected where it is missing, outside its range, further from its prediction than the record ever
 changed within a step (jump), or the same for longer than the record ever showed while the model says that the zone
-moved (frozen; a sensor of 0.1 or 0.5 K repeats itself honestly). The prediction is that of the last plan from a
-believed reading: its free forecast, plus the forced state of the levels that were applied since.
+moved (frozen; a sensor of 0.1 or 0.5 K repeats itself by its resolution). The prediction is that of the last plan
+from an accepted reading: its free forecast, plus the forced state of the levels that were applied since.
 
 For `bridge_h` the model stands in for the readings: plans go on, marked. Then the zone counts as unknown, and its
-actuators are left to the plant's own control, or to the on/off rule on the model's temperature. Readings are believed
+actuators are left to the plant's own control, or to the on/off rule on the model's temperature. Readings are accepted
 again when they are near the prediction; after a jump also when they go on moving away, as a zone does whose window was
 opened and a sensor that was moved does not, or when they were steady for `return_h`.
 """
@@ -28,15 +28,15 @@ _TIMES_RECORD, _BANDS = 2.0, 3.0
 # A reading that repeats itself is frozen where the model is off by its resolution and this many half-widths of the 80 %
 # band, at least this, K; whatever the record showed, where it is off by the second pair.
 _FROZEN_BANDS, _FROZEN_K, _SURELY_BANDS, _SURELY_K = 2.0, 0.1, 4.0, 0.5
-# After `bridge_h` a sensor that had been silent or frozen is believed within this of the prediction, K.
+# After `bridge_h` a sensor that had been silent or frozen is accepted within this of the prediction, K.
 _AFTER_SILENCE_K = 5.0
 # A zone that really changed goes on: within this time, h, by this share of its first change, in two steps or more.
 _GOES_ON_H, _GOES_ON_SHARE = 2.0, 0.25
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """The record of one zone for one judgement: believed readings `T_C` (n + 1,), NaN where not, and the rest."""
+class _ZoneRecord:
+    """The record of one zone for one validation: accepted readings `T_C` (n + 1,), NaN where not, and the rest."""
 
     time_s: Array
     T_C: Array
@@ -55,7 +55,7 @@ class _Seen:
 
 @dataclass(frozen=True)
 class Sensor:
-    """Judges the readings of one zone.
+    """Validates the readings of one zone.
 
     Args:
         config: options.
@@ -66,7 +66,7 @@ class Sensor:
     name: str = ""
 
     def mask_rejected(self, state: SensorState, history: Record, z: int) -> Array:
-        """The readings (n + 1,) of zone `z` in `history`, NaN where they were not believed."""
+        """The readings (n + 1,) of zone `z` in `history`, NaN where they were rejected."""
         T = history.T_zone_C[z]
         if not state.refused_s:
             return T
@@ -75,7 +75,7 @@ class Sensor:
     def validate(
         self, state: SensorState, history: Record, z: int, forced_K: Array | None
     ) -> tuple[SensorState, Sensed]:
-        """Judge what was measured since the last call.
+        """Validate what was measured since the last call.
 
         Args:
             state: state after the last call.
@@ -85,32 +85,34 @@ class Sensor:
         """
         now_s, raw = float(history.time_s[-1]), history.T_zone_C[z]
         if self.config.enabled:
-            wrong = implausible_zone(raw, history.time_s, (self.config.lowest_C, self.config.highest_C))
+            implausible = implausible_zone(raw, history.time_s, (self.config.lowest_C, self.config.highest_C))
             new = history.time_s > state.seen_s
-            # A first look at a record judges it by its limits alone.
+            # The first record is validated by its limits alone.
             if math.isinf(state.seen_s):
-                state = _refusing(state, history.time_s[wrong & new])
+                state = _reject(state, history.time_s[implausible & new])
             else:
                 outside = (raw < self.config.lowest_C) | (raw > self.config.highest_C) | np.isinf(raw)
-                state = _refusing(state, history.time_s[outside & new])
-        seen = _Seen(history.time_s, self.mask_rejected(state, history, z), raw, forced_K, history.step_s, state.anchor)
+                state = _reject(state, history.time_s[outside & new])
+        record = _ZoneRecord(
+            history.time_s, self.mask_rejected(state, history, z), raw, forced_K, history.step_s, state.anchor
+        )
         before = state.distrust
-        state = self._validated_now(state, seen) if self.config.enabled else state
+        state = self._validated_now(state, record) if self.config.enabled else state
         state = replace(state, seen_s=now_s)
         T = self.mask_rejected(state, history, z)
         if math.isfinite(T[-1]):
-            news = f"{self._of}readings are believed again ({before})" if before and not state.distrust else ""
+            news = f"{self._prefix}readings are believed again ({before})" if before and not state.distrust else ""
             return state, Sensed(float(T[-1]), news=news)
-        known = np.flatnonzero(np.isfinite(T))
-        if not known.size:
+        valid = np.flatnonzero(np.isfinite(T))
+        if not valid.size:
             return state, Sensed(math.nan, f"the temperature of {self.name or 'the zone'} was never measured", True)
-        age_h = (now_s - float(history.time_s[known[-1]])) / HOUR_S
+        age_h = (now_s - float(history.time_s[valid[-1]])) / HOUR_S
         reason = state.distrust or "was not measured"
-        why = f"{self._of}zone temperature {reason}, the last reading believed is {age_h:.3g} h old"
-        return state, Sensed(seen.predicted(T.size - 1)[0], why, age_h > self.config.bridge_h + 1e-6)
+        why = f"{self._prefix}zone temperature {reason}, the last reading believed is {age_h:.3g} h old"
+        return state, Sensed(record.predicted(T.size - 1)[0], why, age_h > self.config.bridge_h + 1e-6)
 
     def anchored(self, state: SensorState, history: Record, z: int, context: PredictionContext) -> SensorState:
-        """The state with the free forecast of a plan, where its reading was believed and new."""
+        """The state with the free forecast of a plan, where its reading was accepted and new."""
         time_s, T = float(history.time_s[-1]), self.mask_rejected(state, history, z)
         if not math.isfinite(T[-1]):
             return state
@@ -121,12 +123,12 @@ class Sensor:
         return replace(state, anchor=Anchor(time_s, context.free.median_C[z], half_K))
 
     @property
-    def _of(self) -> str:
+    def _prefix(self) -> str:
         return f"{self.name}: " if self.name else ""
 
-    def _validated_now(self, state: SensorState, seen: _Seen) -> SensorState:
+    def _validated_now(self, state: SensorState, record: _ZoneRecord) -> SensorState:
         """The state after the reading of now."""
-        now_s, y = float(seen.time_s[-1]), float(seen.raw_C[-1])
+        now_s, y = float(record.time_s[-1]), float(record.raw_C[-1])
         if math.isnan(y):
             if not state.distrust or state.kind == "frozen":  # a frozen sensor that fell silent is no longer frozen
                 return replace(state, distrust="was not measured", kind="silent", since=())
@@ -134,86 +136,86 @@ class Sensor:
         if now_s in state.refused_s:
             return replace(state, distrust=f"reads {y:.4g} °C, out of range", kind="silent", since=())
         if state.distrust:
-            return self._again(state, seen, y)
-        jump = self._jump(seen, y)
+            return self._after_rejection(state, record, y)
+        jump = self._jump_reason(record, y)
         if jump:
-            off = y - seen.predicted(seen.time_s.size - 1)[0]
+            off = y - record.predicted(record.time_s.size - 1)[0]
             state = replace(state, distrust=jump, kind="jump", since=((now_s, y, off),))
-            return _refusing(state, seen.time_s[-1:])
-        repeated, frozen = self._frozen(seen, y)
+            return _reject(state, record.time_s[-1:])
+        repeated, frozen = self._frozen_reason(record, y)
         if frozen:
             state = replace(state, distrust=frozen, kind="frozen", since=())
-            return _refusing(state, seen.time_s[-repeated:])
+            return _reject(state, record.time_s[-repeated:])
         return state
 
-    def _limit_K(self, seen: _Seen, half_K: float = 0.0) -> float:
-        """Largest distance from the prediction, or change within a step, that is believed, K."""
-        changes = np.abs(np.diff(seen.T_C[:-1]))
+    def _limit_K(self, record: _ZoneRecord, half_K: float = 0.0) -> float:
+        """Largest distance from the prediction, or change within a step, that is accepted, K."""
+        changes = np.abs(np.diff(record.T_C[:-1]))
         largest = float(np.nanmax(changes)) if np.isfinite(changes).any() else math.inf
         return max(self.config.jump_K, _TIMES_RECORD * largest, _BANDS * half_K if math.isfinite(half_K) else 0.0)
 
-    def _jump(self, seen: _Seen, y: float) -> str:
+    def _jump_reason(self, record: _ZoneRecord, y: float) -> str:
         """In what way a reading is a jump; empty where it is none."""
-        predicted_C, half_K = seen.predicted(seen.time_s.size - 1)
-        known = np.flatnonzero(np.isfinite(seen.T_C[:-1]))
-        if not known.size or not math.isfinite(predicted_C):
+        predicted_C, half_K = record.predicted(record.time_s.size - 1)
+        valid = np.flatnonzero(np.isfinite(record.T_C[:-1]))
+        if not valid.size or not math.isfinite(predicted_C):
             return ""
-        limit_K, off_K = self._limit_K(seen, half_K), y - predicted_C
+        limit_K, off_K = self._limit_K(record, half_K), y - predicted_C
         if abs(off_K) <= limit_K:
             return ""
         # A model that drifts away while the sensor moves on is the model's fault.
-        if known[-1] == seen.T_C.size - 2 and abs(y - seen.T_C[-2]) <= self._limit_K(seen):
+        if valid[-1] == record.T_C.size - 2 and abs(y - record.T_C[-2]) <= self._limit_K(record):
             return ""
         return f"jumped to {y:.2f} °C, {abs(off_K):.2f} K from its prediction ({limit_K:.2f} K are believed)"
 
-    def _frozen(self, seen: _Seen, y: float) -> tuple[int, str]:
-        """How many readings repeat the one before, and why that is no honest repetition; empty where it may be one."""
-        same = np.equal(seen.T_C, y)
+    def _frozen_reason(self, record: _ZoneRecord, y: float) -> tuple[int, str]:
+        """How many readings repeat the one before, and why the sensor is frozen; empty where it may not be."""
+        same = np.equal(record.T_C, y)
         repeated = int(same.size if same.all() else np.argmin(same[::-1])) - 1
-        if repeated * seen.step_s < self.config.frozen_h * HOUR_S - 1.0:
+        if repeated * record.step_s < self.config.frozen_h * HOUR_S - 1.0:
             return repeated, ""
-        before = seen.T_C[: same.size - repeated]
+        before = record.T_C[: same.size - repeated]
         changes = np.abs(np.diff(before))
         moved = changes[changes > 0]
         if not moved.size:
             return repeated, ""
-        honest = repeated <= _longest_run(np.diff(before) == 0)
-        bands, least_K = (_SURELY_BANDS, _SURELY_K) if honest else (_FROZEN_BANDS, _FROZEN_K)
-        courses = np.array([seen.predicted(i) for i in range(same.size - repeated, same.size)])
+        plausible = repeated <= _longest_run(np.diff(before) == 0)
+        bands, least_K = (_SURELY_BANDS, _SURELY_K) if plausible else (_FROZEN_BANDS, _FROZEN_K)
+        courses = np.array([record.predicted(i) for i in range(same.size - repeated, same.size)])
         beyond_K = np.abs(courses[:, 0] - y) - bands * courses[:, 1] - moved.min() - least_K
         if not (beyond_K > 0.0).any():
             return repeated, ""
-        hours = repeated * seen.step_s / HOUR_S
+        hours = repeated * record.step_s / HOUR_S
         return repeated, f"has been {y:.2f} °C for {hours:.3g} h, in which the model moved away"
 
-    def _again(self, state: SensorState, seen: _Seen, y: float) -> SensorState:
-        """The state where readings had not been believed: they are again, or this one is not either."""
-        now_s = float(seen.time_s[-1])
-        predicted_C, half_K = seen.predicted(seen.time_s.size - 1)
+    def _after_rejection(self, state: SensorState, record: _ZoneRecord, y: float) -> SensorState:
+        """The state where readings had been rejected: they are accepted again, or this one is rejected too."""
+        now_s = float(record.time_s[-1])
+        predicted_C, half_K = record.predicted(record.time_s.size - 1)
         off_K = y - predicted_C
-        before = seen.raw_C[-2] if seen.raw_C.size > 1 else math.nan
+        before = record.raw_C[-2] if record.raw_C.size > 1 else math.nan
         since = (*state.since, (now_s, y, off_K))
-        believed = replace(state, distrust="", kind="", since=())
+        accepted = replace(state, distrust="", kind="", since=())
         if state.kind == "frozen" and y == before:
-            return _refusing(state, seen.time_s[-1:])
-        known = np.flatnonzero(np.isfinite(seen.T_C[:-1]))
-        bridged_h = (now_s - float(seen.time_s[known[-1]])) / HOUR_S if known.size else math.inf
-        limit_K = self._limit_K(seen, half_K)
+            return _reject(state, record.time_s[-1:])
+        valid = np.flatnonzero(np.isfinite(record.T_C[:-1]))
+        bridged_h = (now_s - float(record.time_s[valid[-1]])) / HOUR_S if valid.size else math.inf
+        limit_K = self._limit_K(record, half_K)
         if state.kind != "jump" and bridged_h > self.config.bridge_h:
             limit_K = max(limit_K, _AFTER_SILENCE_K)
         if abs(off_K) <= limit_K or (math.isnan(off_K) and state.kind != "jump"):
-            return believed
-        if state.kind == "jump" and _goes_on(since):
-            kept = tuple(time_s for time_s in state.refused_s if time_s < since[0][0])
-            return replace(believed, refused_s=kept)
+            return accepted
+        if state.kind == "jump" and _keeps_moving(since):
+            refused_before = tuple(time_s for time_s in state.refused_s if time_s < since[0][0])
+            return replace(accepted, refused_s=refused_before)
         if self._steady(since, limit_K):
-            return believed
+            return accepted
         jump = state.distrust
         if state.kind != "jump":
             jump = f"came back at {y:.2f} °C, {abs(off_K):.2f} K from its prediction"
             since = since[-1:]
-        longest = round(self.config.return_h * HOUR_S / seen.step_s) + 2
-        return _refusing(replace(state, distrust=jump, kind="jump", since=since[-longest:]), seen.time_s[-1:])
+        longest = round(self.config.return_h * HOUR_S / record.step_s) + 2
+        return _reject(replace(state, distrust=jump, kind="jump", since=since[-longest:]), record.time_s[-1:])
 
     def _steady(self, since: tuple[tuple[float, float, float], ...], limit_K: float) -> bool:
         """Whether consecutive readings of `return_h` moved as those of a sensor do: neither in jumps nor not at all."""
@@ -224,13 +226,13 @@ class Sensor:
         return bool(steps.max() <= limit_K and np.ptp(readings) > 0.0)
 
 
-def _refusing(state: SensorState, time_s: Array) -> SensorState:
-    """The state with the readings of some instants not believed."""
+def _reject(state: SensorState, time_s: Array) -> SensorState:
+    """The state with the readings of some instants rejected."""
     new = tuple(float(t) for t in time_s if float(t) not in state.refused_s)
     return replace(state, refused_s=(*state.refused_s, *new)) if new else state
 
 
-def _goes_on(since: tuple[tuple[float, float, float], ...]) -> bool:
+def _keeps_moving(since: tuple[tuple[float, float, float], ...]) -> bool:
     """Whether readings after a jump went on the same way, as those of a zone do and of a moved sensor do not."""
     times = np.array([t for t, _, _ in since])
     off = np.array([off_K for _, _, off_K in since])

@@ -1,4 +1,4 @@
-"""Options of a zone sensor, what is known of it from step to step, and what it says of its zone now."""
+"""Options of a zone sensor, its state from step to step, and its zone now."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class SensorConfig(StrictModel):
 
 @dataclass(frozen=True)
 class Anchor:
-    """Free forecast from the last reading that was believed and new: `free_C`, half-width of its band `half_K` (N,)."""
+    """Free forecast from the last reading that was accepted and new: `free_C`, half-width of its band `half_K` (N,)."""
 
     time_s: float
     free_C: Array
@@ -59,10 +59,10 @@ class Anchor:
 
 @dataclass(frozen=True)
 class SensorState:
-    """What is known of one zone's sensor.
+    """State of one zone's sensor.
 
-    `refused_s`: instants of readings that were not believed. `anchor`: what predicts the next ones. `seen_s`: the last
-    instant judged. `distrust`: why readings are not believed at present, by kind; empty while they are. `since`:
+    `refused_s`: instants of readings that were rejected. `anchor`: what predicts the next ones. `seen_s`: the last
+    instant validated. `distrust`: why readings are rejected at present, by kind; empty while they are not. `since`:
     readings since then: time s, °C, and their distance from the prediction, K.
     """
 
@@ -76,10 +76,10 @@ class SensorState:
 
 @dataclass(frozen=True)
 class Sensed:
-    """A zone now: `T_C` is its reading, or the model's temperature where the reading is not believed (NaN: unknown).
+    """A zone now: `T_C` is its reading, or the model's temperature where the reading is rejected (NaN: unknown).
 
     `why`: why it is not, and since when; empty where it is. `lost`: the model stands in for it no longer. `news`:
-    that readings are believed again.
+    that readings are accepted again.
     """
 
     T_C: float

@@ -31,7 +31,7 @@ class Zones:
 
     @property
     def news(self) -> str:
-        """Which readings are believed again, in words."""
+        """Which readings are accepted again, in words."""
         return "; ".join(zone.news for zone in self.each if zone.news)
 
 
@@ -65,18 +65,18 @@ class ZoneSensors:
         Returns:
             The states, the record with rejected readings taken as not measured, and the zones now.
         """
-        after, seen = [], []
+        after, zones = [], []
         for z, (sensor, state) in enumerate(self._each(states)):
             row = None if forced_K is None else forced_K[z].sum(axis=(0, 2))
             state, zone = sensor.validate(state, history, z, row)
             after.append(state)
-            seen.append(zone)
-        return tuple(after), self.mask_rejected(after, history), Zones(tuple(seen))
+            zones.append(zone)
+        return tuple(after), self.mask_rejected(after, history), Zones(tuple(zones))
 
     def anchored(
         self, states: Sequence[SensorState], history: Record, context: PredictionContext
     ) -> tuple[SensorState, ...]:
-        """The states with the free forecast of a plan, for zones whose reading is believed and new."""
+        """The states with the free forecast of a plan, for zones whose reading is accepted and new."""
         return tuple(
             state if z in context.unmeasured else sensor.anchored(state, history, z, context)
             for z, (sensor, state) in enumerate(self._each(states))

@@ -199,7 +199,7 @@ class ThermoForceMPC(ActuatedController):
 
         It changes nothing but caches: one controller may make the plans of several buildings of the same model.
         """
-        before, actuation = self._begun(observation, state, MPCState)
+        before, actuation = self._resume(observation, state, MPCState)
         if before is None:
             before = MPCState.begin(observation.time_s, self._layout.names, self._readings.meters.begin)
         before = replace(before, actuation=actuation, last_s=observation.time_s)

@@ -55,13 +55,13 @@ class NoModelController(ActuatedController):
         Raises:
             DataError: the boundary forecast does not fit `horizon_s` and `step_s`, or `state` is another controller's.
         """
-        _, states = self._begun(observation, state, NoModelState)
-        demands, who = zip(*(fallback.standing_back(observation) for fallback in self._fallbacks), strict=True)
-        acting = self._actuators.realise(demands, self._step_s, states)
-        told = "; ".join(self._actuators.named(a, one) for a, one in enumerate(who))
-        if len(set(who)) == 1:
-            told = who[0]
-        told = "; ".join([told, *self._actuators.excluded_in_words(acting)])
-        why = f"gate: no model could be identified ({self.reason}): {told}"
-        after = NoModelState(acting.states, observation.time_s)
-        return Plan(acting.together(), PlanStatus.GATE, why, names=self._layout.names, state=after)
+        _, states = self._resume(observation, state, NoModelState)
+        demands, actors = zip(*(fallback.standing_back(observation) for fallback in self._fallbacks), strict=True)
+        realised = self._actuators.realise(demands, self._step_s, states)
+        acting = "; ".join(self._actuators.named(a, actor) for a, actor in enumerate(actors))
+        if len(set(actors)) == 1:
+            acting = actors[0]
+        acting = "; ".join([acting, *self._actuators.excluded_in_words(realised)])
+        why = f"gate: no model could be identified ({self.reason}): {acting}"
+        after = NoModelState(realised.states, observation.time_s)
+        return Plan(realised.together(), PlanStatus.GATE, why, names=self._layout.names, state=after)

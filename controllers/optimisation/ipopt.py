@@ -64,9 +64,9 @@ class IpoptSolver:
         peak, over = ca.SX.sym("peak", int(shape.peak)), ca.SX.sym("over", 1, n if shape.capped else 0)
         shared = np.flatnonzero(machinery.shared)
         runs = ca.SX.sym("runs", shared.size, m)
-        asks = machinery.runs_for
+        runs_for = machinery.runs_for
         theta, excess = ca.SX.sym("theta", shared.size, m), ca.SX.sym("excess", A if shared.size else 0, m)
-        given = {
+        parameters = {
             "F_now": ca.SX.sym("F_now", len(pairs) * r),
             "features": ca.SX.sym("features", Z * N_FEATURES, n),
             **{name: ca.SX.sym(name, Z, n) for name in ("T_free", "lower", "upper")},
@@ -88,11 +88,11 @@ class IpoptSolver:
             rows, first = slice(number * r, (number + 1) * r), N_FEATURES * operator.home[a]
             forced[z] = forced[z] + ca.sum1(F[rows, :])
             for k in range(n):
-                before = given["F_now"][rows] if k == 0 else F[rows, k - 1]
-                x = given["features"][first : first + N_FEATURES, k]
+                before = parameters["F_now"][rows] if k == 0 else F[rows, k - 1]
+                x = parameters["features"][first : first + N_FEATURES, k]
                 dynamics.append(F[rows, k] - steps[number](before, u[a, k], x))
-        T = given["T_free"] + ca.vertcat(*forced)
-        constraints = [ca.vec(T + slack - given["lower"]), ca.vec(given["upper"] - T + slack)]
+        T = parameters["T_free"] + ca.vertcat(*forced)
+        constraints = [ca.vec(T + slack - parameters["lower"]), ca.vec(parameters["upper"] - T + slack)]
 
         power, energy = ca.SX.zeros(1, n), ca.SX.zeros(1, n)
         on = [_on_share(heat[a, :], machinery, a) for a in range(A)]
@@ -104,27 +104,27 @@ class IpoptSolver:
                 reached = theta[int(np.flatnonzero(shared == number)[0]), of_step]
                 beyond = {a: excess[a, of_step] for a in fed}
                 constraints += [ca.vec(reached + beyond[a] - on[a]) for a in fed]
-                constraints += [ca.vec(runs_m - reached - sum(float(asks[a]) * beyond[a] for a in fed))]
+                constraints += [ca.vec(runs_m - reached - sum(float(runs_for[a]) * beyond[a] for a in fed))]
                 constraints += [ca.vec(runs_m - loads)]
             else:
                 runs_m = on[fed[0]]
             if machinery.share[fed].any():
-                constraints.append(ca.vec(given["capacity"][number, :] - loads))
-            power += given["fixed"][number, :] * runs_m
-            energy += given["fixed_cost"][number, :] * runs_m
+                constraints.append(ca.vec(parameters["capacity"][number, :] - loads))
+            power += parameters["fixed"][number, :] * runs_m
+            energy += parameters["fixed_cost"][number, :] * runs_m
             for a in fed:
-                power += given["per_u"][a, :] * heat[a, :] + given["cold_power"][a, :] * cool[a, :]
-                energy += given["price_W"][number, :] * given["per_u"][a, :] * heat[a, :]
-                energy += given["cold_cost"][a, :] * cool[a, :]
-        weights = given["weights"]
-        objective = ca.sum2(energy) + ca.dot(given["comfort"], ca.sum2(slack)) + weights[0] * ca.sumsqr(u)
-        objective -= ca.dot(given["terminal"], F[:, n - 1])
+                power += parameters["per_u"][a, :] * heat[a, :] + parameters["cold_power"][a, :] * cool[a, :]
+                energy += parameters["price_W"][number, :] * parameters["per_u"][a, :] * heat[a, :]
+                energy += parameters["cold_cost"][a, :] * cool[a, :]
+        weights = parameters["weights"]
+        objective = ca.sum2(energy) + ca.dot(parameters["comfort"], ca.sum2(slack)) + weights[0] * ca.sumsqr(u)
+        objective -= ca.dot(parameters["terminal"], F[:, n - 1])
         if shape.peak:
             objective += weights[1] * POWER_UNIT_W * peak
-            constraints.append(ca.vec(peak + (given["reached"] - power) / POWER_UNIT_W))
+            constraints.append(ca.vec(peak + (parameters["reached"] - power) / POWER_UNIT_W))
         if shape.capped:
             objective += weights[2] * POWER_UNIT_W * ca.sum2(over)
-            constraints.append(ca.vec(over + (given["limit"] - power) / POWER_UNIT_W))
+            constraints.append(ca.vec(over + (parameters["limit"] - power) / POWER_UNIT_W))
         decisions = [v, cold, F, slack, peak, over, runs, theta, excess]
         options: dict[str, Any] = {
             "print_time": False,
@@ -141,19 +141,19 @@ class IpoptSolver:
         }
         nlp = {
             "x": ca.veccat(*decisions),
-            "p": ca.veccat(*given.values()),
+            "p": ca.veccat(*parameters.values()),
             "f": objective,
             "g": ca.veccat(*dynamics, *constraints),
         }
         self._solver = ca.nlpsol("thermoforce_mpc", "ipopt", nlp, options)
-        self._order, self._pairs, self._max_seconds = list(given), pairs, config.max_seconds
+        self._order, self._pairs, self._max_seconds = list(parameters), pairs, config.max_seconds
         zeros, free = np.zeros, np.full(len(pairs) * r * n, np.inf)
-        others = [part.numel() for part in (slack, peak, over, runs, theta, excess)]
-        self._lbx = np.concatenate([zeros(A * m + S.size * m), -free, zeros(sum(others))])
+        sizes = [variable.numel() for variable in (slack, peak, over, runs, theta, excess)]
+        self._lbx = np.concatenate([zeros(A * m + S.size * m), -free, zeros(sum(sizes))])
         self._ubx = np.concatenate(
-            [np.tile(machinery.u_max, m), np.tile(-machinery.u_min[S], m), free, np.full(sum(others), np.inf)]
+            [np.tile(machinery.u_max, m), np.tile(-machinery.u_min[S], m), free, np.full(sum(sizes), np.inf)]
         )
-        inequalities = sum(part.numel() for part in constraints)
+        inequalities = sum(variable.numel() for variable in constraints)
         self._lbg = zeros(free.size + inequalities)
         self._ubg = np.concatenate([zeros(free.size), np.full(inequalities, np.inf)])
         # A kink makes the power concave in u, so local optima are possible. Its convex envelope on [0, u_max] is the
@@ -258,19 +258,19 @@ class IpoptSolver:
         slack = problem.slack_K(problem.T_free_C + F.sum(axis=(1, 3)))
         power = problem.power_W(u).sum(axis=0)
         runs = problem.running(u)[np.flatnonzero(shape.machinery.shared)]
-        parts = [np.maximum(moves, 0.0), np.maximum(-moves[shape.machinery.signed], 0.0)]
+        variables = [np.maximum(moves, 0.0), np.maximum(-moves[shape.machinery.signed], 0.0)]
         # States of a pair, one step after another.
-        parts.append(np.stack([F[z, a].T for z, a, _ in self._pairs]).reshape(-1, u.shape[1]))
-        parts.append(slack)
+        variables.append(np.stack([F[z, a].T for z, a, _ in self._pairs]).reshape(-1, u.shape[1]))
+        variables.append(slack)
         if shape.peak:
-            parts.append(np.array([max(power.max() - problem.peak_so_far_W, 0.0) / POWER_UNIT_W]))
+            variables.append(np.array([max(power.max() - problem.peak_so_far_W, 0.0) / POWER_UNIT_W]))
         if shape.capped and problem.power_cap is not None:
-            parts.append(np.maximum(power - problem.power_cap.limit_W, 0.0) / POWER_UNIT_W)
-        parts.append(runs[:, shape.first_steps])
+            variables.append(np.maximum(power - problem.power_cap.limit_W, 0.0) / POWER_UNIT_W)
+        variables.append(runs[:, shape.first_steps])
         if shape.machinery.shared.any():
             on = problem.on_share(u)[:, shape.first_steps]
-            parts += [np.zeros(runs[:, shape.first_steps].shape), on]
-        return np.concatenate([part.ravel(order="F") for part in parts])
+            variables += [np.zeros(runs[:, shape.first_steps].shape), on]
+        return np.concatenate([variable.ravel(order="F") for variable in variables])
 
 
 def _on_share(heat: ca.SX, machinery: EquipmentLayout, a: int) -> ca.SX:

@@ -69,7 +69,7 @@ class EquipmentLayout:
                 )
             if not 0 <= self.machine_of[a] < M:
                 raise ControllerConfigError(f"actuator {actuator}: machine {self.machine_of[a]} is not among {M}")
-        if self.cycles_below and (len(self.cycles_below) != M or not all(0 <= one <= 1 for one in self.cycles_below)):
+        if self.cycles_below and (len(self.cycles_below) != M or not all(0 <= load <= 1 for load in self.cycles_below)):
             raise ControllerConfigError(
                 f"cycles_below of {M} machines: found {self.cycles_below}, expected 0 to 1 each"
             )
@@ -83,9 +83,15 @@ class EquipmentLayout:
     @staticmethod
     def one(u_max: float = 1.0, lowest_level: float = 1.0, u_min: float = 0.0) -> EquipmentLayout:
         """One machine with one actuator."""
-        one = np.ones(1)
+        unit = np.ones(1)
         return EquipmentLayout(
-            ("actuator",), ("machine",), u_max * one, lowest_level * one, u_min * one, np.zeros(1, np.intp), 0.0 * one
+            ("actuator",),
+            ("machine",),
+            u_max * unit,
+            lowest_level * unit,
+            u_min * unit,
+            np.zeros(1, np.intp),
+            0.0 * unit,
         )
 
     @property
@@ -118,8 +124,8 @@ class EquipmentLayout:
         """Share of the time that its machine runs while only that actuator is on, (A,)."""
         below = np.array(self.cycles_below or [0.0] * len(self.machines))[self.machine_of]
         load = self.share * self.u_max
-        known = self.shared[self.machine_of] & (load > 0.0) & (below > load)
-        return np.where(known, load / np.where(known, below, 1.0), 1.0)
+        cycles = self.shared[self.machine_of] & (load > 0.0) & (below > load)
+        return np.where(cycles, load / np.where(cycles, below, 1.0), 1.0)
 
     @cached_property
     def fed_by(self) -> Array:
@@ -134,5 +140,5 @@ class EquipmentLayout:
         if not self.held.any():
             return self.lowest_level[:, None]
         later = np.maximum(self.lowest_level, self.u_max)
-        held = n_steps if held_steps is None else held_steps
-        return np.where(np.arange(n_steps) < held, self.lowest_level[:, None], later[:, None])
+        n_held = n_steps if held_steps is None else held_steps
+        return np.where(np.arange(n_steps) < n_held, self.lowest_level[:, None], later[:, None])

@@ -89,15 +89,15 @@ class Highs:
         lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
         lp.a_matrix_.num_row_, lp.a_matrix_.num_col_ = matrix.shape
         lp.a_matrix_.start_, lp.a_matrix_.index_, lp.a_matrix_.value_ = matrix.indptr, matrix.indices, matrix.data
-        whole = np.zeros(q.linear.size, dtype=np.intp)
-        whole[choices] = 1
+        integrality = np.zeros(q.linear.size, dtype=np.intp)
+        integrality[choices] = 1
         kinds: Any = [highspy.HighsVarType.kContinuous, highspy.HighsVarType.kInteger]
-        lp.integrality_ = [kinds[kind] for kind in whole.tolist()]
+        lp.integrality_ = [kinds[is_whole] for is_whole in integrality.tolist()]
         solver.passModel(lp)
         if start is not None:
-            given = highspy.HighsSolution()
-            given.col_value = start
-            solver.setSolution(given)
+            warm_start = highspy.HighsSolution()
+            warm_start.col_value = start
+            solver.setSolution(warm_start)
         solver.run()
         status, info = solver.getModelStatus(), solver.getInfo()
         word = solver.modelStatusToString(status)
@@ -182,14 +182,14 @@ class MilpSolver:
         linear = programme.constant + programme.unit * float(programme.linear @ answer.x)
         bound = programme.constant + programme.unit * answer.bound
         gap = max(linear - bound, 0.0) / max(abs(linear), 1e-9)
-        held = self._held(problem, solution.u)
-        off_K = np.abs(problem.modes_K(self.operator, held) - modes_of(solution.u)).max()
+        held_levels = self._to_held_levels(problem, solution.u)
+        off_K = np.abs(problem.modes_K(self.operator, held_levels) - modes_of(solution.u)).max()
         if not off_K <= _SAME_K:
             why = f"highs: levels of later steps bring another heat than planned ({off_K:.2g} K)"
             return failed(status, answer.nodes, why)
         why = "" if answer.optimal else f"highs: time limit, at most {gap:.1%} above the optimum"
         status = f"{status}, gap {gap:.2g}"
-        return replace(solution, u=held, gap=gap, status=status, problem=why, optimal=answer.optimal)
+        return replace(solution, u=held_levels, gap=gap, status=status, problem=why, optimal=answer.optimal)
 
     def _start(self, programme: QPData) -> Array | None:
         """The relaxation's levels with their choices rounded: what HiGHS improves on; None where it fails."""
@@ -201,7 +201,7 @@ class MilpSolver:
         start[choices] = self._sparse_qp.rounded(start)
         return start
 
-    def _held(self, problem: MPCProblem, u: Array) -> Array:
+    def _to_held_levels(self, problem: MPCProblem, u: Array) -> Array:
         """Levels with the relaxed steps of held actuators as the held level of the same heat."""
         machinery, later = self.shape.machinery, slice(self.shape.n_held, None)
         u = u.copy()
@@ -218,9 +218,9 @@ def held_level(heat_input: HeatInput, u: Array, T_out_C: Array, u_max: float) ->
         return np.asarray(u, dtype=np.float64)
     heat = heat_input.heat
     fixed_W, per_u_W = heat.parts(T_out_C)
-    wanted_W = np.asarray(u) / u_max * heat(np.full_like(T_out_C, u_max), T_out_C)
+    target_W = np.asarray(u) / u_max * heat(np.full_like(T_out_C, u_max), T_out_C)
     lowest_W = fixed_W + per_u_W * heat.lowest_level
     # Where heat does not increase with the level, the lowest level is used.
-    above = np.maximum((wanted_W - fixed_W) / np.where(per_u_W > 0, per_u_W, np.inf), heat.lowest_level)
-    below = wanted_W / (fixed_W / heat.lowest_level + per_u_W)
-    return np.clip(np.where(wanted_W >= lowest_W, above, below), 0.0, u_max)
+    above = np.maximum((target_W - fixed_W) / np.where(per_u_W > 0, per_u_W, np.inf), heat.lowest_level)
+    below = target_W / (fixed_W / heat.lowest_level + per_u_W)
+    return np.clip(np.where(target_W >= lowest_W, above, below), 0.0, u_max)

@@ -90,8 +90,8 @@ class ProblemShape:
     @property
     def n_held_moves(self) -> int:
         """Number of first moves that hold one of the first `held_steps` steps."""
-        held = self.n_steps if self.held_steps is None else min(self.held_steps, self.n_steps)
-        return int(self.move_of_step[held - 1]) + 1 if held > 0 else 0
+        held_steps = self.n_steps if self.held_steps is None else min(self.held_steps, self.n_steps)
+        return int(self.move_of_step[held_steps - 1]) + 1 if held_steps > 0 else 0
 
     @property
     def n_held(self) -> int:
@@ -108,7 +108,7 @@ class ProblemShape:
 
     def needs_choices(self, operator: BuildingOperator) -> bool:
         """Whether a step holds a choice between off and on, which is not convex."""
-        held = [
+        has_choice = [
             bool(at_least) or (heat is not None and heat.lowest_level < highest)
             for at_least, heat, highest in zip(
                 self.machinery.held,
@@ -117,7 +117,7 @@ class ProblemShape:
                 strict=True,
             )
         ]
-        return self.n_held > 0 and (any(held) or bool(self.machinery.exclusive))
+        return self.n_held > 0 and (any(has_choice) or bool(self.machinery.exclusive))
 
     def convex(self, operator: BuildingOperator) -> bool:
         """Whether power and heat are linear in u and on, so that the problem is a convex quadratic programme."""
@@ -306,8 +306,8 @@ class MPCProblem:
         running = []
         for number in range(len(m.machines)):
             fed = m.machine_of == number
-            asked = running_share(on[..., fed, :], m.runs_for[fed]) if fed.sum() > 1 else on[..., fed, :][..., 0, :]
-            running.append(asked if loads is None else np.maximum(asked, loads[..., fed, :].sum(axis=-2)))
+            needed = running_share(on[..., fed, :], m.runs_for[fed]) if fed.sum() > 1 else on[..., fed, :][..., 0, :]
+            running.append(needed if loads is None else np.maximum(needed, loads[..., fed, :].sum(axis=-2)))
         return np.stack(running, axis=-2)
 
     def power_W(self, u: Array) -> Array:
@@ -358,8 +358,8 @@ class MPCProblem:
             if self.power_cap is not None:
                 over = np.maximum(power - self.power_cap.limit_W, 0.0)
                 cost = cost + self.cap_price_per_W * over.sum(axis=-1)
-        left = (modes[..., -1, :] * self.terminal_price_per_K).sum(axis=(-3, -2, -1))
-        return np.asarray(cost - left, dtype=np.float64)
+        terminal_value = (modes[..., -1, :] * self.terminal_price_per_K).sum(axis=(-3, -2, -1))
+        return np.asarray(cost - terminal_value, dtype=np.float64)
 
     def finite(self) -> bool:
         """Whether every number of the instance is finite."""
@@ -396,17 +396,17 @@ class MPCProblem:
         if unfit:
             return unfit
         if m.share.any():
-            asked = m.fed_by @ (m.share[:, None] * self._heating(u))
-            load = (asked if self.capacity is None else asked / self.capacity).max(axis=-1)
+            demand = m.fed_by @ (m.share[:, None] * self._heating(u))
+            load = (demand if self.capacity is None else demand / self.capacity).max(axis=-1)
             for number in np.flatnonzero(load > 1.0 + _BOUND_TOLERANCE):
                 return f"u asks {load[number]:.4g} times the capacity of {m.machines[number]}"
-        held = self.n_steps if self.held_steps is None else self.held_steps
+        held_steps = self.n_steps if self.held_steps is None else self.held_steps
         for group in m.exclusive:
-            acts = (np.abs(u[list(group), :held]) > _BOUND_TOLERANCE).sum(axis=0)
+            acts = (np.abs(u[list(group), :held_steps]) > _BOUND_TOLERANCE).sum(axis=0)
             names = ", ".join(m.actuators[a] for a in group)
             if (acts > 1).any():
                 return f"{names} act together in step {int(np.argmax(acts > 1))}, but exclude one another"
-            later = u[list(group), held:]
+            later = u[list(group), held_steps:]
             ends = np.where(later < 0.0, m.u_min[list(group), None], m.u_max[list(group), None])
             if later.size and (later / ends).sum(axis=0).max() > 1.0 + _BOUND_TOLERANCE:
                 return f"{names} act for longer than a step together, but exclude one another"

@@ -112,15 +112,15 @@ class Clarabel:
 
         eye = sparse.identity(q.linear.size, format="csc")
         upper = [(q.G, q.high), (-q.G, -q.low), (eye, q.x_high), (-eye, -q.x_low)]
-        kept = [(matrix[np.isfinite(bound)], bound[np.isfinite(bound)]) for matrix, bound in upper]
-        A = sparse.vstack([q.A, *(matrix for matrix, _ in kept)], format="csc")
-        b = np.concatenate([q.b, *(bound for _, bound in kept)])
+        finite = [(matrix[np.isfinite(bound)], bound[np.isfinite(bound)]) for matrix, bound in upper]
+        A = sparse.vstack([q.A, *(matrix for matrix, _ in finite)], format="csc")
+        b = np.concatenate([q.b, *(bound for _, bound in finite)])
         cones = [clarabel.ZeroConeT(q.b.size), clarabel.NonnegativeConeT(b.size - q.b.size)]
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.max_iter = self._config.max_iterations
         settings.time_limit = self._config.max_seconds
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = self._config.tolerance
-        found = clarabel.DefaultSolver(q.quadratic, q.linear, A, b, cones, settings).solve()
-        status = str(found.status)
-        return SolverResult(status == "Solved", np.array(found.x, dtype=np.float64), status, int(found.iterations))
+        result = clarabel.DefaultSolver(q.quadratic, q.linear, A, b, cones, settings).solve()
+        status = str(result.status)
+        return SolverResult(status == "Solved", np.array(result.x, dtype=np.float64), status, int(result.iterations))

@@ -83,11 +83,11 @@ class Group:
 
 def groups_of(operator: BuildingOperator, n_steps: int, *, power_couples: bool) -> list[Group]:
     """Return the pairs of each zone by poles; `power_couples`: whether power couples the zones of a step."""
-    found: dict[tuple[int, tuple[float, ...]], list[int]] = {}
+    by_poles: dict[tuple[int, tuple[float, ...]], list[int]] = {}
     for z, a, pair in operator.each():
-        found.setdefault((z, tuple(pair.poles.tolist())), []).append(a)
+        by_poles.setdefault((z, tuple(pair.poles.tolist())), []).append(a)
     groups, gains = [], operator.gains
-    for (z, key), actuators in found.items():
+    for (z, key), actuators in by_poles.items():
         poles = np.array(key)
         numerators = np.array([transfer_function(poles, gains[z, a])[1] for a in actuators])
         denominator = np.asarray(np.poly(poles), dtype=np.float64)
@@ -96,10 +96,10 @@ def groups_of(operator: BuildingOperator, n_steps: int, *, power_couples: bool) 
         of = np.array(actuators, dtype=np.intp)
         groups.append(Group(z, of, of, denominator, numerators, begin))
     Z, A, _ = operator.shape
-    return _filled(groups, (Z, A), power_couples=power_couples)
+    return _fill_numerators(groups, (Z, A), power_couples=power_couples)
 
 
-def _filled(groups: list[Group], shape: tuple[int, int], *, power_couples: bool) -> list[Group]:
+def _fill_numerators(groups: list[Group], shape: tuple[int, int], *, power_couples: bool) -> list[Group]:
     """The groups with numerators of 0 for actuators without an effect, where that helps the solver.
 
     Minimum degree orders a full pattern by time, and one with a few cross-effects so that it fills up: at 20 zones the

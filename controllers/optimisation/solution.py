@@ -122,11 +122,11 @@ def accept_suboptimal(
     def cost(levels: Array) -> float:
         return float(problem.cost_under(levels, modes_of(levels)))
 
-    others = [np.zeros_like(u), np.broadcast_to(high, u.shape)]
+    references = [np.zeros_like(u), np.broadcast_to(high, u.shape)]
     if guess is not None and guess.shape == u.shape:
-        others.append(np.clip(guess, low, high))
-    least = min((cost(levels) for levels in others if not problem.outside(levels)), default=np.inf)
-    found = cost(u)
-    if not np.isfinite(found) or found > least + _SAME_COST * (1.0 + abs(least)):
+        references.append(np.clip(guess, low, high))
+    least = min((cost(levels) for levels in references if not problem.outside(levels)), default=np.inf)
+    own_cost = cost(u)
+    if not np.isfinite(own_cost) or own_cost > least + _SAME_COST * (1.0 + abs(least)):
         return failed(ended.status, ended.iterations, f"{ended.problem}, with levels dearer than without it")
     return Solution(True, u, ended.status, ended.iterations, ended.problem, optimal=False)

@@ -66,7 +66,9 @@ class SparseQP:
         # Only where levels are choices does a step hold one: without held moves there are none.
         self._h = shape.n_held_moves if shape.needs_choices(operator) else 0
         self._held = machinery.held if self._h else np.zeros(A, dtype=bool)
-        self._chosen = np.flatnonzero(self._held | machinery.excluded) if self._h else np.zeros(0, dtype=np.intp)
+        self._choice_actuators = (
+            np.flatnonzero(self._held | machinery.excluded) if self._h else np.zeros(0, dtype=np.intp)
+        )
         for a, name in enumerate(machinery.actuators if self._h else ()):
             heat = operator.of_actuator(a).heat_input.heat
             lowest = min(machinery.lowest_level[a], machinery.u_max[a])
@@ -76,11 +78,11 @@ class SparseQP:
                 )
 
         sizes = [A * m, G * n, Z * n, self._signed.size * m, int(shape.peak), n if shape.capped else 0]
-        sizes += [self._shared.size * m, self._chosen.size * self._h]
+        sizes += [self._shared.size * m, self._choice_actuators.size * self._h]
         # Where together they exceed the load at which the machine cycles, but not each of them alone.
-        asks, fed_by = machinery.runs_for, machinery.fed_by[self._shared]
-        self._splits = self._shared[(fed_by @ asks > 1.0) & (fed_by @ (asks < 1.0) > 0.0)]
-        self._partial = np.flatnonzero((asks < 1.0) & np.isin(machinery.machine_of, self._splits))
+        runs_for, fed_by = machinery.runs_for, machinery.fed_by[self._shared]
+        self._splits = self._shared[(fed_by @ runs_for > 1.0) & (fed_by @ (runs_for < 1.0) > 0.0)]
+        self._partial = np.flatnonzero((runs_for < 1.0) & np.isin(machinery.machine_of, self._splits))
         sizes += [self._splits.size * m, self._partial.size * m]
         ends = np.cumsum(sizes)
         numbers = [np.arange(end - size, end) for end, size in zip(ends, sizes, strict=True)]
@@ -88,7 +90,7 @@ class SparseQP:
         self._v, self._y, self._s = numbers[0].reshape(A, m), numbers[1].reshape(G, n), numbers[2].reshape(Z, n)
         self._n, self._peak, self._over = numbers[3].reshape(self._signed.size, m), numbers[4], numbers[5]
         self._runs, self.choices = numbers[6].reshape(self._shared.size, m), numbers[7]
-        self._b = self.choices.reshape(self._chosen.size, self._h)
+        self._b = self.choices.reshape(self._choice_actuators.size, self._h)
         self._theta = numbers[8].reshape(self._splits.size, m)
         self._excess = numbers[9].reshape(self._partial.size, m)
 
@@ -107,7 +109,7 @@ class SparseQP:
         self._A = SparsePattern(self._dynamics_entries.rows, self._dynamics_entries.columns, (G * n, self.n_variables))
         poles, gains = operator.poles, operator.gains
         self._faded = poles**n
-        self._kept = gains[..., None] * poles[..., None] ** (n - 1 - self._step)
+        self._remaining = gains[..., None] * poles[..., None] ** (n - 1 - self._step)
 
         self._bounds_entries, self._low, self._high = self._bounds()
         self._G = SparsePattern(
@@ -146,16 +148,16 @@ class SparseQP:
                     if a in of:
                         at = np.flatnonzero(of == a)
                         parts.append(entries(now, self._n[i, move[then]], numerator[at], of_drive[at]))
-                for i, a in enumerate(self._chosen):
+                for i, a in enumerate(self._choice_actuators):
                     if a in of and self._held[a]:
                         at, early = np.flatnonzero(of == a), move[then] < self._h
-                        chosen = entries(
+                        of_choice = entries(
                             now[early],
                             self._b[i, move[then][early]],
                             -numerator[at],
                             A * n + of_drive[at][:, early],
                         )
-                        parts.append(chosen)
+                        parts.append(of_choice)
         return joined(parts) if parts else nothing()
 
     def _bounds(self) -> tuple[Entries, Array, Array]:
@@ -196,11 +198,11 @@ class SparseQP:
                 self._limited.append((int(number), slice(rows, rows + m)))
                 row(moves, shares, -np.inf, 1.0)
                 row([self._runs[i], *moves], [1.0, *(-share for share in shares)], 0.0, np.inf)
-            self._runs_as_on(i, fed, row)
+            self._run_rows(i, fed, row)
         later = np.arange(self._h, m)
         for group in machinery.exclusive:
             if self._h:
-                row([self._b[self._chosen == a][0] for a in group], [1.0] * len(group), -np.inf, 1.0)
+                row([self._b[self._choice_actuators == a][0] for a in group], [1.0] * len(group), -np.inf, 1.0)
             columns = [self._v[a, later] for a in group] + [
                 self._n[self._signed == a][0, later] for a in group if a in self._signed
             ]
@@ -208,7 +210,7 @@ class SparseQP:
             if later.size:
                 row(columns, [1.0 / float(end) for end in ends], -np.inf, 1.0)
         early = np.arange(self._h)
-        for b, a in zip(self._b, self._chosen, strict=True):
+        for b, a in zip(self._b, self._choice_actuators, strict=True):
             row([self._v[a, early], b], [1.0, -float(machinery.u_max[a])], -np.inf, 0.0)
             if self._held[a]:
                 row([self._v[a, early], b], [1.0, -float(machinery.lowest_level[a])], 0.0, np.inf)
@@ -216,18 +218,18 @@ class SparseQP:
                 row([self._n[self._signed == a][0, early], b], [1.0, float(machinery.u_min[a])], -np.inf, 0.0)
         return joined(parts), np.concatenate(low), np.concatenate(high)
 
-    def _runs_as_on(self, i: int, fed: Index, row: Callable[[list[Index], list[float], float, float], None]) -> None:
+    def _run_rows(self, i: int, fed: Index, row: Callable[[list[Index], list[float], float, float], None]) -> None:
         """Rows by which shared machine `i` runs for the on-times of the actuators it feeds, by `row`."""
-        asks, held = self.shape.machinery.runs_for, self._held_moves.any(axis=0)
-        for moves in (np.flatnonzero(held), np.flatnonzero(~held)):
+        runs_for, any_held = self.shape.machinery.runs_for, self._held_moves.any(axis=0)
+        for moves in (np.flatnonzero(any_held), np.flatnonzero(~any_held)):
             if not moves.size:
                 continue
-            runs, on = self._runs[i, moves], {a: self._on(a, moves) for a in fed}
+            runs, on = self._runs[i, moves], {a: self._on_column(a, moves) for a in fed}
             split = np.flatnonzero(self._splits == self._shared[i])
-            if not split.size and float(asks[fed].sum()) <= 1.0:
+            if not split.size and float(runs_for[fed].sum()) <= 1.0:
                 row(
                     [runs, *(x for x, _ in on.values())],
-                    [1.0, *(-asks[a] * f for a, (_, f) in on.items())],
+                    [1.0, *(-runs_for[a] * f for a, (_, f) in on.items())],
                     0.0,
                     np.inf,
                 )
@@ -235,17 +237,17 @@ class SparseQP:
                 for x, factor in on.values():
                     row([runs, x], [1.0, -factor], 0.0, np.inf)
             else:
-                theta, partial = self._theta[split[0], moves], [a for a in fed if asks[a] < 1.0]
+                theta, partial = self._theta[split[0], moves], [a for a in fed if runs_for[a] < 1.0]
                 excess = {a: self._excess[np.flatnonzero(self._partial == a)[0], moves] for a in partial}
                 for a, (x, factor) in on.items():
                     above = [excess[a]] if a in excess else []
                     row([theta, *above, x], [1.0, *(1.0 for _ in above), -factor], 0.0, np.inf)
-                row([runs, theta, *excess.values()], [1.0, -1.0, *(-float(asks[a]) for a in partial)], 0.0, np.inf)
+                row([runs, theta, *excess.values()], [1.0, -1.0, *(-float(runs_for[a]) for a in partial)], 0.0, np.inf)
 
-    def _on(self, a: int, moves: Index) -> tuple[Index, float]:
+    def _on_column(self, a: int, moves: Index) -> tuple[Index, float]:
         """Column whose value times the factor is the share of `moves` that actuator `a` is on."""
         if self._held_moves[a, moves[0]]:
-            return self._b[self._chosen == a][0][moves], 1.0
+            return self._b[self._choice_actuators == a][0][moves], 1.0
         return self._v[a, moves], float(self._on_per_v[a, moves[0]])
 
     def _power(self, first_row: int) -> Entries:
@@ -265,7 +267,7 @@ class SparseQP:
         at += H * n
         if self._h:
             early = np.flatnonzero(move < self._h)
-            of = at + self._chosen[:, None] * n + early
+            of = at + self._choice_actuators[:, None] * n + early
             parts.append(entries(rows[early], self._b[:, move[early]], -1.0, of))
         return joined(parts)
 
@@ -283,9 +285,11 @@ class SparseQP:
 
     def power(self, p: MPCProblem) -> sparse.csc_matrix:
         """The building's power over each step as a linear map of the variables, `POWER_UNIT_W`, (N, variables)."""
-        found = self._power(0)
-        values = -found.factor * self._power_numbers(p)[found.of]
-        return sparse.csc_matrix((values, (found.rows, found.columns)), shape=(self.shape.n_steps, self.n_variables))
+        minus_power = self._power(0)
+        values = -minus_power.factor * self._power_numbers(p)[minus_power.of]
+        return sparse.csc_matrix(
+            (values, (minus_power.rows, minus_power.columns)), shape=(self.shape.n_steps, self.n_variables)
+        )
 
     def drive(self, p: MPCProblem) -> Drive:
         """Drive of the modes at the features of an instance."""
@@ -310,33 +314,33 @@ class SparseQP:
 
     def as_solved(self, p: MPCProblem) -> MPCProblem:
         """The instance with the relaxation of this programme."""
-        held = self.shape.n_held if self._h else 0
+        held_steps = self.shape.n_held if self._h else 0
         relaxed = self.shape.machinery.held.any() or self.shape.machinery.exclusive
-        return replace(p, held_steps=held) if relaxed else p
+        return replace(p, held_steps=held_steps) if relaxed else p
 
     def levels(self, x: Array) -> Array:
         """Levels u (A, N) of a solution."""
         moves = x[: self._v.size].reshape(self._v.shape).copy()
         if self._signed.size:
             moves[self._signed] -= x[self._n]
-        for b, a in zip(self._b, self._chosen, strict=True):
+        for b, a in zip(self._b, self._choice_actuators, strict=True):
             # What a solver leaves of an actuator that is off, or lacks of its lowest level.
-            chosen = x[b] > 0.5
+            is_on = x[b] > 0.5
             lowest = self.shape.machinery.lowest_level[a] if self._held[a] else -np.inf
-            moves[a, : self._h] = np.where(chosen, np.maximum(moves[a, : self._h], lowest), 0.0)
+            moves[a, : self._h] = np.where(is_on, np.maximum(moves[a, : self._h], lowest), 0.0)
         return moves[:, self._move]
 
     def rounded(self, x: Array) -> Array:
         """Choices (in the order of `choices`) near a solution `x` of the relaxation in which they need not be whole."""
         machinery, on = self.shape.machinery, np.zeros(self._b.shape)
-        for b, a in enumerate(self._chosen):
+        for b, a in enumerate(self._choice_actuators):
             level = x[self._v[a, : self._h]] / machinery.u_max[a]
             for i in np.flatnonzero(self._signed == a):
                 level = np.maximum(level, x[self._n[i, : self._h]] / -machinery.u_min[a])
             lowest = machinery.lowest_level[a] / machinery.u_max[a] if self._held[a] else 0.5
             on[b] = np.where(level >= 0.5 * lowest, 1.0 + level, 0.0)
         for group in machinery.exclusive if self._h else ():
-            rows = np.flatnonzero(np.isin(self._chosen, group))
+            rows = np.flatnonzero(np.isin(self._choice_actuators, group))
             on[rows] = np.where(on[rows] < on[rows].max(axis=0), 0.0, on[rows])
         return np.asarray(np.minimum(on, 1.0).ravel())
 
@@ -357,10 +361,10 @@ class SparseQP:
         cost_v = p.price_per_W[machinery.machine_of] * p.power_per_u_W + alone * self._on_per_u
         cost_b = np.where(self._held_in, alone, 0.0) if self._any_held else _NONE
         cost_n = p.cooling_cost_per_u[self._signed] if self._signed.size else _NONE
-        left = p.terminal_price_per_K
-        if left.any():
+        terminal_price = p.terminal_price_per_K
+        if terminal_price.any():
             # Terminal value of the heat added by the moves.
-            worth = np.einsum("zar,zarn->an", left, self._kept)
+            worth = np.einsum("zar,zarn->an", terminal_price, self._remaining)
             cost_v = cost_v - worth * drive.per_u
             cost_b = cost_b - worth * drive.onset if self._any_held else cost_b
             cost_n = cost_n + (worth * drive.per_u)[self._signed] if self._signed.size else cost_n
@@ -376,7 +380,7 @@ class SparseQP:
         if self._shared.size:
             linear[self._runs] = np.add.reduceat(fixed_cost[self._shared], firsts, axis=1)
         if self._any_held:
-            linear[self._b] = np.add.reduceat(cost_b, firsts, axis=1)[self._chosen, : self._h]
+            linear[self._b] = np.add.reduceat(cost_b, firsts, axis=1)[self._choice_actuators, : self._h]
 
         low, high = self._low, self._high
         comfort = p.T_free_C.size
@@ -404,7 +408,7 @@ class SparseQP:
         # Scale by the largest linear coefficient, so that tolerances do not depend on the currency.
         unit = float(np.abs(linear).max()) or 1.0
         self._quadratic.data[:] = curvature / unit
-        constant = -float((left * self._faded * p.forced_state_K).sum())  # independent of the moves
+        constant = -float((terminal_price * self._faded * p.forced_state_K).sum())  # independent of the moves
         x_high = self._x_high
         if p.planned is not None:
             x_high = x_high.copy()

@@ -110,34 +110,34 @@ class PIController:
         machines = self._actuators.now(last.actuation, observation.history, until_s)
         elapsed_s = 0.0 if last.time_s is None else min(observation.time_s - last.time_s, 2 * self.step_s)
         demands: list[float | None] = []
-        integrals, told = [], []
+        integrals, reasons = [], []
         for a, actuator in enumerate(names.actuators):
-            share, integral, why = self._law(a, observation, last.integral[a], elapsed_s)
+            share, integral, why = self._apply_law(a, observation, last.integral[a], elapsed_s)
             demands.append(None if share is None else share * self._actuators.each[a].highest)
             integrals.append(integral)
-            told.append(why if len(names.actuators) == 1 else f"{actuator}: {why}")
-        acted = self._actuators.realise(demands, self.step_s, machines)
-        told += [f"{names.actuators[a]}: excluded by {names.actuators[by]}" for a, by in acted.excluded.items()]
+            reasons.append(why if len(names.actuators) == 1 else f"{actuator}: {why}")
+        realised = self._actuators.realise(demands, self.step_s, machines)
+        reasons += [f"{names.actuators[a]}: excluded by {names.actuators[by]}" for a, by in realised.excluded.items()]
         # Under native control of all, the law has not been applied.
         time_s = last.time_s if all(demand is None for demand in demands) else observation.time_s
-        after = PIState(tuple(integrals), time_s, acted.states)
-        return Plan(acted.together(), PlanStatus.RULE, "; ".join(told), names=names, state=after)
+        after = PIState(tuple(integrals), time_s, realised.states)
+        return Plan(realised.together(), PlanStatus.RULE, "; ".join(reasons), names=names, state=after)
 
-    def _law(
-        self, a: int, observation: Observation, before: float, elapsed_s: float
+    def _apply_law(
+        self, a: int, observation: Observation, last_integral: float, elapsed_s: float
     ) -> tuple[float | None, float, str]:
         """Share of full output of actuator `a` (None: native control), its integral, and why."""
         c = self.config
         T, target = float(observation.T_zone_C[self.layout.home[a]]), self._target_C(observation, a)
         if not (math.isfinite(T) and math.isfinite(target)):
-            what = "comfort bound" if math.isfinite(T) else "zone temperature"
-            return None, before, f"{what} missing: native control"
+            missing = "comfort bound" if math.isfinite(T) else "zone temperature"
+            return None, last_integral, f"{missing} missing: native control"
         error_K = (target - T) * self.layout.signs[a]
-        integral = before + c.kp * error_K * elapsed_s / c.ti_s
-        asked = c.kp * error_K + integral
+        integral = last_integral + c.kp * error_K * elapsed_s / c.ti_s
+        output = c.kp * error_K + integral
         # Anti-windup: do not integrate further into saturation.
-        if not ((0.0 < asked < 1.0) or (asked >= 1.0 and error_K < 0) or (asked <= 0.0 and error_K > 0)):
-            integral = before
+        if not ((0.0 < output < 1.0) or (output >= 1.0 and error_K < 0) or (output <= 0.0 and error_K > 0)):
+            integral = last_integral
         share = min(max(c.kp * error_K + integral, 0.0), 1.0)
         share = 0.0 if share < c.off_below else share
         return share, integral, f"{error_K:+.2f} K from {target:.2f} °C, integral {integral:.2f}: {share:.2f} of full"

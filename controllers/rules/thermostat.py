@@ -104,28 +104,28 @@ class Thermostat:
         last = checked_state(state, ThermostatState, names) or ThermostatState((False,) * len(names.actuators))
         levels: list[float | None] = []
         bands: list[tuple[float, float] | None] = [None] * len(names.actuators)
-        on, told = [], []
+        on, reasons = [], []
         for a, actuator in enumerate(names.actuators):
             if self.layout.lowest[a] < 0.0:
                 bands[a] = low, high = self._setpoint_C(a), self.config.cooling_setpoint_C
                 levels.append(0.0)
                 on.append(False)
-                told.append(f"{actuator}: loops keep {low:g} to {high:g} °C")
+                reasons.append(f"{actuator}: loops keep {low:g} to {high:g} °C")
                 continue
             T_zone_C = float(observation.T_zone_C[self.layout.home[a]])
-            found, why = self._switched(a, T_zone_C, observation.time_s, last.on[a])
-            levels.append(None if found is None else self.config.level * found)
-            on.append(last.on[a] if found is None else found)
-            told.append(why if len(names.actuators) == 1 else f"{actuator}: {why}")
+            is_on, why = self._switch(a, T_zone_C, observation.time_s, last.on[a])
+            levels.append(None if is_on is None else self.config.level * is_on)
+            on.append(last.on[a] if is_on is None else is_on)
+            reasons.append(why if len(names.actuators) == 1 else f"{actuator}: {why}")
         wanted = [None if level is None else level * (1 + was) for level, was in zip(levels, last.on, strict=True)]
         for a, by in self.layout.excluded(wanted).items():
             levels[a] = None if levels[by] is None else 0.0
             on[a] = False
-            told.append(f"{names.actuators[a]}: excluded by {names.actuators[by]}")
+            reasons.append(f"{names.actuators[a]}: excluded by {names.actuators[by]}")
         block = Block(levels, self.step_s, bands)
-        return Plan((block,), PlanStatus.RULE, "; ".join(told), names=names, state=ThermostatState(tuple(on)))
+        return Plan((block,), PlanStatus.RULE, "; ".join(reasons), names=names, state=ThermostatState(tuple(on)))
 
-    def _switched(self, a: int, T_zone_C: float, time_s: float, was_on: bool) -> tuple[bool | None, str]:
+    def _switch(self, a: int, T_zone_C: float, time_s: float, was_on: bool) -> tuple[bool | None, str]:
         """Whether actuator `a` is on, and why; None for native control."""
         c = self.config
         if not math.isfinite(T_zone_C):

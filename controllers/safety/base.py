@@ -74,7 +74,7 @@ class ActuatedController:
         """Required length of the boundary forecast, s."""
         return self._n_steps * self._step_s
 
-    def _begun(
+    def _resume(
         self, observation: Observation, state: object, kind: type[State]
     ) -> tuple[State | None, tuple[ActuationState, ...]]:
         """The state after the last step (None: a run begins) and the actuators' now; raises `DataError` as `plan`."""

@@ -38,7 +38,7 @@ class _Job:
 
 
 @dataclass(eq=False)
-class _Left:
+class _AbandonedCall:
     """A call that was left behind: the object it was made on, the job, and when it began, s (monotonic)."""
 
     owner: object
@@ -57,7 +57,7 @@ class BoundedCalls:
         self._most = most_abandoned
         self._jobs: queue.SimpleQueue[_Job | None] | None = None
         self._thread: threading.Thread | None = None
-        self._left: list[_Left] = []
+        self._abandoned: list[_AbandonedCall] = []
 
     def __call__(self, owner: object, call: Callable[[], Result], seconds: float | None = None) -> Result:
         """Return what `call` returns, or raise what it raises.
@@ -72,13 +72,13 @@ class BoundedCalls:
                 have not.
             Crashed: the call raised what is no `Exception`.
         """
-        self._left = [left for left in self._left if not left.job.done.is_set()]
-        for left in self._left:
-            if left.owner is owner:
-                waiting_s = time.monotonic() - left.began_s
+        self._abandoned = [abandoned for abandoned in self._abandoned if not abandoned.job.done.is_set()]
+        for abandoned in self._abandoned:
+            if abandoned.owner is owner:
+                waiting_s = time.monotonic() - abandoned.began_s
                 raise Overdue(f"its call of {waiting_s:.0f} s ago has not returned")
-        if len(self._left) >= self._most:
-            raise Overdue(f"{len(self._left)} calls have not returned: no more are started")
+        if len(self._abandoned) >= self._most:
+            raise Overdue(f"{len(self._abandoned)} calls have not returned: no more are started")
         job, began_s = _Job(call), time.monotonic()
         if seconds is not None and seconds <= 0.0:
             raise Overdue("no time is left in this step")
@@ -88,7 +88,7 @@ class BoundedCalls:
             answered = job.done.wait(seconds)
         finally:
             if not answered:  # also where the wait was interrupted
-                self._left.append(_Left(owner, job, began_s))
+                self._abandoned.append(_AbandonedCall(owner, job, began_s))
                 self._dismiss()
         if not answered:
             raise Overdue(f"no answer within {seconds:.3g} s")

@@ -48,7 +48,7 @@ class FallbackConfig(StrictModel):
     )
 
     @model_validator(mode="after")
-    def _safe(self) -> FallbackConfig:
+    def _check_safe(self) -> FallbackConfig:
         low, high = self.safe_C
         if not _RULE_C[0] <= low < high <= _RULE_C[1]:
             raise ValueError(
@@ -98,9 +98,9 @@ class FallbackPolicy:
         planned_C = float(good.T_zone_C[self.zone, age - 1])
         if not math.isfinite(planned_C):
             return None
-        off_by = abs(float(observation.T_zone_C[self.zone]) - planned_C)
+        error_K = abs(float(observation.T_zone_C[self.zone]) - planned_C)
         promised_K = max(_TRUSTED_BANDS * float(good.band_K[self.zone, age - 1]), _LEAST_TRUST_K)
-        if math.isfinite(off_by) and off_by > min(self.config.trust_K, promised_K):
+        if math.isfinite(error_K) and error_K > min(self.config.trust_K, promised_K):
             return None
         return min(max(float(good.u[actuator, age]), 0.0), self.level)
 
@@ -126,15 +126,15 @@ class FallbackPolicy:
             return None, "zone temperature unknown: native control"
         heating = self.mode == "heating"
         ahead = (bounds.time_s >= time_s - 1.0) & (bounds.time_s <= time_s + self.config.look_ahead_h * HOUR_S)
-        known = (bounds.lower_C if heating else bounds.upper_C)[self.zone, ahead]
-        known = known[np.isfinite(known)]
+        limits_C = (bounds.lower_C if heating else bounds.upper_C)[self.zone, ahead]
+        limits_C = limits_C[np.isfinite(limits_C)]
         inside_K = self.config.setpoint_above_bound_K
-        if not known.size:
+        if not limits_C.size:
             setpoint = self.config.safe_C[0 if heating else 1]
         else:
-            setpoint = float(known.max()) + inside_K if heating else float(known.min()) - inside_K
+            setpoint = float(limits_C.max()) + inside_K if heating else float(limits_C.min()) - inside_K
         setpoint = min(max(setpoint, _RULE_C[0]), _RULE_C[1])
         on = setpoint > T if heating else setpoint < T
-        of = "" if known.size else " (no bounds)"
-        why = f"{T:.2f} °C against {setpoint:.2f} °C{of}: {'on' if on else 'off'}"
+        note = "" if limits_C.size else " (no bounds)"
+        why = f"{T:.2f} °C against {setpoint:.2f} °C{note}: {'on' if on else 'off'}"
         return self.level if on else 0.0, why

@@ -1,4 +1,4 @@
-"""What takes an actuator from the plan: one class an override, asked in order, the first that applies wins.
+"""What takes an actuator from the plan: one class an override, tried in order, the first that applies wins.
 
 Before a plan is made: the watch (the model does not hold), the competence gate (it never did,
 docs/how-it-works/competence.md), a zone that is not known any more. What they hold is known to the plan. After it: the
@@ -48,7 +48,7 @@ class Override:
 class Situation:
     """What overrides decide from.
 
-    `zones`: what is known of each zone now; `watch` (A,): the watch over each actuator's predictions; `planned`: mean
+    `zones`: each zone now; `watch` (A,): the watch over each actuator's predictions; `planned`: mean
     level of actuators over the step by their number, empty before there is a plan.
     """
 
@@ -89,7 +89,7 @@ class WatchAlarm:
         """Of the actuators whose watch has given alarm."""
         time_s = situation.observation.time_s
         alarms = {a: state.reason(time_s) for a, state in enumerate(situation.watch) if state.alarm}
-        return {a: stood_back(self._fallbacks[a], situation, PlanStatus.WATCH, why) for a, why in alarms.items()}
+        return {a: backup_override(self._fallbacks[a], situation, PlanStatus.WATCH, why) for a, why in alarms.items()}
 
 
 class CompetenceGate:
@@ -108,7 +108,7 @@ class CompetenceGate:
         fallbacks: Sequence[FallbackPolicy],
     ) -> None:
         self._fallbacks = tuple(fallbacks)
-        self._reasons = {a: why for a, one in enumerate(competences) if (why := gate_reason(config, one))}
+        self._reasons = {a: why for a, competence in enumerate(competences) if (why := gate_reason(config, competence))}
 
     @property
     def closes_all(self) -> bool:
@@ -117,7 +117,9 @@ class CompetenceGate:
 
     def overrides(self, situation: Situation) -> dict[int, Override]:
         """Of the actuators whose model is not competent."""
-        return {a: stood_back(self._fallbacks[a], situation, PlanStatus.GATE, why) for a, why in self._reasons.items()}
+        return {
+            a: backup_override(self._fallbacks[a], situation, PlanStatus.GATE, why) for a, why in self._reasons.items()
+        }
 
 
 class LostZone:
@@ -135,7 +137,7 @@ class LostZone:
         """Of the actuators of such zones."""
         zones = situation.zones.each
         lost = {a: zones[z].why for a, z in enumerate(self._layout.home) if zones[z].lost}
-        return {a: stood_back(self._fallbacks[a], situation, None, why) for a, why in lost.items()}
+        return {a: backup_override(self._fallbacks[a], situation, None, why) for a, why in lost.items()}
 
 
 class ComfortGuard:
@@ -167,10 +169,10 @@ class ComfortGuard:
         return guarded
 
 
-def stood_back(policy: FallbackPolicy, situation: Situation, status: PlanStatus | None, why: str) -> Override:
+def backup_override(policy: FallbackPolicy, situation: Situation, status: PlanStatus | None, why: str) -> Override:
     """Native control or the on/off rule (`fallback.stand_back`); `status` None: that of which of them acts."""
-    level, who = policy.standing_back(situation.observation, situation.zones.T_C)
-    return Override(level, status or unplanned_status(level), f"{why}: {who}")
+    level, acting = policy.standing_back(situation.observation, situation.zones.T_C)
+    return Override(level, status or unplanned_status(level), f"{why}: {acting}")
 
 
 def unplanned_status(level: float | None) -> PlanStatus:
