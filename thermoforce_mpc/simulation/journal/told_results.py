@@ -139,7 +139,7 @@ def _plan(step: ToldStep, blocks: tuple[Block, ...], seconds: Mapping[str, float
         solver_status=str(decision["solver_status"]),
         iterations=int(decision["iterations"]),
         seconds=seconds,
-        margins=margins_of(told),
+        margins=margins_of(decision),
         names=step.names,
         acting=tuple(PlanStatus(status) for status in decision["acting"]),
     )
