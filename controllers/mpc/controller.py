@@ -219,7 +219,7 @@ class ThermoForceMPC(ActuatedController):
             plan = self._realisation.stand_back(overrides, state)
         else:
             forecast = yield from self._prediction.predict(readings, state)
-            instance = self._formulate(forecast, readings, state, overrides)
+            instance = self._formulate(forecast, readings, state)
             result = yield from self._solve(instance, forecast, readings)
             plan = self._realise(result, readings, overrides, situation)
         return self._watched.record_request(readings.observation, with_news(plan, *readings.news))
@@ -248,22 +248,17 @@ class ThermoForceMPC(ActuatedController):
         )
         return replace(state, margins=margins, peak_W=state.peak_after(readings.observation))
 
-    def _formulate(
-        self,
-        forecast: Forecast | Failure,
-        readings: Readings,
-        state: MPCState,
-        overrides: Mapping[int, Override],
-    ) -> Instance | Failure:
-        """The numbers of the problem, with overridden actuators at the levels that are expected of them."""
+    def _formulate(self, forecast: Forecast | Failure, readings: Readings, state: MPCState) -> Instance | Failure:
+        """The numbers of the problem.
+
+        The level of an overridden actuator stays a variable: what acts in its place is a loop that answers to its zone,
+        which a plan that keeps the zone in its band describes better than a level that is fixed beforehand.
+        """
         if isinstance(forecast, Failure):
             return forecast
-        operator, context, history = forecast.planner.operator, forecast.context, readings.history
-        last_u = self._guess(state.good, readings.time_s)
+        operator, context = forecast.planner.operator, forecast.context
         try:
-            return self._formulation.instance(
-                operator, context, history, state.margins, state.peak_W, overrides, last_u
-            )
+            return self._formulation.instance(operator, context, readings.history, state.margins, state.peak_W)
         except Exception as error:  # of a forecast that lacks what the problem needs
             return Failure(f"no prediction ({message_of(error)})", state)
 

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
 from controllers.actuation.actuators import Actuators
 from controllers.mpc.config import MPCConfig
-from controllers.mpc.held_actuators import Held, expected_levels, with_held
 from controllers.mpc.margins import Bounds, MarginRules, Margins
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import Cooling, MPCProblem, PowerCap, Weights
-from controllers.safety.overrides import Override
 from thermoforce_mpc.data import J_PER_KWH, Array, Boundary, Record
-from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext
@@ -28,28 +23,12 @@ class Instance:
     """One instance of the problem.
 
     Attributes:
-        problem: the numbers; the response of held actuators is in its `T_free_C`.
+        problem: the numbers.
         bounds: comfort bounds and the margins inside them.
-        held: levels and response of the actuators that are not planned for; None where there are none.
     """
 
     problem: MPCProblem
     bounds: Bounds
-    held: Held | None = None
-
-    @property
-    def T_free_C(self) -> Array:
-        """Free response (Z, N), °C, with the offset that was learned."""
-        return self.problem.T_free_C if self.held is None else control_free(self.problem.T_free_C, self.held.forced_K)
-
-    def levels(self, u: Array) -> Array:
-        """Levels of all actuators (A, N), given those that were planned."""
-        return u if self.held is None else u + self.held.u
-
-    def forced_K(self, operator: BuildingOperator, u: Array) -> Array:
-        """Forced response (Z, N), K, to planned levels and to those of held actuators."""
-        forced_K = self.problem.forced_K(operator, u)
-        return forced_K if self.held is None else forced_K + self.held.forced_K
 
 
 class Formulation:
@@ -97,8 +76,6 @@ class Formulation:
         history: Record,
         margins: Margins,
         peak_W: float = 0.0,
-        overrides: Mapping[int, Override] = MappingProxyType({}),
-        last_u: Array | None = None,
     ) -> Instance:
         """Return the instance of one step.
 
@@ -108,8 +85,6 @@ class Formulation:
             history: the record until now, for the return water.
             margins: what was learned of bounds, predictions and capacities.
             peak_W: highest mean power of the building over a step so far, W.
-            overrides: what holds actuators, by number; the others are planned for.
-            last_u: levels of the last plan, one step on (A, N); None without one.
 
         Raises:
             DataError: a bound or price of the boundary is missing.
@@ -117,11 +92,7 @@ class Formulation:
         context.boundary.check("lower_C", "upper_C", "price_per_kWh")
         bounds = self.margins.bounds(operator, context.free, context.boundary, margins.learned)
         problem = self._problem(operator, context, history, margins, bounds, peak_W)
-        if not overrides:
-            return Instance(problem, bounds)
-        u = expected_levels(operator, problem, overrides, last_u)
-        rest, held = with_held(operator, problem, overrides, u)
-        return Instance(rest, bounds, held)
+        return Instance(problem, bounds)
 
     def _problem(
         self,

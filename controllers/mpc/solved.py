@@ -33,8 +33,8 @@ def solved_plan(instance: Instance, solution: Solution, solve_s: float, forecast
         readings: what was believed.
     """
     problem, context, free = instance.problem, forecast.context, forecast.context.free
-    u, names = instance.levels(solution.u), readings.observation.names
-    T_free_C, forced_K = instance.T_free_C, instance.forced_K(forecast.planner.operator, solution.u)
+    u, names = solution.u, readings.observation.names
+    T_free_C, forced_K = problem.T_free_C, problem.forced_K(forecast.planner.operator, solution.u)
     T_zone_C = compose(T_free_C, forced_K)
     slack_K = problem.slack_K(T_zone_C)
     doubts = (*readings.doubts, free.doubt)

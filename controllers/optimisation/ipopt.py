@@ -170,7 +170,7 @@ class IpoptSolver:
         Where a start from `guess` fails, it is thrown away, and the solver starts cold.
         """
         began = time.monotonic()
-        highest = problem.u_max[:, None]
+        highest = self.shape.machinery.u_max[:, None]
         cold = np.broadcast_to(0.3 * highest, problem.power_per_u_W.shape)
         guesses = [cold if guess is None else guess]
         if self._relaxed:
@@ -220,7 +220,7 @@ class IpoptSolver:
             x0=self._complete(p, u_guess),
             p=np.concatenate([numbers[name].ravel(order="F") for name in self._order]),
             lbx=self._lbx,
-            ubx=self._highest(p),
+            ubx=self._ubx,
             lbg=self._lbg,
             ubg=self._ubg,
         )
@@ -236,14 +236,6 @@ class IpoptSolver:
             return accept_suboptimal(p, modes_of, u, previous, failed(status, iterations, f"Ipopt ended with {status}"))
         solution = checked_solution(p, modes_of, u, float(result["f"]), status, iterations)
         return solution if status == _OPTIMAL else replace(solution, optimal=False, problem=f"Ipopt: {status}")
-
-    def _highest(self, problem: MPCProblem) -> Array:
-        """Upper bounds of the variables; levels that are not planned stay at 0."""
-        if problem.planned is None:
-            return self._ubx
-        m, signed = self.shape.n_moves, self.shape.machinery.signed
-        levels = np.concatenate([np.tile(problem.u_max, m), np.tile(-problem.u_min[signed], m)])
-        return np.concatenate([levels, self._ubx[levels.size :]])
 
     def _of_pairs(self, values: Array) -> Array:
         """Values (Z, A, ...) of the pairs with an effect one after another."""

@@ -167,7 +167,6 @@ class MPCProblem:
     them an actuator runs for the share u / u_max of a step. `power_per_u2_W` (A, N): power over u², where it grows
     faster than heat; None where it does not, as with peak price, cap, choices and Ipopt, which take it as linear.
     `capacity` (M, N): what the actuators of a machine may take together, in the unit of their shares; None: 1.
-    `planned` (A,): whether the level of an actuator is decided; that of the others is 0. None: all are.
 
     A shared machine's fixed part and power over u² earn nothing while the price is negative.
 
@@ -193,7 +192,6 @@ class MPCProblem:
     held_steps: int | None = None
     power_per_u2_W: Array | None = None
     capacity: Array | None = None
-    planned: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         Z, n = self.T_free_C.shape if np.ndim(self.T_free_C) == 2 else (-1, -1)
@@ -222,8 +220,6 @@ class MPCProblem:
                 raise DataError("MPC problem: with a peak price or a power cap, power is linear in u")
         if self.capacity is not None:
             expected.append(("capacity", self.capacity, (M, n)))
-        if self.planned is not None:
-            expected.append(("planned", self.planned, (A,)))
         if np.ndim(self.weights.comfort):
             expected.append(("weights.comfort", self.weights.comfort, (Z,)))
         for name, value, shape in expected:
@@ -239,16 +235,6 @@ class MPCProblem:
     def n_steps(self) -> int:
         """Number of steps N."""
         return int(self.T_free_C.shape[-1])
-
-    @property
-    def u_max(self) -> Array:
-        """Highest level of each actuator, (A,)."""
-        return self.machinery.u_max if self.planned is None else np.where(self.planned, self.machinery.u_max, 0.0)
-
-    @property
-    def u_min(self) -> Array:
-        """Lowest level of each actuator, (A,)."""
-        return self.machinery.u_min if self.planned is None else np.where(self.planned, self.machinery.u_min, 0.0)
 
     @cached_property
     def price_per_W(self) -> Array:
@@ -386,7 +372,7 @@ class MPCProblem:
         if not np.isfinite(u).all():
             return "the solver gave levels that are not finite"
         low, high = u.min(axis=-1), u.max(axis=-1)
-        for a in np.flatnonzero((low < self.u_min - _BOUND_TOLERANCE) | (high > self.u_max + _BOUND_TOLERANCE)):
+        for a in np.flatnonzero((low < m.u_min - _BOUND_TOLERANCE) | (high > m.u_max + _BOUND_TOLERANCE)):
             return f"u of {m.actuators[a]} leaves its bounds (from {low[a]:.4g} to {high[a]:.4g})"
         return ""
 

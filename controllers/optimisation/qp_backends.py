@@ -66,10 +66,9 @@ class Piqp:
     def __init__(self, config: QPConfig) -> None:
         self._config = config
         self._solver: Any = None
-        self._x_high: Array | None = None  # as it was set up with
 
     def __call__(self, q: QPData) -> SolverResult:
-        """Solve one programme; all programmes of one instance share the structure."""
+        """Solve one programme; all programmes of one instance share the structure and the bounds of x."""
         import piqp
 
         solver, self._solver = self._solver, None  # after a failed solve the solver is set up again
@@ -89,9 +88,7 @@ class Piqp:
             settings.max_iter = self._config.max_iterations
             solver.setup(q.quadratic, q.linear, q.A, q.b, q.G, q.low, q.high, q.x_low, q.x_high)
         else:
-            bounds = {} if q.x_high is self._x_high else {"x_l": q.x_low, "x_u": q.x_high}
-            solver.update(P=q.quadratic, c=q.linear, A=q.A, b=q.b, G=q.G, h_l=q.low, h_u=q.high, **bounds)
-        self._x_high = q.x_high
+            solver.update(P=q.quadratic, c=q.linear, A=q.A, b=q.b, G=q.G, h_l=q.low, h_u=q.high)
         status = solver.solve()
         result = solver.result
         solved = status == piqp.PIQP_SOLVED

@@ -87,7 +87,7 @@ def checked_solution(
     outside = problem.outside(u)
     if outside:
         return failed(status, iterations, f"{status} was reported, but {outside}")
-    u = np.clip(u, problem.u_min[:, None], problem.u_max[:, None])
+    u = np.clip(u, m.u_min[:, None], m.u_max[:, None])
     cost = float(problem.cost_under(u, modes_of(u)))
     if not abs(cost - claimed) <= _CLAIM_TOLERANCE * (1.0 + abs(cost)):
         what = f"{status} was reported with an objective of {claimed:.6g}, but its levels cost {cost:.6g}"
@@ -114,7 +114,7 @@ def accept_suboptimal(
     m = problem.machinery
     if u.shape != (len(m.actuators), problem.n_steps) or not np.isfinite(u).all():
         return ended
-    low, high = problem.u_min[:, None], problem.u_max[:, None]
+    low, high = m.u_min[:, None], m.u_max[:, None]
     u = np.clip(u, low, high)
     if problem.outside(u):
         return ended

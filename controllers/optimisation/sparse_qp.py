@@ -409,8 +409,4 @@ class SparseQP:
         unit = float(np.abs(linear).max()) or 1.0
         self._quadratic.data[:] = curvature / unit
         constant = -float((terminal_price * self._faded * p.forced_state_K).sum())  # independent of the moves
-        x_high = self._x_high
-        if p.planned is not None:
-            x_high = x_high.copy()
-            x_high[self._v[~p.planned]] = x_high[self._n[~p.planned[self._signed]]] = 0.0
-        return QPData(self._quadratic, linear / unit, A, b, G, low, high, self._x_low, x_high, unit, constant)
+        return QPData(self._quadratic, linear / unit, A, b, G, low, high, self._x_low, self._x_high, unit, constant)

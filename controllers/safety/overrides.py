@@ -1,7 +1,7 @@
 """What takes an actuator from the plan: one class an override, tried in order, the first that applies wins.
 
 Before a plan is made: the watch (the model does not hold), the competence gate (it never did,
-docs/how-it-works/competence.md), a zone that is not known any more. What they hold is known to the plan. After it: the
+docs/how-it-works/competence.md), a zone that is not known any more. Who is held is known before a problem is formulated. After it: the
 comfort guard, where a zone is far outside its band at the planned level.
 """
 
