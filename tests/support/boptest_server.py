@@ -158,7 +158,7 @@ class Service:
 
     def _now(self, plant):
         level = plant._record[-1][-1, RECORD.index("level")] if plant._record else 0.0
-        points = plant._measurement(np.empty((0, len(RECORD)))).points
+        points = plant._measured(plant.now_s).points
         # JSON has no NaN: the service writes null.
         return {k: None if np.isnan(v) else v for k, v in points.items()} | {
             "oveHeaPumY_u": level,
