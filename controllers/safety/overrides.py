@@ -1,8 +1,8 @@
 """What takes an actuator from the plan: one class an override, tried in order, the first that applies wins.
 
 Before a plan is made: the watch (the model does not hold), the competence gate (it never did,
-docs/how-it-works/competence.md), a zone that is not known any more. Who is held is known before a problem is formulated. After it: the
-comfort guard, where a zone is far outside its band at the planned level.
+docs/how-it-works/competence.md), a zone that is not known any more. After it: the comfort guard, where a zone is far
+outside its band at the planned level.
 """
 
 from __future__ import annotations

@@ -294,7 +294,8 @@ class SmallOffice(WithProcess[EngineProcess[tuple[float, ...], OfficeReading]]):
         return price, np.full(time_s.size, emission)
 
     def _kpis(self, zones: Sequence[int]) -> dict[str, float]:
-        time_s, rows = self._samples.between(self._start_s, self._now_s)
+        now_s = self._now_s  # raises where the plant was not reset
+        time_s, rows = self._samples.between(self._start_s, now_s)
         if len(rows) < 2:
             names = ("ener_tot", "cost_tot", "emis_tot", "tdis_tot", "pele_tot", "pgas_tot")
             of_zones = [f"tdis_tot[{ZONE_NAMES[zone]}]" for zone in zones] if len(zones) > 1 else []
