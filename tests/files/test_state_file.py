@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from controllers.monitoring.watch_state import Judged, Track, WatchState
+from controllers.mpc.margins import Margins
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.errors import InputError
@@ -21,13 +22,15 @@ def test_a_state_is_read_as_it_was_written(tmp_path):
     track = Track(judged=np.array([[1.0, 0.0, np.nan, 0.1, 0.2]]), evidence={(0, 1, -1): 2.5})
     watch = WatchState((track,), asked=((900.0, 0.5), (1800.0, float("nan"))), alarm="weak", since_s=7.0)
     values = {"status": PlanStatus.WATCH, 3: [1, 2.5, None, True], "judged": Judged(1.0, 0, 0.1, 0.2, 0.3)}
-    state = MPCState(0.1 + 0.2, peak_W=float("inf"), watch=(watch,), offset_K=np.array([1e-300, np.pi]))
+    state = MPCState(
+        0.1 + 0.2, peak_W=float("inf"), watch=(watch,), margins=Margins(offset_K=np.array([1e-300, np.pi]))
+    )
     write_state(tmp_path / "state.npz", (state, values))
     again, others = read_state(tmp_path / "state.npz")
     assert others == values
     assert type(others["judged"]) is Judged
     assert (again.first_s, again.peak_W, again.predictor) == (0.1 + 0.2, float("inf"), None)
-    np.testing.assert_array_equal(again.offset_K, state.offset_K)
+    np.testing.assert_array_equal(again.margins.offset_K, state.margins.offset_K)
     found = again.watch[0]
     assert (found.alarm, found.since_s, found.returned_s) == ("weak", 7.0, -float("inf"))
     assert found.asked[0] == (900.0, 0.5)
