@@ -13,20 +13,23 @@ import pytest
 from controllers.monitoring.watch_state import Judged, Track, WatchState
 from controllers.mpc.margins import Margins
 from controllers.mpc.state import MPCState
+from controllers.state_classes import STATE_CLASSES
 from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.state_file import read_state, write_state
+from thermoforce_mpc.state_file import StateFormat, Stored
+
+FORMAT = StateFormat(
+    STATE_CLASSES | {"status": Stored(PlanStatus), "judged": Stored(Judged, "controllers.watch_state:Judged")}
+)
 
 
 def test_a_state_is_read_as_it_was_written(tmp_path):
     track = Track(judged=np.array([[1.0, 0.0, np.nan, 0.1, 0.2]]), evidence={(0, 1, -1): 2.5})
     watch = WatchState((track,), asked=((900.0, 0.5), (1800.0, float("nan"))), alarm="weak", since_s=7.0)
     values = {"status": PlanStatus.WATCH, 3: [1, 2.5, None, True], "judged": Judged(1.0, 0, 0.1, 0.2, 0.3)}
-    state = MPCState(
-        0.1 + 0.2, peak_W=float("inf"), watch=(watch,), margins=Margins(offset_K=np.array([1e-300, np.pi]))
-    )
-    write_state(tmp_path / "state.npz", (state, values))
-    again, others = read_state(tmp_path / "state.npz")
+    state = MPCState(0.1 + 0.2, peak_W=float("inf"), watch=(watch,), margins=Margins(np.array([1e-300, np.pi])))
+    FORMAT.write(tmp_path / "state.npz", (state, values))
+    again, others = FORMAT.read(tmp_path / "state.npz")
     assert others == values
     assert type(others["judged"]) is Judged
     assert (again.first_s, again.peak_W, again.predictor) == (0.1 + 0.2, float("inf"), None)
@@ -55,7 +58,7 @@ class Colour(Enum):
 @pytest.mark.parametrize("value", [object(), {"f": len}, np.array([object()], dtype=object), Foreign(), Colour.RED])
 def test_what_is_no_value_is_not_written(tmp_path, value):
     with pytest.raises(TypeError, match="cannot be kept"):
-        write_state(tmp_path / "state.npz", value)
+        FORMAT.write(tmp_path / "state.npz", value)
     assert not list(tmp_path.iterdir())
 
 
@@ -71,8 +74,15 @@ def stored(path, structure):
         {"is": "subprocess:Popen", "of": {"args": ["touch", "harm"]}},
         {"is": "thermoforce_mpc.files:write_whole", "of": {"path": "harm", "content": ""}},
         {"is": "controllers.mpc.controller:ThermoForceMPC", "of": {}},
-        {"is": "controllers.mpc.state:MPCState", "of": {"first_s": 0.0, "of_another_version": 1}},
-        {"enum": "thermoforce_mpc.data.plan:PlanStatus", "member": "BETTER"},
+        {"is": "controllers.mpc.state:MPCState", "of": {"first_s": 0.0}},
+        {"is": "mpc", "of": {"first_s": 0.0, "of_another_version": 1}},
+        {"is": "of_a_newer_release", "of": {}},
+        {"is": "", "of": {}},
+        {"is": ["mpc"], "of": {}},
+        {"is": "status", "of": {}},
+        {"enum": "thermoforce_mpc.data.plan:PlanStatus", "member": "SOLVED"},
+        {"enum": "status", "member": "BETTER"},
+        {"enum": "mpc", "member": "first_s"},
         {"array": 0},
         {"unknown": 0},
     ],
@@ -81,14 +91,30 @@ def test_what_this_package_did_not_write_is_refused(tmp_path, structure, monkeyp
     monkeypatch.chdir(tmp_path)
     stored(tmp_path / "state.npz", structure)
     with pytest.raises(InputError, match=r"state\.npz: no state of this version"):
-        read_state(tmp_path / "state.npz")
+        FORMAT.read(tmp_path / "state.npz")
     assert [path.name for path in tmp_path.iterdir()] == ["state.npz"]
 
 
+@dataclass(frozen=True)
+class Room:
+    """A class that has been renamed, and given another field."""
+
+    temperature_C: float
+    name: str = "room"
+
+
+def test_fields_of_the_last_release_are_brought_into_those_of_today(tmp_path):
+    rooms = StateFormat({"room": Stored(Room, "old.module:Zone", lambda fields: {"temperature_C": fields["T"] - 273})})
+    stored(tmp_path / "old.npz", {"list": [{"is": "old.module:Zone", "of": {"T": 294}}, {"dict": []}]})
+    assert rooms.read(tmp_path / "old.npz") == [Room(21.0), {}]
+    rooms.write(tmp_path / "new.npz", Room(20.0, "bath"))
+    assert rooms.read(tmp_path / "new.npz") == Room(20.0, "bath")
+
+
 def test_a_torn_file_is_refused(tmp_path):
-    write_state(tmp_path / "state.npz", MPCState(0.0))
+    FORMAT.write(tmp_path / "state.npz", MPCState(0.0))
     whole = (tmp_path / "state.npz").read_bytes()
     for n in (0, 10, len(whole) // 2, len(whole) - 1):
         (tmp_path / "state.npz").write_bytes(whole[:n])
         with pytest.raises(InputError, match="no state of this version"):
-            read_state(tmp_path / "state.npz")
+            FORMAT.read(tmp_path / "state.npz")

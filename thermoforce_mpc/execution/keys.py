@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from enum import Enum
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -56,10 +57,13 @@ def source_fingerprint(*others: str) -> str:
     return total.hexdigest()[:16]
 
 
-def canonical(value: Any) -> Any:
-    """`value` as JSON in which equal values are equal and different ones differ; raises `TypeError`."""
+def canonical(value: Any, names: Mapping[type, str] = MappingProxyType({})) -> Any:
+    """`value` as JSON in which equal values are equal and different ones differ; raises `TypeError`.
+
+    `names` of classes stand there instead of their paths.
+    """
     if isinstance(value, Enum):
-        return {"enum": _name(value), "value": value.name}
+        return {"enum": _name(value, names), "value": value.name}
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, float):
@@ -73,18 +77,19 @@ def canonical(value: Any) -> Any:
     if isinstance(value, bytes):
         return {"bytes": hashlib.sha256(value).hexdigest()}
     if isinstance(value, BaseModel):
-        return {"model": _name(value), "fields": {key: canonical(item) for key, item in value}}
+        return {"model": _name(value, names), "fields": {key: canonical(item, names) for key, item in value}}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = {item.name: canonical(getattr(value, item.name)) for item in dataclasses.fields(value)}
-        return {"dataclass": _name(value), "fields": fields}
+        fields = {item.name: canonical(getattr(value, item.name), names) for item in dataclasses.fields(value)}
+        return {"dataclass": _name(value, names), "fields": fields}
     if isinstance(value, Path):
         return {"path": str(value)}
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
-        return {"mapping": {key: canonical(item) for key, item in value.items()}}
+        return {"mapping": {key: canonical(item, names) for key, item in value.items()}}
     if isinstance(value, list | tuple):
-        return [canonical(item) for item in value]
+        return [canonical(item, names) for item in value]
     raise TypeError(f"{type(value).__name__} has no content key: give plain data")
 
 
-def _name(value: Any) -> str:
-    return f"{type(value).__module__}.{type(value).__qualname__}"
+def _name(value: Any, names: Mapping[type, str]) -> str:
+    kind = type(value)
+    return names.get(kind, f"{kind.__module__}.{kind.__qualname__}")

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pandas as pd
 
+from controllers.state_classes import STATE_CLASSES
 from thermoforce_mpc.errors import InputError, StorageError
 from thermoforce_mpc.live.building import Applied
-from thermoforce_mpc.state_file import read_state, write_state
+from thermoforce_mpc.state_file import StateFormat, Stored
 
 _LOG = logging.getLogger(__name__)
 # After a longer pause too much has changed.
@@ -40,6 +41,15 @@ class Kept:
         return self.before if instant == pd.Timestamp(self.instant) else self.after
 
 
+_FORMAT = StateFormat(
+    STATE_CLASSES
+    | {
+        "kept": Stored(Kept, "thermoforce_mpc.live.kept:Kept"),
+        "applied": Stored(Applied, "thermoforce_mpc.live.building:Applied"),
+    }
+)
+
+
 class KeptState:
     """The file at `path`, of the `controller` with this digest of model and options. It stops no control: what is wrong
     with the file is in the log."""
@@ -53,7 +63,7 @@ class KeptState:
         if not self._path.exists():
             return None
         try:
-            kept = read_state(self._path)
+            kept = _FORMAT.read(self._path)
         except InputError as error:
             _LOG.warning("%s: begun anew", error)
             return None
@@ -72,7 +82,7 @@ class KeptState:
     def save(self, content: Kept) -> None:
         """Keep what is known; a first failure is in the log."""
         try:
-            write_state(self._path, replace(content, of=self._controller))
+            _FORMAT.write(self._path, replace(content, of=self._controller))
         except (StorageError, TypeError) as error:
             if not self._failed:
                 _LOG.warning("the state is not kept, and a restart begins anew: %s", error)

@@ -10,10 +10,11 @@ from simple_house import OutdoorResponse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.monitoring.sun_on_sensors import SunState
+from controllers.state_classes import STATE_CLASSES
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.identification.probing.probe import Probing
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
-from thermoforce_mpc.state_file import read_state, write_state
+from thermoforce_mpc.state_file import StateFormat
 
 # Three sunny days in March of a very light house whose sensor reads 3.1 K too much in the south sun.
 HOUSE, START_S, DAY = draw_house(501, 34), 66 * DAY_S, 96
@@ -61,8 +62,9 @@ def test_it_is_found_in_the_night_after_it_shone_and_taken_off(sunlit, tmp_path)
     assert sun.probability > 0.99
     assert night.news.startswith("the zone sensor stands in the sun from the south")
     assert night.why.startswith(night.news)
-    write_state(tmp_path / "state.npz", night.state)
-    assert read_state(tmp_path / "state.npz").sun == night.state.sun
+    states = StateFormat(STATE_CLASSES)
+    states.write(tmp_path / "state.npz", night.state)
+    assert states.read(tmp_path / "state.npz").sun == night.state.sun
     # At noon the plan begins from the room, below what the sensor reads.
     again = sunlit.slice(0, sunlit.n_steps - DAY // 2)
     later = _planned(controller, again, replace(night.state, last_s=None))

@@ -63,9 +63,9 @@ def command(
     """
     from controllers.mpc.config import MPCConfig
     from controllers.mpc.controller import ThermoForceMPC
+    from controllers.state_classes import controller_key
     from thermoforce_mpc.cli import hangup_ends
     from thermoforce_mpc.connections.registry import build_connection
-    from thermoforce_mpc.execution.keys import canonical, digest
     from thermoforce_mpc.files import storage_errors
     from thermoforce_mpc.live import KeptState, LiveBuilding, control
     from thermoforce_mpc.measurements.map.mapping import load_map
@@ -97,7 +97,7 @@ def command(
             steps=steps,
             delay_s=0.0 if dry_run else delay_s,
             dry=dry_run,
-            kept=None if dry_run else KeptState(out / "state.npz", digest({"mpc": canonical((thermal, mpc.config))})),
+            kept=None if dry_run else KeptState(out / "state.npz", controller_key(thermal, mpc.config)),
             told=lambda decision: say(in_words(decision)),
         )
 

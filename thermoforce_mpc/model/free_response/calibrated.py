@@ -45,7 +45,7 @@ _SCALE_RANGE = (0.25, 5.0)
 
 
 @dataclass(frozen=True)
-class _Issued:
+class IssuedForecasts:
     """I forecasts at K lead times, one for each hour.
 
     `time_s` (I,): when each was issued, s. `raw` (I, 3, K): median °C, half-widths above and below, K. `adapted` (I,
@@ -56,13 +56,13 @@ class _Issued:
     raw: Array
     adapted: Array
 
-    def select(self, which: NDArray[np.bool_]) -> _Issued:
+    def select(self, which: NDArray[np.bool_]) -> IssuedForecasts:
         """Those of `which` (I,)."""
-        return _Issued(self.time_s[which], self.raw[which], self.adapted[which])
+        return IssuedForecasts(self.time_s[which], self.raw[which], self.adapted[which])
 
 
 @dataclass(frozen=True)
-class _Scores:
+class Scores:
     """Distances of past values from the median of what forecast them, in raw half-widths.
 
     `time_s` (H,): instants, s; `values` (H, K): by lead time, NaN where unknown.
@@ -80,8 +80,8 @@ class CalibratedState:
     few of them. `latest_s`: time of the last forecast, s; `n_steps`: its length; `inner`: state of the wrapped method.
     """
 
-    issued: _Issued | None = None
-    scores: _Scores | None = None
+    issued: IssuedForecasts | None = None
+    scores: Scores | None = None
     steering: Array = field(default_factory=lambda: np.zeros(_GROUPS))
     window: Array = field(default_factory=lambda: np.full(_GROUPS, np.nan))
     latest_s: float = -np.inf
@@ -141,9 +141,9 @@ class CalibratedFreeResponse:
             # NaN marks forecasts issued without a known width, which were not adapted.
             adapted = np.where(np.isnan(compared.window), np.nan, compared.steering)[None]
             if issued is None:
-                issued = _Issued(np.array([now]), new, adapted)
+                issued = IssuedForecasts(np.array([now]), new, adapted)
             else:
-                issued = _Issued(
+                issued = IssuedForecasts(
                     np.append(issued.time_s, now),
                     np.concatenate([issued.raw, new]),
                     np.concatenate([issued.adapted, adapted]),
@@ -160,7 +160,7 @@ def _scored(
     issued, now = last.issued, float(history.time_s[-1])
     if issued is None:
         return last
-    scores = last.scores or _Scores(np.empty(0), np.empty((0, lead_s.size)))
+    scores = last.scores or Scores(np.empty(0), np.empty((0, lead_s.size)))
     ends = issued.time_s[:, None] + lead_s
     due = (ends > last.latest_s + 0.5) & (ends <= now + 0.5)
     fresh = now - scores.time_s <= _WINDOW_S
@@ -186,7 +186,7 @@ def _scored(
     return replace(
         last,
         issued=issued.select(np.asarray((ends[:, -1:] > now + 0.5).any(axis=1))),
-        scores=_Scores(np.concatenate([scores.time_s[fresh], instants]), values),
+        scores=Scores(np.concatenate([scores.time_s[fresh], instants]), values),
         steering=steering,
         window=window,
     )
