@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.support.operators import random_operator
+from operators import random_operator
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator import BuildingOperator, OperatorParameters, forced_rollout, single
