@@ -25,7 +25,7 @@ def test_every_file_and_folder_is_there():
     rooms = [ROOT, *(ROOT / room for room in ("thermoforce_mpc/model", "thermoforce_mpc/identification"))]
     rooms += [ROOT / "thermoforce_mpc" / room for room in ("measurements", "plants", "simulation", "cli", "execution")]
     rooms += [ROOT / "thermoforce_mpc/model/free_response"]
-    paths = [span for span in spans() if PATH.fullmatch(span)]
+    paths = [span for span in spans() if PATH.fullmatch(span) and not span.startswith("../")]
     assert len(paths) > 60
     missing = [path for path in paths if not any((room / path).exists() for room in rooms)]
     assert missing == []

@@ -18,75 +18,42 @@ from thermoforce_mpc.errors import EngineError, InputError, NoSuchTest, PlantErr
 from thermoforce_mpc.files import DoubtfulInput
 from thermoforce_mpc.version import VERSION
 
-# name: (module, one line for the overview)
+# name: (module below this one, with a function where several commands stand in it; one line for the overview)
 _COMMANDS = {
-    "init": (
-        "thermoforce_mpc.cli.building.init",
-        "Write a commented scenario to start from, and a test case or a map.",
-    ),
-    "run": ("thermoforce_mpc.cli.running.run", "Run a controller over a scored window and report KPIs."),
-    "resume": ("thermoforce_mpc.cli.running.resume", "Go on with a run that was killed or interrupted."),
-    "report": ("thermoforce_mpc.cli.running.report", "Make the report of a run again, also of one that was cut off."),
-    "compare": ("thermoforce_mpc.cli.running.compare", "Compare controllers on several windows and tariffs."),
-    "sweep": ("thermoforce_mpc.cli.running.sweep", "Vary one controller option and plot cost against discomfort."),
-    "fleet": ("thermoforce_mpc.cli.running.fleet", "Run many buildings under many windows, tariffs and controllers."),
-    "identify": (
-        "thermoforce_mpc.cli.building.identify",
-        "Identify a model by probing a building, or from measurements.",
-    ),
-    "data": ("thermoforce_mpc.cli.building.data", "Check measurements of your own building; plan a probing by hand."),
-    "plan": (
-        "thermoforce_mpc.cli.building.plan",
-        "Plan the next hours from recent measurements and a forecast in files.",
-    ),
-    "control": ("thermoforce_mpc.cli.live.control", "Control a real building through a connection, in real time."),
-    "forecast": (
-        "thermoforce_mpc.cli.building.forecast",
-        "Forecast the temperature of your own building, with its band.",
-    ),
-    "counterfactual": (
-        "thermoforce_mpc.cli.building.counterfactual",
-        "Show what another schedule would have done on a past day.",
-    ),
-    "saving": (
-        "thermoforce_mpc.cli.building.saving",
-        "What a changed operation saved, with an interval, from records.",
-    ),
-    "explain": ("thermoforce_mpc.cli.inside.explain", "Tell what a run decided at an instant, and why."),
-    "watch": ("thermoforce_mpc.cli.live.watch", "Watch a running controller, in the terminal or as a page."),
-    "inspect": (
-        "thermoforce_mpc.cli.inside.inspect",
-        "Show a saved model: parameters, certificate, identification data.",
-    ),
-    "migrate": ("thermoforce_mpc.cli.inside.migrate", "Rewrite a saved model of an older release for this one."),
-    "validate": ("thermoforce_mpc.cli.inside.validate", "Check a scenario or test case file without running it."),
-    "schema": (
-        "thermoforce_mpc.cli.inside.schema",
-        "Write the JSON Schema of scenario, test case, comparison, fleet or map files.",
-    ),
-    "controllers": ("thermoforce_mpc.cli.inside.controllers", "List controllers and their options."),
-    "train": ("thermoforce_mpc.cli.inside.train", "Train the policy of the controller dpc through a saved model."),
-    "plants": ("thermoforce_mpc.cli.inside.plants", "List plants and their options."),
-    "connections": ("thermoforce_mpc.cli.inside.connections", "List connections to real buildings and their options."),
-    "free-responses": (
-        "thermoforce_mpc.cli.inside.free_responses",
-        "List forecasters of the free response, and backbones.",
-    ),
+    "init": ("building.init", "Write a commented scenario to start from, and a test case or a map."),
+    "run": ("running.run", "Run a controller over a scored window and report KPIs."),
+    "resume": ("running.resume", "Go on with a run that was killed or interrupted."),
+    "report": ("running.report", "Make the report of a run again, also of one that was cut off."),
+    "compare": ("running.compare", "Compare controllers on several windows and tariffs."),
+    "sweep": ("running.sweep", "Vary one controller option and plot cost against discomfort."),
+    "fleet": ("running.fleet", "Run many buildings under many windows, tariffs and controllers."),
+    "identify": ("building.identify", "Identify a model by probing a building, or from measurements."),
+    "data": ("building.data", "Check measurements of your own building; plan a probing by hand."),
+    "plan": ("building.plan", "Plan the next hours from recent measurements and a forecast in files."),
+    "control": ("live.control", "Control a real building through a connection, in real time."),
+    "forecast": ("building.forecast", "Forecast the temperature of your own building, with its band."),
+    "counterfactual": ("building.counterfactual", "Show what another schedule would have done on a past day."),
+    "saving": ("building.saving", "What a changed operation saved, with an interval, from records."),
+    "explain": ("inside.explain", "Tell what a run decided at an instant, and why."),
+    "watch": ("live.watch", "Watch a running controller, in the terminal or as a page."),
+    "inspect": ("inside.inspect", "Show a saved model: parameters, certificate, identification data."),
+    "migrate": ("inside.migrate", "Rewrite a saved model of an older release for this one."),
+    "validate": ("inside.validate", "Check a scenario or test case file without running it."),
+    "schema": ("inside.schema", "Write the JSON Schema of scenario, test case, comparison, fleet or map files."),
+    "controllers": ("inside.listing:controllers", "List controllers and their options."),
+    "train": ("inside.train", "Train the policy of the controller dpc through a saved model."),
+    "plants": ("inside.listing:plants", "List plants and their options."),
+    "connections": ("inside.listing:connections", "List connections to real buildings and their options."),
+    "free-responses": ("inside.listing:free_responses", "List forecasters of the free response, and backbones."),
     "chaos": (
         "benchmarks.cli.chaos",
         "Run controllers with everything around them failing on purpose (in a checkout).",
     ),
-    "doctor": (
-        "thermoforce_mpc.cli.inside.doctor",
-        "Check installation, solvers, forecaster, plant, service, clock and disk.",
-    ),
-    "serve": ("thermoforce_mpc.cli.live.serve", "Serve the embedded plant over BOPTEST's REST protocol."),
-    "weather": ("thermoforce_mpc.cli.inside.weather", "Download the weather file of the BOPTEST test case."),
+    "doctor": ("inside.doctor", "Check installation, solvers, forecaster, plant, service, clock and disk."),
+    "serve": ("live.serve", "Serve the embedded plant over BOPTEST's REST protocol."),
+    "weather": ("inside.weather", "Download the weather file of the BOPTEST test case."),
     "bench": ("benchmarks.cli.bench", "Run benchmarks and compare the results with their targets (in a checkout)."),
-    "testcases": (
-        "thermoforce_mpc.cli.inside.testcases",
-        "List the shipped test cases, scenarios, comparisons and fleets.",
-    ),
+    "testcases": ("inside.testcases", "List the shipped test cases, scenarios, comparisons and fleets."),
 }
 
 
@@ -99,12 +66,12 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _COMMANDS:
             return None
-        module, _ = _COMMANDS[cmd_name]
+        module, _, function = _COMMANDS[cmd_name][0].partition(":")
         command: click.Command
         if module.startswith("benchmarks."):
             command = benchmark_command(module)
         else:
-            command = importlib.import_module(module).command
+            command = getattr(importlib.import_module(f"{__name__}.{module}"), function or "command")
         command.name = cmd_name  # all are functions of the same name; the command line reference shows this one
         return command
 

@@ -16,9 +16,16 @@ from typing import Any
 
 from thermoforce_mpc.errors import ConfigError, EngineError
 from thermoforce_mpc.execution.cluster_address import check_scheduler, is_missing
-from thermoforce_mpc.execution.cluster_worker import Order, WrongWorker, look, more_threads, perform
+from thermoforce_mpc.execution.cluster_worker import (
+    Order,
+    WrongWorker,
+    difference,
+    environment,
+    look,
+    more_threads,
+    perform,
+)
 from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told
-from thermoforce_mpc.execution.environment import difference, environment
 from thermoforce_mpc.words import counted
 
 # So long an attempt to connect takes at least, and the pause after it.

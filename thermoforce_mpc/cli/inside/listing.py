@@ -1,4 +1,7 @@
-"""Lists of what is registered by name, with its origin and its options."""
+"""`tf-mpc controllers`, `plants`, `connections`, `free-responses`: what is registered by name, its origin and options.
+
+A command imports its registry when it is called: some load much.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,96 @@ from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
 from thermoforce_mpc.registry import OWN, Registry
+from thermoforce_mpc.scenario.signatures import first_line, options_model
 
 T = TypeVar("T")
 
 
-def show_names(registry: Registry[T], summary: Callable[[T], str]) -> None:
+_NAME = click.argument("name", required=False)
+
+
+@click.command(short_help="List controllers and their options.")
+@_NAME
+def controllers(name: str | None) -> None:
+    """List the controllers, or every option of the controller NAME with its default and unit.
+
+    Options are set with --set controller.options.KEY=VALUE or in a scenario file. Controllers of other distributions
+    stand with their origin (docs/how-to/plugins.md).
+    """
+    from controllers.registry import REGISTRY, find_entry
+
+    if name is None:
+        _show_names(REGISTRY, lambda entry: entry.summary)
+        click.echo("\n`tf-mpc controllers NAME` lists the options of a controller.")
+        return
+    entry = find_entry(name)
+    click.echo(f"{name}: {entry.summary}\n")
+    _show_options(entry.config(), dict(entry.defaults), "controller.options.")
+
+
+@click.command(short_help="List plants and their options.")
+@_NAME
+def plants(name: str | None) -> None:
+    """List the plants, or every option of the plant NAME with its default and unit.
+
+    A test case names the plant that implements it; --url and --fmu choose another, and --set plant.kind=NAME a
+    plugin's. Options are set with --set plant.options.KEY=VALUE or in a scenario file. Plants of other distributions
+    stand with their origin (docs/how-to/plugins.md).
+    """
+    from thermoforce_mpc.plants.registry import REGISTRY
+
+    if name is None:
+        _show_names(REGISTRY, lambda entry: entry.summary)
+        return
+    entry = REGISTRY.find(name)
+    click.echo(f"{name}: {entry.summary}\n")
+    _show_options(entry.config(), {}, "plant.options.")
+
+
+@click.command(short_help="List connections to real buildings and their options.")
+@_NAME
+def connections(name: str | None) -> None:
+    """List the connections of `tf-mpc control`, or every option of the connection NAME with its default.
+
+    Options are set with --set connection.KEY=VALUE. Connections of other distributions stand with their origin
+    (docs/how-to/connection.md).
+    """
+    from thermoforce_mpc.connections.registry import REGISTRY
+
+    if name is None:
+        _show_names(REGISTRY, first_line)
+        return
+    make = REGISTRY.find(name)
+    click.echo(f"{name}: {first_line(make)}\n")
+    _show_options(options_model(make, ()), {}, "connection.")
+
+
+@click.command(short_help="List forecasters of the free response and their options.")
+@_NAME
+def free_responses(name: str | None) -> None:
+    """List the forecasters of the free response and the backbones, or the options of the free response NAME.
+
+    One is chosen with --set controller.options.free_response.name=NAME, its options with
+    --set controller.options.free_response.options.KEY=VALUE, the backbone of `residual` and `chronos` also with
+    --backbone: one of those listed, a directory, or a hub name. Those of other distributions stand with their origin
+    (docs/how-to/plugins.md).
+    """
+    from thermoforce_mpc.model.free_response.backbones import loading
+    from thermoforce_mpc.model.free_response.registry import REGISTRY, options_of
+
+    if name is None:
+        click.echo("Free responses:")
+        _show_names(REGISTRY, first_line)
+        click.echo("\nBackbones of residual and chronos:")
+        _show_names(loading.REGISTRY, first_line)
+        return
+    build = REGISTRY.find(name)
+    click.echo(f"{name}: {first_line(build)}\n")
+    for key, default in options_of(build).items():
+        click.echo(f"  controller.options.free_response.options.{key}  (default {default!r})")
+
+
+def _show_names(registry: Registry[T], summary: Callable[[T], str]) -> None:
     """Print each name with its summary; under that of a plugin where it comes from, and why it cannot be used."""
     for entry in registry.listing():
         click.echo(f"{entry.name:18s} {'cannot be used' if entry.found is None else summary(entry.found)}".rstrip())
@@ -25,12 +113,12 @@ def show_names(registry: Registry[T], summary: Callable[[T], str]) -> None:
             click.echo(f"{'':18s} {entry.problem}")
 
 
-def show_options(model: type[BaseModel], defaults: Mapping[str, Any], prefix: str) -> None:
+def _show_options(model: type[BaseModel], defaults: Mapping[str, Any], prefix: str) -> None:
     """Print every option with its default and meaning, those of nested models by their full name."""
     for key, field in model.model_fields.items():
         default = field.get_default(call_default_factory=True)
         if isinstance(default, BaseModel):
-            show_options(type(default), defaults.get(key, {}), f"{prefix}{key}.")
+            _show_options(type(default), defaults.get(key, {}), f"{prefix}{key}.")
             continue
         value = defaults.get(key, default)
         shown = "required" if value is PydanticUndefined else f"default {_as_written(value)!r}"
