@@ -20,7 +20,6 @@ from controllers.mpc.planner import Planners, build_solver
 from controllers.mpc.prediction import Failure, Forecast, Prediction
 from controllers.mpc.readings import Readings, ReadingsFilter
 from controllers.mpc.realisation import Realisation
-from controllers.mpc.reason import with_news
 from controllers.mpc.solved import FirstStep, solved_plan
 from controllers.mpc.state import MPCState
 from controllers.optimisation.machines import EquipmentLayout
@@ -222,7 +221,7 @@ class ThermoForceMPC(ActuatedController):
             instance = self._formulate(forecast, readings, state)
             result = yield from self._solve(instance, forecast, readings)
             plan = self._realise(result, readings, overrides, situation)
-        return self._watched.record_request(readings.observation, with_news(plan, *readings.news))
+        return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
 
     def _clean(self, observation: Observation, state: MPCState) -> tuple[Readings, MPCState]:
         """What is believed; a model that may not act says nothing of readings."""

@@ -14,7 +14,6 @@ from controllers.monitoring.single_actuator import single_actuator_context, sing
 from controllers.monitoring.watch import Watch
 from controllers.monitoring.watch_state import Track
 from controllers.mpc.planner import Planner
-from controllers.mpc.reason import with_news
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import Array, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, gather
@@ -120,7 +119,7 @@ class WatchedPredictions:
             states[a] = watch.record_request(states[a], observation.time_s, sum(levels) / watch.step_s)
             if states[a].news:
                 news.append(self.named(a, f"watch: {states[a].news}"))
-        return replace(with_news(plan, *news), state=replace(plan.state, watch=tuple(states)))
+        return replace(plan.with_news(*news), state=replace(plan.state, watch=tuple(states)))
 
     def doubtful(self, now: MPCState, a: int) -> bool:
         """See `Watch.doubtful`."""

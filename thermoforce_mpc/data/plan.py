@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -138,6 +138,13 @@ class Plan:
     def T_zone_C(self) -> Array:
         """Predicted zone temperatures at the end of each step, free plus forced (paper eq:compose), (Z, N), °C."""
         return compose(self.T_free_C, self.T_forced_K)
+
+    def with_news(self, *news: str) -> Plan:
+        """The plan that also says what was learned in its step; empty texts say nothing."""
+        text = "; ".join(filter(None, news))
+        if not text:
+            return self
+        return replace(self, news="; ".join(filter(None, (text, self.news))), why=f"{text}; {self.why}")
 
     def to_dataframe(self) -> pd.DataFrame:
         """The planned horizon, one row per step at its start; no rows where nothing was solved.
