@@ -20,11 +20,11 @@ from controllers.mpc.planner import Planners, build_solver
 from controllers.mpc.prediction import Failure, Forecast, Prediction
 from controllers.mpc.readings import Readings, ReadingsFilter
 from controllers.mpc.realisation import Realisation
-from controllers.mpc.solved import FirstStep, solved_plan
+from controllers.mpc.solved import first_demands, solved_plan
 from controllers.mpc.state import MPCState
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import MPCProblem
-from controllers.optimisation.solution import Solution, Solve, Solver
+from controllers.optimisation.solution import Solve, Solver
 from controllers.safety.base import ActuatedController
 from controllers.safety.deadline import BoundedCalls, Overdue
 from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan
@@ -40,7 +40,6 @@ from controllers.safety.overrides import (
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.identification.estimation.adaptation import OnlineAdaptation
-from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.substitute import WithSubstitutes
 from thermoforce_mpc.model.machine.part_load import CostAtPartLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -130,10 +129,9 @@ class ThermoForceMPC(ActuatedController):
         self._prediction = Prediction(
             self._planners, adaptations, self._readings.sensors, self._watched, n_steps, c.deadline.forecast_s
         )
-        self._overrides = (WatchAlarm(self._fallbacks), self._gate, LostZone(layout, self._fallbacks))
+        self._overrides = (WatchAlarm(self._fallbacks), self._gate, LostZone(self._fallbacks))
         guard = ComfortGuard(c.guard, layout, [actuation.highest for actuation in self._actuators.each])
         self._realisation = Realisation(self._actuators, self._fallbacks, guard, self.step_s)
-        self._first_step = FirstStep(c, self._actuators, self.step_s)
 
     @property
     def model(self) -> ThermalModel:
@@ -275,7 +273,7 @@ class ThermoForceMPC(ActuatedController):
             solve = Solve(planner.solver, instance.problem, self._guess(forecast.state.good, readings.time_s))
             request = Request(planner.solver, solve, seconds=self.config.deadline.solve_s)
             solution, solve_s = yield from timed(perform(request))
-            refused = _refused(solution, instance.problem)
+            refused = solution.problem if not solution.ok else instance.problem.unfit(solution.u)
         except Exception as error:  # whatever a solver raises, there is another way to act
             if isinstance(error, Overdue):
                 self._planners.renew_solver(planner)
@@ -295,8 +293,7 @@ class ThermoForceMPC(ActuatedController):
         if isinstance(result, Failure):
             doubtful = [self._watched.doubtful(result.state, a) for a in range(len(self._fallbacks))]
             return self._realisation.fall_back(result, overrides, doubtful, readings.doubts, situation)
-        assert isinstance(result.state, MPCState)
-        demands = self._first_step.demands(result, readings, result.state.margins.learned)
+        demands = first_demands(self.config, self._actuators, self.step_s, result, readings)
         return self._realisation.realise(result, demands, overrides, situation)
 
     def _guess(self, good: GoodPlan | None, time_s: float) -> Array | None:
@@ -304,11 +301,6 @@ class ThermoForceMPC(ActuatedController):
         if good is None or good.age(time_s, self.step_s) != 1:
             return None
         return np.concatenate([good.u[:, 1:], good.u[:, -1:]], axis=1)
-
-
-def _refused(solution: Solution, problem: MPCProblem) -> str:
-    """Why a solution is not acted on; empty where it is."""
-    return solution.problem if not solution.ok else problem.unfit(solution.u)
 
 
 def at_step(model: ThermalModel, config: MPCConfig) -> tuple[ThermalModel, int]:
@@ -354,14 +346,10 @@ def _free_responses(
     config: FreeResponseConfig, model: ThermalModel, given: FreeResponse | Sequence[FreeResponse] | None
 ) -> list[FreeResponse]:
     """The free response of each zone (Z,): those given, or those that `config` names, each with its substitutes."""
-    methods = given or [_build_free_response(config, free) for free in model.free]
+    from thermoforce_mpc.model.free_response.registry import build_free_response  # may load torch
+
+    methods = given or [build_free_response(config.name, rc=free, **config.options) for free in model.free]
     each = methods if isinstance(methods, Sequence) else [methods] * len(model.names.zones)
     if config.substitutes:
         return [WithSubstitutes(method) for method in each]
     return [WithSubstitutes(method, substitutes=()) for method in each]
-
-
-def _build_free_response(config: FreeResponseConfig, free: RcParameters | None) -> FreeResponse:
-    from thermoforce_mpc.model.free_response.registry import build_free_response  # may load torch
-
-    return build_free_response(config.name, rc=free, **config.options)

@@ -1,21 +1,13 @@
 """The size of each margin (`margins`): back-off, reserve, and what a run learns.
 
-Back-off under forecast uncertainty is a chance and an integrated chance constraint. With a fixed chance level the
-frequency of violations is constant, but their size grows with the forecast uncertainty. An integrated chance constraint
-(Klein Haneveld 1986) bounds the expected violation in K instead. The chance level is active where forecasts are good;
-elsewhere it is lowered, equally for all lead times, until the expected violation over the next 6 h is within its limit.
+Back-off is a chance and an integrated chance constraint. With a fixed chance level the frequency of violations is
+constant, but their size grows with the forecast uncertainty; an integrated one (Klein Haneveld 1986) bounds the
+expected violation in K. The chance level is active where forecasts are good; elsewhere it is lowered until
+the bound holds.
 
-The reserve is for what a plan cannot see in a fast zone. It knows the zone at the ends of its steps; in a zone that an
-hour at full level moves by more than 0.6 K, on/off blocks let it swing in between, the model's error of the next hour
-is felt at once, and a coarse sensor hides both. What is missed all the same shows in the readings afterwards: a sensor
-that lags behind a room in on/off blocks, a machine that is weaker than its law. Where readings are beyond the bound
-although the machine had more to give, by more in the mean than a plan may expect to be, the learned reserve grows;
-otherwise it fades.
-
-The share of a shared machine's capacity that plans leave unused is learned from what its actuators got. What one takes
-at a level is known on the average; a cold floor takes more. At the machine's limit the water cools, and what one takes
-too much another lacks, most in the warmest room. Where a metered actuator got clearly less than its level stands for,
-plans keep away from the limit by more; where all got theirs at the limit, by less.
+The reserve is for what a plan, which knows the zone at the ends of its steps, cannot see in a fast one: swing under
+on/off blocks, error of the next hour, a coarse sensor. What is missed all the same is learned. So is the share of a
+shared machine's capacity that is left unused: at its limit what one takes too much another lacks.
 """
 
 from __future__ import annotations

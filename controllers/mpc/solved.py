@@ -11,14 +11,14 @@ from controllers.actuation.actuators import Actuators, Demand
 from controllers.actuation.room_setpoints import room_blocks, within_C
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.formulation import Instance
-from controllers.mpc.margin_rules import LearnedMargin
 from controllers.mpc.margins import MarginRules
 from controllers.mpc.prediction import Forecast
 from controllers.mpc.readings import Readings, joined
+from controllers.mpc.state import MPCState
 from controllers.optimisation.problem import MPCProblem
 from controllers.optimisation.solution import Solution
 from controllers.safety.fallback_policy import GoodPlan
-from thermoforce_mpc.data import HOUR_S, Array, Block, FreeForecast, Plan, PlanStatus
+from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, Plan, PlanStatus
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.operator.features import ZONE
 
@@ -76,47 +76,33 @@ def _good_plan(time_s: float, u: Array, T_zone_C: Array, forecast: Forecast) -> 
     return good
 
 
-class FirstStep:
-    """What a plan asks of each actuator in its first step: a level, or room set-points; it holds no state.
-
-    Args:
-        config: options of the controller.
-        actuators: how the actuators are run.
-        step_s: control step, s.
-    """
-
-    def __init__(self, config: MPCConfig, actuators: Actuators, step_s: float) -> None:
-        self._config, self._actuators, self._step_s = config, actuators, step_s
-
-    def demands(self, plan: Plan, readings: Readings, learned: LearnedMargin) -> list[Demand]:
-        """The demands on all actuators (A,)."""
-        T_end_C = plan.T_zone_C[:, 0]
-        return [
-            self._room_blocks(readings, a, float(plan.u[a, 0]), T_end_C, learned)
-            if actuation.by_rooms
-            else float(plan.u[a, 0])
-            for a, actuation in enumerate(self._actuators.each)
-        ]
-
-    def _room_blocks(
-        self, readings: Readings, a: int, u: float, T_end_C: Array, learned: LearnedMargin
-    ) -> tuple[Block, ...]:
-        """Room set-points of the first step for actuator `a`, from the planned temperatures of all zones (Z,), °C."""
-        layout, bounds = self._actuators.layout, readings.observation.boundary
-        z = layout.home[a]
-        lower_C, upper_C = bounds.lower_C[z, :1], bounds.upper_C[z, :1]
-        inside_K = self._config.comfort_margin_K + learned.inside_K(z, lower_C, upper_C, by_loops=True)[:, 0]
+def first_demands(
+    config: MPCConfig, actuators: Actuators, step_s: float, plan: Plan, readings: Readings
+) -> list[Demand]:
+    """What a plan asks of each actuator (A,) in its first step of `step_s` seconds: a level, or room set-points."""
+    assert isinstance(plan.state, MPCState)
+    learned, demands = plan.state.margins.learned, list[Demand]()
+    for a, (actuation, z) in enumerate(zip(actuators.each, actuators.layout.home, strict=True)):
+        u, boundary = float(plan.u[a, 0]), readings.observation.boundary
+        if not actuation.by_rooms:
+            demands.append(u)
+            continue
+        lower_C, upper_C = boundary.lower_C[z, :1], boundary.upper_C[z, :1]
+        inside_K = config.comfort_margin_K + learned.inside_K(z, lower_C, upper_C, by_loops=True)[:, 0]
         last = readings.history.u[a, -1:]
-        return room_blocks(
-            u,
-            float(T_end_C[z]),
-            T_now_C=float(readings.zones.T_C[z]),
-            u_last=float(last[0]) if last.size else float("nan"),
-            bounds_C=within_C(float(lower_C[0]), float(upper_C[0]), inside_K),
-            lowest=layout.lowest[a],
-            step_s=self._step_s,
-            block_s=self._actuators.each[a].config.block_s,
+        demands.append(
+            room_blocks(
+                u,
+                float(plan.T_zone_C[z, 0]),
+                T_now_C=float(readings.zones.T_C[z]),
+                u_last=float(last[0]) if last.size else float("nan"),
+                bounds_C=within_C(float(lower_C[0]), float(upper_C[0]), inside_K),
+                lowest=actuators.layout.lowest[a],
+                step_s=step_s,
+                block_s=actuation.config.block_s,
+            )
         )
+    return demands
 
 
 def reason_of(

@@ -102,13 +102,11 @@ class CompetenceGate:
     """
 
     def __init__(
-        self,
-        config: GateConfig,
-        competences: Sequence[Competence | None],
-        fallbacks: Sequence[FallbackPolicy],
+        self, config: GateConfig, competences: Sequence[Competence | None], fallbacks: Sequence[FallbackPolicy]
     ) -> None:
         self._fallbacks = tuple(fallbacks)
-        self._reasons = {a: why for a, competence in enumerate(competences) if (why := gate_reason(config, competence))}
+        judged = {a: one for a, one in enumerate(competences) if one is not None and config.enabled}
+        self._reasons = {a: f"gate: the model is {one.in_words()}" for a, one in judged.items() if not one.competent}
 
     @property
     def closes_all(self) -> bool:
@@ -126,18 +124,20 @@ class LostZone:
     """A zone whose temperature is not known any more, by sensor or model.
 
     Args:
-        layout: what acts where.
         fallbacks: what acts instead (A,).
     """
 
-    def __init__(self, layout: Layout, fallbacks: Sequence[FallbackPolicy]) -> None:
-        self._layout, self._fallbacks = layout, tuple(fallbacks)
+    def __init__(self, fallbacks: Sequence[FallbackPolicy]) -> None:
+        self._fallbacks = tuple(fallbacks)
 
     def overrides(self, situation: Situation) -> dict[int, Override]:
         """Of the actuators of such zones."""
-        zones = situation.zones.each
-        lost = {a: zones[z].why for a, z in enumerate(self._layout.home) if zones[z].lost}
-        return {a: backup_override(self._fallbacks[a], situation, None, why) for a, why in lost.items()}
+        zones = [situation.zones.each[fallback.zone] for fallback in self._fallbacks]
+        return {
+            a: backup_override(self._fallbacks[a], situation, None, zone.why)
+            for a, zone in enumerate(zones)
+            if zone.lost
+        }
 
 
 class ComfortGuard:
@@ -154,19 +154,27 @@ class ComfortGuard:
 
     def overrides(self, situation: Situation) -> dict[int, Override]:
         """Of the planned actuators whose planned level does not bring such a zone back."""
-        guarded = {}
-        for a, planned in situation.planned.items():
-            level = guard_level(
-                self._config,
-                situation.observation,
-                u=planned,
-                highest=self._highest[a],
-                sign=self._layout.signs[a],
-                zone=self._layout.home[a],
-            )
-            if level is not None:
-                guarded[a] = Override(level[0], PlanStatus.GUARD, level[1])
-        return guarded
+        guarded = {a: self._guarded(a, u, situation.observation) for a, u in situation.planned.items()}
+        return {a: override for a, override in guarded.items() if override is not None}
+
+    def _guarded(self, a: int, u: float, observation: Observation) -> Override | None:
+        """The level that brings the zone of actuator `a` back; None while the planned level `u` may act."""
+        z, bounds = self._layout.home[a], observation.boundary
+        T, lower, upper = (
+            float(values[z]) for values in (observation.T_zone_C, bounds.lower_C[:, 0], bounds.upper_C[:, 0])
+        )
+        if not self._config.enabled or not all(map(math.isfinite, (T, lower, upper))):
+            return None
+        below, above = lower - T, T - upper
+        if max(below, above) <= self._config.margin_K:
+            return None
+        needed = below > above if self._layout.signs[a] > 0 else above > below
+        level = self._highest[a] if needed else 0.0
+        if math.isclose(u, level, abs_tol=1e-3):
+            return None
+        side = f"{below:.2f} K below" if below > above else f"{above:.2f} K above"
+        why = f"guard: {T:.2f} °C is {side} the comfort band at a planned level of {u:.2f}: {level:.2f} instead"
+        return Override(level, PlanStatus.GUARD, why)
 
 
 def backup_override(policy: FallbackPolicy, situation: Situation, status: PlanStatus | None, why: str) -> Override:
@@ -178,38 +186,3 @@ def backup_override(policy: FallbackPolicy, situation: Situation, status: PlanSt
 def unplanned_status(level: float | None) -> PlanStatus:
     """What acts where a level is not of a plan: the on/off rule, or native control (None)."""
     return PlanStatus.NATIVE if level is None else PlanStatus.THERMOSTAT
-
-
-def gate_reason(config: GateConfig, competence: Competence | None) -> str | None:
-    """Return why a controller must not act on a model of this verdict; None where it may, or was not judged."""
-    if not config.enabled or competence is None or competence.competent:
-        return None
-    return f"gate: the model is {competence.in_words()}"
-
-
-def guard_level(
-    config: GuardConfig, observation: Observation, *, u: float, highest: float, sign: int, zone: int = 0
-) -> tuple[float, str] | None:
-    """Return the level that brings the zone back, and why; None while the plan may act.
-
-    Args:
-        config: options.
-        observation: zone temperature and comfort bounds now.
-        u: planned level of this step, in [0, `highest`].
-        highest: highest level that may be planned.
-        sign: +1 heating, −1 cooling.
-        zone: number of the zone that the actuator serves.
-    """
-    T, bounds = float(observation.T_zone_C[zone]), observation.boundary
-    lower, upper = float(bounds.lower_C[zone, 0]), float(bounds.upper_C[zone, 0])
-    if not config.enabled or not all(map(math.isfinite, (T, lower, upper))):
-        return None
-    below, above = lower - T, T - upper
-    if max(below, above) <= config.margin_K:
-        return None
-    needed = below > above if sign > 0 else above > below
-    level = highest if needed else 0.0
-    if math.isclose(u, level, abs_tol=1e-3):
-        return None
-    side = f"{below:.2f} K below" if below > above else f"{above:.2f} K above"
-    return level, f"guard: {T:.2f} °C is {side} the comfort band at a planned level of {u:.2f}: {level:.2f} instead"

@@ -41,9 +41,14 @@ from thermoforce_mpc.simulation.folder.run_folder import (
 from thermoforce_mpc.simulation.folder.run_log import log_step, logging_to
 from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
-from thermoforce_mpc.simulation.models.frozen_weights import frozen_proof, weight_hash
 from thermoforce_mpc.simulation.models.identifying import IdentifiedModel
-from thermoforce_mpc.simulation.models.run_models import identify_all, kept_models, origins_of
+from thermoforce_mpc.simulation.models.run_models import (
+    frozen_proof,
+    identify_all,
+    kept_models,
+    origins_of,
+    weight_hash,
+)
 from thermoforce_mpc.simulation.views.display import RunDisplay
 from thermoforce_mpc.simulation.views.watching import watch_spells
 from thermoforce_mpc.words import counted

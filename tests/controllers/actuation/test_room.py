@@ -20,8 +20,10 @@ from controllers.monitoring.zone_sensors import Zones
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.mpc.margin_rules import LearnedMargin
+from controllers.mpc.margins import Margins
 from controllers.mpc.readings import Readings
-from controllers.mpc.solved import FirstStep
+from controllers.mpc.solved import first_demands
+from controllers.mpc.state import MPCState
 from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import Cooling, ProblemShape, Weights, every_step
@@ -237,7 +239,7 @@ def test_a_room_that_fell_below_its_reserve_does_not_wait_for_its_heat(model):
     night = Observation(office.past(mpc.step_s), office.forecast(mpc.horizon_s, mpc.step_s))
     assert night.boundary.lower_C[0, 0] == 15.0
 
-    first_step = FirstStep(config, Actuators(model.layout, [Actuation(config.actuation)]), mpc.step_s)
+    actuators = Actuators(model.layout, [Actuation(config.actuation)])
     plan = Plan(
         (), PlanStatus.SOLVED, "", u=np.array([[0.1]]), T_free_C=np.array([[16.1]]), T_forced_K=np.zeros((1, 1))
     )
@@ -245,7 +247,8 @@ def test_a_room_that_fell_below_its_reserve_does_not_wait_for_its_heat(model):
 
     def first_band(missed: LearnedMargin) -> tuple[float, float]:
         known = missed.meeting(night.boundary.lower_C, night.boundary.upper_C)
-        ((first, *_),) = first_step.demands(plan, readings, known)
+        kept = MPCState(night.time_s, margins=Margins(learned=known))
+        ((first, *_),) = first_demands(config, actuators, mpc.step_s, replace(plan, state=kept), readings)
         return first.band_C[0]
 
     assert first_band(LearnedMargin.nothing(1))[0] == pytest.approx(15.03)

@@ -8,9 +8,10 @@ from faults import shifted
 from simple_house import SimpleHouse, bounds_C, simple_model
 
 from controllers import ThermoForceMPC
+from controllers.monitoring.zone_sensors import Zones
 from controllers.mpc.config import MPCConfig
-from controllers.safety.overrides import GuardConfig
-from thermoforce_mpc.data import Array, Observation, PlanStatus, Record
+from controllers.safety.overrides import ComfortGuard, GuardConfig, Override, Situation
+from thermoforce_mpc.data import Array, Layout, Observation, PlanStatus, Record
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 
 # The forecast is to be believed although the weather model says otherwise.
@@ -65,13 +66,15 @@ def test_minimum_off_time_holds_and_the_overruled_plan_is_not_followed_later():
 
 
 def test_cooling_is_guarded_the_other_way_round():
-    from controllers.safety.overrides import guard_level
-
     house = SimpleHouse(T_start_C=26.0)
     house.reset(10 * 86400.0, 0.0)
     seen = Observation(Record.beginning(house.measure()), house.forecast(86400.0, 3600.0))
-    level, why = guard_level(GuardConfig(), seen, u=0.0, highest=0.8, sign=-1)
-    assert level == 0.8
-    assert "2.00 K above" in why
-    assert guard_level(GuardConfig(), seen, u=0.8, highest=0.8, sign=-1) is None, "fully used already"
-    assert guard_level(GuardConfig(margin_K=2.5), seen, u=0.0, highest=0.8, sign=-1) is None
+
+    def guarded(planned: float, **options: float) -> dict[int, Override]:
+        guard = ComfortGuard(GuardConfig(**options), Layout.single("cooling"), [0.8])
+        return guard.overrides(Situation(seen, Zones(()), (), {0: planned}))
+
+    assert guarded(0.0)[0].level == 0.8
+    assert "2.00 K above" in guarded(0.0)[0].why
+    assert guarded(0.8) == {}, "fully used already"
+    assert guarded(0.0, margin_K=2.5) == {}

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.drawn_houses.envelope import HEIGHT_M
-from thermoforce_mpc.plants.drawn_houses.glazing import FACADES
+from thermoforce_mpc.plants.drawn_houses.envelope import FACADES, HEIGHT_M
 from thermoforce_mpc.plants.rooms import draw_rooms, house_of_rooms
 from thermoforce_mpc.plants.rooms.draw import KINDS, emulator_fixed_share
 from thermoforce_mpc.plants.rooms.plan import facade_lengths

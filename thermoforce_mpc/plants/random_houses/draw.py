@@ -9,8 +9,15 @@ from typing import Literal
 import numpy as np
 
 from thermoforce_mpc.data import ZERO_C_K
-from thermoforce_mpc.plants.drawn_houses.envelope import AIR_WH_M3_K, HEIGHT_M, MASSES, WATER_J_KG_K, Mass
-from thermoforce_mpc.plants.drawn_houses.glazing import FACADES, Facade
+from thermoforce_mpc.plants.drawn_houses.envelope import (
+    AIR_WH_M3_K,
+    FACADES,
+    HEIGHT_M,
+    MASSES,
+    WATER_J_KG_K,
+    Facade,
+    Mass,
+)
 from thermoforce_mpc.plants.drawn_houses.occupants import PATTERNS, Pattern
 
 Emitter = Literal["floor", "radiator", "air"]

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from thermoforce_mpc.plants.drawn_houses.envelope import AIR_WH_M3_K, HEIGHT_M, Mass
-from thermoforce_mpc.plants.drawn_houses.glazing import Facade
+from thermoforce_mpc.plants.drawn_houses.envelope import AIR_WH_M3_K, HEIGHT_M, Facade, Mass
 from thermoforce_mpc.plants.drawn_houses.occupants import Pattern
 from thermoforce_mpc.plants.random_houses.draw import ground_C
 from thermoforce_mpc.plants.rooms.plan import Contact, Place

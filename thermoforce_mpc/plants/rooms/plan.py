@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from thermoforce_mpc.plants.drawn_houses.glazing import FACADES
+from thermoforce_mpc.plants.drawn_houses.envelope import FACADES
 
 _LEAST_CONTACT_M = 1e-6
 

@@ -14,8 +14,14 @@ from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import YEAR_S, Array, Boundary, Layout, Measurement, Names, Record
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S, MEAN_WIND_M_S, WIND_SHARE
-from thermoforce_mpc.plants.drawn_houses.glazing import AZIMUTH_DEG, FACADES, on_facade
+from thermoforce_mpc.plants.drawn_houses.envelope import (
+    AZIMUTH_DEG,
+    FACADES,
+    GRID_S,
+    MEAN_WIND_M_S,
+    WIND_SHARE,
+    on_facade,
+)
 from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K, DrawnHousePlant
 from thermoforce_mpc.plants.kpis import CountedKpis, Supply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.records import means_between

@@ -27,6 +27,7 @@ from thermoforce_mpc.simulation.views.display import RunDisplay
 if TYPE_CHECKING:  # loaded only when a controller needs a model
     from thermoforce_mpc.model.thermal_model import ThermalModel
     from thermoforce_mpc.model.zone_model import ZoneModel
+from thermoforce_mpc.protocols import Controller
 
 FOLDER = "model"
 
@@ -175,3 +176,19 @@ def origins_of(identified: Mapping[str, IdentifiedModel], controller: str) -> di
     own_model = identified[controller]
     baselines = {name: dict(model.origin) for name, model in identified.items() if model is not own_model}
     return dict(own_model.origin) | ({"baselines": baselines} if baselines else {})
+
+
+def weight_hash(controller: Controller) -> str | None:
+    """Hash of the forecasters' weights, where the controller has any with weights; each different one once."""
+    methods = getattr(getattr(controller, "predictor", None), "free_responses", ())
+    different = {id(method): method for method in methods}.values()
+    hashes = [method.weight_hash() for method in different if hasattr(method, "weight_hash")]
+    return " ".join(dict.fromkeys(hashes)) or None
+
+
+def frozen_proof(controller: Controller, before: str | None) -> dict[str, Any]:
+    """What the manifest says of the weights after a run; empty where there are none. `before`: their hash before it."""
+    if before is None:
+        return {}
+    after = weight_hash(controller)
+    return {"weights_before": before, "weights_after": after, "frozen": before == after}
