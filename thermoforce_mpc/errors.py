@@ -66,3 +66,8 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     """Return ", did you mean ...?" if a known word is close, else an empty string."""
     close = difflib.get_close_matches(word, list(known), n=1)
     return f", did you mean '{close[0]}'?" if close else ""
+
+
+def counted(n: int, one: str) -> str:
+    """A number of things by the name of `one`: '1 run', '0 runs', '2 runs'."""
+    return f"{n} {one}{'' if n == 1 else 's'}"

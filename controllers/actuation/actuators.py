@@ -113,16 +113,13 @@ class Actuators:
             tuple(blocks for blocks, _ in realised), tuple(state for _, state in realised), exclusions
         )
 
-    def named(self, a: int, text: str) -> str:
-        """`text`, with the actuator's name where there are several."""
-        names = self.layout.names.actuators
-        return text if len(names) == 1 else f"{names[a]}: {text}"
-
     def excluded_in_words(self, acted: ActuatorBlocks) -> list[str]:
         """Which actuators do not meet their demand because another one acts."""
-        names = self.layout.names.actuators
+        names = self.layout.names
         return [
-            self.named(a, f"excluded by {names[by]}" + (", which is native: native control" if native else ""))
+            names.of_actuator(
+                a, f"excluded by {names.actuators[by]}" + (", which is native: native control" if native else "")
+            )
             for a, by in acted.excluded.items()
             for native in [acted.states[by].native]
         ]

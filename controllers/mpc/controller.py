@@ -106,7 +106,7 @@ class ThermoForceMPC(ActuatedController):
         super().__init__(
             name, model.operator.step_s, n_steps, layout, [choice.actuation for choice in choices], c.fallback
         )
-        told = (self._actuators.named(a, choice.why) for a, choice in enumerate(choices))
+        told = (self._layout.names.of_actuator(a, choice.why) for a, choice in enumerate(choices))
         self._actuation_why = "; ".join(dict.fromkeys(told))
         self._handler = DirectHandler(BoundedCalls(len(zones) + _SOLVERS_ABANDONED))
         self._formulation = Formulation(c, model, self._actuators)

@@ -118,17 +118,12 @@ class WatchedPredictions:
             ]
             states[a] = watch.record_request(states[a], observation.time_s, sum(levels) / watch.step_s)
             if states[a].news:
-                news.append(self.named(a, f"watch: {states[a].news}"))
+                news.append(self._model.names.of_actuator(a, f"watch: {states[a].news}"))
         return replace(plan.with_news(*news), state=replace(plan.state, watch=tuple(states)))
 
     def doubtful(self, now: MPCState, a: int) -> bool:
         """See `Watch.doubtful`."""
         return self._watches[a].doubtful(now.watch[a])
-
-    def named(self, a: int, text: str) -> str:
-        """`text` with the actuator's name where there are several."""
-        names = self._model.operator.actuators
-        return text if len(names) == 1 else f"{names[a]}: {text}"
 
 
 def later_state(kept: PredictorState | None, used: PredictorState | None) -> PredictorState | None:

@@ -59,24 +59,17 @@ class ReadingsFilter:
         config: options of the controller: those of sensors and meters, and `fallback.cold_after`.
         model: the building at the control step.
         predictor: of that model, for the forced state.
+
+    Attributes:
+        sensors, meters: the checks of zone sensors, and of weather sensors and meters.
     """
 
     def __init__(self, config: MPCConfig, model: ThermalModel, predictor: Predictor) -> None:
         zones = model.names.zones
-        self._sensors = ZoneSensors([Sensor(config.sensor_of(zone), "" if len(zones) == 1 else zone) for zone in zones])
-        self._meters = Meters(model.layout, config.meter, config.meters)
+        self.sensors = ZoneSensors([Sensor(config.sensor_of(zone), "" if len(zones) == 1 else zone) for zone in zones])
+        self.meters = Meters(model.layout, config.meter, config.meters)
         self._sun = SunOnSensors(model, [config.sensor_of(zone).enabled for zone in zones])
         self._model, self._predictor, self._cold_after = model, predictor, config.fallback.cold_after
-
-    @property
-    def meters(self) -> Meters:
-        """The check of weather sensors and meters."""
-        return self._meters
-
-    @property
-    def sensors(self) -> ZoneSensors:
-        """The check of zone sensors."""
-        return self._sensors
 
     def clean(
         self, observation: Observation, state: MPCState, *, with_model: bool, as_identified: bool
@@ -92,16 +85,16 @@ class ReadingsFilter:
         if state.failures >= self._cold_after:  # what it kept may be what fails
             state = replace(state, predictor=None)
         history, state, sun_news = self._without_sun(observation.history, state)
-        history = self._meters.mask_rejected(state.meters, history)
+        history = self.meters.mask_rejected(state.meters, history)
         boundary, filled = completed(observation.boundary, history, state.boundary)
-        meters, metered = self._meters.validate(state.meters, history, boundary)
-        history = self._meters.mask_rejected(meters, history)
+        meters, metered = self.meters.validate(state.meters, history, boundary)
+        history = self.meters.mask_rejected(meters, history)
         if metered.found:  # the forced state was computed with them
             state = state.without_forced()
-        before = self._sensors.mask_rejected(state.sensors, history)
+        before = self.sensors.mask_rejected(state.sensors, history)
         forced = self._forced(before, state) if with_model else None
         forced_K = None if forced is None else forced.forced_K
-        sensors, validated, zones = self._sensors.validate(state.sensors, history, forced_K)
+        sensors, validated, zones = self.sensors.validate(state.sensors, history, forced_K)
         if forced and as_identified and validated is before and gapless(validated) and state.predictor:
             state = replace(state, predictor=replace(state.predictor, forced=forced))  # not estimated again
         state = replace(
@@ -117,7 +110,7 @@ class ReadingsFilter:
 
     def _without_sun(self, history: Record, state: MPCState) -> tuple[Record, MPCState, str]:
         """The record without the sun on sensors, which is looked for each night, the state, and what was found."""
-        believed = self._sensors.mask_rejected(state.sensors, self._meters.mask_rejected(state.meters, history))
+        believed = self.sensors.mask_rejected(state.sensors, self.meters.mask_rejected(state.meters, history))
         sun = self._sun.update(state.sun, believed)
         news = self._sun.news(state.sun, sun)
         if news:  # the forced state may follow the temperature

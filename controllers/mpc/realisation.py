@@ -96,7 +96,7 @@ class Realisation:
         plan = Plan(
             (),
             max((fallen[a].status for a in free), key=_LADDER.index),
-            joined([failure.reason, *doubts, *(self._actuators.named(a, fallen[a].why) for a in free)]),
+            joined([failure.reason, *doubts, *(self._layout.names.of_actuator(a, fallen[a].why) for a in free)]),
             solver_status=failure.solver_status,
             seconds=failure.seconds,
             names=names,
@@ -131,7 +131,7 @@ class Realisation:
         for a in acted.excluded:
             if acted.states[a].native:
                 acting[a] = PlanStatus.NATIVE
-        told = [self._actuators.named(a, override.why) for a, override in overrides.items()]
+        told = [self._layout.names.of_actuator(a, override.why) for a, override in overrides.items()]
         status = min((o.status for o in overrides.values()), key=_FIRST_NAMED.index) if overrides else plan.status
         return replace(
             plan,
@@ -164,13 +164,17 @@ class Realisation:
             ):  # also of the plan's, whatever their level
                 levels[b] = 0.0
                 guarded.pop(b, None)
-                excluded.append(self._actuators.named(b, f"excluded by {names[a]}"))
+                excluded.append(self._layout.names.of_actuator(b, f"excluded by {names[a]}"))
         state = replace(plan.state, good=None)
         redone = self._with_blocks(replace(plan, why="", state=state), levels, overrides)
         if redone.blocks == begun.blocks:  # minimum on or off time: the machine cannot do more
             return begun
         why = joined(
-            [*(self._actuators.named(a, override.why) for a, override in guarded.items()), *excluded, begun.why]
+            [
+                *(self._layout.names.of_actuator(a, override.why) for a, override in guarded.items()),
+                *excluded,
+                begun.why,
+            ]
         )
         acting = tuple(PlanStatus.GUARD if a in guarded else status for a, status in enumerate(begun.acting))
         return replace(redone, status=PlanStatus.GUARD, acting=acting, why=why)

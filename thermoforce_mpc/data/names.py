@@ -57,6 +57,10 @@ class Names:
         names = getattr(self, AXIS[signal])
         return signal if len(names) == 1 else f"{signal}[{names[row]}]"
 
+    def of_actuator(self, a: int, text: str) -> str:
+        """`text`, with the actuator's name before it where there are several."""
+        return text if len(self.actuators) == 1 else f"{self.actuators[a]}: {text}"
+
     def columns(self, **signals: Array) -> dict[str, Array]:
         """The rows of `signals` (rows, n) by `label`, as columns of a table."""
         return {self.label(name, row): values for name, rows in signals.items() for row, values in enumerate(rows)}

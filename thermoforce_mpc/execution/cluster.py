@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from thermoforce_mpc.errors import ConfigError, EngineError
+from thermoforce_mpc.errors import ConfigError, EngineError, counted
 from thermoforce_mpc.execution.cluster_address import check_scheduler, is_missing
 from thermoforce_mpc.execution.cluster_worker import (
     Order,
@@ -26,7 +26,6 @@ from thermoforce_mpc.execution.cluster_worker import (
     perform,
 )
 from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told
-from thermoforce_mpc.words import counted
 
 # So long an attempt to connect takes at least, and the pause after it.
 _LEAST_S = 1.0

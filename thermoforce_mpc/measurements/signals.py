@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.errors import counted
 from thermoforce_mpc.measurements.map.mapped_signals import (
     Humidity,
     Irradiance,
@@ -33,7 +34,6 @@ from thermoforce_mpc.measurements.tables.resampling import (
 )
 from thermoforce_mpc.measurements.tables.screening import EXCURSION_S, Flag, Rules, screened
 from thermoforce_mpc.measurements.understood import SignalSummary
-from thermoforce_mpc.words import counted
 
 # A largest power below this makes kW likelier than W, one above makes W likelier than kW.
 _SMALLEST_W, _LARGEST_W = 15.0, 2e6

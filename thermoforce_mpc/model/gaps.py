@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H, LEVELS_AROUND_H
-from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.words import counted
+from thermoforce_mpc.errors import DataError, counted
 
 WEATHER = ("T_out_C", "solar_W_m2")
 

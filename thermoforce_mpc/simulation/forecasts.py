@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from thermoforce_mpc.data import CONDITIONS, HOUR_S, Boundary, Record
+from thermoforce_mpc.data import CONDITIONS, HOUR_S, Array, Boundary, Layout, Record
 from thermoforce_mpc.errors import NoForecast
 from thermoforce_mpc.model.forecast_gaps import completed, lengthened
 
@@ -112,3 +112,14 @@ def holes(boundary: Boundary) -> tuple[str, ...]:
                     f"{ahead_h:g} h ahead"
                 )
     return tuple(notes)
+
+
+def price_paid(u: Array, price: Array, heating_price: Array, layout: Layout) -> Array:
+    """Price of each machine's energy (M, n): that of heating unless an actuator of it cools at levels `u` (A, n)."""
+    paid = price.copy()
+    for m in range(price.shape[0]):
+        fed = [a for a in layout.fed_by(m) if layout.signs[a] > 0]
+        if fed:
+            heats = (np.nan_to_num(u[fed]) >= 0).all(axis=0)
+            paid[m] = np.where(heats, heating_price[m], price[m])
+    return paid

@@ -12,7 +12,7 @@ import pandas as pd
 
 from controllers.registry import build_controller, find_entry
 from thermoforce_mpc.data import DAY_S, Period, PlantInfo
-from thermoforce_mpc.errors import ConfigError, PlantError, StorageError, ThermoForceError
+from thermoforce_mpc.errors import ConfigError, PlantError, StorageError, ThermoForceError, counted
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.scenario.scenario import Scenario, load_scenario
@@ -51,7 +51,6 @@ from thermoforce_mpc.simulation.models.run_models import (
 )
 from thermoforce_mpc.simulation.views.display import RunDisplay
 from thermoforce_mpc.simulation.views.watching import watch_spells
-from thermoforce_mpc.words import counted
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
     from thermoforce_mpc.model.thermal_model import ThermalModel

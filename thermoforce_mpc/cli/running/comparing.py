@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from thermoforce_mpc.cli.options import execution_options
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.execution import Outcome, TaskProgress, execute, source_fingerprint
 from thermoforce_mpc.execution.progress import summary
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
@@ -28,7 +28,6 @@ from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Varia
 from thermoforce_mpc.simulation.composition import check_window
 from thermoforce_mpc.simulation.views.display import zone_table
 from thermoforce_mpc.simulation.views.whole_tables import print_whole
-from thermoforce_mpc.words import counted
 
 UNCERTAINTIES = tuple(PlantSpec.model_fields["forecast_uncertainty"].annotation.__args__)  # type: ignore[union-attr]
 CELLS_FAILED = 3

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from thermoforce_mpc.cli.options import Opening, execution_options
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.execution import Outcome, Task, TaskProgress, execute, source_fingerprint
 from thermoforce_mpc.execution.progress import summary
 from thermoforce_mpc.files import write_whole
@@ -37,7 +37,6 @@ from thermoforce_mpc.simulation.fleet.page import fleet_page, headline
 from thermoforce_mpc.simulation.fleet.runs import FleetResults, Run, models_again, runs_of, tasks_of
 from thermoforce_mpc.simulation.fleet.summary import Group, causes, groups, lost, paired
 from thermoforce_mpc.simulation.views.whole_tables import print_whole
-from thermoforce_mpc.words import counted
 
 RUNS_FAILED = 3
 _SHOWN_FAILURES = 10

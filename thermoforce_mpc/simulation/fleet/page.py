@@ -12,6 +12,7 @@ import yaml
 from markupsafe import Markup, escape
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.errors import counted
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.comparison.store import DONE
 from thermoforce_mpc.simulation.fleet.summary import (
@@ -24,7 +25,6 @@ from thermoforce_mpc.simulation.fleet.summary import (
     paired,
 )
 from thermoforce_mpc.simulation.report.page import rendered
-from thermoforce_mpc.words import counted
 
 _SHOWN = 20
 _WIDE, _HIGH, _LEFT, _BELOW = 720.0, 300.0, 60.0, 46.0

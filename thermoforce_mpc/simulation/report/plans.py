@@ -8,8 +8,8 @@ from itertools import islice
 import numpy as np
 
 from thermoforce_mpc.data import J_PER_KWH, Array, Boundary, Layout
-from thermoforce_mpc.simulation.bills import price_paid
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
+from thermoforce_mpc.simulation.forecasts import price_paid
 from thermoforce_mpc.simulation.report.courses import RESOLUTION
 from thermoforce_mpc.simulation.report.decisions import thinning
 from thermoforce_mpc.simulation.report.packing import Json, exactly, packed, rows_packed, smooth

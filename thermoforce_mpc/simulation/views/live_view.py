@@ -14,10 +14,9 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Measure
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.model.forecast_gaps import completed
 from thermoforce_mpc.scenario.scenario import load_testcase
-from thermoforce_mpc.simulation.bills import price_paid
 from thermoforce_mpc.simulation.closed_loop import with_level
 from thermoforce_mpc.simulation.folder.run_folder import is_complete, plain_json
-from thermoforce_mpc.simulation.forecasts import holes
+from thermoforce_mpc.simulation.forecasts import holes, price_paid
 from thermoforce_mpc.simulation.journal.journal import FORMAT, NAME, Entry, JournalError, JournalTail, making_sense
 from thermoforce_mpc.simulation.journal.journal_values import block_of, unpack
 from thermoforce_mpc.simulation.journal.told_steps import StepReader, ToldStep
