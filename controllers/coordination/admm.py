@@ -81,12 +81,12 @@ def coordinate(
     talk = Conversation(members, shared, executor)
     price = np.zeros(shared.limit_kW.size)
     talk.all_answer(lambda member: member.answer(price, price, 0.0))
-    found = None
+    agreement = None
     if talk.excess == 0.0 and not shared.peak_price_per_kW:
-        found = settle(talk, price, config.price_per_kW, 0)
+        agreement = settle(talk, price, config.price_per_kW, 0)
     weight = config.price_per_kW / max(float(talk.mean_kW.mean()), _LEAST_KW)
     z, tolerance, number = talk.mean_kW, config.residual, 0
-    while talk.members and number < config.most_iterations and (found is None or found.gap > config.gap):
+    while talk.members and number < config.most_iterations and (agreement is None or agreement.gap > config.gap):
         number += 1
         before, mean, w, last = dict(talk.powers), talk.mean_kW, price / weight, z
         talk.all_answer(_near(before, mean - z + w, weight))
@@ -104,13 +104,15 @@ def coordinate(
         if max(primal, dual) <= tolerance or number % _TRIED_EVERY == 0:
             tried = settle(talk, price, config.price_per_kW, number)
             price = tried.price_per_kW
-            found = better(found, tried)
+            agreement = better(agreement, tried)
             tolerance = min(tolerance, max(primal, dual) / 2.0) if max(primal, dual) <= tolerance else tolerance
         if number % _BALANCED_EVERY == 0:
             weight *= min(max((primal / max(dual, 1e-12)) ** 0.5, 1.0 / _FACTOR), _FACTOR)
-    if found is None or len(talk.silent) > len(found.silent):  # the others have to make room for who fell silent since
-        found = settle(talk, price, config.price_per_kW, number)
-    return found
+    if agreement is None or len(talk.silent) > len(
+        agreement.silent
+    ):  # the others have to make room for who fell silent since
+        agreement = settle(talk, price, config.price_per_kW, number)
+    return agreement
 
 
 def _near(powers: Mapping[str, Array], away: Array, weight: float) -> Callable[[Member], Answer | None]:

@@ -108,9 +108,9 @@ class QPMember:
         quadratic.data[self.of_power] += weight / self.data.unit
         data = replace(self.data, linear=linear, quadratic=quadratic)
         for solve in (self._piqp, Clarabel(self._config)):
-            found = solve(data)
-            if found.solved and np.isfinite(found.x).all():
-                return Answer(np.maximum(found.x[self.of_power], 0.0), self.data.objective(found.x))
+            result = solve(data)
+            if result.solved and np.isfinite(result.x).all():
+                return Answer(np.maximum(result.x[self.of_power], 0.0), self.data.objective(result.x))
         return None
 
     def settle(self, limit_kW: Array) -> Settled | None:

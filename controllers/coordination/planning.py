@@ -12,7 +12,7 @@ from controllers.coordination.admm import Coordination, coordinate
 from controllers.coordination.limit import SharedPower
 from controllers.coordination.member import QPMember
 from controllers.coordination.settling import Agreement
-from controllers.many.batch import BatchPlanner, Planned, known_of
+from controllers.many.batch import BatchPlanner, Planned, buildings_of
 from controllers.mpc.config import MPCConfig
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.solution import Solve, failed
@@ -68,20 +68,20 @@ def plan_shared(
     for name in {**observations, **largest_kW}:
         if not (np.isfinite(largest_kW.get(name, np.nan)) and largest_kW[name] >= 0.0):
             raise DataError(f"largest_kW: needs a power of at least 0 kW for building '{name}'")
-    planner = BatchPlanner(known_of(models, config), grace_s)
+    planner = BatchPlanner(buildings_of(models, config), grace_s)
     solves = _SharedSolves(shared, dict(largest_kW), coordination, executor, planner.answer)
     wanted = [(name, observation, (states or {}).get(name)) for name, observation in observations.items()]
     computations = [_labelled(name, planner.planning(name, observation, state)) for name, observation, state in wanted]
     plans = run(gather(computations, last=_is_solve), solves)
-    told = {
-        name: planner.planned(observation, plan, state, seconds)
+    planned = {
+        name: planner.to_planned(observation, plan, state, seconds)
         for (name, observation, _), ((plan, state), seconds) in zip(wanted, plans, strict=True)
     }
-    return SharedPlans(told, solves.agreement)
+    return SharedPlans(planned, solves.agreement)
 
 
 @dataclass(frozen=True)
-class _Of:
+class _LabelledSolve:
     """The solve of a building by name."""
 
     name: str
@@ -92,14 +92,16 @@ class _Of:
 
 
 def _is_solve(request: Request) -> bool:
-    return isinstance(request.call, _Of)
+    return isinstance(request.call, _LabelledSolve)
 
 
 def _labelled(name: str, computation: Computation[Result]) -> Computation[Result]:
     """The computation, its solves told with the name of the building."""
     return altered(
         computation,
-        lambda request: replace(request, call=_Of(name, request.call)) if isinstance(request.call, Solve) else request,
+        lambda request: (
+            replace(request, call=_LabelledSolve(name, request.call)) if isinstance(request.call, Solve) else request
+        ),
     )
 
 
@@ -116,17 +118,17 @@ class _SharedSolves:
 
     def __call__(self, requests: list[Request]) -> Sequence[Outcome]:
         """Outcomes in the order of `requests`."""
-        of = {i: request.call for i, request in enumerate(requests) if isinstance(request.call, _Of)}
+        of = {i: request.call for i, request in enumerate(requests) if isinstance(request.call, _LabelledSolve)}
         rest = [i for i in range(len(requests)) if i not in of]
-        found = dict(zip(rest, self.others([requests[i] for i in rest]), strict=True)) if rest else {}
+        outcomes = dict(zip(rest, self.others([requests[i] for i in rest]), strict=True)) if rest else {}
         if of:
-            found |= self._agreed(of)
-        return [found[i] for i in range(len(requests))]
+            outcomes |= self._agreed(of)
+        return [outcomes[i] for i in range(len(requests))]
 
-    def _agreed(self, of: Mapping[int, _Of]) -> dict[int, Outcome]:
+    def _agreed(self, of: Mapping[int, _LabelledSolve]) -> dict[int, Outcome]:
         members, why = dict[int, QPMember](), dict[int, str]()
-        for i, one in of.items():
-            solver, problem = one.solve.solver, one.solve.problem
+        for i, labelled in of.items():
+            solver, problem = labelled.solve.solver, labelled.solve.problem
             if not isinstance(solver, QPSolver):
                 why[i] = "its problem is not convex"
             elif not problem.finite():
@@ -134,8 +136,8 @@ class _SharedSolves:
             elif problem.n_steps != self.shared.limit_kW.size:
                 why[i] = f"it plans {problem.n_steps} steps, and {self.shared.limit_kW.size} are shared"
             else:
-                largest = np.full(problem.n_steps, self.largest_kW[one.name])
-                members[i] = QPMember(one.name, solver.operator, solver.shape, problem, solver.config, largest)
+                largest = np.full(problem.n_steps, self.largest_kW[labelled.name])
+                members[i] = QPMember(labelled.name, solver.operator, solver.shape, problem, solver.config, largest)
         taking_part = {of[i].name for i in members}
         others = [power for name, power in self.largest_kW.items() if name not in taking_part]
         aside_kW = np.full(self.shared.limit_kW.size, sum(others))

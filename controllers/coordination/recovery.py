@@ -36,7 +36,7 @@ def combined(
     within = np.hstack([powers[limited], -np.eye(over), np.zeros((over, 1))])
     below_peak = np.hstack([powers, np.zeros((n, over)), -np.ones((n, 1))])
     peaks = np.full(n, shared.peak_so_far_kW)
-    found = linprog(
+    optimum = linprog(
         np.concatenate([costs, np.full(over, price_over), [shared.peak_price_per_kW]]),
         A_ub=np.vstack([within, below_peak] if shared.peak_price_per_kW else [within]),
         b_ub=np.concatenate([shared.limit_kW[limited], peaks if shared.peak_price_per_kW else peaks[:0]]),
@@ -44,10 +44,12 @@ def combined(
         b_eq=np.ones(len(answers)),
         method="highs",
     )
-    if found.status != 0:
+    if optimum.status != 0:
         return None
     price = np.zeros(n)
-    price[limited] = -found.ineqlin.marginals[:over]
+    price[limited] = -optimum.ineqlin.marginals[:over]
     if shared.peak_price_per_kW:
-        price -= found.ineqlin.marginals[over:]
-    return {name: np.asarray(powers[:, of == i] @ found.x[:columns][of == i]) for i, name in enumerate(answers)}, price
+        price -= optimum.ineqlin.marginals[over:]
+    return {
+        name: np.asarray(powers[:, of == i] @ optimum.x[:columns][of == i]) for i, name in enumerate(answers)
+    }, price

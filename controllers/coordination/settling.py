@@ -50,16 +50,17 @@ class Agreement:
         return (self.cost - self.bound) / max(abs(self.bound), 1e-9)
 
 
-def better(found: Agreement | None, tried: Agreement) -> Agreement:
+def better(former: Agreement | None, tried: Agreement) -> Agreement:
     """Of an agreement and a later one the cheaper, with the higher bound of both; the later where more are silent."""
-    if found is None or len(tried.silent) > len(found.silent):
+    if former is None or len(tried.silent) > len(former.silent):
         return tried
-    best, bound = min(found, tried, key=lambda one: one.cost), max(found, tried, key=lambda one: one.bound)
+    best = min(former, tried, key=lambda agreement: agreement.cost)
+    bound = max(former, tried, key=lambda agreement: agreement.bound)
     return replace(best, bound=bound.bound, price_per_kW=bound.price_per_kW)
 
 
 def settle(talk: Conversation, price: Array, price_per_kW: float, iterations: int) -> Agreement:
-    """Plans within shares of the limit. `price` (N,): found so far, currency/kW; `price_per_kW`: size of one.
+    """Plans within shares of the limit. `price` (N,): the latest, currency/kW; `price_per_kW`: size of one.
 
     The agreement's price is the better one of `price` and that of the combination of answers which the shares are.
     """
@@ -80,7 +81,7 @@ def settle(talk: Conversation, price: Array, price_per_kW: float, iterations: in
     for each in prices:
         finite, least = talk.left.least(np.maximum(each, 0.0))
         bounds.append((talk.all_at(finite, settled) + least, finite))
-    bound, best = max(bounds, key=lambda found: found[0])
+    bound, best = max(bounds, key=lambda pair: pair[0])
     total = sum((plan.power_kW for plan in settled.values()), np.zeros(price.size))
     return Agreement(
         settled=settled,
@@ -103,9 +104,9 @@ def _shares(talk: Conversation, price: Array, price_per_kW: float) -> tuple[dict
     """
     left, powers, prices = talk.left, dict(talk.powers), [price]
     several = any(len(kept) > 1 for kept in talk.answers.values())
-    if several and (found := combined(talk.answers, left, _OVER * max(float(price.max()), price_per_kW))):
-        powers = found[0]
-        prices.append(found[1])
+    if several and (combination := combined(talk.answers, left, _OVER * max(float(price.max()), price_per_kW))):
+        powers = combination[0]
+        prices.append(combination[1])
     total, count = np.sum(list(powers.values()), axis=0), len(powers)
     limit = left.limit_kW
     if left.peak_price_per_kW:

@@ -26,30 +26,30 @@ AT_A_TIME = 128
 # Calls that may be left behind at a time.
 _ABANDONED = 16
 
-Wanted = tuple[str, Observation, object]
+PlanRequest = tuple[str, Observation, object]
 """A building's name, its observation, and its state after the last plan (None: a run begins)."""
-Known = Mapping[str, tuple[ThermalModel, MPCConfig]]
+Buildings = Mapping[str, tuple[ThermalModel, MPCConfig]]
 """Model and options of each building by name."""
 
 
-def known_of(models: Mapping[str, ThermalModel], config: MPCConfig | Mapping[str, MPCConfig] | None) -> Known:
+def buildings_of(models: Mapping[str, ThermalModel], config: MPCConfig | Mapping[str, MPCConfig] | None) -> Buildings:
     """Model and options of each building, the default options where `config` names none.
 
     Raises:
         ControllerConfigError: `config` names a building without a model, or what is given for a building is no model or
             no options.
     """
-    given = config if isinstance(config, Mapping) else {} if config is None else dict.fromkeys(models, config)
-    if unknown := sorted(given.keys() - models.keys()):
+    configs = config if isinstance(config, Mapping) else {} if config is None else dict.fromkeys(models, config)
+    if unknown := sorted(configs.keys() - models.keys()):
         raise ControllerConfigError(f"config: there is no model of building '{unknown[0]}' ({len(unknown)} such)")
-    of_each = {**dict.fromkeys(models, MPCConfig()), **given}
-    for what, all_of, kind in (("models", models, ThermalModel), ("config", of_each, MPCConfig)):
-        for name, one in all_of.items():
-            if not isinstance(one, kind):
+    all_configs = {**dict.fromkeys(models, MPCConfig()), **configs}
+    for option, values, kind in (("models", models, ThermalModel), ("config", all_configs, MPCConfig)):
+        for name, value in values.items():
+            if not isinstance(value, kind):
                 raise ControllerConfigError(
-                    f"{what}: that of building '{name}' is a {type(one).__name__}, expected {kind.__name__}"
+                    f"{option}: that of building '{name}' is a {type(value).__name__}, expected {kind.__name__}"
                 )
-    return {name: (model, of_each[name]) for name, model in models.items()}
+    return {name: (model, all_configs[name]) for name, model in models.items()}
 
 
 @dataclass(frozen=True)
@@ -92,8 +92,8 @@ class BatchPlanner:
         grace_s: how long a plan stays valid after its step, s.
     """
 
-    def __init__(self, known: Known, grace_s: float) -> None:
-        self._known, self._grace_s = known, grace_s
+    def __init__(self, buildings: Buildings, grace_s: float) -> None:
+        self._buildings, self._grace_s = buildings, grace_s
         self._built: dict[str, ThermoForceMPC | Exception] = {}
         self.answer = DirectHandler(BoundedCalls(_ABANDONED), strangers=True)
 
@@ -102,45 +102,45 @@ class BatchPlanner:
         """How many controllers have been built."""
         return len(self._built)
 
-    def plans(self, wanted: Iterable[Wanted]) -> Iterator[tuple[str, Planned]]:
+    def plans(self, requests: Iterable[PlanRequest]) -> Iterator[tuple[str, Planned]]:
         """The plans in the order of `wanted`; no error of a building is raised."""
-        ahead = iter(wanted)
-        while some := list(islice(ahead, AT_A_TIME)):
-            plans = run(gather([self.planning(*one) for one in some]), self.answer)
-            for (name, observation, _), ((plan, state), seconds) in zip(some, plans, strict=True):
-                yield name, self.planned(observation, plan, state, seconds)
+        remaining = iter(requests)
+        while batch := list(islice(remaining, AT_A_TIME)):
+            plans = run(gather([self.planning(*request) for request in batch]), self.answer)
+            for (name, observation, _), ((plan, state), seconds) in zip(batch, plans, strict=True):
+                yield name, self.to_planned(observation, plan, state, seconds)
 
     def planning(
         self, name: str, observation: Observation, state: object
     ) -> Computation[tuple[tuple[Plan, object], float]]:
         """Plan and next state of one building, and what they cost, s; raises no error of the building."""
-        return timed(self._planned(name, observation, state))
+        return timed(self._plan_or_native(name, observation, state))
 
-    def _planned(self, name: str, observation: Observation, state: object) -> Computation[tuple[Plan, object]]:
+    def _plan_or_native(self, name: str, observation: Observation, state: object) -> Computation[tuple[Plan, object]]:
         """Plan and next state of one building; where there can be no plan, native control, and the state as it was."""
         try:
             plan = yield from self._controller(name).planning(observation, state)
         except Exception as error:  # of the building's data, model or options, which are the caller's
-            return self.handed_over(name, observation, message_of(error)), self._usable(name, observation, state)
+            return self.native_plan(name, observation, message_of(error)), self._usable_state(name, observation, state)
         return plan, plan.state
 
-    def _usable(self, name: str, observation: Observation, state: object) -> MPCState | None:
+    def _usable_state(self, name: str, observation: Observation, state: object) -> MPCState | None:
         """`state` where it is one of the building, so that its run goes on; None begins a new one."""
-        names = self._known[name][0].names if name in self._known else observation.names
+        names = self._buildings[name][0].names if name in self._buildings else observation.names
         try:
-            found = checked_state(state, MPCState, names)
-            check_later(None if found is None else found.last_s, observation.time_s)
+            usable = checked_state(state, MPCState, names)
+            check_later(None if usable is None else usable.last_s, observation.time_s)
         except DataError:
             return None
-        return found
+        return usable
 
     def _controller(self, name: str) -> ThermoForceMPC:
-        if name not in self._known:
+        if name not in self._buildings:
             raise DataError(f"there is no model of building '{name}'")
         built = self._built.get(name)
         if built is None:
             try:
-                built = ThermoForceMPC(*self._known[name], name=name)
+                built = ThermoForceMPC(*self._buildings[name], name=name)
             except Exception as error:  # raised at every plan: building anew would give the same
                 built = error
             self._built[name] = built
@@ -148,10 +148,10 @@ class BatchPlanner:
             raise built
         return built
 
-    def handed_over(self, name: str, observation: Observation, reason: str) -> Plan:
+    def native_plan(self, name: str, observation: Observation, reason: str) -> Plan:
         """A step of native control because of `reason`."""
-        if name in self._known:
-            model, config = self._known[name]
+        if name in self._buildings:
+            model, config = self._buildings[name]
             names, step_s = model.names, config.step_s or model.operator.step_s
         else:  # a forecast of one instant has no step
             boundary = observation.boundary
@@ -159,11 +159,11 @@ class BatchPlanner:
         block = Block.native(len(names.actuators), step_s)
         return Plan((block,), PlanStatus.NATIVE, f"{reason}: native control", names=names)
 
-    def told(self, name: str, observation: Observation, reason: str, state: object) -> Planned:
+    def without_plan(self, name: str, observation: Observation, reason: str, state: object) -> Planned:
         """A building without a plan because of `reason`."""
-        return self.planned(observation, self.handed_over(name, observation, reason), state, 0.0)
+        return self.to_planned(observation, self.native_plan(name, observation, reason), state, 0.0)
 
-    def planned(self, observation: Observation, plan: Plan, state: object, seconds: float) -> Planned:
+    def to_planned(self, observation: Observation, plan: Plan, state: object, seconds: float) -> Planned:
         """What a plan and its state mean for the building."""
         begins_s = observation.time_s
         expires_s = begins_s + sum(block.duration_s for block in plan.blocks) + self._grace_s

@@ -14,7 +14,7 @@ from concurrent.futures.process import BrokenProcessPool
 from types import TracebackType
 
 from controllers.checks import ControllerConfigError, message_of
-from controllers.many.batch import AT_A_TIME, BatchPlanner, Planned, Wanted, known_of
+from controllers.many.batch import AT_A_TIME, BatchPlanner, Planned, PlanRequest, buildings_of
 from controllers.many.worker import Answer, PlanningProcess, Plans
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import Observation
@@ -81,17 +81,17 @@ class Portfolio:
             ControllerConfigError: a number makes no sense, `config` names a building without a model, or what is given
                 for a building is no model or no options.
         """
-        whole = isinstance(workers, int) and not isinstance(workers, bool)
-        if not whole or workers < 1 or not 0.0 <= grace_s < math.inf or not deadline_s > 0.0:
+        is_integer = isinstance(workers, int) and not isinstance(workers, bool)
+        if not is_integer or workers < 1 or not 0.0 <= grace_s < math.inf or not deadline_s > 0.0:
             raise ControllerConfigError(
                 f"workers {workers!r}, grace_s {grace_s:g}, deadline_s {deadline_s:g}: expected one process or more, a "
                 "grace of 0 or more that ends, and a deadline above 0"
             )
-        known = known_of(models, config)
-        self._here = BatchPlanner(known, grace_s)
+        buildings = buildings_of(models, config)
+        self._here = BatchPlanner(buildings, grace_s)
         self.deadline_s = deadline_s
-        names, workers = list(known), min(workers, max(1, len(known)))
-        shares = [{name: known[name] for name in names[i::workers]} for i in range(workers)] if workers > 1 else []
+        names, workers = list(buildings), min(workers, max(1, len(buildings)))
+        shares = [{name: buildings[name] for name in names[i::workers]} for i in range(workers)] if workers > 1 else []
         self._workers = [PlanningProcess(share, grace_s) for share in shares]
         self._worker_of = {name: worker for worker, share in zip(self._workers, shares, strict=True) for name in share}
 
@@ -118,24 +118,28 @@ class Portfolio:
             if not isinstance(observation, Observation):
                 raise DataError(f"building '{name}': a {type(observation).__name__} is no Observation")
         states = states or {}
-        wanted = [(name, observation, states.get(name)) for name, observation in observations.items()]
+        requests = [(name, observation, states.get(name)) for name, observation in observations.items()]
         if not self._workers:
-            return dict(self._here.plans(wanted))
+            return dict(self._here.plans(requests))
         until_s = time.monotonic() + self.deadline_s
-        of_worker: dict[PlanningProcess, list[Wanted]] = {worker: [] for worker in self._workers}
-        for one in wanted:
-            of_worker[self._worker_of.get(one[0], self._workers[0])].append(one)
-        longest = max(len(its) for its in of_worker.values())
-        asked = [
-            (worker, part, _asked(worker, part))
+        of_worker: dict[PlanningProcess, list[PlanRequest]] = {worker: [] for worker in self._workers}
+        for request in requests:
+            of_worker[self._worker_of.get(request[0], self._workers[0])].append(request)
+        longest = max(len(own_requests) for own_requests in of_worker.values())
+        submitted = [
+            (worker, batch, _submit(worker, batch))
             for i in range(0, longest, AT_A_TIME)
-            for worker, its in of_worker.items()
-            if (part := its[i : i + AT_A_TIME])
+            for worker, own_requests in of_worker.items()
+            if (batch := own_requests[i : i + AT_A_TIME])
         ]
-        found = dict(one for worker, part, future in asked for one in self._answer(worker, part, future, until_s))
-        return {name: found[name] for name in observations}
+        plans = dict(
+            request for worker, batch, future in submitted for request in self._collect(worker, batch, future, until_s)
+        )
+        return {name: plans[name] for name in observations}
 
-    def _answer(self, worker: PlanningProcess, wanted: list[Wanted], future: Future[Answer], until_s: float) -> Plans:
+    def _collect(
+        self, worker: PlanningProcess, requests: list[PlanRequest], future: Future[Answer], until_s: float
+    ) -> Plans:
         """Plans of some buildings of a process; where there are none, it is asked again for ever fewer of them."""
         try:
             return worker.plans(future.result(max(0.0, until_s - time.monotonic())))
@@ -144,43 +148,45 @@ class Portfolio:
         except Exception as error:
             if time.monotonic() < until_s:
                 # Whether one of them ended the process is not known; that one cannot be sent or read is.
-                parts = [wanted] if isinstance(error, BrokenProcessPool) else _halves(wanted)
-                return [one for part in parts for one in self._again(worker, part, until_s)]
-        return self._left(wanted, f"no plan within {self.deadline_s:g} s")
+                batches = [requests] if isinstance(error, BrokenProcessPool) else _halves(requests)
+                return [plan for batch in batches for plan in self._retry(worker, batch, until_s)]
+        return self._without_plan(requests, f"no plan within {self.deadline_s:g} s")
 
-    def _again(self, worker: PlanningProcess, wanted: list[Wanted], until_s: float) -> Plans:
+    def _retry(self, worker: PlanningProcess, requests: list[PlanRequest], until_s: float) -> Plans:
         left_s = until_s - time.monotonic()
         try:
             if left_s <= 0.0:
                 raise TimeoutError
-            return worker.plans(_asked(worker, wanted).result(left_s))
+            return worker.plans(_submit(worker, requests).result(left_s))
         except TimeoutError:
             worker.end()
-            return self._left(wanted, f"no plan within {self.deadline_s:g} s, after its process failed")
+            return self._without_plan(requests, f"no plan within {self.deadline_s:g} s, after its process failed")
         except BrokenProcessPool:
             reason = "its process died while planning it"
         except Exception as error:  # likewise
             reason = message_of(error)
-        if len(wanted) == 1:
-            return self._left(wanted, reason)
-        return [one for part in _halves(wanted) for one in self._again(worker, part, until_s)]
+        if len(requests) == 1:
+            return self._without_plan(requests, reason)
+        return [plan for batch in _halves(requests) for plan in self._retry(worker, batch, until_s)]
 
-    def _left(self, wanted: list[Wanted], reason: str) -> Plans:
+    def _without_plan(self, requests: list[PlanRequest], reason: str) -> Plans:
         """Buildings without a plan; their runs go on from where they were."""
-        return [(name, self._here.told(name, observation, reason, state)) for name, observation, state in wanted]
+        return [
+            (name, self._here.without_plan(name, observation, reason, state)) for name, observation, state in requests
+        ]
 
 
-def _asked(worker: PlanningProcess, wanted: list[Wanted]) -> Future[Answer]:
+def _submit(worker: PlanningProcess, requests: list[PlanRequest]) -> Future[Answer]:
     """The answer to come of a process, or the error of what cannot be sent to it."""
     try:
-        return worker.asked(wanted)
+        return worker.submit(requests)
     except Exception as error:  # whatever pickling a state or an observation raises
         failed: Future[Answer] = Future()
         failed.set_exception(error)
         return failed
 
 
-def _halves(wanted: list[Wanted]) -> list[list[Wanted]]:
+def _halves(requests: list[PlanRequest]) -> list[list[PlanRequest]]:
     """Two parts of some buildings; one alone is a part."""
-    middle = (len(wanted) + 1) // 2
-    return [part for part in (wanted[:middle], wanted[middle:]) if part]
+    middle = (len(requests) + 1) // 2
+    return [half for half in (requests[:middle], requests[middle:]) if half]

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 from typing import IO, NamedTuple
 
 from controllers.checks import PackedState
-from controllers.many.batch import BatchPlanner, Known, Planned, Wanted
+from controllers.many.batch import BatchPlanner, Buildings, Planned, PlanRequest
 from thermoforce_mpc.execution.local import Remembering, one_thread_each
 
 
@@ -35,7 +35,7 @@ class SharedFile(NamedTuple):
     data: bytes = b""
 
 
-def sent(write: Callable[[IO[bytes]], None], folder: str) -> SharedFile:
+def write_shared(write: Callable[[IO[bytes]], None], folder: str) -> SharedFile:
     """What `write` writes to a file it is given; `write` is called again where `folder` has no room."""
     try:
         handle, path = tempfile.mkstemp(dir=folder)
@@ -52,13 +52,13 @@ def sent(write: Callable[[IO[bytes]], None], folder: str) -> SharedFile:
         return SharedFile("", memory.getvalue())
 
 
-def received(parcel: SharedFile) -> memoryview:
+def read_shared(shared_file: SharedFile) -> memoryview:
     """The content; its file is gone then. Raises `FileNotFoundError` where it was already."""
-    if not parcel.path:
-        return memoryview(parcel.data)
-    with open(parcel.path, "rb") as file:
+    if not shared_file.path:
+        return memoryview(shared_file.data)
+    with open(shared_file.path, "rb") as file:
         view = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-    os.unlink(parcel.path)
+    os.unlink(shared_file.path)
     return view
 
 
@@ -68,7 +68,7 @@ Answer = tuple[SharedFile, int]
 
 
 @dataclass(frozen=True)
-class _Named:
+class _StateName:
     """In place of a state, its name; where it goes out, also where it begins and ends in the parcel."""
 
     name: str
@@ -79,56 +79,59 @@ class _Named:
 class PlanningProcess:
     """A process that plans for some buildings, started when it is first asked and again after its end."""
 
-    def __init__(self, known: Known, grace_s: float) -> None:
-        self._known, self._grace_s = known, grace_s
+    def __init__(self, buildings: Buildings, grace_s: float) -> None:
+        self._buildings, self._grace_s = buildings, grace_s
         self._context = Remembering()
         self._pool: ProcessPoolExecutor | None = None
         self._folder = ""
         # Names of the states that the process keeps, by building.
-        self._keeps: dict[str, str] = {}
+        self._kept_names: dict[str, str] = {}
 
-    def asked(self, wanted: list[Wanted]) -> Future[Answer]:
+    def submit(self, requests: list[PlanRequest]) -> Future[Answer]:
         """The plans of buildings, to come, packed for `plans`; raises `BrokenProcessPool` from its result."""
         try:
-            return self._submitted(wanted)
+            return self._submit(requests)
         except BrokenProcessPool:  # it died since its last plans
             self.end()
-            return self._submitted(wanted)
+            return self._submit(requests)
 
-    def _submitted(self, wanted: list[Wanted]) -> Future[Answer]:
-        pool = self._started()
-        given = [(name, observation, self._named(name, state)) for name, observation, state in wanted]
+    def _submit(self, requests: list[PlanRequest]) -> Future[Answer]:
+        pool = self._running_pool()
+        named_requests = [(name, observation, self._name_of_kept(name, state)) for name, observation, state in requests]
         return pool.submit(
-            _plans_of, sent(lambda file: pickle.dump(given, file, pickle.HIGHEST_PROTOCOL), self._folder)
+            _plans_of,
+            write_shared(lambda file: pickle.dump(named_requests, file, pickle.HIGHEST_PROTOCOL), self._folder),
         )
 
-    def _named(self, name: str, state: object) -> object:
+    def _name_of_kept(self, name: str, state: object) -> object:
         """The name of a state that the process keeps, the state itself where it does not."""
-        kept = self._keeps.pop(name, None)  # whatever comes of this plan, the process may then keep another one
-        return _Named(state.name) if isinstance(state, PackedState) and state.name == kept else state
+        kept_name = self._kept_names.pop(
+            name, None
+        )  # whatever comes of this plan, the process may then keep another one
+        return _StateName(state.name) if isinstance(state, PackedState) and state.name == kept_name else state
 
     def plans(self, answer: Answer) -> Plans:
         """The plans that the process answered with; raises `BrokenProcessPool` where they went with a process."""
-        parcel, begin = answer
+        shared_file, begin = answer
         try:
-            content = received(parcel)
+            content = read_shared(shared_file)
         except FileNotFoundError as error:
             raise BrokenProcessPool("the process that made the plans has ended") from error
         plans: Plans = []
         for name, planned in pickle.loads(content[begin:]):
             state = planned.state
-            if isinstance(state, _Named):
-                self._keeps[name] = state.name
+            if isinstance(state, _StateName):
+                self._kept_names[name] = state.name
                 state = PackedState(state.name, content[state.begin : state.end])
             plans.append((name, replace(planned, plan=replace(planned.plan, state=state), state=state)))
         return plans
 
-    def _started(self) -> ProcessPoolExecutor:
+    def _running_pool(self) -> ProcessPoolExecutor:
         if self._pool is None:
             # Spawned: a fork would copy the locks of compiled code in whatever state they are.
             self._context = Remembering()
             self._folder = tempfile.mkdtemp(prefix="tf-mpc-plans-")
-            begin = (self._known, self._grace_s, self._folder)
+            begin = (self._buildings, self._grace_s, self._folder)
             self._pool = ProcessPoolExecutor(1, self._context, _begin, begin)
             with one_thread_each():
                 self._pool.submit(os.getpid)  # starts the process
@@ -145,21 +148,21 @@ class PlanningProcess:
             self._pool.shutdown()
             shutil.rmtree(self._folder, ignore_errors=True)
         self._pool = None
-        self._keeps.clear()
+        self._kept_names.clear()
 
 
 # In the process.
 _planner: BatchPlanner | None = None
 _folder = ""
 # The last state of each building, and its name.
-_kept: dict[str, tuple[str, object]] = {}
+_last_states: dict[str, tuple[str, object]] = {}
 
 
-def _begin(known: Known, grace_s: float, folder: str) -> None:
+def _begin(buildings: Buildings, grace_s: float, folder: str) -> None:
     """An interrupt is for the parent, whose end is that of the process."""
     global _planner, _folder
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _planner, _folder = BatchPlanner(known, grace_s), folder
+    _planner, _folder = BatchPlanner(buildings, grace_s), folder
     threading.Thread(target=_follow_parent, daemon=True).start()
 
 
@@ -171,44 +174,44 @@ def _follow_parent() -> None:
         os._exit(1)
 
 
-def _plans_of(given: SharedFile) -> Answer:
+def _plans_of(packed_requests: SharedFile) -> Answer:
     assert _planner is not None
     before, begin = _planner.controllers, 0
-    plans = list(_planner.plans(_unpacked(pickle.loads(received(given)))))
+    plans = list(_planner.plans(_unpack(pickle.loads(read_shared(packed_requests)))))
 
     def write(file: IO[bytes]) -> None:
         nonlocal begin
-        packed = [(name, _packed(name, planned, file)) for name, planned in plans]
+        packed_plans = [(name, _pack(name, planned, file)) for name, planned in plans]
         begin = file.tell()
-        pickle.dump(packed, file, pickle.HIGHEST_PROTOCOL)
+        pickle.dump(packed_plans, file, pickle.HIGHEST_PROTOCOL)
 
-    parcel = sent(write, _folder)
+    shared_file = write_shared(write, _folder)
     if _planner.controllers > before:
         # Controllers stay for good: looking through them for garbage costs a twentieth of all plans.
         gc.collect()
         gc.freeze()
-    return parcel, begin
+    return shared_file, begin
 
 
-def _unpacked(given: Sequence[Wanted]) -> Iterator[Wanted]:
+def _unpack(requests: Sequence[PlanRequest]) -> Iterator[PlanRequest]:
     """What is wanted, with the states that stand behind names."""
-    for name, observation, state in given:
-        if isinstance(state, _Named):
-            kept_name, state_itself = _kept[name]
+    for name, observation, state in requests:
+        if isinstance(state, _StateName):
+            kept_name, state_itself = _last_states[name]
             assert kept_name == state.name
             yield name, observation, state_itself
         else:
             yield name, observation, state
 
 
-def _packed(name: str, planned: Planned, file: IO[bytes]) -> Planned:
+def _pack(name: str, planned: Planned, file: IO[bytes]) -> Planned:
     """A plan whose state is kept, and written to `file`."""
     state = planned.state
     if state is None:
-        _kept.pop(name, None)
+        _last_states.pop(name, None)
         return planned
     begin = file.tell()
     pickle.dump(state, file, pickle.HIGHEST_PROTOCOL)
-    named = _Named(uuid.uuid4().hex, begin, file.tell())
-    _kept[name] = named.name, state
-    return replace(planned, plan=replace(planned.plan, state=None), state=named)
+    state_name = _StateName(uuid.uuid4().hex, begin, file.tell())
+    _last_states[name] = state_name.name, state
+    return replace(planned, plan=replace(planned.plan, state=None), state=state_name)

@@ -166,13 +166,13 @@ class _Model:
         highest, lowest = self._machinery.u_max, self._machinery.u_min
         heating = np.array([self._layout.mode(a) != "cooling" for a in range(highest.size)])
         cooling = np.array([self._layout.mode(a) == "cooling" for a in range(highest.size)])
-        found = {"off": np.zeros(highest.size)}
+        courses = {"off": np.zeros(highest.size)}
         if heating.any():
-            found["full"] = np.where(heating, highest, 0.0)
+            courses["full"] = np.where(heating, highest, 0.0)
         if cooling.any() or (lowest < 0.0).any():
-            found["full cooling" if heating.any() else "full"] = np.where(cooling, highest, lowest)
+            courses["full cooling" if heating.any() else "full"] = np.where(cooling, highest, lowest)
         n = self._boundary.n_steps
-        return {name: self.allowed(np.repeat(levels[:, None], n, axis=1)) for name, levels in found.items()}
+        return {name: self.allowed(np.repeat(levels[:, None], n, axis=1)) for name, levels in courses.items()}
 
     def allowed(self, u: Array, first: int = 0) -> Array:
         """Levels (A, n) within limits, of which no more act together than may, and no machine is asked for too much.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,14 +18,8 @@ from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
-@dataclass(frozen=True, eq=False)
-class Instance:
-    """One instance of the problem.
-
-    Attributes:
-        problem: the numbers.
-        bounds: comfort bounds and the margins inside them.
-    """
+class Instance(NamedTuple):
+    """One instance of the problem, and its comfort bounds with the margins inside them."""
 
     problem: MPCProblem
     bounds: Bounds

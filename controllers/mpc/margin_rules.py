@@ -90,8 +90,8 @@ def reserve_K(operator: OperatorParameters, actuation: Actuation, card: ModelCar
         return min(rounding_K, _MOST_K)
     verdict = card.competence
     errors = [score.model_K for score in verdict.horizons if score.hours == 1.0] if verdict else []
-    found = _swing_K(operator, actuation) + _ERROR_SHARE * sum(errors) + rounding_K
-    return min(found, _MOST_K) if math.isfinite(found) else _MOST_K
+    needed_K = _swing_K(operator, actuation) + _ERROR_SHARE * sum(errors) + rounding_K
+    return min(needed_K, _MOST_K) if math.isfinite(needed_K) else _MOST_K
 
 
 def _swing_K(operator: OperatorParameters, actuation: Actuation) -> float:

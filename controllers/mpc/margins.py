@@ -161,11 +161,6 @@ class MarginRules:
         }
         return Bounds(np.stack(lower), np.stack(upper), first_step)
 
-    @staticmethod
-    def table(bounds: Bounds, margins: Margins) -> dict[str, Array]:
-        """`Plan.margins`: all margins of the first step by name."""
-        return {**bounds.first_step, "offset": margins.offset_K, "unused_capacity": margins.unused}
-
     def capacity(self, operator: BuildingOperator, T_out_C: Array, unused: Array) -> Array | None:
         """What the actuators of each machine may take together (M, N), in the unit of their shares; None: 1.
 

@@ -11,7 +11,6 @@ from controllers.actuation.actuators import Actuators, Demand
 from controllers.actuation.room_setpoints import room_blocks, within_C
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.formulation import Instance
-from controllers.mpc.margins import MarginRules
 from controllers.mpc.prediction import Forecast
 from controllers.mpc.readings import Readings, joined
 from controllers.mpc.state import MPCState
@@ -41,7 +40,7 @@ def solved_plan(instance: Instance, solution: Solution, solve_s: float, forecast
     T_free_C, forced_K = problem.T_free_C, problem.forced_K(forecast.planner.operator, solution.u)
     T_zone_C = compose(T_free_C, forced_K)
     slack_K = problem.slack_K(T_zone_C)
-    doubts = (*readings.doubts, free.doubt)
+    doubts, learned = (*readings.doubts, free.doubt), forecast.state.margins
     status = PlanStatus.BRIDGED if any(doubts) else PlanStatus.SOLVED
     reason = reason_of(problem, names.zones, T_zone_C, slack_K, free)
     return Plan(
@@ -61,7 +60,7 @@ def solved_plan(instance: Instance, solution: Solution, solve_s: float, forecast
         solver_status=solution.status,
         iterations=solution.iterations,
         seconds={**context.seconds, "solve": solve_s},
-        margins=MarginRules.table(instance.bounds, forecast.state.margins),
+        margins={**instance.bounds.first_step, "offset": learned.offset_K, "unused_capacity": learned.unused},
         names=names,
         state=replace(forecast.state, good=_good_plan(readings.time_s, u, T_zone_C, forecast), failures=0),
     )

@@ -18,7 +18,7 @@ from controllers import MPCConfig, ThermoForceMPC
 from controllers.actuation.actuator import ActuationConfig
 from controllers.checks import ControllerConfigError, PackedState
 from controllers.many.portfolio import Portfolio, plan_many
-from controllers.many.worker import received, sent
+from controllers.many.worker import read_shared, write_shared
 from controllers.optimisation.qp_backends import Clarabel
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
@@ -305,18 +305,18 @@ def test_states_of_processes_serve_every_controller_and_what_cannot_travel_costs
 
 
 def test_parcels_travel_in_files_that_are_gone_then_or_in_memory_where_there_is_no_room(tmp_path, monkeypatch):
-    parcel = sent(lambda file: file.write(b"plans"), str(tmp_path))
-    assert Path(parcel.path).parent == tmp_path
-    assert bytes(received(parcel)) == b"plans"
+    shared = write_shared(lambda file: file.write(b"plans"), str(tmp_path))
+    assert Path(shared.path).parent == tmp_path
+    assert bytes(read_shared(shared)) == b"plans"
     assert not any(tmp_path.iterdir())
     with pytest.raises(FileNotFoundError):
-        received(parcel)
+        read_shared(shared)
 
     def full(*args: object, **kwargs: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(tempfile, "mkstemp", full)
-    assert bytes(received(sent(lambda file: file.write(b"plans"), str(tmp_path)))) == b"plans"
+    assert bytes(read_shared(write_shared(lambda file: file.write(b"plans"), str(tmp_path)))) == b"plans"
 
 
 @pytest.mark.slow
