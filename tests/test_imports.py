@@ -75,3 +75,14 @@ def test_a_folder_of_tests_holds_a_dozen_modules_and_their_names_differ():
     assert of_folder[Path("tests")] <= 5
     assert {str(folder): n for folder, n in of_folder.items() if n > 14} == {}
     assert [name for name, n in Counter(file.name for file in files).items() if n > 1] == []
+
+
+def test_a_folder_of_the_product_holds_a_dozen_modules_and_few_stand_loose():
+    for folder, most in (("controllers", 3), ("thermoforce_mpc", 8), ("thermoforce_mpc/identification", 4)):
+        loose = [file for file in (ROOT / folder).glob("*.py") if file.name != "__init__.py"]
+        assert len(loose) <= most, folder
+    packages = [ROOT / name for name in ("thermoforce_mpc", "controllers", "boptest_client", "benchmarks")]
+    files = [file for package in packages for file in package.rglob("*.py") if file.name != "__init__.py"]
+    of_folder = Counter(str(file.parent.relative_to(ROOT)) for file in files)
+    assert len(of_folder) > 50
+    assert {folder: n for folder, n in of_folder.items() if n > 14} == {}
