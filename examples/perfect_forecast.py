@@ -18,7 +18,7 @@ from thermoforce_mpc.boundary.tariffs import by_name
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2
-from thermoforce_mpc.scenario.scenario import load_scenario
+from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.composition import build_plant, scored_period

@@ -13,7 +13,7 @@ from controllers.registry import build_controller
 from thermoforce_mpc.boundary.tariffs import tariff_from_file
 from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.composition import scored_period
 from thermoforce_mpc.simulation.models.identifying import identify_on

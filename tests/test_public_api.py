@@ -100,7 +100,7 @@ def test_a_prediction_is_free_plus_forced_with_its_band_and_times(tables, model)
 
 def test_the_plan_is_that_of_the_registry_and_has_times(tables, model, tmp_path):
     from controllers.registry import build_controller
-    from thermoforce_mpc.scenario.scenario import load_testcase
+    from thermoforce_mpc.plants.testcases import load_testcase
 
     record = tf.Record.from_dataframe(tables[0], **NAMES)
     weather = tf.Boundary.from_dataframe(tables[1], record, **AHEAD, lower="T_min", upper="T_max", price=0.25)

@@ -6,8 +6,9 @@ The public names below are loaded on first use, so that `import thermoforce_mpc`
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from thermoforce_mpc.registry import lazy_names
 from thermoforce_mpc.version import VERSION as __version__
 
 if TYPE_CHECKING:
@@ -68,13 +69,7 @@ _HOME = {
     "verified_saving": "thermoforce_mpc.whatif.saving",
 }
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'thermoforce_mpc' has no attribute '{name}'; it has {', '.join(_HOME)}")
-    from importlib import import_module
-
-    return getattr(import_module(_HOME[name]), name)
+__getattr__ = lazy_names(__name__, _HOME)
 
 
 def __dir__() -> list[str]:

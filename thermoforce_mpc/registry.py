@@ -14,6 +14,7 @@ import hashlib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from importlib.metadata import Distribution, EntryPoint, distributions, entry_points
 from importlib.util import find_spec
 from pathlib import Path
@@ -123,6 +124,17 @@ class Registry(Generic[T]):
         if wrong:
             raise self._error(f"{where} cannot be used: {wrong}")
         return self.made(plugin.name, found)
+
+
+def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
+    """`__getattr__` of a package whose public names are imported from their modules, `homes`, on first use."""
+
+    def attribute(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module '{package}' has no attribute '{name}'; it has {', '.join(homes)}")
+        return getattr(import_module(homes[name]), name)
+
+    return attribute
 
 
 def announced(group: str) -> dict[str, list[EntryPoint]]:

@@ -21,7 +21,8 @@ from thermoforce_mpc.errors import PlantError, ThermoForceError
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.boptest.plant import BoptestPlant
-from thermoforce_mpc.scenario.scenario import Scenario, load_scenario
+from thermoforce_mpc.plants.testcases import load_scenario
+from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.folder.run_book import RunBook

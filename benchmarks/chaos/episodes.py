@@ -21,7 +21,7 @@ from thermoforce_mpc.execution import LocalEngine, Task, execute
 from thermoforce_mpc.execution import Outcome as Executed
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.scenario.scenario import load_scenario, load_testcase
+from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.service.server import serving
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.simulation.models.identifying import model_for

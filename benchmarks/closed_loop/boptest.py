@@ -13,7 +13,7 @@ from thermoforce_mpc.errors import InputError, ThermoForceError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.fmu.archive import read_archive
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.settings import named_configs
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.simulation.run import run

@@ -13,8 +13,8 @@ from controllers.dpc.controller import DPC
 from controllers.registry import build_controller, controller_config
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Controller
-from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.simulation.composition import scored_period

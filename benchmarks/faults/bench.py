@@ -25,8 +25,8 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, Plan, PlanStatus
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Controller
-from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.simulation.models.identifying import identify_on

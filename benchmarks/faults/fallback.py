@@ -25,7 +25,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, O
 from thermoforce_mpc.model.free_response.following import follow
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.simulation.models.identifying import identify_on

@@ -28,7 +28,7 @@ from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.rooms.plant import HouseOfRooms
-from thermoforce_mpc.scenario.scenario import load_scenario
+from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json

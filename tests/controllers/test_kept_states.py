@@ -25,7 +25,7 @@ from thermoforce_mpc.live import KeptState
 from thermoforce_mpc.live.building import Applied
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.registry import REGISTRY as FREE_RESPONSES
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.state_file import StateFormat
 

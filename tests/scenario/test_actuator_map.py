@@ -9,7 +9,7 @@ import pytest
 
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.scenario.testcase import Actuator, TestCase
 

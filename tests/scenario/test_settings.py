@@ -6,7 +6,8 @@ import pytest
 
 from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.scenario.scenario import Scenario, load_scenario, load_testcase
+from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
+from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import find_config, merge, named_configs, parse_overrides, read_yaml, validate
 from thermoforce_mpc.scenario.testcase import TestCase
 

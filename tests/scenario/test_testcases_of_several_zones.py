@@ -6,7 +6,7 @@ import pytest
 
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.rooms import house_of_rooms
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.settings import read_yaml, validate
 from thermoforce_mpc.scenario.testcase import TestCase
 

@@ -8,7 +8,8 @@ import re
 import pytest
 
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.scenario.scenario import Scenario, load_scenario, load_testcase
+from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
+from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge, parse_overrides, read_yaml, validate
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.scenario.yaml_file import MOST_BYTES

@@ -26,7 +26,7 @@ from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.plants.boptest.plant import BoptestPlant
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.service.server import build_server
 
 NAME = "bestest_hydronic_heat_pump"

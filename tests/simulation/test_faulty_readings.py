@@ -16,7 +16,7 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.simulation.models.identifying import identify_on
 

@@ -13,7 +13,7 @@ from controllers import ThermoForceMPC
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import StorageError
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.folder.run_folder import steps_frame, trajectory_frame
 from thermoforce_mpc.simulation.kept_steps import KeptSteps

@@ -8,7 +8,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from controllers import ThermoForceMPC
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, Period
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.folder.run_folder import trajectory_frame
 

@@ -162,7 +162,7 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
     Raises:
         ConfigError: a value is wrong; names the file or option, the key and the allowed values.
     """
-    from thermoforce_mpc.scenario.scenario import load_scenario
+    from thermoforce_mpc.plants.testcases import load_scenario
     from thermoforce_mpc.scenario.settings import find_config, merge, parse_overrides
 
     keys: dict[str, Any] = {}

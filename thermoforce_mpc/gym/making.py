@@ -13,7 +13,7 @@ from thermoforce_mpc.gym.boptest import BoptestGymEnv, EmbeddedBoptestGymEnv
 from thermoforce_mpc.gym.env import BuildingEnv
 from thermoforce_mpc.gym.episodes import Episodes
 from thermoforce_mpc.gym.levels import LevelsView
-from thermoforce_mpc.scenario.scenario import load_scenario
+from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.composition import build_plant
 

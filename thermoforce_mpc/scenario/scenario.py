@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from thermoforce_mpc.errors import ConfigError, InputError
-from thermoforce_mpc.registry import Registry, builder, known_name
-from thermoforce_mpc.scenario.settings import StrictModel, find_config, is_config, merge, read_yaml, validate
+from thermoforce_mpc.registry import known_name
+from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.strict_model import one_of
-from thermoforce_mpc.scenario.testcase import Price, TestCase
+from thermoforce_mpc.scenario.testcase import Price
 
 _KINDS = ("embedded", "boptest", "fmu")
 
@@ -121,58 +117,3 @@ class Scenario(StrictModel):
     @classmethod
     def _day_number_as_text(cls, value: object) -> object:
         return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
-
-
-def _house(name: str) -> TestCase:
-    # By name: this room stands below the plants.
-    return cast(TestCase, importlib.import_module("thermoforce_mpc.plants.rooms.testcase").house_testcase(name))
-
-
-def _generated(name: str) -> TestCase:
-    return cast(TestCase, importlib.import_module("thermoforce_mpc.plants.random_houses.plant").named_testcase(name))
-
-
-# Test cases that are made instead of read, by what stands before the colon of their name: the function that makes one
-# from its whole name. Other distributions announce theirs in the group `thermoforce_mpc.testcases`.
-MADE_TESTCASES: Registry[Callable[[str], TestCase]] = Registry(
-    "test case", "testcases", {"house": _house, "generated": _generated}, ConfigError, builder
-)
-
-
-def load_testcase(name: str) -> TestCase:
-    """Read a test case by name or YAML path, or make it; raises `ConfigError`.
-
-    `energyplus:NAME` is the shipped file `energyplus_NAME.yaml`; `house:Nrooms` and `generated:SEED:INDEX` are drawn; a
-    plugin's has its name.
-    """
-    prefix = name.partition(":")[0]
-    if not is_config("testcases", name) and prefix in MADE_TESTCASES:
-        make = MADE_TESTCASES.find(prefix)
-        try:
-            return make(name)
-        except InputError as error:
-            raise ConfigError(f"testcase: {error}") from error
-    path = find_config("testcases", name.replace("energyplus:", "energyplus_", 1), MADE_TESTCASES.names)
-    return validate(TestCase, read_yaml(path), str(path))
-
-
-def load_scenario(path: Path | None, overrides: Mapping[str, Any]) -> Scenario:
-    """Read a scenario file (or none) and apply `overrides`; raises `ConfigError` naming file and key.
-
-    Without a period, a heated building gets 'peak_heat_day' and a cooled one 'peak_cool_day'; `model_fields_set` has no
-    period then.
-    """
-    data = merge(read_yaml(path) if path else {}, overrides)
-    source = str(path) if path else "options"
-    scenario = validate(Scenario, data, source)
-    if "period" not in data and _is_cooled(scenario.testcase):
-        return Scenario.model_construct(scenario.model_fields_set, **{**dict(scenario), "period": "peak_cool_day"})
-    return scenario
-
-
-def _is_cooled(testcase: str) -> bool:
-    """Whether a test case is cooled; False if it cannot be read, which its later use reports."""
-    try:
-        return load_testcase(testcase).mode == "cooling"
-    except ConfigError:
-        return False

@@ -6,7 +6,8 @@ from controllers.registry import build_controller, controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.free_response.registry import build_free_response, needs_identified
 from thermoforce_mpc.plants.registry import check_plant
-from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.composition import check_window, controller_options
 from thermoforce_mpc.simulation.models.identifying import identification_settings, saved_model

@@ -24,8 +24,8 @@ from packaging.requirements import Requirement
 from thermoforce_mpc.data import DAY_S, HOUR_S, SINGLE, Boundary, Observation, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError, ThermoForceError
 from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.registry import OWN, Registry
-from thermoforce_mpc.scenario.scenario import load_testcase
 from thermoforce_mpc.scenario.settings import suggestion
 from thermoforce_mpc.version import VERSION
 
@@ -129,7 +129,7 @@ def _plugins() -> Finding:
     from thermoforce_mpc.model.free_response.backbones.loading import REGISTRY as backbones
     from thermoforce_mpc.model.free_response.registry import REGISTRY as free_responses
     from thermoforce_mpc.plants.registry import REGISTRY as plants
-    from thermoforce_mpc.scenario.scenario import MADE_TESTCASES as testcases
+    from thermoforce_mpc.plants.testcases import MADE_TESTCASES as testcases
 
     registries: tuple[Registry[Any], ...] = (controllers, plants, free_responses, backbones, connections, testcases)
     plugins = [(registry.kind, entry) for registry in registries for entry in registry.listing() if entry.origin != OWN]

@@ -14,8 +14,9 @@ from controllers.registry import build_controller, find_entry
 from thermoforce_mpc.data import DAY_S, Period, PlantInfo
 from thermoforce_mpc.errors import ConfigError, PlantError, StorageError, ThermoForceError, counted
 from thermoforce_mpc.model.screening import limits_of
+from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.protocols import Controller, Plant
-from thermoforce_mpc.scenario.scenario import Scenario, load_scenario
+from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.checks import check_contestants, validate_scenario

@@ -21,7 +21,7 @@ from benchmarks.chaos.troubles import Trouble, drawn
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.journal.journal import Entry, read_journal, read_run
 from thermoforce_mpc.simulation.journal.told_steps import told_loops, told_steps
 

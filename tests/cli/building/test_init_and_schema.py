@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.scenario.scenario import load_scenario, load_testcase
+from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.scenario.settings import configs_folder, named_configs, read_yaml
 from thermoforce_mpc.scenario.yaml_file import parse_value
 from thermoforce_mpc.simulation.checks import validate_scenario

@@ -22,7 +22,7 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.live.watch import shown
 from thermoforce_mpc.data import DAY_S, HOUR_S, Period
 from thermoforce_mpc.errors import InputError, PlantError
-from thermoforce_mpc.scenario.scenario import load_scenario
+from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.service.live_page import page_server
 from thermoforce_mpc.service.server import running
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop

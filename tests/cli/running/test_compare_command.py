@@ -11,7 +11,8 @@ from emulator_service import running_emulator_service
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.running.comparing import Axes, axes_from
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.scenario.scenario import Scenario, load_scenario
+from thermoforce_mpc.plants.testcases import load_scenario
+from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.comparison.cells import expand
 from thermoforce_mpc.simulation.comparison.store import Store
 from thermoforce_mpc.simulation.comparison.tasks import failure

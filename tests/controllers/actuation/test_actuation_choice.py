@@ -21,7 +21,8 @@ from thermoforce_mpc.identification import identify
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
-from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.models.identifying import identification_settings
 
 

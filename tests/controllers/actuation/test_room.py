@@ -38,7 +38,7 @@ from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.closed_loop import checked_blocks, run_closed_loop
 
 LOWEST = -0.6

@@ -18,7 +18,7 @@ from controllers.optimisation.qp_backends import QPConfig
 from controllers.registry import controller_config
 from thermoforce_mpc.data import Layout, Names, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 
 STEP_S = 900.0
 

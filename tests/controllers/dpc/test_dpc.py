@@ -29,7 +29,7 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.rooms import house_of_rooms
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 CONFIG = {"step_s": None, "horizon_h": 24.0, "free_response": {"name": "rc"}}

@@ -23,7 +23,7 @@ from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.return_water import ReturnWater
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 

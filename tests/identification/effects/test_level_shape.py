@@ -17,7 +17,8 @@ from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.part_load import CostAtPartLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
-from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.models.identifying import identification_settings
 
 # A room heated at once, in which an hour shows what a level gives.

@@ -15,7 +15,7 @@ from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig,
 from thermoforce_mpc.identification.validation import competence
 from thermoforce_mpc.identification.validation.competence import SETTLED_SD
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.models.identifying import identify_on
 
 pytestmark = pytest.mark.slow

@@ -15,7 +15,7 @@ from thermoforce_mpc.model.free_response.registry import (
     own_options,
 )
 from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 
 
 def test_there_are_five() -> None:

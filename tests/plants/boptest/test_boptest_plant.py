@@ -14,8 +14,8 @@ from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.boptest.plant import BoptestPlant
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.scenario.scenario import load_testcase
 
 QUICK = TransportConfig(connect_timeout_s=1.0, read_timeout_s=20.0, patience_s=0.5, backoff_s=0.01)
 TESTCASE = load_testcase("bestest_hydronic_heat_pump")

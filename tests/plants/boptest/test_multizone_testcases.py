@@ -15,7 +15,7 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.boptest.plant import BoptestPlant
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.settings import find_config, merge, read_yaml, validate
 from thermoforce_mpc.scenario.testcase import TestCase
 

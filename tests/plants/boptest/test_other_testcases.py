@@ -18,7 +18,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.boptest.plant import BoptestPlant
 from thermoforce_mpc.plants.fmu import FmuPlant
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from documented_points import DOCUMENTED
 
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.boptest.points import check_points
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.settings import named_configs
 
 OTHERS = ["bestest_hydronic", "bestest_air"]

@@ -10,8 +10,9 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.energyplus.engine import is_available
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
+from thermoforce_mpc.scenario.scenario import Scenario
 
 pytestmark = pytest.mark.slow
 

@@ -22,8 +22,9 @@ from thermoforce_mpc.errors import ConfigError, InputError, PlantError, WeatherE
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.fmu import FmuPlant
 from thermoforce_mpc.plants.fmu.process import missing_library
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
+from thermoforce_mpc.scenario.scenario import Scenario
 
 TESTCASE = load_testcase("bestest_hydronic_heat_pump")
 

@@ -17,8 +17,9 @@ from thermoforce_mpc.plants.random_houses.draw import MACHINES, heat_pump_cop
 from thermoforce_mpc.plants.random_houses.plant import year_of
 from thermoforce_mpc.plants.random_houses.schedule import bounds_C, native_setpoint_C
 from thermoforce_mpc.plants.registry import build_plant
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.scenario.scenario import PlantSpec, load_testcase
+from thermoforce_mpc.scenario.scenario import PlantSpec
 
 SEED = 7
 

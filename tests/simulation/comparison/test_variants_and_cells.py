@@ -8,7 +8,8 @@ import pytest
 from pydantic import BaseModel
 
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import named_configs
 from thermoforce_mpc.simulation.comparison import cells
 from thermoforce_mpc.simulation.comparison.cells import expand

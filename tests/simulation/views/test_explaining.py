@@ -15,7 +15,7 @@ from simple_house import SimpleHouse, simple_model
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation import report
 from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.journal.journal import Journal, JournalError

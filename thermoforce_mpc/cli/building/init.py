@@ -31,7 +31,7 @@ def command(folder: Path, testcase: str, copy_testcase: bool, data: str | None) 
       tf-mpc init my_house --data house.csv
     """
     from thermoforce_mpc.measurements.map.starting_map import starting_map
-    from thermoforce_mpc.scenario.scenario import load_scenario, load_testcase
+    from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
     from thermoforce_mpc.scenario.settings import find_config, is_config
     from thermoforce_mpc.scenario.starting_scenario import scenario_text
     from thermoforce_mpc.simulation.schemas import schema_text

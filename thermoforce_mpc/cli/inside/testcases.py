@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import click
 
+from thermoforce_mpc.plants.testcases import MADE_TESTCASES, load_testcase
 from thermoforce_mpc.registry import OWN
-from thermoforce_mpc.scenario.scenario import MADE_TESTCASES, load_testcase
 from thermoforce_mpc.scenario.settings import named_configs, read_yaml
 
 

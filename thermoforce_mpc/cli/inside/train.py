@@ -38,7 +38,7 @@ def command(model: Path, testcase: str, out: Path, force: bool, settings: tuple[
     from controllers.dpc.policy import check_target
     from controllers.registry import controller_config
     from thermoforce_mpc.model.thermal_model import load_model
-    from thermoforce_mpc.scenario.scenario import load_testcase
+    from thermoforce_mpc.plants.testcases import load_testcase
 
     if out.exists() and not force:
         raise ConfigError(f"--out: {out} exists already; choose another folder, or give --force")

@@ -18,7 +18,8 @@ from thermoforce_mpc.cli.options import execution_options
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.execution import Outcome, TaskProgress, execute, source_fingerprint
 from thermoforce_mpc.execution.progress import summary
-from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.simulation.comparison.cells import Cell, expand
 from thermoforce_mpc.simulation.comparison.files import HEADINGS, headings, shown_figures, write_outcome
 from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT, group_title, grouped, verdicts

@@ -15,7 +15,7 @@ from thermoforce_mpc.cli.running.comparing import (
     scenario_options_from,
 )
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.comparison.variants import comma_list, numeric_option, swept_variants, variants_by_name
 
 _VALUES = "0.5,1,2,5,10,20"

@@ -10,8 +10,9 @@ from typing import Any
 from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution.keys import digest, source_fingerprint
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.registry import plugin_sources
-from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
+from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.comparison.input_files import named_files
 from thermoforce_mpc.simulation.comparison.variants import Variant, variant_scenario

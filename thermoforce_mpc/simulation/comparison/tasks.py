@@ -17,8 +17,9 @@ from thermoforce_mpc.execution import Task, source_fingerprint, tell
 from thermoforce_mpc.files import write_folder
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.scenario.scenario import Scenario, load_testcase
+from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_closed_loop
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell

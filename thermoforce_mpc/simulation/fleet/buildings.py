@@ -12,7 +12,7 @@ from typing import Any
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.plants.random_houses import draw_house
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.settings import suggestion
 from thermoforce_mpc.simulation.fleet.file import FleetFile, Rooms, Source
 from thermoforce_mpc.simulation.models.measured_model import check_measurements

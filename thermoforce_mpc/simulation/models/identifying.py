@@ -13,8 +13,9 @@ from pydantic import BaseModel
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Period, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, load_testcase
+from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.settings import merge, validate
 from thermoforce_mpc.scenario.testcase import Actuator, TestCase
 from thermoforce_mpc.simulation.composition import check_window, controller_options

@@ -13,7 +13,7 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Measurement, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.model.forecast_gaps import completed
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.closed_loop import with_level
 from thermoforce_mpc.simulation.folder.run_folder import is_complete, plain_json
 from thermoforce_mpc.simulation.forecasts import holes, price_paid

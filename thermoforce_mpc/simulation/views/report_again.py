@@ -13,7 +13,7 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, J_PER_KWH
 from thermoforce_mpc.errors import ArtifactError, InputError
 from thermoforce_mpc.files import read_bounded
-from thermoforce_mpc.scenario.scenario import load_testcase
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.closed_loop import RunResult
 from thermoforce_mpc.simulation.folder.run_folder import is_complete
