@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
@@ -33,6 +32,7 @@ from controllers.safety.overrides import (
     CompetenceGate,
     LostZone,
     Override,
+    OverrideRule,
     Situation,
     WatchAlarm,
     decide,
@@ -51,12 +51,8 @@ from thermoforce_mpc.protocols import FreeResponse
 _SOLVERS_ABANDONED = 3
 
 
-class SolverBuilder(Protocol):
-    """Builds the solver of an operator, which is adjusted to the actuation, and of the machines behind it."""
-
-    def __call__(self, operator: BuildingOperator, machinery: EquipmentLayout) -> Solver:
-        """The solver."""
-        ...
+SolverBuilder = Callable[[BuildingOperator, EquipmentLayout], Solver]
+"""Builds the solver of an operator, which is adjusted to the actuation, and of the machines behind it."""
 
 
 class ThermoForceMPC(ActuatedController):
@@ -101,35 +97,36 @@ class ThermoForceMPC(ActuatedController):
         check_names("actuations", c.actuations, "actuator", layout.names.actuators)
         check_names("sensors", c.sensors, "zone", zones)
         _check_power(model)
-        models = [model.actuator(a) for a in range(len(layout.names.actuators))]
+        zone_models = [model.actuator(a) for a in range(len(layout.names.actuators))]
         choices = _actuations(c, model, layout)
         super().__init__(
             name, model.operator.step_s, n_steps, layout, [choice.actuation for choice in choices], c.fallback
         )
-        told = (self._layout.names.of_actuator(a, choice.why) for a, choice in enumerate(choices))
-        self._actuation_why = "; ".join(dict.fromkeys(told))
+        reasons = (layout.names.of_actuator(a, choice.why) for a, choice in enumerate(choices))
+        self._actuation_why = "; ".join(dict.fromkeys(reasons))
         self._handler = DirectHandler(BoundedCalls(len(zones) + _SOLVERS_ABANDONED))
         self._formulation = Formulation(c, model, self._actuators)
-        solver_of: SolverBuilder = solver or partial(build_solver, c)
+        solver_of, machinery = solver or partial(build_solver, c), self._formulation.machinery
         self._planners = Planners(
             model,
             self._actuators,
             _free_responses(c.free_response, model, free_response),
             c.estimator,
-            partial(solver_of, machinery=self._formulation.machinery),
+            lambda operator: solver_of(operator, machinery),
         )
         expected_power = self._formulation.expected_power_W
-        watches = [Watch(c.watch, one, n_steps, partial(expected_power, a)) for a, one in enumerate(models)]
-        self._gate = CompetenceGate(c.gate, [one.card.competence for one in models], self._fallbacks)
+        watches = [Watch(c.watch, zone, n_steps, partial(expected_power, a)) for a, zone in enumerate(zone_models)]
+        self._gate = CompetenceGate(c.gate, [zone.card.competence for zone in zone_models], self._fallbacks)
         self._watched = WatchedPredictions(
             watches, self._planners.of, model, enabled=c.watch.enabled and not self._gate.closes_all
         )
         self._readings = ReadingsFilter(c, model, self._planners.base.predictor)
-        adaptations = [OnlineAdaptation(one, c.adaptation) for one in models] if c.adaptation.enabled else []
+        adaptations = [OnlineAdaptation(zone, c.adaptation) for zone in zone_models] if c.adaptation.enabled else []
         self._prediction = Prediction(
             self._planners, adaptations, self._readings.sensors, self._watched, n_steps, c.deadline.forecast_s
         )
-        self._overrides = (WatchAlarm(self._fallbacks), self._gate, LostZone(self._fallbacks))
+        alarms = (WatchAlarm(self._fallbacks),) if self._watched.enabled else ()
+        self._overrides: tuple[OverrideRule, ...] = (*alarms, self._gate, LostZone(self._fallbacks))
         guard = ComfortGuard(c.guard, layout, [actuation.highest for actuation in self._actuators.each])
         self._realisation = Realisation(self._actuators, self._fallbacks, guard, self.step_s)
 
@@ -330,10 +327,10 @@ def _actuations(config: MPCConfig, model: ThermalModel, layout: Layout) -> list[
     """How each actuator is run (A,)."""
     choices = []
     for a, (actuator, lowest) in enumerate(zip(layout.names.actuators, layout.lowest, strict=True)):
-        one = model.actuator(a)
-        assert one.power is not None  # `_check_power`
-        cost = CostAtPartLoad.of(one.card.uncertainty)
-        choice = choose_actuation(config.actuation_of(actuator), one.power, one.operator.heat_input, cost)
+        zone = model.actuator(a)
+        assert zone.power is not None  # `_check_power`
+        cost = CostAtPartLoad.of(zone.card.uncertainty)
+        choice = choose_actuation(config.actuation_of(actuator), zone.power, zone.operator.heat_input, cost)
         if choice.actuation.by_rooms != (lowest < 0.0):
             raise ControllerConfigError(
                 "controller.options.actuation.mode: room_setpoints and a model of heating and cooling belong together"

@@ -83,22 +83,8 @@ class Formulation:
         Raises:
             DataError: a bound or price of the boundary is missing.
         """
-        context.boundary.check("lower_C", "upper_C", "price_per_kWh")
-        bounds = self.margins.bounds(operator, context.free, context.boundary, margins.learned)
-        problem = self._problem(operator, context, history, margins, bounds, peak_W)
-        return Instance(problem, bounds)
-
-    def _problem(
-        self,
-        operator: BuildingOperator,
-        context: PredictionContext,
-        history: Record,
-        margins: Margins,
-        bounds: Bounds,
-        peak_W: float,
-    ) -> MPCProblem:
-        """The numbers with all actuators planned; arguments as in `instance`."""
         aims, boundary, layout = self._config.objective, context.boundary, self._layout
+        boundary.check("lower_C", "upper_C", "price_per_kWh")
         boundary.check("heating_price_per_kWh")
         carbon = np.zeros((len(layout.names.machines), boundary.n_steps))
         if aims.carbon_price_per_kg:
@@ -130,8 +116,8 @@ class Formulation:
         highest_W = np.array(layout.weights) * fixed_W[fed_by, -1] + per_u_W[:, -1] * highest
         if bent:
             highest_W = highest_W + per_u2_W[:, -1] * highest**2
-        cap_kW = aims.power_cap_kW
-        return MPCProblem(
+        bounds, cap_kW = self.margins.bounds(operator, context.free, boundary, margins.learned), aims.power_cap_kW
+        problem = MPCProblem(
             forced_state_K=context.forced_K,
             features=context.features,
             T_free_C=context.free.median_C + margins.offset_K[:, None],
@@ -152,6 +138,7 @@ class Formulation:
             power_per_u2_W=per_u2_W if bent else None,
             capacity=self.margins.capacity(operator, T_out, margins.unused),
         )
+        return Instance(problem, bounds)
 
     def expected_power_W(self, a: int, record: Record) -> Array:
         """Electric power (n,), W, for the levels of actuator `a` in a record of its own."""

@@ -242,6 +242,6 @@ class MarginRules:
         for m in range(len(self._layout.names.machines)):
             fed = self._layout.fed_by(m)
             maps = [operator.of_actuator(a).heat_input for a in fed]
-            if len(fed) > 1 and self._shares[fed].all() and all(one.heat is not None for one in maps):
-                full = np.stack([one(np.ones(T_out_C.size), T_out_C) for one in maps])
-                yield m, fed, full, np.array([one.reference_W for one in maps])
+            if len(fed) > 1 and self._shares[fed].all() and all(heat_map.heat is not None for heat_map in maps):
+                full = np.stack([heat_map(np.ones(T_out_C.size), T_out_C) for heat_map in maps])
+                yield m, fed, full, np.array([heat_map.reference_W for heat_map in maps])

@@ -70,9 +70,7 @@ class Realisation:
 
     def stand_back(self, overrides: Mapping[int, Override], state: MPCState) -> Plan:
         """A step in which every actuator is overridden; nothing is planned, and the last plan is not followed later."""
-        status = min((override.status for override in overrides.values()), key=_FIRST_NAMED.index)
-        kept = replace(state, good=None)
-        plan = Plan((), status, "", names=self._layout.names, state=kept)
+        plan = Plan((), PlanStatus.NATIVE, "", names=self._layout.names, state=replace(state, good=None))
         return self._with_blocks(plan, [None] * len(overrides), overrides)
 
     def fall_back(
@@ -169,12 +167,7 @@ class Realisation:
         redone = self._with_blocks(replace(plan, why="", state=state), levels, overrides)
         if redone.blocks == begun.blocks:  # minimum on or off time: the machine cannot do more
             return begun
-        why = joined(
-            [
-                *(self._layout.names.of_actuator(a, override.why) for a, override in guarded.items()),
-                *excluded,
-                begun.why,
-            ]
-        )
+        told = [self._layout.names.of_actuator(a, override.why) for a, override in guarded.items()]
+        why = joined([*told, *excluded, begun.why])
         acting = tuple(PlanStatus.GUARD if a in guarded else status for a, status in enumerate(begun.acting))
         return replace(redone, status=PlanStatus.GUARD, acting=acting, why=why)

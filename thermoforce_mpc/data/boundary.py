@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thermoforce_mpc.data.clock import CLOCK_ROUNDING_S, Array, check_clock
+from thermoforce_mpc.data.clock import CLOCK_ROUNDING_S, HOUR_S, Array, check_clock
 from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.data.names import AXIS, SINGLE, Names, frozen
 from thermoforce_mpc.data.record import Record
-from thermoforce_mpc.data.units import HOUR_S
 from thermoforce_mpc.errors import DataError
 
 if TYPE_CHECKING:  # loaded only where tables come in

@@ -1,4 +1,4 @@
-"""The type of arrays, and instants that go up in equal steps."""
+"""The type of arrays, units of time and energy, and instants that go up in equal steps."""
 
 from __future__ import annotations
 
@@ -6,6 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.errors import DataError
+
+HOUR_S = 3600.0
+DAY_S = 86400.0
+YEAR_S = 365 * DAY_S
+"""A year of weather, prices and schedules, s: it has no 29 February, and repeats."""
+
+ZERO_C_K = 273.15
+"""0 °C in K."""
+
+J_PER_KWH = 3.6e6
 
 Array = NDArray[np.float64]
 

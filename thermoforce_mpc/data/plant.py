@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from thermoforce_mpc.data.units import DAY_S
+from thermoforce_mpc.data.clock import DAY_S
 
 
 @dataclass(frozen=True)
