@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from faults import shifted
@@ -78,3 +80,22 @@ def test_cooling_is_guarded_the_other_way_round():
     assert "2.00 K above" in guarded(0.0)[0].why
     assert guarded(0.8) == {}, "fully used already"
     assert guarded(0.0, margin_K=2.5) == {}
+
+
+def test_no_plan_from_before_the_guard_is_followed_after_it():
+    house = SimpleHouse(T_start_C=21.5)
+    house.reset(10 * 86400.0, 86400.0)
+    config = MPCConfig(step_s=None, horizon_h=24.0, sensor={"enabled": False}, watch={"enabled": False}, **WRONG)
+    warm = shifted(6.0)
+    mpc = ThermoForceMPC(simple_model(), config, free_response=warm)
+    seen = Observation(house.past(3600.0), house.forecast(86400.0, 3600.0))
+    first = mpc.plan(seen)
+    assert first.state.good is not None
+    house.advance(0.0, 3600.0)
+    history = house.past(3600.0)
+    T_C = history.T_zone_C.copy()
+    T_C[0, -1] = 17.0
+    later = Observation(replace(history, T_zone_C=T_C), house.forecast(86400.0, 3600.0))
+    guarded = mpc.plan(later, first.state)
+    assert guarded.status is PlanStatus.GUARD
+    assert guarded.state.good is None
