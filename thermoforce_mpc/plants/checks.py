@@ -67,9 +67,11 @@ def check_levels(
     bands: tuple[Any, ...] = (None,) * n if band_C is None else tuple(band_C)
     if alone and len(bands) == 2:  # one pair
         bands = (bands,)
-    for what, found in (("levels", levels), ("room set-points", bands)):
-        if len(found) != n:
-            raise InputError(f"{what} of {len(found)} actuators: expected one for each of {', '.join(names.actuators)}")
+    for what, values in (("levels", levels), ("room set-points", bands)):
+        if len(values) != n:
+            raise InputError(
+                f"{what} of {len(values)} actuators: expected one for each of {', '.join(names.actuators)}"
+            )
     each = np.broadcast_to(lowest, n)
     for name, level, least, band in zip(names.actuators, levels, each, bands, strict=True):
         of = "" if alone else f" for '{name}'"

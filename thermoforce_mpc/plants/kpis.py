@@ -127,10 +127,10 @@ def _trapezoid_h(time_s: Array) -> Array:
 
 def _of_each_zone(name: str, zones: Sequence[Violation], integrals: Sequence[float]) -> dict[str, float]:
     """Mean integral of each zone by `name[zone]`; a zone may have several signals."""
-    found: dict[str, list[float]] = {}
+    grouped: dict[str, list[float]] = {}
     for zone, integral in zip(zones, integrals, strict=True):
-        found.setdefault(f"{name}[{zone.zone}]", []).append(integral)
-    return {key: float(np.mean(values)) for key, values in found.items()} if len(found) > 1 else {}
+        grouped.setdefault(f"{name}[{zone.zone}]", []).append(integral)
+    return {key: float(np.mean(values)) for key, values in grouped.items()} if len(grouped) > 1 else {}
 
 
 def zone_kpis(kpis: Mapping[str, float]) -> dict[str, float]:
@@ -176,8 +176,8 @@ class CountedKpis:
         if final_s > self.until_s + _CLOCK_S and (final_s - start_s + _CLOCK_S) % PEAK_WINDOW_S < 2 * _CLOCK_S:
             return final_s  # as after every step of whole quarters
         into_s = (time_s - start_s + _CLOCK_S) % PEAK_WINDOW_S
-        found = np.flatnonzero((into_s < 2 * _CLOCK_S) & (time_s > self.until_s + _CLOCK_S))
-        return float(time_s[found[-1]]) if found.size else self.until_s
+        instants = np.flatnonzero((into_s < 2 * _CLOCK_S) & (time_s > self.until_s + _CLOCK_S))
+        return float(time_s[instants[-1]]) if instants.size else self.until_s
 
     def up_to(self, now_s: float, between: Callable[[float, float], dict[str, float]]) -> dict[str, float]:
         """Return the KPIs of all samples up to `now_s`; `between` as in `counting`."""

@@ -256,16 +256,16 @@ _OWN = {
 }
 
 
-def _plugin(name: str, found: PlantEntry | Callable[..., Plant]) -> PlantEntry:
+def _plugin(name: str, plugin: PlantEntry | Callable[..., Plant]) -> PlantEntry:
     """A plugin's entry, or that of a class or function whose parameters are its options."""
-    if isinstance(found, PlantEntry):
-        return found
+    if isinstance(plugin, PlantEntry):
+        return plugin
 
     def build(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
-        plant: Plant = called(found, options, {"testcase": testcase, "seed": seed})
+        plant: Plant = called(plugin, options, {"testcase": testcase, "seed": seed})
         return plant
 
-    return PlantEntry(first_line(found) or name, build, lambda: options_model(found, _HANDED))
+    return PlantEntry(first_line(plugin) or name, build, lambda: options_model(plugin, _HANDED))
 
 
 # What a plugin's class or function is handed, where it has a parameter of the name.
@@ -275,6 +275,6 @@ REGISTRY: Registry[PlantEntry] = Registry(
     "plants",
     _OWN,
     ConfigError,
-    lambda found: "" if isinstance(found, PlantEntry) else unfit(found, _HANDED),
+    lambda plugin: "" if isinstance(plugin, PlantEntry) else unfit(plugin, _HANDED),
     _plugin,
 )

@@ -59,16 +59,16 @@ def options_model(make: Callable[..., Any], handed: Collection[str]) -> type[Str
 def _meanings(make: Callable[..., Any]) -> dict[str, str]:
     """What the section `Args:` of a docstring says of each parameter."""
     doc = inspect.getdoc(make.__init__ if inspect.isclass(make) else make) or ""
-    found: dict[str, str] = {}
+    descriptions: dict[str, str] = {}
     for line in doc.partition("\nArgs:\n")[2].splitlines():
         if not line.startswith("    "):
             break
         name, colon, text = line.strip().partition(": ")
         if colon and line[4] != " ":
-            found[name] = text
-        elif found:
-            found[next(reversed(found))] += f" {line.strip()}"
-    return found
+            descriptions[name] = text
+        elif descriptions:
+            descriptions[next(reversed(descriptions))] += f" {line.strip()}"
+    return descriptions
 
 
 def called(make: Callable[..., Any], options: StrictModel, given: Mapping[str, Any]) -> Any:

@@ -357,10 +357,10 @@ class BoptestPlant(Releasing):
 
     def _measured(self, points: Mapping[str, float], acting: Mapping[str, Array] | None = None) -> Measurement:
         """Return the measurement of `points`; its zone temperature serves the actuator's map in the next step."""
-        found = measurement(self._now_s, points, self._points, acting)
-        self._T_zone_C = np.where(np.isfinite(found.T_zone_C), found.T_zone_C, self._T_zone_C)
-        self._last = found
-        return found
+        latest = measurement(self._now_s, points, self._points, acting)
+        self._T_zone_C = np.where(np.isfinite(latest.T_zone_C), latest.T_zone_C, self._T_zone_C)
+        self._last = latest
+        return latest
 
     def _watched_names(self) -> list[str]:
         """Return the points of weather and of `_acting_names`."""

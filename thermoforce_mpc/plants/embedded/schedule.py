@@ -53,10 +53,10 @@ def occupied_sample(time_s: Array) -> Array:
 @njit(cache=True)
 def _occupied_samples(time_s: Array) -> NDArray[np.bool_]:
     """Return `occupied_sample` of times (n,)."""
-    found = np.empty(time_s.size, np.bool_)
+    occupied = np.empty(time_s.size, np.bool_)
     for i, at_s in enumerate(time_s):
-        found[i] = is_occupied_sample(at_s)
-    return found
+        occupied[i] = is_occupied_sample(at_s)
+    return occupied
 
 
 @njit(cache=True)

@@ -39,13 +39,13 @@ def engine_version() -> str:
 def weather_file(name: str) -> Path:
     """Return the TMY3 file whose name contains `name`; raises `WeatherError`, listing the files, if not exactly one."""
     folder = engine_folder() / "data" / "weather"
-    found = sorted(folder.glob(f"*{name}*.epw"))
-    if len(found) != 1:
+    paths = sorted(folder.glob(f"*{name}*.epw"))
+    if len(paths) != 1:
         there = ", ".join(sorted(path.stem for path in folder.glob("*.epw")))
         raise WeatherError(
-            f"EnergyPlus weather '{name}': {len(found)} files of that name in {folder}; there are {there}"
+            f"EnergyPlus weather '{name}': {len(paths)} files of that name in {folder}; there are {there}"
         )
-    return found[0]
+    return paths[0]
 
 
 def reference_building(name: str) -> Path:

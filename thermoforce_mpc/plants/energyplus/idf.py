@@ -83,10 +83,10 @@ class Schedule:
     @classmethod
     def of(cls, text: str, name: str) -> Schedule:
         """Return the schedule `name` of an IDF file; raises `PlantError` if it is missing or differs over the year."""
-        found = [fields for fields in idf_objects(text, "Schedule:Compact") if fields[0].lower() == name.lower()]
-        if len(found) != 1:
-            raise PlantError(f"EnergyPlus: the file has {len(found)} schedules '{name}', expected one")
-        through, *fields = found[0][2:]
+        schedules = [fields for fields in idf_objects(text, "Schedule:Compact") if fields[0].lower() == name.lower()]
+        if len(schedules) != 1:
+            raise PlantError(f"EnergyPlus: the file has {len(schedules)} schedules '{name}', expected one")
+        through, *fields = schedules[0][2:]
         if through.lower() != "through: 12/31" or any(field.lower().startswith("through") for field in fields):
             raise PlantError(
                 f"EnergyPlus: schedule '{name}' differs over the year; only one of whole years can be read"

@@ -21,7 +21,7 @@ U = TypeVar("U")
 class Acting(Protocol[U, R_contra]):
     """Turns what a building is told into values of the engine's actuators, step by step, in the worker process."""
 
-    def __call__(self, step: int, told: U | None, last: R_contra | None) -> tuple[dict[str, float], U]:
+    def __call__(self, step: int, demand: U | None, last: R_contra | None) -> tuple[dict[str, float], U]:
         """Return the actuator values of a step, as `Driver.begin` does, and what acts.
 
         `step` is −1 while the engine warms up; `last` is the reading before the step, None before the first.
@@ -69,9 +69,9 @@ class Building(Protocol[U, R]):
 
 @dataclass(frozen=True)
 class Advance(Generic[U]):
-    """Request: do what is `told` (None: the building's own control) for `steps` steps."""
+    """Request: do what is `demand` (None: the building's own control) for `steps` steps."""
 
-    told: U | None
+    demand: U | None
     steps: int
 
 
@@ -106,8 +106,8 @@ class Live(Generic[U, R]):
             self._receive()
         if self.done:
             return {}
-        told = None if warming_up else self._request.told
-        values, self._now = self._act(-1 if warming_up else self._step, told, self._last)
+        demand = None if warming_up else self._request.demand
+        values, self._now = self._act(-1 if warming_up else self._step, demand, self._last)
         return values
 
     def end(self, warming_up: bool, read: Callable[[], R]) -> bool:

@@ -269,10 +269,10 @@ class SmallOffice(WithProcess[EngineProcess[tuple[float, ...], OfficeReading]]):
     def _step_s(self) -> float:
         return self._running.step_s
 
-    def _advance(self, told: tuple[float, ...] | None, duration_s: float) -> int:
+    def _advance(self, setpoints_C: tuple[float, ...] | None, duration_s: float) -> int:
         """Advance and return the number of steps."""
         before_s = self._now_s
-        readings = self._running.advance(told, duration_s).readings
+        readings = self._running.advance(setpoints_C, duration_s).readings
         self._samples.append(before_s + self._step_s * np.arange(1.0, len(readings) + 1), _rows_of(readings))
         return len(readings)
 

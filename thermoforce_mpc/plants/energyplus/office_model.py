@@ -134,9 +134,9 @@ def office_model(first_day: int, days: int, steps_per_hour: int) -> str:
         r"NO,(\s*!- Run Simulation for Weather File Run Periods)": r"YES,\1",
     }
     for pattern, replacement in changes.items():
-        text, found = re.subn(pattern, replacement, text)
-        if found != 1:
-            raise PlantError(f"EnergyPlus: {BUILDING}.idf has {found} places like '{pattern}', expected one")
+        text, replaced = re.subn(pattern, replacement, text)
+        if replaced != 1:
+            raise PlantError(f"EnergyPlus: {BUILDING}.idf has {replaced} places like '{pattern}', expected one")
     # Reports are not used, and writing them takes longer than the simulation.
     return re.sub(r"(?ms)^\s*Output:(?:Table|Meter|Variable|SQLite)[^;]*;[^\n]*$", "", text)
 
@@ -193,19 +193,19 @@ class OfficeActing:
         self._heating_C, self._cooling_C = heating_C, cooling_C
 
     def __call__(
-        self, step: int, told: tuple[float, ...] | None, last: OfficeReading | None
+        self, step: int, demand: tuple[float, ...] | None, last: OfficeReading | None
     ) -> tuple[dict[str, float], tuple[float, ...]]:
         """Return the set-points of a step by actuator, and what was told."""
-        told = told or (math.nan,) * (2 * len(ZONES))
+        demand = demand or (math.nan,) * (2 * len(ZONES))
         native = float(self._heating_C[max(step, 0)]), float(self._cooling_C[max(step, 0)])
         values: dict[str, float] = {}
-        for zone, heating, cooling in zip(ZONES, told[: len(ZONES)], told[len(ZONES) :], strict=True):
+        for zone, heating, cooling in zip(ZONES, demand[: len(ZONES)], demand[len(ZONES) :], strict=True):
             if math.isnan(heating) and native[0] > cooling:
                 heating = cooling
             if math.isnan(cooling) and native[1] < heating:
                 cooling = heating
             values |= {f"{zone.name}_heating": heating, f"{zone.name}_cooling": cooling}
-        return values, told
+        return values, demand
 
 
 def _read(value: Mapping[str, float]) -> OfficeReading:

@@ -62,43 +62,43 @@ class SmallOfficePlant(Releasing):
         layout = self._points.layout
         block = check_levels(u, duration_s, band_C, names=layout.names, lowest=layout.lowest)
         n = len(layout.home)
-        told = np.full(2 * n, math.nan)
+        setpoints_C = np.full(2 * n, math.nan)
         for a, (level, band, one) in enumerate(zip(block.u, block.band_C, self._points.actuators, strict=True)):
             actuator = one.actuator
             if level is None or not isinstance(actuator, RoomSetpoints):
                 continue
             values = actuator.inputs(level, band)
-            told[a] = values[f"{actuator.heating}_u"] - ZERO_C_K
-            told[n + a] = values[f"{actuator.cooling}_u"] - ZERO_C_K
-        return self._measured(self._office.advance(told, block.duration_s))
+            setpoints_C[a] = values[f"{actuator.heating}_u"] - ZERO_C_K
+            setpoints_C[n + a] = values[f"{actuator.cooling}_u"] - ZERO_C_K
+        return self._measured(self._office.advance(setpoints_C, block.duration_s))
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """See `SmallOffice.forecast`; raises as it does."""
-        found = self._office.forecast(horizon_s, interval_s)
+        office = self._office.forecast(horizon_s, interval_s)
         n = len(self._points.zones)
         return Boundary(
-            time_s=found.time_s,
-            T_out_C=found.T_out_C,
-            solar_W_m2=found.solar_W_m2,
-            occupancy=found.occupancy,
-            lower_C=found.lower_C,
-            upper_C=found.upper_C,
-            price_per_kWh=found.price_per_kWh[n:],
-            emission_kg_per_kWh=found.emission_kg_per_kWh[n:],
-            heating_price_per_kWh=found.price_per_kWh[:n],
+            time_s=office.time_s,
+            T_out_C=office.T_out_C,
+            solar_W_m2=office.solar_W_m2,
+            occupancy=office.occupancy,
+            lower_C=office.lower_C,
+            upper_C=office.upper_C,
+            price_per_kWh=office.price_per_kWh[n:],
+            emission_kg_per_kWh=office.emission_kg_per_kWh[n:],
+            heating_price_per_kWh=office.price_per_kWh[:n],
             names=self._points.layout.names,
         )
 
     def past(self, step_s: float) -> Record:
         """See `SmallOffice.past`; raises as it does."""
-        found = self._office.past(step_s)
+        office = self._office.past(step_s)
         return Record(
-            time_s=found.time_s,
-            T_zone_C=found.T_zone_C,
-            T_out_C=found.T_out_C,
-            solar_W_m2=found.solar_W_m2,
+            time_s=office.time_s,
+            T_zone_C=office.T_zone_C,
+            T_out_C=office.T_out_C,
+            solar_W_m2=office.solar_W_m2,
             names=self._points.layout.names,
-            **self._acting(found),
+            **self._acting(office),
         )
 
     def kpis(self) -> dict[str, float]:
@@ -109,27 +109,27 @@ class SmallOfficePlant(Releasing):
         """End the engine's process; safe to call twice."""
         self._office.close()
 
-    def _measured(self, found: OfficeMeasurement) -> Measurement:
-        acting = self._acting(found)
+    def _measured(self, office: OfficeMeasurement) -> Measurement:
+        acting = self._acting(office)
         return Measurement(
-            time_s=found.time_s,
-            T_zone_C=found.T_zone_C,
-            T_out_C=found.T_out_C,
-            solar_W_m2=found.solar_W_m2,
+            time_s=office.time_s,
+            T_zone_C=office.T_zone_C,
+            T_out_C=office.T_out_C,
+            solar_W_m2=office.solar_W_m2,
             u=acting["u"],
             heat_W=acting["heat_W"],
             power_W=acting["power_W"],
             names=self._points.layout.names,
         )
 
-    def _acting(self, found: OfficeRecord | OfficeMeasurement) -> dict[str, Array]:
+    def _acting(self, office: OfficeRecord | OfficeMeasurement) -> dict[str, Array]:
         """Level, heat and power of each zone's unit: burner and coil together."""
         n = len(self._points.zones)
-        heat_W = found.heat_W[:n] + found.heat_W[n:]
+        heat_W = office.heat_W[:n] + office.heat_W[n:]
         lowest = np.array(self._points.layout.lowest)
         full_W, lowest = (values.reshape(-1, *(1,) * (heat_W.ndim - 1)) for values in (self._full_W, lowest))
         return {
             "u": np.clip(heat_W / full_W, lowest, 1.0),
             "heat_W": heat_W,
-            "power_W": found.power_W[:n] + found.power_W[n:],
+            "power_W": office.power_W[:n] + office.power_W[n:],
         }

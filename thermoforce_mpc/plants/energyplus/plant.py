@@ -88,11 +88,11 @@ class ZoneActing:
         self._job, self._policy = job, PiPolicy(job)
         self._sign = 1.0 if job.spec.mode == "heating" else -1.0
 
-    def __call__(self, step: int, told: float | None, last: Reading | None) -> tuple[dict[str, float], float]:
+    def __call__(self, step: int, demand: float | None, last: Reading | None) -> tuple[dict[str, float], float]:
         """Return the heat of each actuated source, W, and the level; the PI loop runs on while a level is told."""
         spec = self._job.spec
         native = self._policy(step, last.T_zone_C if last else float(self._job.setpoint_C[0]))
-        u = native if told is None else told
+        u = native if demand is None else demand
         gains = float(self._job.gains[max(step, 0)])
         return {HVAC: self._sign * u * spec.capacity_W, GAINS: gains * spec.gains_W}, u
 

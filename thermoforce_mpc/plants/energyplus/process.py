@@ -51,8 +51,8 @@ class EngineProcess(Generic[U, R]):
         """Time of the run, s since 1 January."""
         return self._building.first_day * DAY_S + self._steps * self._building.step_s
 
-    def advance(self, told: U | None, duration_s: float) -> Stretch[U, R]:
-        """Do what is `told` (None: the building's own control) for `duration_s`.
+    def advance(self, demand: U | None, duration_s: float) -> Stretch[U, R]:
+        """Do what is `demand` (None: the building's own control) for `duration_s`.
 
         Raises:
             InputError: the duration is no multiple of the engine's step.
@@ -62,7 +62,7 @@ class EngineProcess(Generic[U, R]):
         if self._closed:
             raise PlantError("EnergyPlus was closed; reset the plant to start it again")
         try:
-            self._pipe.send(Advance(told, n))
+            self._pipe.send(Advance(demand, n))
         except OSError as error:
             raise self._failed("process is not running") from error
         stretch = self._answer()

@@ -293,11 +293,11 @@ def run_engine(model: str, weather: Path, recorder: Driver[R], wiring: Wiring[R]
     def begin(state: Any) -> None:
         if not handles:
             find(state)
-        for name, told in recorder.begin(bool(api.exchange.warmup_flag(state))).items():
-            if math.isnan(told):
+        for name, value in recorder.begin(bool(api.exchange.warmup_flag(state))).items():
+            if math.isnan(value):
                 api.exchange.reset_actuator(state, handles[name])
             else:
-                api.exchange.set_actuator_value(state, handles[name], told)
+                api.exchange.set_actuator_value(state, handles[name], value)
 
     def values(state: Any, names: Iterable[str]) -> dict[str, float]:
         return {name: api.exchange.get_variable_value(state, handles[name]) for name in names}

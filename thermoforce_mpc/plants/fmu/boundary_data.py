@@ -138,11 +138,11 @@ def read_table(content: bytes, source: str) -> dict[str, Series]:
         raise ConfigError(f"{source}: its rows have more cells than its header") from error
     except (ValueError, OverflowError) as error:  # pandas' parser errors are ValueErrors
         raise ConfigError(f"{source}: not a CSV file ({error!s:.200})") from error
-    found = {name: np.concatenate(values) for name, values in columns.items()}
-    time_s = found.pop("time")
+    arrays = {name: np.concatenate(values) for name, values in columns.items()}
+    time_s = arrays.pop("time")
     if time_s.size < 2 or not (np.diff(time_s) > 0).all():
         raise ConfigError(f"{source}: column 'time' must rise over at least two rows")
-    return {name: Series(time_s, values, source) for name, values in found.items()}
+    return {name: Series(time_s, values, source) for name, values in arrays.items()}
 
 
 def _numbers(column: pd.Series, source: str) -> Array:

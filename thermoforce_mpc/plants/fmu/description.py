@@ -88,15 +88,15 @@ def _root(path: Path, xml: bytes) -> dict[str, str]:
     def refuse(*_: object) -> NoReturn:
         raise ConfigError(f"{path}: {_NAME} declares a document type, which no FMU has")
 
-    found: list[dict[str, str]] = []
+    elements: list[dict[str, str]] = []
     parser = expat.ParserCreate()
     parser.StartDoctypeDeclHandler = refuse
-    parser.StartElementHandler = lambda _, attributes: found.append(attributes)
+    parser.StartElementHandler = lambda _, attributes: elements.append(attributes)
     try:
         for start in range(0, len(xml), _PIECE):
             parser.Parse(xml[start : start + _PIECE])
-            if found:
-                return found[0]
+            if elements:
+                return elements[0]
     except (expat.ExpatError, ValueError, LookupError) as error:  # the latter two: an encoding that Python lacks
         raise ConfigError(f"{path}: {_NAME} cannot be read ({error})") from error
     raise ConfigError(f"{path}: {_NAME} cannot be read (it holds no element)")

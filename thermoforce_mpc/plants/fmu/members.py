@@ -96,8 +96,8 @@ class Members:
 def _list_bytes(content: bytes) -> int:
     """Return the length of a zip file's list of members as its end states it, bytes; of several ends the largest."""
     sizes = [0]
-    for found in re.finditer(rb"PK\x05\x06", content[-(22 + 65_535) :]):
-        end = max(0, len(content) - 22 - 65_535) + found.start()
+    for match in re.finditer(rb"PK\x05\x06", content[-(22 + 65_535) :]):
+        end = max(0, len(content) - 22 - 65_535) + match.start()
         far = end - 20 - 56
         if far >= 0 and content[end - 20 :].startswith(b"PK\x06\x07") and content[far:].startswith(b"PK\x06\x06"):
             sizes.append(int.from_bytes(content[far + 40 : far + 48], "little"))

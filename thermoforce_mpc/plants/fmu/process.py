@@ -104,8 +104,8 @@ class WorkerProcess:
 
 def missing_library(error: str) -> str:
     """What to do about a system library that the loader did not find, or an empty string."""
-    found = re.search(r"(\S+\.so[.\d]*): cannot open shared object file", error)
-    if found is None:
+    library = re.search(r"(\S+\.so[.\d]*): cannot open shared object file", error)
+    if library is None:
         return ""
-    package = "; on Debian and Ubuntu: apt-get install libgfortran5" if "libgfortran.so.5" in found[1] else ""
-    return f"; the FMU was compiled with {found[1]}, which this machine lacks: install it{package}"
+    package = "; on Debian and Ubuntu: apt-get install libgfortran5" if "libgfortran.so.5" in library[1] else ""
+    return f"; the FMU was compiled with {library[1]}, which this machine lacks: install it{package}"

@@ -114,9 +114,9 @@ def _of_one_zone(testcase: TestCase) -> dict[str, tuple[str, ...]]:
 
 def _zones(listed: Mapping[str, tuple[str, ...]], categories: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     """Return signals by zone for the given categories, listed as 'Category[zone]'."""
-    found: dict[str, tuple[str, ...]] = {}
+    by_name: dict[str, tuple[str, ...]] = {}
     for name, signals in listed.items():
         match = re.fullmatch(r"(\w+)\[(\w+)\]", name)
         if match and match[1] in categories:
-            found[match[2]] = found.get(match[2], ()) + signals
-    return found
+            by_name[match[2]] = by_name.get(match[2], ()) + signals
+    return by_name

@@ -91,7 +91,7 @@ def facade_lengths(place: Place, storey: list[Place]) -> tuple[float, float, flo
 
 def contacts(places: list[Place], height_m: float) -> list[Contact]:
     """Return the walls between rooms of a storey and the floors between rooms of two."""
-    found = []
+    contacts = []
     for i, a in enumerate(places):
         for j in range(i + 1, len(places)):
             b = places[j]
@@ -100,8 +100,8 @@ def contacts(places: list[Place], height_m: float) -> list[Contact]:
             if a.storey != b.storey:
                 if min(along_x, along_y) > _LEAST_CONTACT_M:
                     below, above = (i, j) if a.storey < b.storey else (j, i)
-                    found.append(Contact(below, above, "floor", along_x * along_y, 0.0))
+                    contacts.append(Contact(below, above, "floor", along_x * along_y, 0.0))
             elif max(along_x, along_y) > _LEAST_CONTACT_M and min(along_x, along_y) > -1e-6:
                 wall = max(along_x, along_y)
-                found.append(Contact(i, j, "wall", wall * height_m, wall))
-    return found
+                contacts.append(Contact(i, j, "wall", wall * height_m, wall))
+    return contacts
