@@ -10,12 +10,15 @@ from typing import Any
 
 from benchmarks.chaos.troubles import Trouble
 from controllers import ThermoForceMPC
+from controllers.mpc.planner import build_solver
+from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import MPCProblem
 from controllers.optimisation.solution import Solution, Solver
 from controllers.registry import controller_config
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Observation, Plan, Record
 from thermoforce_mpc.model.free_response.following import follow
 from thermoforce_mpc.model.free_response.registry import build_free_response
+from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.scenario.testcase import TestCase
@@ -42,9 +45,11 @@ class FailingMPC:
         self._troubles, self._start_s, self._now_s = troubles, math.nan, math.nan
         self._made: dict[Trouble, int] = {}
         forecasters = [_Forecaster(method, lambda: self._trouble("forecaster")) for method in free]
-        self._inner = ThermoForceMPC(model, config, free_response=forecasters, name=name)
-        base = self._inner._planners.base
-        self._inner._planners.base = replace(base, solver=_Solver(base.solver, lambda: self._trouble("solver")))
+
+        def solver(operator: BuildingOperator, machinery: EquipmentLayout) -> Solver:
+            return _Solver(build_solver(config, operator, machinery), lambda: self._trouble("solver"))
+
+        self._inner = ThermoForceMPC(model, config, free_response=forecasters, solver=solver, name=name)
         self.model = model
         self.name, self.step_s, self.horizon_s = name, self._inner.step_s, self._inner.horizon_s
 

@@ -15,11 +15,13 @@ import numpy as np
 from benchmarks.controller.do_mpc_peer import DoMpcPeer, without_extras
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
+from controllers.mpc.planner import build_solver
 from controllers.optimisation.ipopt import IpoptSolver
+from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import MPCProblem, ProblemShape, blocked_moves, every_step
 from controllers.optimisation.qp import QPSolver
-from controllers.optimisation.solution import Solution
-from controllers.registry import build_controller
+from controllers.optimisation.solution import Solution, Solver
+from controllers.registry import controller_config
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError
@@ -42,16 +44,15 @@ Row = dict[str, Any]
 
 
 class Recorder:
-    """Wrapper of a solver that records its problems."""
+    """Wrapper of a solver that adds its problems to `problems`."""
 
-    def __init__(self, inner: Any) -> None:
-        self.inner, self.problems = inner, list[MPCProblem]()
+    def __init__(self, inner: Solver, problems: list[MPCProblem]) -> None:
+        self.inner, self.problems = inner, problems
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
         """Record `problem` and solve it with the inner solver."""
         self.problems.append(problem)
-        solution: Solution = self.inner.solve(problem, guess)
-        return solution
+        return self.inner.solve(problem, guess)
 
 
 def run_controller_bench(*, quick: bool = False, progress: Callable[[str], None] = lambda line: None) -> dict[str, Any]:
@@ -61,11 +62,11 @@ def run_controller_bench(*, quick: bool = False, progress: Callable[[str], None]
         Result of the bench: one row per solver, then one per part of a step.
     """
     progress("identifying and recording a closed loop on the embedded plant")
-    mpc, recorder, result = _recorded(days=1.0 if quick else 14.0)
-    every = max(1, len(recorder.problems) // (_QUICK_INSTANCES if quick else _INSTANCES))
-    problems = [without_extras(problem) for problem in recorder.problems[::every]]
-    seconds, costs = _timed(_contestants(mpc, problems[0], progress), problems, mpc._planners.base.operator, progress)
-    rows = [_solver_row(name, seconds, costs, problems[0].n_steps) for name in seconds]
+    mpc, recorded, result = _recorded(days=1.0 if quick else 14.0)
+    every = max(1, len(recorded) // (_QUICK_INSTANCES if quick else _INSTANCES))
+    problems = [without_extras(problem) for problem in recorded[::every]]
+    seconds, costs = _timed(_contestants(mpc, problems[0], progress), problems, mpc.planning_operator, progress)
+    rows = [solver_row(name, seconds, costs, problems[0].n_steps) for name in seconds]
     rows += _parts(result)
     return results_json("controller", rows, _targets(rows, result))
 
@@ -74,7 +75,7 @@ def _contestants(
     mpc: ThermoForceMPC, example: MPCProblem, progress: Callable[[str], None]
 ) -> dict[str, Callable[[MPCProblem], Array]]:
     """Every solver by name, built for problems like `example`; default move blocking is a separate entry."""
-    operator, config = mpc._planners.base.operator, MPCConfig()
+    operator, config = mpc.planning_operator, MPCConfig()
     free = ProblemShape(every_step(example.n_steps), example.machinery)
     blocked = replace(
         free,
@@ -117,7 +118,7 @@ def _timed(
     return seconds, costs
 
 
-def _solver_row(name: str, seconds: Mapping[str, list[float]], costs: Mapping[str, list[float]], steps: int) -> Row:
+def solver_row(name: str, seconds: Mapping[str, list[float]], costs: Mapping[str, list[float]], steps: int) -> Row:
     """Median time of one solver, ms, ratio to do-mpc, and largest relative difference of the cost to Ipopt's."""
     median = float(np.median(seconds[name]))
     reference = np.array(costs[_IPOPT])
@@ -128,18 +129,22 @@ def _solver_row(name: str, seconds: Mapping[str, list[float]], costs: Mapping[st
     return row | {"worst_relative_difference_to_ipopt": worst}
 
 
-def _recorded(days: float) -> tuple[ThermoForceMPC, Recorder, RunResult]:
+def _recorded(days: float) -> tuple[ThermoForceMPC, list[MPCProblem], RunResult]:
+    """The default controller, the problems of its run of `days` on the embedded plant, and that run."""
     testcase = load_testcase(_TESTCASE)
+    config = controller_config("thermoforce_mpc", {}, testcase)
+    assert isinstance(config, MPCConfig)
+    problems: list[MPCProblem] = []
+
+    def solver(operator: BuildingOperator, machinery: EquipmentLayout) -> Solver:
+        return Recorder(build_solver(config, operator, machinery), problems)
+
     with closing(EmbeddedPlant(synthetic_weather())) as plant:
         period = replace(plant.period("peak_heat_day"), scored_s=days * 86400.0)
         model = identify_on(plant, before=period, days=3.0, testcase=testcase)
-        mpc = build_controller("thermoforce_mpc", {}, testcase, model)
-        if not isinstance(mpc, ThermoForceMPC):
-            raise TypeError("the registry's thermoforce_mpc is not a ThermoForceMPC")
-        recorder = Recorder(mpc._planners.base.solver)
-        mpc._planners.base = replace(mpc._planners.base, solver=recorder)
+        mpc = ThermoForceMPC(model, config, solver=solver)
         result = run_closed_loop(plant, mpc, period)
-    return mpc, recorder, result
+    return mpc, problems, result
 
 
 def _levels(solver: QPSolver | IpoptSolver) -> Callable[[MPCProblem], Array]:

@@ -16,13 +16,16 @@ from typing import Any
 from benchmarks.faults.faulty_plant import FaultyPlant
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
+from controllers.mpc.planner import build_solver
+from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import MPCProblem
-from controllers.optimisation.solution import Solution
+from controllers.optimisation.solution import Solution, Solver
 from controllers.registry import controller_config
 from controllers.rules.native import NativeController
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Observation, Plan, PlanStatus, Record
 from thermoforce_mpc.model.free_response.following import follow
+from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.testcases import load_testcase
@@ -111,15 +114,17 @@ class _Broken:
     """The MPC, whose forecaster or solver is broken in the hours of a case."""
 
     def __init__(self, model: ThermalModel, config: MPCConfig, case: Case, from_s: float, to_s: float) -> None:
-        self._inner = ThermoForceMPC(model, config)
         self.model, self._now = model, _Now()
+
+        def solver(operator: BuildingOperator, machinery: EquipmentLayout) -> Solver:
+            working = build_solver(config, operator, machinery)
+            return _BrokenSolver(working, self._now) if case.solver_raises else working
+
+        self._inner = ThermoForceMPC(model, config, solver=solver)
         if case.forecaster:
             inner = self._inner.predictor.free_responses[0]
             method = _BrokenForecaster(getattr(inner, "method", inner), case.forecaster, self._now)
-            self._inner = ThermoForceMPC(model, config, free_response=method)
-        if case.solver_raises:
-            base = self._inner._planners.base
-            self._inner._planners.base = replace(base, solver=_BrokenSolver(base.solver, self._now))
+            self._inner = ThermoForceMPC(model, config, free_response=method, solver=solver)
         self._from_s, self._to_s = from_s, to_s
         self.name, self.step_s, self.horizon_s = self._inner.name, self._inner.step_s, self._inner.horizon_s
 

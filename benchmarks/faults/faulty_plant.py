@@ -133,9 +133,9 @@ class FaultyPlant:
         n = 1 if u is not None else max(1, round(duration_s / _NATIVE_S))
         parts, wanted = [], []
         for _ in range(n):
-            s = self.plant._scalars
+            s = self.plant.snapshot().scalars
             error = s[kernel.SETPOINT] - s[kernel.T_OPERATIVE] + s[kernel.INTEGRAL]
-            wanted.append(u if u is not None else min(max(kernel._GAIN * error, 0.0), 1.0))
+            wanted.append(u if u is not None else min(max(kernel.NATIVE_GAIN * error, 0.0), 1.0))
             parts.append((duration_s / n, self.plant.advance(0.5 * wanted[-1], duration_s / n)))
         return replace(parts[-1][1].averaged_with(parts), u=np.array([np.mean(wanted)]))
 
@@ -147,8 +147,9 @@ class FaultyPlant:
         for _ in range(n):
             measurement = self.plant.advance(u, duration_s / n)
             parts.append((duration_s / n, measurement))
-            air = self.plant._scalars[kernel.T_AIR]
-            self.plant._scalars[kernel.T_AIR] += share * (measurement.T_out_C + ZERO_C_K - air)
+            here = self.plant.snapshot()
+            here.scalars[kernel.T_AIR] += share * (measurement.T_out_C + ZERO_C_K - here.scalars[kernel.T_AIR])
+            self.plant.restore(here)
         return parts[-1][1].averaged_with(parts)
 
     def _reported(self, measurement: Measurement) -> Measurement:

@@ -53,7 +53,7 @@ def run_gym_bench(*, quick: bool = False, progress: Progress = lambda line: None
             progress(f"building: {name}")
             env = gymnasium.make(ID, **{**_WEEK, **options})
             opened.append(env)
-            made[name] = (partial(_steps, env), steps)
+            made[name] = (_Stepped(env), steps)
 
         client = BoptestClient(url, _TESTCASE)
         client.initialize(_START_S, 0.0)
@@ -71,7 +71,7 @@ def run_gym_bench(*, quick: bool = False, progress: Progress = lambda line: None
             options: dict[str, Any] = {"vector_kwargs": {"context": "spawn"} if mode == "async" else {}, **_WEEK}
             several = gymnasium.make_vec(ID, num_envs=n, vectorization_mode=mode, **options)
             opened.append(several)
-            made[f"levels, embedded, {n} together ({mode})"] = (partial(_steps, several), near // n)
+            made[f"levels, embedded, {n} together ({mode})"] = (_Stepped(several), near // n)
         seconds: dict[str, list[float]] = {name: [] for name in made}
         for i in range(rounds):
             if i % 10 == 9:
@@ -121,14 +121,19 @@ def _result(seconds: Mapping[str, list[float]], branching_s: float) -> dict[str,
     return results_json("gym", rows, targets)
 
 
-def _steps(env: Any, steps: int) -> None:
-    """Step an environment, or several together; it is reset at its first step."""
-    if not getattr(env, "_bench_begun", False):
-        env.reset(seed=1)
-        env._bench_begun = True
-        env._bench_action = np.full(env.action_space.shape, 0.5, dtype=np.float32)
-    for _ in range(steps):
-        env.step(env._bench_action)
+class _Stepped:
+    """An environment, or several together, stepped with one action; it is reset at its first step."""
+
+    def __init__(self, env: Any) -> None:
+        self._env, self._begun = env, False
+        self._action = np.full(env.action_space.shape, 0.5, dtype=np.float32)
+
+    def __call__(self, steps: int) -> None:
+        if not self._begun:
+            self._env.reset(seed=1)
+            self._begun = True
+        for _ in range(steps):
+            self._env.step(self._action)
 
 
 def _advances(client: BoptestClient, steps: int) -> None:

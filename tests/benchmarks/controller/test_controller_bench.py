@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mpc_problems import N, random_operator, random_problem
 
-from benchmarks.controller.bench import _solver_row
+from benchmarks.controller.bench import solver_row
 from benchmarks.controller.do_mpc_peer import DoMpcPeer, without_extras
 from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.problem import ProblemShape, Weights, every_step
@@ -55,7 +55,7 @@ def test_what_the_peer_cannot_express_is_left_out():
 def test_rows_compare_with_the_peer_and_the_reference():
     seconds = {"ipopt": [0.2, 0.4, 0.3], "do-mpc": [0.9, 0.9, 1.5], "qp by PIQP": [0.01, 0.02, 0.03]}
     costs = {"ipopt": [1.0, 2.0, 4.0], "do-mpc": [1.0, 2.0, 4.0], "qp by PIQP": [1.0, 2.0, 4.4]}
-    row = _solver_row("qp by PIQP", seconds, costs, steps=N)
+    row = solver_row("qp by PIQP", seconds, costs, steps=N)
     assert row["times_faster_than_do_mpc"] == pytest.approx(45.0)
     assert row["than_helped_do_mpc"] is None
     assert row["worst_relative_difference_to_ipopt"] == pytest.approx(0.1)

@@ -68,7 +68,10 @@ MEASUREMENTS = {
 
 @dataclass(frozen=True)
 class Snapshot:
-    """State, clock and record of the plant at one instant; opaque, for `EmbeddedPlant.restore`."""
+    """State, clock and record of the plant at one instant, for `EmbeddedPlant.restore`.
+
+    `scalars`: states of air, water and control, by the indices of `kernel`.
+    """
 
     nodes: Array
     scalars: Array

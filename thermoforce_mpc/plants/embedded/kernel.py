@@ -57,7 +57,7 @@ _EVAPORATOR_J_K = 180.0 * hp.AIR_J_KG_K
 _VESSEL_K = 293.15
 
 # Native PI: gain 1/K, integral time s, anti-windup.
-_GAIN, _INTEGRAL_S, _ANTI_WINDUP = 0.6, 8000.0, 0.9
+NATIVE_GAIN, _INTEGRAL_S, _ANTI_WINDUP = 0.6, 8000.0, 0.9
 _SWITCH_ON, _SWITCH_OFF = 0.01, 0.005
 
 _WALL_EMISSIVITY = 0.9
@@ -128,10 +128,10 @@ def _operate(scalars: np.ndarray, time_s: float, overrides: np.ndarray) -> None:
     else:
         setpoint = overrides[1]
     error = setpoint - scalars[T_OPERATIVE]
-    wanted = _GAIN * (error + scalars[INTEGRAL])
+    wanted = NATIVE_GAIN * (error + scalars[INTEGRAL])
     level = min(max(wanted, 0.0), 1.0)
     scalars[SETPOINT] = setpoint
-    scalars[INTEGRAL_RATE] = (error + (level - wanted) / (_GAIN * _ANTI_WINDUP)) / _INTEGRAL_S
+    scalars[INTEGRAL_RATE] = (error + (level - wanted) / (NATIVE_GAIN * _ANTI_WINDUP)) / _INTEGRAL_S
     if not math.isnan(overrides[0]):
         level = overrides[0]
 
