@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.data.limits import ROUNDING
+from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.identification.effects.couplings import largest_W
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -66,7 +67,7 @@ def _zone_record(
     T = np.full(history.n_steps + 1, np.nan)
     if forced_K is not None:
         n_known = min(forced_K.shape[2], T.size)
-        T[:n_known] = record.T_zone_C[0, :n_known] - forced_K[z, others, :n_known].sum(axis=(0, 2))
+        T[:n_known] = control_free(record.T_zone_C[0, :n_known], forced_K[z, others, :n_known].sum(axis=(0, 2)))
     return replace(record, T_zone_C=T)
 
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from controllers.monitoring.zone_sensor_state import Anchor, Sensed, SensorConfig, SensorState
 from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.screening import implausible_zone
 
@@ -50,7 +51,7 @@ class _ZoneRecord:
         if self.anchor is None or self.forced_K is None:
             return math.nan, math.nan
         free_C, half_K = self.anchor.at(float(self.time_s[i]), self.step_s)
-        return free_C + float(self.forced_K[i]), half_K
+        return float(compose(free_C, self.forced_K[i])), half_K
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import numpy as np
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, FreeForecast, Observation
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import ZONE, feature_matrix
 from thermoforce_mpc.model.predictor import PredictionContext
@@ -149,7 +150,7 @@ class _Model:
 
     def course(self, name: str, u: Array) -> Course:
         """What the model predicts under levels (A, N)."""
-        T_zone_C = self._T_free_C + self.forced_K(u) + self.base_K
+        T_zone_C = compose(self._T_free_C, self.forced_K(u)) + self.base_K
         hours = self._boundary.step_s / HOUR_S
         outside_K = np.maximum(self._boundary.lower_C[:, 1:] - T_zone_C, T_zone_C - self._boundary.upper_C[:, 1:])
         return Course(
@@ -198,7 +199,7 @@ class _Model:
                 u[a, k] = law(a, k, T_C, forced, u)
             u[:, k : k + 1] = self.allowed(u[:, k : k + 1], k)
             forced = self._operator.rollout(forced, u[:, k : k + 1], features[:, k : k + 1])[:, :, 0]
-            T_C = self._T_free_C[:, k] + forced.sum(axis=(1, 2))
+            T_C = compose(self._T_free_C[:, k], forced.sum(axis=(1, 2)))
         return u
 
     def rule(self, a: int, k: int, T_C: Array, forced: Array, u: Array) -> float:
@@ -215,7 +216,7 @@ class _Model:
         tried = np.repeat(u[None, :, k : k + 1], levels.size, axis=0)
         tried[:, a, 0] = levels
         end = self._operator.rollout(forced, tried, self._problem.features[:, k : k + 1])[:, z, :, 0].sum(axis=(1, 2))
-        T_end_C = self._T_free_C[z, k] + end
+        T_end_C = compose(self._T_free_C[z, k], end)
         low, high = self._boundary.lower_C[z, k + 1], self._boundary.upper_C[z, k + 1]
         # A heating loop does not act on the upper bound, nor a cooling loop on the lower.
         mode = self._layout.mode(a)

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.machines import EquipmentLayout
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.running import running_share
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -335,7 +336,7 @@ class MPCProblem:
 
     def cost_under(self, u: Array, modes: Array) -> Array:
         """Objective for levels `u` (..., A, N) with forced states `modes` (..., Z, A, N, r), K; currency, (...,)."""
-        slack = self.slack_K(self.T_free_C + modes.sum(axis=(-3, -1)))
+        slack = self.slack_K(compose(self.T_free_C, modes.sum(axis=(-3, -1))))
         cost = self.energy_cost(u).sum(axis=-1) + slack.sum(axis=-1) @ self.comfort_price
         cost = cost + self.weights.curvature * (u**2).sum(axis=(-2, -1))
         if self.weights.peak or self.power_cap is not None:

@@ -76,11 +76,7 @@ def decide(rules: Sequence[OverrideRule], situation: Situation) -> dict[int, Ove
 
 
 class WatchAlarm:
-    """Control was handed back because predictions did not come true.
-
-    Args:
-        fallbacks: what acts instead, of each actuator (A,).
-    """
+    """Control was handed back because predictions did not come true; `fallbacks` (A,) act instead."""
 
     def __init__(self, fallbacks: Sequence[FallbackPolicy]) -> None:
         self._fallbacks = tuple(fallbacks)
@@ -121,11 +117,7 @@ class CompetenceGate:
 
 
 class LostZone:
-    """A zone whose temperature is not known any more, by sensor or model.
-
-    Args:
-        fallbacks: what acts instead (A,).
-    """
+    """A zone whose temperature is not known any more, by sensor or model; `fallbacks` (A,) act instead."""
 
     def __init__(self, fallbacks: Sequence[FallbackPolicy]) -> None:
         self._fallbacks = tuple(fallbacks)

@@ -49,6 +49,11 @@ class Prediction:
         """Free plus forced (paper eq:compose), shape (..., Z, N), °C."""
         return compose(self.free_C, self.forced_K)
 
+    @property
+    def band_C(self) -> tuple[Array, Array]:
+        """Ends of the 80 % band of the temperature, (..., Z, N) each, °C: that of the free response, moved by F."""
+        return compose(self.free_low_C, self.forced_K), compose(self.free_high_C, self.forced_K)
+
     def to_dataframe(self) -> pd.DataFrame:
         """One row per step, at its end: `T_zone_C`, its 80 % band `T_low_C` to `T_high_C`, `T_free_C`, `T_forced_K`.
 
@@ -64,8 +69,8 @@ class Prediction:
 
         columns = self.names.columns(
             T_zone_C=self.total_C,
-            T_low_C=compose(self.free_low_C, self.forced_K),
-            T_high_C=compose(self.free_high_C, self.forced_K),
+            T_low_C=self.band_C[0],
+            T_high_C=self.band_C[1],
             T_free_C=self.free_C,
             T_forced_K=self.forced_K,
         )

@@ -124,15 +124,14 @@ def _show(prediction: Prediction, truth: Array, console: Console) -> None:
         table.add_column("of it forced, K", justify="right")
         if has_truth:
             table.add_column("measured", justify="right")
-    n = truth.shape[1]
+    n, (low_C, high_C) = truth.shape[1], prediction.band_C
     for k in range(0, n, max(1, -(-n // _ROWS))):
         cells = [f"{stamps[k]:%d %b %H:%M}"]
         for z in range(truth.shape[0]):
-            F = prediction.forced_K[z, k]
             cells += [
                 f"{prediction.total_C[z, k]:.1f}",
-                f"{prediction.free_low_C[z, k] + F:.1f} to {prediction.free_high_C[z, k] + F:.1f}",
-                f"{F:+.1f}",
+                f"{low_C[z, k]:.1f} to {high_C[z, k]:.1f}",
+                f"{prediction.forced_K[z, k]:+.1f}",
             ]
             if has_truth:
                 cells.append(f"{truth[z, k]:.1f}" if np.isfinite(truth[z, k]) else "–")
@@ -141,9 +140,8 @@ def _show(prediction: Prediction, truth: Array, console: Console) -> None:
     for z, zone in enumerate(prediction.names.zones):
         if np.isfinite(truth[z]).any():
             error = prediction.total_C[z] - truth[z]
-            F = prediction.forced_K[z]
             measured = np.isfinite(truth[z])
-            inside = (prediction.free_low_C[z] + F <= truth[z]) & (truth[z] <= prediction.free_high_C[z] + F)
+            inside = (low_C[z] <= truth[z]) & (truth[z] <= high_C[z])
             console.print(
                 f"{zone}: RMSE {np.sqrt(np.nanmean(error**2)):.2f} K, {100 * inside[measured].mean():.0f} % of what "
                 "was measured inside the 80 % band"
@@ -156,12 +154,10 @@ def _draw(prediction: Prediction, truth: Array, path: Path) -> None:
     index = prediction.to_dataframe().index
     at = (index.tz_localize(None) if isinstance(index, pd.DatetimeIndex) else index).to_numpy()
     figure = Figure(figsize=(9.0, 4.4), layout="constrained")
-    axes = figure.subplots()
+    axes, (low_C, high_C) = figure.subplots(), prediction.band_C
     for z, zone in enumerate(prediction.names.zones):
-        colour, F = f"C{z % 10}", prediction.forced_K[z]
-        axes.fill_between(
-            at, prediction.free_low_C[z] + F, prediction.free_high_C[z] + F, color=colour, alpha=0.2, linewidth=0
-        )
+        colour = f"C{z % 10}"
+        axes.fill_between(at, low_C[z], high_C[z], color=colour, alpha=0.2, linewidth=0)
         axes.plot(at, prediction.total_C[z], color=colour, label=f"{zone}, forecast")
         axes.plot(at, prediction.free_C[z], color=colour, linestyle=":", label=f"{zone}, without control")
         axes.plot(

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from thermoforce_mpc.cli.options import FiniteRange
 from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.simulation.folder.run_folder import write_json
 from thermoforce_mpc.simulation.views.explaining import Decision, decision_at, hour_ends, words_of
 from thermoforce_mpc.simulation.views.other_courses import alternatives_json, alternatives_of
@@ -169,8 +170,8 @@ def _table(decision: Decision, hours: float) -> Table:
         ]
         row += [f"{np.mean(plan['u'][a, step]):.2f}" for a in range(len(names.actuators))]
         for z in range(len(names.zones)):
-            forced = plan["T_forced_K"][z, end - 1]
-            low, high = (plan[name][z, end - 1] + forced for name in ("T_free_low_C", "T_free_high_C"))
+            at, forced_K = (z, end - 1), plan["T_forced_K"]
+            low, high = (compose(plan[name][at], forced_K[at]) for name in ("T_free_low_C", "T_free_high_C"))
             bounds = f"{boundary.lower_C[z, end]:g}–{boundary.upper_C[z, end]:g}"
             row += [f"{T[z, end - 1]:.2f}", f"{low:.1f}–{high:.1f}", bounds]
         table.add_row(*row)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Names, Observation
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.simulation.journal.journal import NAME, JournalError, making_sense, read_run
 from thermoforce_mpc.simulation.journal.journal_values import margins_of, unpack
@@ -78,7 +79,7 @@ class Decision:
     @property
     def T_zone_C(self) -> Array:
         """Planned zone temperatures (Z, N), °C."""
-        return np.asarray(self.plan["T_free_C"] + self.plan["T_forced_K"])
+        return compose(self.plan["T_free_C"], self.plan["T_forced_K"])
 
     def bounds(self) -> list[str]:
         """What binds in the plan, zone by zone: the comfort bound it touches first, and what it violates."""

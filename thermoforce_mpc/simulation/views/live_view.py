@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Measurement, Record
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.model.forecast_gaps import completed
 from thermoforce_mpc.plants.testcases import load_testcase
@@ -251,7 +252,7 @@ class LiveRun:
         packed, b = decision.get("plan"), self._boundary
         if packed is None or b is None:
             return ()
-        u, T = unpack(packed["u"]), unpack(packed["T_free_C"]) + unpack(packed["T_forced_K"])
+        u, T = unpack(packed["u"]), compose(unpack(packed["T_free_C"]), unpack(packed["T_forced_K"]))
         n = min(u.shape[1], b.n_steps)
         # A forecast that stands in for one that was not given began earlier.
         late_s = float(decision["time_s"]) - float(b.time_s[0])
