@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.plants.drawn_houses.envelope import STEP_S
 from thermoforce_mpc.plants.random_houses.draw import heat_pump_cop
 from thermoforce_mpc.plants.rooms import DrawnHouse, HouseOfRooms, draw_rooms, physics
 from thermoforce_mpc.plants.rooms.house import curve_supply_C
@@ -75,9 +76,9 @@ def test_the_energy_balance_closes(emitters):
         plant.advance([None if np.isnan(level) else level for level in levels], HOUR_S)
     _, rows = plant.recorded(40 * DAY_S, 42 * DAY_S)
     stored = rows[-1, physics.STORED] - rows[0, physics.STORED]
-    into = physics.STEP_S * (rows[:, physics.HEAT] + rows[:, physics.GAIN] - rows[:, physics.LOSS])[1:].sum()
+    into = STEP_S * (rows[:, physics.HEAT] + rows[:, physics.GAIN] - rows[:, physics.LOSS])[1:].sum()
     assert rows[:, physics.HEAT].max() > 0
-    assert stored == pytest.approx(into, abs=1e-9 * physics.STEP_S * rows[1:, physics.LOSS].sum())
+    assert stored == pytest.approx(into, abs=1e-9 * STEP_S * rows[1:, physics.LOSS].sum())
     assert rows[:, physics.HEAT] == pytest.approx(rows[:, physics.ROOMS + 10 :].sum(axis=1))
 
 
