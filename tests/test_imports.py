@@ -53,12 +53,9 @@ def _reached(tree: ast.Module) -> Iterator[tuple[int, str]]:
             yield from ((node.lineno, name) for name in named if _is_private(name.split(".")[-1]))
 
 
-def test_tests_reach_for_no_private_name_of_the_product():
-    """What a test replaces is an argument of something public, and what it looks at comes out of it.
-
-    Left out are the tests of benches, which are no product.
-    """
-    files = [file for file in sorted((ROOT / "tests").rglob("*.py")) if "benchmarks" not in file.parts]
+def test_tests_and_benches_reach_for_no_private_name():
+    """What a test or a bench replaces is an argument of something public, and what it looks at comes out of it."""
+    files = [file for folder in ("tests", "benchmarks") for file in sorted((ROOT / folder).rglob("*.py"))]
     assert len(files) > 200
     reached = [
         f"{file.relative_to(ROOT)}:{line}: {name}"

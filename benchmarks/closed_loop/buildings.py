@@ -155,8 +155,31 @@ def run_cases(cases: Sequence[Case], engine: Engine, progress: Callable[[str], N
     return run_all(run_case, cases, engine, lambda n, outcome: progress(f"[{n}/{len(cases)}] {_line(outcome)}"))
 
 
-def run_case(case: Case) -> Outcome:
-    """Probe, identify and run the MPC and both baselines; a failure is recorded in the outcome."""
+def identify_by_default(plant: GeneratedHousePlant, period: Period, days: float) -> Any:
+    """Probe and identify as `tf-mpc run` does with its defaults; raises `DataError` where the record is refused."""
+    scenario = Scenario(testcase=plant.testcase.name)
+    spec = scenario.identification
+    probing, config = identification_settings(scenario, plant.testcase, CONTROLLER)
+    return identify_on(
+        plant,
+        before=period,
+        days=days,
+        testcase=plant.testcase,
+        seed=scenario.seed,
+        probing=probing,
+        config=config,
+        most_days=spec.most_days,
+        end_early=spec.end_early,
+    )
+
+
+def run_case(
+    case: Case, identify: Callable[[GeneratedHousePlant, Period, float], Any] = identify_by_default
+) -> Outcome:
+    """Probe, identify and run the MPC and both baselines; a failure is recorded in the outcome.
+
+    `identify`: the model of a plant from the days (third argument) before a period; may raise `DataError`.
+    """
     began = time.perf_counter()
     house = draw_house(case.seed, case.index)
     kpis: dict[str, dict[str, float]] = {}
@@ -180,7 +203,7 @@ def run_case(case: Case) -> Outcome:
             return result
 
         try:
-            model = _identified(plant, period, case.probed_days)
+            model = identify(plant, period, case.probed_days)
         except DataError as error:
             refused = str(error)
         else:
@@ -207,24 +230,6 @@ def _too_cold_and_too_warm(house: House, trace: Mapping[str, Array]) -> dict[str
         "too_cold": float(np.trapezoid(np.maximum(lower - T, 0.0), hours)),
         "too_warm": float(np.trapezoid(np.maximum(T - upper, 0.0), hours)),
     }
-
-
-def _identified(plant: GeneratedHousePlant, period: Period, days: float) -> Any:
-    """Probe and identify as `tf-mpc run` does with its defaults; raises `DataError` where the record is refused."""
-    scenario = Scenario(testcase=plant.testcase.name)
-    spec = scenario.identification
-    probing, config = identification_settings(scenario, plant.testcase, CONTROLLER)
-    return identify_on(
-        plant,
-        before=period,
-        days=days,
-        testcase=plant.testcase,
-        seed=scenario.seed,
-        probing=probing,
-        config=config,
-        most_days=spec.most_days,
-        end_early=spec.end_early,
-    )
 
 
 def targets(outcomes: Sequence[Outcome]) -> list[Target]:

@@ -41,8 +41,12 @@ class _Variable:
     above: tuple[str, ...]
 
 
-def refit_homes(folder: Path, say: Callable[[str], None] = lambda line: None) -> list[Home]:
+def refit_homes(
+    folder: Path, say: Callable[[str], None] = lambda line: None, *, rows_at_once: int = _ROWS
+) -> list[Home]:
     """The homes of the release that have a living-room temperature and a gas meter or a radiator sensor.
+
+    `rows_at_once`: of the values, which are streamed.
 
     Raises:
         DataError: a file is missing, is not XML, lacks a column, or holds no home; the message names the file.
@@ -74,7 +78,7 @@ def refit_homes(folder: Path, say: Callable[[str], None] = lambda line: None) ->
         raise DataError(f"{survey}: no building has a living-room air temperature and a gas meter or radiator sensor")
     # What acts belongs to the step it falls into; volumes of gas are summed over it.
     of_steps = {v.id: "gas" in v.kind for found in meters.values() for v in found}
-    binned = _binned(values, {v.id for v in wanted}, of_steps, say)
+    binned = _binned(values, {v.id for v in wanted}, of_steps, rows_at_once, say)
     start = min(min(bins) for bins in binned.values())
     stop = max(max(bins) for bins in binned.values())
     n = stop - start + 1
@@ -132,7 +136,7 @@ def _walk(node: ElementTree.Element, building: str, place: str, above: tuple[str
 
 
 def _binned(
-    path: Path, wanted: set[str], of_steps: Mapping[str, bool], say: Callable[[str], None]
+    path: Path, wanted: set[str], of_steps: Mapping[str, bool], rows_at_once: int, say: Callable[[str], None]
 ) -> dict[str, dict[int, tuple[float, float]]]:
     """Sum and count of the readings of each variable by half hour since 1970, streamed.
 
@@ -142,7 +146,7 @@ def _binned(
     found: dict[str, dict[int, tuple[float, float]]] = defaultdict(dict)
     read = 0
     try:
-        with pd.read_csv(path, usecols=[_ID, _TIME, _DATA], chunksize=_ROWS) as chunks:
+        with pd.read_csv(path, usecols=[_ID, _TIME, _DATA], chunksize=rows_at_once) as chunks:
             for chunk in chunks:
                 read += len(chunk)
                 rows = chunk[chunk[_ID].isin(wanted)]

@@ -21,7 +21,16 @@ from thermoforce_mpc.simulation.folder.run_folder import write_json
 
 Say = Callable[[str], None]
 
-_Task = tuple[Prepared, Protocol, str, tuple[str, ...]]
+Task = tuple[Prepared, Protocol, str, tuple[str, ...]]
+
+
+def evaluate_home(task: Task) -> Scores:
+    """Scores of one prepared home; reproducible."""
+    import torch
+
+    torch.set_num_threads(1)  # fixed order of summation: reproducible results
+    home, protocol, backbone, others = task
+    return Evaluation(home, protocol, backbone, others).run()
 
 
 def run_suite(
@@ -32,6 +41,7 @@ def run_suite(
     backbone: str = "shipped",
     others: Sequence[str] = (),
     engine: Engine,
+    evaluate: Callable[[Task], Scores] = evaluate_home,
     say: Say = lambda line: None,
 ) -> tuple[list[Scores], dict[str, str], int]:
     """Score every home; returns the scores, why homes were left out, and how many were computed in this call.
@@ -44,6 +54,7 @@ def run_suite(
         backbone: weights of the forecaster.
         others: further backbones for their table.
         engine: where homes are scored; results do not depend on it.
+        evaluate: scores one home.
         say: callback for progress lines.
 
     Raises:
@@ -54,7 +65,7 @@ def run_suite(
     folder.mkdir(parents=True, exist_ok=True)
     left_out: dict[str, str] = {}
     found: dict[str, Scores] = {}
-    tasks: list[_Task] = []
+    tasks: list[Task] = []
     keys: dict[str, str] = {}
     weights = _weights((backbone, *others))
     for home in homes:
@@ -84,16 +95,8 @@ def run_suite(
         told = ", ".join(f"{h} h {best[h]:.3f} K (raw {raw[h]:.3f})" for h in raw)
         say(f"{done} of {len(tasks)}: {scores.home}: {told}")
 
-    run_all(_evaluate, tasks, engine, lambda _, scores: keep(scores))
+    run_all(evaluate, tasks, engine, lambda _, scores: keep(scores))
     return [found[home.name] for home in homes if home.name in found], left_out, len(tasks)
-
-
-def _evaluate(task: _Task) -> Scores:
-    import torch
-
-    torch.set_num_threads(1)  # fixed order of summation: reproducible results
-    home, protocol, backbone, others = task
-    return Evaluation(home, protocol, backbone, others).run()
 
 
 def _file(folder: Path, home: str) -> Path:

@@ -61,7 +61,7 @@ _ERROR_K, _DISCOMFORT_KH, _COST_SHARE = 0.5, 1.0, 0.1
 Row = dict[str, Any]
 
 
-class _Recorded:
+class RecordedController:
     """A controller whose judged predictions are kept: `judged` by time, s, and lead, while its model was in use."""
 
     def __init__(self, controller: Controller, model: ThermalModel) -> None:
@@ -109,7 +109,7 @@ def run_faults_bench(
             rows += _period_rows(period, start_day, faults, progress, stand_back)
         elif not rows:
             rows += _period_rows(period, start_day, _QUICK, progress, stand_back)
-    return results_json("faults", rows, _targets(rows))
+    return results_json("faults", rows, targets(rows))
 
 
 def _period_rows(
@@ -124,7 +124,7 @@ def _period_rows(
 
     def followed(fault: Mapping[str, Any], enabled: bool) -> tuple[RunResult, float]:
         options = {"watch": {"enabled": enabled}, "fallback": {"stand_back": stand_back}}
-        controller = _Recorded(build_controller("thermoforce_mpc", options, testcase, model), model)
+        controller = RecordedController(build_controller("thermoforce_mpc", options, testcase, model), model)
         result = run_closed_loop(FaultyPlant(plant, from_s=from_s, to_s=to_s, **fault), controller, period)
         return result, controller.error_K(from_s, to_s)
 
@@ -174,21 +174,21 @@ def _row(fault: str, day: str, ran: _Ran, none: _Ran, from_s: float, to_s: float
     }
 
 
-def _targets(rows: list[Row]) -> list[Target]:
+def targets(rows: list[Row]) -> list[Target]:
     """Targets; a fault that was not noticed misses its own unless it had no consequences, and then has none."""
-    targets = []
+    found = []
     for row in rows:
         name = f"{row['fault']}, {row['day']} day"
         if row["fault"] == "none":
-            targets.append(Target(f"{name}: steps under watch", float(row["watch_steps"]), 0.0))
+            found.append(Target(f"{name}: steps under watch", float(row["watch_steps"]), 0.0))
             continue
         if row["noticed_h"] is not None or row["consequences"]:
             noticed = math.nan if row["noticed_h"] is None else row["noticed_h"]
             # An alarm before the fault is a false one.
-            targets.append(Target(f"{name}: h to notice", noticed if noticed > 0 else math.nan, _NOTICED_H))
+            found.append(Target(f"{name}: h to notice", noticed if noticed > 0 else math.nan, _NOTICED_H))
         if row["noticed_h"] is not None:
             back = math.nan if row["back_h"] is None else row["back_h"]
-            targets.append(Target(f"{name}: h from its end to the return of control", back, 2 * _NOTICED_H))
+            found.append(Target(f"{name}: h from its end to the return of control", back, 2 * _NOTICED_H))
         more = row["discomfort_Kh"] - row["without_watch_Kh"]
-        targets.append(Target(f"{name}: discomfort more than without the watch, K·h", more, _MORE_KH))
-    return targets
+        found.append(Target(f"{name}: discomfort more than without the watch, K·h", more, _MORE_KH))
+    return found

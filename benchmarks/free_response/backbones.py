@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from thermoforce_mpc.simulation.comparison.results_json import Target, results_j
 _PROBE_DAYS, _CONTEXT_DAYS, _EMBEDDED_DAYS = 3, 7, 16
 _HORIZON_H = 6
 _ORIGINS, _ORIGINS_QUICK = 60, 8
-_EMBEDDED_STARTS = {"embedded winter": 20, "embedded spring": 100}
+_EMBEDDED_STARTS: Mapping[str, int] = {"embedded winter": 20, "embedded spring": 100}
 _REFERENCE_RUNS = ("excite_jan", "excite_mar", "excite_apr")
 
 
@@ -58,6 +58,8 @@ def run_backbone_bench(
     backbones: Sequence[str] = (),
     reference: Path | None = None,
     *,
+    records: Mapping[str, Record] | None = None,
+    origins: int = _ORIGINS,
     quick: bool = False,
     out: Path | None = None,
     progress: Callable[[str], None] = lambda _line: None,
@@ -67,7 +69,9 @@ def run_backbone_bench(
     Args:
         backbones: names, directories or hub names as in `load_backbone`; by default `default_backbones()`.
         reference: folder of records of the real test case in the layout of docs/evidence/plant.md; optional.
-        quick: fewer origins.
+        records: controlled 15-min records by name in the place of those of `embedded_records`.
+        origins: number of forecasts per record.
+        quick: at most 8 forecasts per record.
         out: folder for the plot `backbones.png`; no plot if None.
         progress: callback for progress lines.
 
@@ -77,7 +81,10 @@ def run_backbone_bench(
     """
     # All backbones are loaded first, so that a wrong name fails before the computation.
     loaded = {name: ChronosFreeResponse(name) for name in backbones or default_backbones()}
-    buildings = _buildings(reference, _ORIGINS_QUICK if quick else _ORIGINS, progress)
+    controlled = dict(embedded_records() if records is None else records)
+    if reference is not None:
+        controlled |= {name: read_run(reference / f"{name}.csv.gz") for name in _REFERENCE_RUNS}
+    buildings = _buildings(controlled, min(origins, _ORIGINS_QUICK) if quick else origins, progress)
     rows: list[dict[str, Any]] = []
     for name, backbone in loaded.items():
         own = [_row(name, backbone, building) for building in buildings]
@@ -139,10 +146,7 @@ def _instant(building: Building, origin: int) -> tuple[Observation, Array, Array
     return Observation(record.slice(first, origin), Boundary.measured(ahead)), ahead.u, ahead.T_zone_C[0, 1:]
 
 
-def _buildings(reference: Path | None, at_most: int, progress: Callable[[str], None]) -> list[Building]:
-    records = _embedded_records()
-    if reference is not None:
-        records |= {name: read_run(reference / f"{name}.csv.gz") for name in _REFERENCE_RUNS}
+def _buildings(records: Mapping[str, Record], at_most: int, progress: Callable[[str], None]) -> list[Building]:
     buildings = []
     for name, record in records.items():
         model = identify(
@@ -158,8 +162,8 @@ def _buildings(reference: Path | None, at_most: int, progress: Callable[[str], N
     return buildings
 
 
-def _embedded_records() -> dict[str, Record]:
-    """Two records of the embedded plant under random probing, winter and spring of the synthetic year."""
+def embedded_records(starts: Mapping[str, int] = _EMBEDDED_STARTS, days: float = _EMBEDDED_DAYS) -> dict[str, Record]:
+    """Records of `days` of the embedded plant under random probing, by name, from start days of the synthetic year."""
     from thermoforce_mpc.boundary.weather import synthetic_weather
     from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
     from thermoforce_mpc.plants.embedded import EmbeddedPlant
@@ -167,10 +171,7 @@ def _embedded_records() -> dict[str, Record]:
     plant = EmbeddedPlant(synthetic_weather())
     try:
         config = ProbingConfig(design="random", warmup_days=3.0)
-        return {
-            name: probe(plant, day * DAY_S, _EMBEDDED_DAYS, seed=day, config=config)
-            for name, day in _EMBEDDED_STARTS.items()
-        }
+        return {name: probe(plant, day * DAY_S, days, seed=day, config=config) for name, day in starts.items()}
     finally:
         plant.close()
 

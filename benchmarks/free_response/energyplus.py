@@ -24,8 +24,8 @@ _NEVER_C = {"heating": -90.0, "cooling": 150.0}
 _HEAVY = ZoneSpec("Chicago-OHare", "heating", capacity_W=4000.0, insulation_m=0.06, slab_m=0.18, window_m2=9.0)
 
 
-def energyplus_sources(engine: Engine) -> list[Source]:
-    """Three zones without heating or cooling, hourly, 28 days each, with internal gains that differ from day to day.
+def energyplus_sources(engine: Engine, days: int = _DAYS) -> list[Source]:
+    """Three zones without heating or cooling, hourly, 28 `days` each, with internal gains that differ from day to day.
 
     The two zones of the interventional suite (Chicago in winter, Phoenix in early summer) and one with a heavier floor,
     less insulation and larger windows (Chicago in spring).
@@ -39,17 +39,17 @@ def energyplus_sources(engine: Engine) -> list[Source]:
         ("EnergyPlus Chicago spring, heavy", replace(heating, spec=_HEAVY), 90),
         ("EnergyPlus Phoenix June", cooling, cooling.first_day),
     ]
-    records = simulate_all([_job(climate, day) for _, climate, day in zones], engine)
+    records = simulate_all([_job(climate, day, days) for _, climate, day in zones], engine)
     return [
         Source(name, "EnergyPlus", *_hourly(record), context_steps=14 * 24, least_context_steps=7 * 24)
         for (name, _, _), record in zip(zones, records, strict=True)
     ]
 
 
-def _job(climate: Climate, day: int) -> Job:
+def _job(climate: Climate, day: int, days: int) -> Job:
     spec = climate.spec
-    off = np.full(round(_DAYS * DAY_S / spec.step_s), _NEVER_C[spec.mode])
-    return Job(spec, day, off, gains(climate, day, _DAYS, _SEED))
+    off = np.full(round(days * DAY_S / spec.step_s), _NEVER_C[spec.mode])
+    return Job(spec, day, off, gains(climate, day, days, _SEED))
 
 
 def _hourly(record: Record) -> tuple[Record, np.ndarray[tuple[int], np.dtype[np.float64]]]:

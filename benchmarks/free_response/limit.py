@@ -32,12 +32,14 @@ _BLOCKS = 5
 _RIDGE, _RIDGE_IN_SAMPLE = 0.1, 1e-6
 
 
-def limit_rows(sources: Sequence[Source], backbone: str, progress: Callable[[str], None]) -> list[dict[str, Any]]:
+def limit_rows(
+    sources: Sequence[Source], backbone: str, progress: Callable[[str], None], *, most_origins: int = _ORIGINS
+) -> list[dict[str, Any]]:
     """Share of the backbone's mean absolute error that is removed, one row per group for 6 h and 24 h ahead.
 
     Columns: regression on the weather ahead, regression on the candidates of `residual` as well (each in sample and
-    cross-validated), and `residual` itself from the same origins. Records with fewer than 100 origins are left out and
-    reported to `progress`.
+    cross-validated), and `residual` itself from the same origins, at most `most_origins` a record. Records with fewer
+    than 100 origins are left out and reported to `progress`.
 
     Raises:
         DataError, BackboneError: see `ResidualFreeResponse` and `load_backbone`.
@@ -46,7 +48,7 @@ def limit_rows(sources: Sequence[Source], backbone: str, progress: Callable[[str
     found: dict[tuple[str, int], list[Array]] = {}
     counted: dict[str, int] = {}
     for source in sources:
-        origins = np.array(forecast_origins(source, _ORIGINS))
+        origins = np.array(forecast_origins(source, most_origins))
         if origins.size < _LEAST_ORIGINS:
             progress(f"{source.name}: left out of the limit of weather: only {origins.size} origins")
             continue

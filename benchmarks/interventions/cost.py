@@ -33,11 +33,16 @@ Say = Callable[[str], None]
 
 _TIME_CONSTANT_H = 6.0
 _HORIZON_H = 48.0
-_REPEATS = 20
+REPEATS = 20
 
 
-def efficiency(data: Dataset, days: int, backbone: str, seed: int, say: Say) -> tuple[list[Row], list[Target]]:
-    """Median wall time of every part after `days` probe days, ms, and trained parameters, with the paper's figures."""
+def efficiency(
+    data: Dataset, days: int, backbone: str, seed: int, say: Say, repeats: int = REPEATS
+) -> tuple[list[Row], list[Target]]:
+    """Median wall time of every part after `days` probe days, ms, and trained parameters, with the paper's figures.
+
+    `repeats`: how often rollout, forecast and control step are timed.
+    """
     say("timing identification, rollout, forecast and solve")
     climate = next(iter(data.climates.values()))
     training = training_of(climate, days, seed)
@@ -51,8 +56,8 @@ def efficiency(data: Dataset, days: int, backbone: str, seed: int, say: Say) -> 
     features = np.tile([20.0, 0.0, 100.0, 0.0], (24, 1))
     u = np.full(24, 0.5)
     operator = model.only.operator
-    rollout_ms = _milliseconds(lambda: forced_rollout(operator, np.zeros(1), u, features), _REPEATS)
-    forecast_ms = _milliseconds(lambda: free.forecast(history.T_zone_C[0], history, boundary), _REPEATS)
+    rollout_ms = _milliseconds(lambda: forced_rollout(operator, np.zeros(1), u, features), repeats)
+    forecast_ms = _milliseconds(lambda: free.forecast(history.T_zone_C[0], history, boundary), repeats)
     measured = {
         "RC identification (3 days)": linear_ms,
         "operator training": neural_ms,
@@ -63,7 +68,7 @@ def efficiency(data: Dataset, days: int, backbone: str, seed: int, say: Say) -> 
         {"component": name, "unit": "ms", "here": value, "paper": EFFICIENCY_MS[name]}
         for name, value in measured.items()
     ]
-    for name, value in control_step(training, model).items():
+    for name, value in control_step(training, model, repeats).items():
         rows.append({"component": name, "unit": "ms", "here": value, "paper": None})
     n_trained = float(model.operator.n_trained)
     rows.append({"component": "trained parameters", "unit": "1", "here": n_trained, "paper": float(PARAMETERS)})
@@ -72,8 +77,8 @@ def efficiency(data: Dataset, days: int, backbone: str, seed: int, say: Say) -> 
     return rows, targets
 
 
-def control_step(training: Training, model: ThermalModel) -> Mapping[str, float]:
-    """Median time of the MPC solve over 48 h at 15 min and of the whole control step, ms.
+def control_step(training: Training, model: ThermalModel, repeats: int = REPEATS) -> Mapping[str, float]:
+    """Median time of the MPC solve over 48 h at 15 min and of the whole control step over `repeats`, ms.
 
     The controller has the defaults of the plant of this climate. Its machine runs at any level above a lowest one, so a
     solve is one quadratic programme per first level. It plans for the last two days before the probe with the measured
@@ -98,7 +103,7 @@ def control_step(training: Training, model: ThermalModel) -> Mapping[str, float]
         raise TypeError("the registry's thermoforce_mpc is not a ThermoForceMPC")
     observation = _observation(training.probe, training.climate, zone.band_K)
     solve, whole, state = [], [], None
-    for _ in range(_REPEATS + 1):
+    for _ in range(repeats + 1):
         began = time.perf_counter()
         plan = controller.plan(observation, state)
         whole.append(time.perf_counter() - began)

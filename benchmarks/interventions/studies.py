@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.interventions.bench import data_for
-from benchmarks.interventions.cost import efficiency
+from benchmarks.interventions.cost import REPEATS, efficiency
 from benchmarks.interventions.dataset import Dataset
 from benchmarks.interventions.methods.curve import EXPONENTS
 from benchmarks.interventions.methods.registry import BEST, METHODS, MONOTONE
@@ -54,12 +54,13 @@ def run_study(
     seed: int = 1,
     engine: Engine,
     draw: int = 1,
+    repeats: int = REPEATS,
     progress: Say = lambda line: None,
 ) -> dict[str, Any]:
     """Run one study: 'ablation', 'gamma', 'data', 'efficiency' or 'office'.
 
     Writes `<name>.json`, figure and page into `out`. Arguments as in `run_interventions_bench`; `days` are by default
-    all simulated numbers (ablation, data) or 3.
+    all simulated numbers (ablation, data) or 3; `repeats` of each timing (efficiency).
 
     Raises:
         DataError: unknown study, or unusable data.
@@ -85,7 +86,7 @@ def run_study(
         rows = _data_efficiency(data, days, backbone, seed, engine, progress)
         figure = curves_figure(_curves(rows, "method", "days", "effect_K"), "probe days", log=True)
     else:
-        rows, targets = efficiency(data, days[0], backbone, seed, progress)
+        rows, targets = efficiency(data, days[0], backbone, seed, progress, repeats)
         measured = {row["component"]: (row["here"], row["paper"]) for row in rows if row["unit"] == "ms"}
         figure = bars_figure(measured, "ms")
     return _written(

@@ -84,10 +84,11 @@ def run_case(case: Case) -> list[Row]:
     longest = max(case.days)
     if case.operation == PROBING:
         config = ProbingConfig(warmup_days=3.0)
-        record = _usual(_hourly(probe(plant, case.start_day * DAY_S, longest, seed=1, layout=layout, config=config)))
+        probed = probe(plant, case.start_day * DAY_S, longest, seed=1, layout=layout, config=config)
+        record = as_usually_measured(_hourly(probed))
     else:
-        record = _usual(operated(plant, layout, case.operation, case.start_day * DAY_S, longest))
-    pairs = [_pair(plant, layout, day) for day in _PAIR_DAYS]
+        record = as_usually_measured(operated(plant, layout, case.operation, case.start_day * DAY_S, longest))
+    pairs = [pair_of_days(plant, layout, day) for day in _PAIR_DAYS]
     rows = []
     for days in case.days:
         steps = round(days * DAY_S / record.step_s)
@@ -180,7 +181,7 @@ def _timed(now: Measurement, hour: float) -> float:
     return level if 5 <= hour < 22 else 0.5 * level
 
 
-def _pair(plant: EmbeddedPlant | HouseOfRooms, layout: Layout, day: int) -> tuple[Record, Record]:
+def pair_of_days(plant: EmbeddedPlant | HouseOfRooms, layout: Layout, day: int) -> tuple[Record, Record]:
     """A day under two draws of levels, from one state and in one weather."""
     records = []
     for seed in (day, day + 1000):
@@ -206,7 +207,7 @@ def _since(record: Record, start_s: float) -> Record:
     return record.slice(first, record.n_steps)
 
 
-def _usual(record: Record) -> Record:
+def as_usually_measured(record: Record) -> Record:
     """The record without heat and return water, which few people measure."""
     return replace(
         record, heat_W=np.full_like(record.heat_W, np.nan), T_return_C=np.full_like(record.T_return_C, np.nan)

@@ -71,7 +71,7 @@ def fit_two_stage_many(
     masked = design * off[..., None]
     normal, moment = masked.transpose(0, 2, 1) @ masked, (masked.transpose(0, 2, 1) @ rise[..., None])[..., 0]
     low, high = first_stage_bounds(step_s, time_constant_h)
-    scaled = _boxed(normal, moment, low / SCALE, high / SCALE)
+    scaled = box_minimisers(normal, moment, low / SCALE, high / SCALE)
     predicted = (design @ scaled[..., None])[..., 0]
     solution = scaled * SCALE
     n_off, n_on = off.sum(axis=1), on.sum(axis=1)
@@ -126,14 +126,14 @@ def _stacked(runs: Sequence[Record], actuators: Sequence[HeatInput]) -> tuple[Ar
     return np.where(kept, np.stack([T[:, :-1], np.diff(T), T_out, solar, u, drive]), 0.0), kept
 
 
-def _boxed(normal: Array, moment: Array, low: Array, high: Array) -> Array:
+def box_minimisers(normal: Array, moment: Array, low: Array, high: Array) -> Array:
     """Minimisers (b, p) of x'Nx − 2m'x in a box by enumeration of active sets; `normal` (b, p, p), `moment` (b, p)."""
     b, p = moment.shape
     best: Array = np.asarray(np.linalg.solve(normal, moment[..., None])[..., 0], dtype=np.float64)
     outside = np.flatnonzero(((best < low) | (best > high)).any(axis=1))
     if outside.size < b:  # only solutions outside of the box need the search
         if outside.size:
-            best[outside] = _boxed(normal[outside], moment[outside], low, high)
+            best[outside] = box_minimisers(normal[outside], moment[outside], low, high)
         return best
     best, value = np.zeros((b, p)), np.full(b, np.inf)
     room = _ROUNDING * np.maximum(np.abs(np.where(np.isfinite(low), low, 0)), np.where(np.isfinite(high), high, 0))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -62,20 +63,50 @@ class Rate:
         }
 
 
-def scaling(weather: Weather, *, days: int = 10) -> list[dict[str, Any]]:
+def plant_processes(weather: Weather, n: int) -> ProcessPoolExecutor:
+    """`n` processes, each with a plant of its own for `hourly_run`."""
+    return ProcessPoolExecutor(n, multiprocessing.get_context("spawn"), initializer=_begin, initargs=(weather,))
+
+
+def rate_of_processes(weather: Weather, n: int, days: int = 60) -> Rate:
+    """Rate of `n` processes that each run a plant for `days`."""
+    with plant_processes(weather, n) as executor:
+        list(executor.map(hourly_run, [0.5] * n, [1] * n))  # warm-up: start processes, load compiled code
+        began = time.perf_counter()
+        cpu_s = sum(executor.map(_cpu_s, [0.5] * n, [days] * n))
+        return Rate(n * days, time.perf_counter() - began, cpu_s)
+
+
+def scaling(
+    weather: Weather,
+    *,
+    days: int = 10,
+    together: Sequence[int] = _TOGETHER,
+    processes: Sequence[int] = _PROCESSES,
+    best_of: int = _BEST_OF,
+    rate_of: Callable[[Weather, int], Rate] = rate_of_processes,
+) -> list[dict[str, Any]]:
     """Simulated days per second of all plants: hourly steps of n plants in threads, then whole runs in n processes.
 
     Threads advance plants step by step (paired interventions, what-if branches); processes run one plant each from
     start to end (training data). At most one thread or process per core runs at a time.
+
+    Args:
+        weather: that of the plants.
+        days: simulated in threads.
+        together: numbers of plants in threads.
+        processes: numbers of processes.
+        best_of: times that threads are measured.
+        rate_of: measures a number of processes.
     """
-    plants = [EmbeddedPlant(weather) for _ in range(max(_TOGETHER))]
-    threads = min(max(_TOGETHER), os.cpu_count() or 1)
+    plants = [EmbeddedPlant(weather) for _ in range(max(together))]
+    threads = min(max(together), os.cpu_count() or 1)
     measured: list[tuple[int, str, Rate]] = []
-    for n in _TOGETHER:
-        rates = [_threads(plants[:n], days, threads) for _ in range(_BEST_OF)]
+    for n in together:
+        rates = [_threads(plants[:n], days, threads) for _ in range(best_of)]
         best = min(rates, key=lambda rate: rate.wall_s)
         measured.append((n, f"{min(n, threads)} threads, hourly steps", best))
-    measured += [(n, f"{n} processes, whole runs", _processes(weather, n)) for n in _PROCESSES]
+    measured += [(n, f"{n} processes, whole runs", rate_of(weather, n)) for n in processes]
     alone = measured[0][2]
     return [rate.row(n, how, alone) for n, how, rate in measured]
 
@@ -89,21 +120,13 @@ def _threads(plants: list[EmbeddedPlant], days: int, threads: int) -> Rate:
         return Rate(len(plants) * days, time.perf_counter() - began, time.process_time() - busy)
 
 
-def _processes(weather: Weather, n: int, days: int = 60) -> Rate:
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(n, context, initializer=_begin, initargs=(weather,)) as executor:
-        list(executor.map(_run, [0.5] * n, [1] * n))  # warm-up: start processes, load compiled code
-        began = time.perf_counter()
-        cpu_s = sum(executor.map(_cpu_s, [0.5] * n, [days] * n))
-        return Rate(n * days, time.perf_counter() - began, cpu_s)
-
-
 def _begin(weather: Weather) -> None:
     global _plant
     _plant = EmbeddedPlant(weather)
 
 
-def _run(level: float, days: int) -> Array:
+def hourly_run(level: float, days: int) -> Array:
+    """Zone temperatures, °C, (24 days + 1,), of the plant of this process in `days` from New Year at one level."""
     if _plant is None:
         raise RuntimeError("the process was not given its plant")
     start = _plant.reset(0.0, 0.0)
@@ -113,5 +136,5 @@ def _run(level: float, days: int) -> Array:
 def _cpu_s(level: float, days: int) -> float:
     """Processor time of a run, s."""
     busy = time.process_time()
-    _run(level, days)
+    hourly_run(level, days)
     return time.process_time() - busy

@@ -89,7 +89,7 @@ def pretrain(
     if start is not None:
         _start_from(model, start)
     model = model.to(device)
-    matrices, rest = _split_parameters(model)
+    matrices, rest = split_parameters(model)
     optimisers = [
         torch.optim.Muon(matrices, lr=config.muon_lr, weight_decay=config.weight_decay),
         torch.optim.AdamW(rest, lr=config.adamw_lr, weight_decay=config.weight_decay),
@@ -230,7 +230,7 @@ def _validation_loss(model: Any, config: TrainingConfig) -> float:
     return float(np.mean(losses))
 
 
-def _split_parameters(model: Any) -> tuple[list[Tensor], list[Tensor]]:
+def split_parameters(model: Any) -> tuple[list[Tensor], list[Tensor]]:
     """Hidden matrices for Muon; embeddings, the patch layers' inputs, norms and biases for AdamW."""
     matrices: list[Tensor] = []
     rest: list[Tensor] = []

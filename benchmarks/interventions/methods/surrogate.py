@@ -87,12 +87,21 @@ class Surrogate:
             return np.asarray(self._students(start, torch.tensor(drivers))[self._index].numpy())
 
 
-def build_surrogate(training: Training, free_response: FreeResponse) -> Surrogate:
-    """Train one network per setting and keep the one with the best effect on the validation windows."""
+def build_surrogate(
+    training: Training,
+    free_response: FreeResponse,
+    *,
+    epochs: int = _EPOCHS,
+    settings: Sequence[tuple[float, float]] = _SETTINGS,
+) -> Surrogate:
+    """Train one network per setting and keep the one with the best effect on the validation windows.
+
+    `settings`: weight of the forecast trajectories and weight decay of each.
+    """
     lessons = _lessons(training, free_response)
-    students = _train(lessons, training.seed)
+    students = _train(lessons, training.seed, epochs, settings)
     candidates = {}
-    for index, (teacher_weight, decay) in enumerate(_SETTINGS):
+    for index, (teacher_weight, decay) in enumerate(settings):
         note = f"teacher's weight {teacher_weight:g}, weight decay {decay:g}"
         candidates[note] = Surrogate(students, index, note)
     return candidates[best(candidates, training.validation)]
@@ -134,21 +143,21 @@ def _lessons(training: Training, free_response: FreeResponse) -> _Lessons:
     )
 
 
-def _train(lessons: _Lessons, seed: int) -> _Students:
+def _train(lessons: _Lessons, seed: int, epochs: int, settings: Sequence[tuple[float, float]]) -> _Students:
     """Train one network per setting."""
     n_measured = float((~lessons.taught).sum())
     n_taught = float(lessons.taught.sum())
-    teacher_weight, decay = (torch.tensor(values, dtype=torch.float64) for values in zip(*_SETTINGS, strict=True))
+    teacher_weight, decay = (torch.tensor(values, dtype=torch.float64) for values in zip(*settings, strict=True))
     # Weights are normalised by the number of trajectories from each source.
     of_teacher = teacher_weight[:, None] / max(n_taught, 1.0)
     weight = torch.where(lessons.taught, of_teacher, 1.0 / n_measured) * lessons.taught.numel()
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        students = _Students(len(_SETTINGS), float(lessons.course.mean()))
+        students = _Students(len(settings), float(lessons.course.mean()))
         parameters = list(students.parameters())
         optimiser = torch.optim.Adam(parameters, lr=_LEARNING_RATE)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, _EPOCHS)
-        for _ in range(_EPOCHS):
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, epochs)
+        for _ in range(epochs):
             order = torch.randperm(lessons.taught.numel())
             for rows in order.split(_BATCH):
                 optimiser.zero_grad()

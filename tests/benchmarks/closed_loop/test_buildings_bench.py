@@ -56,24 +56,22 @@ def test_one_short_window_for_real():
     assert (again.kpis, again.statuses, again.model) == (first.kpis, first.statuses, first.model)
 
 
-def test_a_refused_record_leaves_the_house_to_its_own_control(monkeypatch):
+def test_a_refused_record_leaves_the_house_to_its_own_control():
     def refuse(*args):
         raise DataError("no effect of the actuator")
 
-    monkeypatch.setattr(buildings, "_identified", refuse)
-    found = run_case(Case(7, 3, "sunny_week", **SHORT))
+    found = run_case(Case(7, 3, "sunny_week", **SHORT), refuse)
     assert found.failed == ""
     assert found.kpis["thermoforce_mpc"] == found.kpis["native"]
     assert found.row()["plans"] == "refused: no effect of the actuator"
     assert found.statuses == {}
 
 
-def test_a_failed_window_is_named_and_misses_its_targets(monkeypatch):
+def test_a_failed_window_is_named_and_misses_its_targets():
     def fail(*args):
         raise RuntimeError("the solver is broken")
 
-    monkeypatch.setattr(buildings, "_identified", fail)
-    found = run_case(Case(7, 3, "sunny_week", **SHORT))
+    found = run_case(Case(7, 3, "sunny_week", **SHORT), fail)
     assert found.failed == "RuntimeError: the solver is broken"
     assert found.row()["plans"] == found.failed
     failed, above, *_ = targets([outcome(), found])

@@ -55,11 +55,11 @@ def _release(folder: Path, change: tuple[str, str] = ("", "")) -> Path:
     return folder
 
 
-def test_refit_homes_are_streamed_onto_one_clock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(refit, "_ROWS", 100)  # many parts of one file
+def test_refit_homes_are_streamed_onto_one_clock(tmp_path: Path) -> None:
     said: list[str] = []
-    homes = {home.name: home for home in read_homes(_release(tmp_path), say=said.append)}
-    assert set(homes) == {"Building01", "Building03"}
+    folder = _release(tmp_path)
+    homes = {home.name: home for home in refit.refit_homes(folder, said.append, rows_at_once=100)}
+    assert set(homes) == {"Building01", "Building03"} == {home.name for home in read_homes(folder)}
     assert any("Building02: left out" in line for line in said)
     home = homes["Building01"]
     record = home.record

@@ -115,9 +115,9 @@ def test_scores_are_computed_anew_for_other_weights(
     shutil.copytree(shipped_folder("shipped_tiny"), weights)
 
     def computed() -> int:
-        return run_suite([homes[1]], _SMALL, tmp_path / "scores", backbone=str(weights), engine=engine)[2]
+        folder, backbone = tmp_path / "scores", str(weights)
+        return run_suite([homes[1]], _SMALL, folder, backbone=backbone, engine=engine, evaluate=_nothing)[2]
 
-    monkeypatch.setattr(suite, "_evaluate", _nothing)
     assert (computed(), computed()) == (1, 0)
     (weights / "more.json").write_text("{}")
     assert (computed(), computed()) == (1, 0)

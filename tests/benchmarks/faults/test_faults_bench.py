@@ -8,7 +8,7 @@ import pytest
 from faults import FaultyHouse
 from simple_house import OutdoorResponse, simple_model
 
-from benchmarks.faults.bench import _Recorded, _targets
+from benchmarks.faults.bench import RecordedController, targets
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S
@@ -29,7 +29,7 @@ def row(fault: str, noticed_h: float | None, consequences: bool) -> dict:
 
 
 def notice(rows: list[dict]) -> list[tuple[float, bool]]:
-    return [(target.value, target.holds) for target in _targets(rows) if target.name.endswith("h to notice")]
+    return [(target.value, target.holds) for target in targets(rows) if target.name.endswith("h to notice")]
 
 
 def test_an_unnoticed_fault_misses_its_target_only_where_it_has_consequences():
@@ -50,7 +50,7 @@ def test_errors_of_predictions_six_hours_ahead_are_recorded():
 
     model = simple_model()
     mpc = ThermoForceMPC(model, MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
-    recorded, house = _Recorded(mpc, model), FaultyHouse(moves=warmer)
+    recorded, house = RecordedController(mpc, model), FaultyHouse(moves=warmer)
     run_closed_loop(house, recorded, house.period("x"))
     assert recorded.error_K(10 * DAY_S, 11 * DAY_S) < 0.05
     assert recorded.error_K(11.25 * DAY_S, 12 * DAY_S) == pytest.approx(6 * 0.05, abs=0.03)

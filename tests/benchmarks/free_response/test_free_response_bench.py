@@ -121,9 +121,8 @@ def test_energyplus_zones_run_free_or_are_left_out_with_a_word(monkeypatch):
     assert {row["source"] for row in result["rows"] if "mae_24h_K" in row} == {"made up"}
     monkeypatch.undo()
     pytest.importorskip("pyenergyplus")
-    monkeypatch.setattr(energyplus, "_DAYS", 1)
     with LocalEngine(1) as engine:
-        zones = energyplus.energyplus_sources(engine)
+        zones = energyplus.energyplus_sources(engine, days=1)
     assert len(zones) == 3
     for zone in zones:
         assert zone.free_C.size == 25
@@ -132,14 +131,13 @@ def test_energyplus_zones_run_free_or_are_left_out_with_a_word(monkeypatch):
         assert zone.history.solar_W_m2.max() > 100
 
 
-def test_backbones_are_compared_raw_and_composed(monkeypatch, tmp_path):
+def test_backbones_are_compared_raw_and_composed(tmp_path):
     from benchmarks.free_response import backbones
     from thermoforce_mpc.model.free_response.chronos import shipped_folder
 
-    monkeypatch.setattr(backbones, "_EMBEDDED_STARTS", {"embedded winter": 20})
-    monkeypatch.setattr(backbones, "_EMBEDDED_DAYS", 9)
-    monkeypatch.setattr(backbones, "_ORIGINS_QUICK", 3)
-    result = backbones.run_backbone_bench(["shipped", str(shipped_folder())], quick=True, out=tmp_path)
+    records = backbones.embedded_records({"embedded winter": 20}, days=9)
+    names = ["shipped", str(shipped_folder())]
+    result = backbones.run_backbone_bench(names, records=records, origins=3, quick=True, out=tmp_path)
     by_name = {(row["backbone"], row["record"]): row for row in result["rows"]}
     shipped = by_name["shipped", "embedded winter"]
     again = by_name[str(shipped_folder()), "embedded winter"]

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.free_response import limit
 from benchmarks.free_response.limit import cross_validated, in_sample, limit_rows, weather_features
 from benchmarks.free_response.sources import Source
 from thermoforce_mpc.data import HOUR_S, Record
@@ -37,12 +36,10 @@ def source(weather_share: float) -> Source:
     return Source("made up", "made up", history, free, context_steps=14 * 24, least_context_steps=7 * 24)
 
 
-def test_much_can_be_removed_where_weather_moves_the_room_and_nothing_where_it_does_not(monkeypatch):
-    monkeypatch.setattr(limit, "_ORIGINS", 100)
+def test_much_can_be_removed_where_weather_moves_the_room_and_nothing_where_it_does_not():
     lines = []
-    six, day = limit_rows(
-        [source(1.0), replace(source(1.0), free_C=source(1.0).free_C[:-336])], "shipped", lines.append
-    )
+    shorter = replace(source(1.0), free_C=source(1.0).free_C[:-336])
+    six, day = limit_rows([source(1.0), shorter], "shipped", lines.append, most_origins=100)
     assert six["share of the backbone's error removed"] == "first 6 h"
     assert day["share of the backbone's error removed"] == "first 24 h"
     assert day["instants"] == 100
@@ -52,7 +49,7 @@ def test_much_can_be_removed_where_weather_moves_the_room_and_nothing_where_it_d
         assert row["by candidates too, in sample"] > row["cross-validated too"] > 0.8
         assert row["by candidates too, in sample"] > row["by residual"] > 0.8
     assert day["cross-validated"] > 0.25
-    for row in limit_rows([source(0.0)], "shipped", lines.append):
+    for row in limit_rows([source(0.0)], "shipped", lines.append, most_origins=100):
         assert row["cross-validated"] < 0.05
         assert row["cross-validated too"] < 0.05
         assert row["by candidates too, in sample"] < 0.3

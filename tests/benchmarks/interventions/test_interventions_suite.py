@@ -119,11 +119,12 @@ def test_studies_have_their_own_methods_and_names(tmp_path):
 
 @pytest.mark.slow
 def test_efficiency_compares_the_parts_with_the_paper(simulated, folder, tmp_path, monkeypatch):
-    from benchmarks.interventions import cost, studies
+    from benchmarks.interventions import studies
 
     monkeypatch.setattr(interventions, "QUICK", TINY)
-    monkeypatch.setattr(cost, "_REPEATS", 2)
-    result = studies.run_study("efficiency", folder, out=tmp_path, engine=LocalEngine(1), days=(1,), quick=True)
+    result = studies.run_study(
+        "efficiency", folder, out=tmp_path, engine=LocalEngine(1), days=(1,), quick=True, repeats=2
+    )
     rows = {row["component"]: row for row in result["rows"]}
     assert rows["trained parameters"]["here"] <= rows["trained parameters"]["paper"] == 195.0
     assert all(row["here"] > 0 for row in rows.values())

@@ -29,7 +29,7 @@ def test_an_operation_keeps_the_house_warm(plant: EmbeddedPlant, operation: str)
 
 
 def test_a_pair_differs_by_its_levels_only(plant: EmbeddedPlant) -> None:
-    one, other = bench._pair(plant, Layout.single(), 12)
+    one, other = bench.pair_of_days(plant, Layout.single(), 12)
     assert one.T_zone_C[0, 0] == other.T_zone_C[0, 0]
     assert (one.T_out_C == other.T_out_C).all()
     assert np.abs(one.T_zone_C - other.T_zone_C).max() > 0.5
@@ -54,5 +54,5 @@ def test_a_confident_model_that_is_wrong_fails_the_target() -> None:
 def test_heat_is_not_measured(plant: EmbeddedPlant) -> None:
     record = bench.operated(plant, Layout.single(), "thermostat", 20 * DAY_S, 1)
     assert np.isfinite(record.heat_W).all()
-    assert np.isnan(bench._usual(record).heat_W).all()
-    assert (bench._usual(record).u == record.u).all()
+    assert np.isnan(bench.as_usually_measured(record).heat_W).all()
+    assert (bench.as_usually_measured(record).u == record.u).all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from houses import House, record
 
-from benchmarks.operator.many_buildings import _boxed, fit_two_stage_many
+from benchmarks.operator.many_buildings import box_minimisers, fit_two_stage_many
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.two_stage import fit_two_stage
 
@@ -39,7 +39,7 @@ def test_box_is_solved_exactly():
     A = rng.normal(size=(40, 9, 3))
     normal, moment = A.transpose(0, 2, 1) @ A, rng.normal(size=(40, 3)) * 3
     low, high = np.array([-0.2, 0.0, -0.1]), np.array([0.2, np.inf, 0.3])
-    x = _boxed(normal, moment, low, high)
+    x = box_minimisers(normal, moment, low, high)
     assert np.all((x >= low) & (x <= high))
     gradient = (normal @ x[..., None])[..., 0] - moment
     inside = (x > low + 1e-12) & (x < high - 1e-12)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -131,9 +128,8 @@ def test_an_empty_folder_is_refused(tmp_path, own_weather):
 
 def _in_processes(weather, levels, n):
     """Zone temperatures of one run of two days per level, in `n` processes as the bench starts them."""
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(n, context, initializer=speed._begin, initargs=(weather,)) as executor:
-        return list(executor.map(speed._run, levels, [2] * len(levels)))
+    with speed.plant_processes(weather, n) as executor:
+        return list(executor.map(speed.hourly_run, levels, [2] * len(levels)))
 
 
 @pytest.mark.slow
@@ -147,12 +143,11 @@ def test_processes_and_their_number_leave_no_trace_in_the_results():
         assert here.tobytes() == alone.tobytes() == beside.tobytes()
 
 
-def test_how_speed_grows_is_measured_for_threads_and_processes(monkeypatch):
-    monkeypatch.setattr(speed, "_TOGETHER", (1, 3))
-    monkeypatch.setattr(speed, "_PROCESSES", (2,))
-    monkeypatch.setattr(speed, "_BEST_OF", 1)
-    monkeypatch.setattr(speed, "_processes", lambda weather, n: speed.Rate(2.0 * n, 1.0, 0.5))
-    rows = speed.scaling(synthetic_weather(), days=1)
+def test_how_speed_grows_is_measured_for_threads_and_processes():
+    def rate_of(weather, n):
+        return speed.Rate(2.0 * n, 1.0, 0.5)
+
+    rows = speed.scaling(synthetic_weather(), days=1, together=(1, 3), processes=(2,), best_of=1, rate_of=rate_of)
     assert [row["plants"] for row in rows] == [1, 3, 2]
     assert rows[0]["growth"] == 1.0
     assert rows[2]["growth"] == pytest.approx(4.0 / rows[0]["days_per_second"])

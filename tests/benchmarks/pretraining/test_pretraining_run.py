@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from benchmarks.pretraining import training
 from benchmarks.pretraining.__main__ import main
 from benchmarks.pretraining.evaluation import CONTEXTS, evaluate
-from benchmarks.pretraining.training import TrainingConfig, batch_loss, pretrain
+from benchmarks.pretraining.training import TrainingConfig, batch_loss, pretrain, split_parameters
 from thermoforce_mpc.errors import BackboneError, ConfigError
 
 SHIPPED = Path(str(resources.files("thermoforce_mpc"))) / "model/free_response/backbones/weights/bolt_thermal"
@@ -144,7 +144,7 @@ def test_the_loss_falls():
 
     torch.manual_seed(0)
     model = build_model()
-    matrices, rest = training._split_parameters(model)
+    matrices, rest = split_parameters(model)
     assert len(matrices) > 10
     assert {id(p) for p in matrices + rest} == {id(p) for p in model.parameters()}
     optimisers = [torch.optim.Muon(matrices, lr=0.01), torch.optim.AdamW(rest, lr=2e-3)]
@@ -200,8 +200,7 @@ def test_evaluation_names_what_is_wrong(tmp_path):
 
 
 @pytest.mark.slow
-def test_command_line_trains_evaluates_and_refuses(tmp_path, monkeypatch):
-    monkeypatch.setattr(training, "_WARM_UP", 1)
+def test_command_line_trains_evaluates_and_refuses(tmp_path):
     run = CliRunner().invoke(main, ["train", "--out", str(tmp_path), "--steps", "1", "--batch", "4"])
     assert run.exit_code == 0, run.output
     again = CliRunner().invoke(main, ["train", "--out", str(tmp_path), "--steps", "1", "--batch", "4"])
