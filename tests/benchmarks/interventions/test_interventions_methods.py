@@ -156,11 +156,12 @@ def test_a_method_is_told_nothing_of_what_came_of_its_plans(climate, training):
 
 
 @pytest.mark.slow
-def test_the_surrogate_learns_more_than_nothing_and_twice_the_same(climate, training, size):
-    from benchmarks.interventions.methods.surrogate import build_surrogate
+def test_the_surrogate_learns_more_than_nothing_and_twice_the_same(climate, training, size, monkeypatch):
+    from benchmarks.interventions.methods import surrogate
 
-    settings = ((0.2, 1e-4),)
-    one, two = (build_surrogate(training, FREE, epochs=40, settings=settings) for _ in range(2))
+    short = partial(surrogate.build_surrogate, epochs=40, settings=((0.2, 1e-4),))
+    monkeypatch.setattr(surrogate, "build_surrogate", short)
+    one, two = (METHODS["surrogate"].build(training, Forecasters(FREE)) for _ in range(2))
     windows = climate.part("test")
     assert effect_rmse(one, windows) < 0.5 * size
     assert one.respond(windows[0], plans(windows[0])).tobytes() == two.respond(windows[0], plans(windows[0])).tobytes()
