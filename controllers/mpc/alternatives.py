@@ -106,11 +106,11 @@ def alternatives(controller: ThermoForceMPC, observation: Observation, planned: 
         courses.append(model.course(name, u))
     last = history.u[:, -1] if history.n_steps else np.full(len(controller.rules), np.nan)
     if np.isfinite(last).all():
-        courses.append(model.course("levels of the step before", model.allowed(np.repeat(last[:, None], n, axis=1))))
+        courses.append(model.course("levels of the step before", model.limited(np.repeat(last[:, None], n, axis=1))))
     else:
         notes.append("the levels of the step before are not known: the building's own control acted")
-    courses.append(model.course("thermostat rule", model.followed(model.rule)))
-    courses.append(model.course("loops at the bounds", model.followed(model.loop)))
+    courses.append(model.course("thermostat rule", model.follow(model.rule)))
+    courses.append(model.course("loops at the bounds", model.follow(model.loop)))
     return Alternatives(tuple(courses), tuple(notes))
 
 
@@ -173,10 +173,10 @@ class _Model:
         if cooling.any() or (lowest < 0.0).any():
             courses["full cooling" if heating.any() else "full"] = np.where(cooling, highest, lowest)
         n = self._boundary.n_steps
-        return {name: self.allowed(np.repeat(levels[:, None], n, axis=1)) for name, levels in courses.items()}
+        return {name: self.limited(np.repeat(levels[:, None], n, axis=1)) for name, levels in courses.items()}
 
-    def allowed(self, u: Array, first: int = 0) -> Array:
-        """Levels (A, n) within limits, of which no more act together than may, and no machine is asked for too much.
+    def limited(self, u: Array, first: int = 0) -> Array:
+        """Levels (A, n) within limits, of which no more act together than may, and no machine beyond its capacity.
 
         `first`: number of the step that they begin with.
         """
@@ -184,12 +184,12 @@ class _Model:
         u = np.clip(u, m.u_min[:, None], m.u_max[:, None])
         for k in range(u.shape[1] if m.exclusive else 0):
             u[list(self._layout.excluded([float(abs(level)) for level in u[:, k]])), k] = 0.0
-        asked = m.fed_by @ (m.share[:, None] * np.maximum(u, 0.0))
+        load = m.fed_by @ (m.share[:, None] * np.maximum(u, 0.0))
         if self._problem.capacity is not None:
-            asked = asked / self._problem.capacity[:, first : first + u.shape[1]]
-        return np.asarray(u / np.maximum(asked, 1.0)[m.machine_of])
+            load = load / self._problem.capacity[:, first : first + u.shape[1]]
+        return np.asarray(u / np.maximum(load, 1.0)[m.machine_of])
 
-    def followed(self, law: _Law) -> Array:
+    def follow(self, law: _Law) -> Array:
         """Levels (A, N) of a law that sees the predicted temperature at the start of each step."""
         features, n = self._problem.features, self._boundary.n_steps
         u = np.zeros((self._machinery.u_max.size, n))
@@ -197,7 +197,7 @@ class _Model:
         for k in range(n):
             for a in range(u.shape[0]):
                 u[a, k] = law(a, k, T_C, forced, u)
-            u[:, k : k + 1] = self.allowed(u[:, k : k + 1], k)
+            u[:, k : k + 1] = self.limited(u[:, k : k + 1], k)
             forced = self._operator.rollout(forced, u[:, k : k + 1], features[:, k : k + 1])[:, :, 0]
             T_C = compose(self._T_free_C[:, k], forced.sum(axis=(1, 2)))
         return u

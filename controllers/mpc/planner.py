@@ -43,13 +43,13 @@ def build_solver(config: MPCConfig, operator: BuildingOperator, machinery: Equip
         capped=config.objective.power_cap_kW is not None,
         held_steps=config.milp.held_steps(step_s),
     )
-    chosen = config.solver
-    if chosen == "auto":
-        chosen = "ipopt" if operator.of_actuator(0).feedback_active else "milp"
-        chosen = "qp" if shape.convex(operator) else chosen
-    if chosen == "qp":
+    solver = config.solver
+    if solver == "auto":
+        solver = "ipopt" if operator.of_actuator(0).feedback_active else "milp"
+        solver = "qp" if shape.convex(operator) else solver
+    if solver == "qp":
         return QPSolver(operator, shape, config.qp)
-    if chosen == "milp":
+    if solver == "milp":
         return MilpSolver(operator, shape, config.milp, config.qp)
     return IpoptSolver(operator, shape, config.ipopt)
 
@@ -83,7 +83,7 @@ class Planners:
         self._actuators, self._free_responses = actuators, tuple(free_responses)
         self._estimator, self._solver = estimator, solver
         self._zones = tuple(model.actuator(a) for a in range(len(model.names.actuators)))
-        self.base = self._built(model)
+        self.base = self._build(model)
         self._adapted: list[tuple[_Factors, Planner]] = []
 
     def of(self, adaptation: Sequence[AdaptationState | None]) -> Planner:
@@ -91,11 +91,11 @@ class Planners:
         factors = tuple(None if state is None or not state.adapted else state.factors for state in adaptation)
         if not any(factors):
             return self.base
-        for known, planner in self._adapted:
-            if known == factors:
+        for cached_factors, planner in self._adapted:
+            if cached_factors == factors:
                 return planner
         zones = [zone if state is None else state.model for zone, state in zip(self._zones, adaptation, strict=True)]
-        planner = self._built(self.base.model.with_actuators(zones))
+        planner = self._build(self.base.model.with_actuators(zones))
         self._adapted = [*self._adapted, (factors, planner)][-_KEPT:]
         return planner
 
@@ -104,9 +104,9 @@ class Planners:
         renewed = replace(planner, solver=self._solver(planner.operator))
         if planner is self.base:
             self.base = renewed
-        self._adapted = [(factors, renewed if one is planner else one) for factors, one in self._adapted]
+        self._adapted = [(factors, renewed if cached is planner else cached) for factors, cached in self._adapted]
 
-    def _built(self, model: ThermalModel) -> Planner:
+    def _build(self, model: ThermalModel) -> Planner:
         # The operator must match the actuation: below the lowest level the machine switches.
         operator = model.operator.map_actuators(
             lambda a, pair: replace(
