@@ -119,8 +119,14 @@ _IN_KEY: dict[type, str] = {
     SensorConfig: "controllers.sensor_state.SensorConfig",
     WatchConfig: "controllers.watch_state.WatchConfig",
 }
+# Options that came after states were first kept: left out of the key where they change nothing.
+_NEW_OPTIONS = ("terms", "sqp")
 
 
 def controller_key(model: ThermalModel, config: MPCConfig) -> str:
     """Key by which a kept state tells controllers apart: of the same model and options it is the same, 16 digits."""
-    return digest({"mpc": canonical((model, config), _IN_KEY)})
+    of_model, of_config = canonical((model, config), _IN_KEY)
+    for name, field in MPCConfig.model_fields.items():
+        if name in _NEW_OPTIONS and getattr(config, name) == field.get_default(call_default_factory=True):
+            del of_config["fields"][name]
+    return digest({"mpc": [of_model, of_config]})

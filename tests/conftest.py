@@ -21,6 +21,12 @@ settings.register_profile(
 settings.load_profile("same")
 
 
+@pytest.fixture(scope="session", autouse=True)
+def own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """What is built is kept in a folder of the run, not among the user's."""
+    os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.getbasetemp().parent / "cache")
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """Reference data kept beside the project, where a developer has it; tests that need it skip where it is absent."""

@@ -11,8 +11,7 @@ from typing import Any
 from benchmarks.chaos.troubles import Trouble
 from controllers import ThermoForceMPC
 from controllers.mpc.planner import build_solver
-from controllers.optimisation.machines import EquipmentLayout
-from controllers.optimisation.problem import MPCProblem
+from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solution, Solver
 from controllers.registry import controller_config
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Observation, Plan, Record
@@ -46,8 +45,8 @@ class FailingMPC:
         self._made: dict[Trouble, int] = {}
         forecasters = [_Forecaster(method, lambda: self._trouble("forecaster")) for method in free]
 
-        def solver(operator: BuildingOperator, machinery: EquipmentLayout) -> Solver:
-            return _Solver(build_solver(config, operator, machinery), lambda: self._trouble("solver"))
+        def solver(operator: BuildingOperator, shape: ProblemShape) -> Solver:
+            return _Solver(build_solver(config, operator, shape), lambda: self._trouble("solver"))
 
         self._inner = ThermoForceMPC(model, config, free_response=forecasters, solver=solver, name=name)
         self.model = model

@@ -17,7 +17,7 @@ from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.mpc.planner import build_solver
 from controllers.optimisation.ipopt import IpoptSolver
-from controllers.optimisation.machines import EquipmentLayout
+from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape, blocked_moves, every_step
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.solution import Solution, Solver
@@ -65,7 +65,7 @@ def run_controller_bench(*, quick: bool = False, progress: Callable[[str], None]
     mpc, recorded, result = _recorded(days=1.0 if quick else 14.0)
     every = max(1, len(recorded) // (_QUICK_INSTANCES if quick else _INSTANCES))
     problems = [without_extras(problem) for problem in recorded[::every]]
-    seconds, costs = _timed(_contestants(mpc, problems[0], progress), problems, mpc.planning_operator, progress)
+    seconds, costs = _timed(_contestants(mpc, problems[0], progress), problems, mpc.plan_model, progress)
     rows = [solver_row(name, seconds, costs, problems[0].n_steps) for name in seconds]
     rows += _parts(result)
     return results_json("controller", rows, _targets(rows, result))
@@ -101,7 +101,7 @@ def _contestants(
 def _timed(
     solvers: Mapping[str, Callable[[MPCProblem], Array]],
     problems: Sequence[MPCProblem],
-    operator: BuildingOperator,
+    model: PlanModel,
     progress: Callable[[str], None],
 ) -> tuple[dict[str, list[float]], dict[str, list[float]]]:
     """Time, s, and cost of each solver on each problem; solvers alternate, so that other load affects all of them."""
@@ -112,7 +112,8 @@ def _timed(
             began = time.perf_counter()
             u = np.atleast_2d(solve(problem))
             seconds[name].append(time.perf_counter() - began)
-            costs[name].append(float(problem.cost(operator, np.clip(u, 0.0, problem.machinery.u_max[:, None]))))
+            u = np.clip(u, 0.0, problem.machinery.u_max[:, None])
+            costs[name].append(float(model.costs(model.numbers(problem), u)))
         if i % 10 == 9:
             progress(f"{i + 1} of {len(problems)} instances")
     return seconds, costs
@@ -136,8 +137,8 @@ def _recorded(days: float) -> tuple[ThermoForceMPC, list[MPCProblem], RunResult]
     assert isinstance(config, MPCConfig)
     problems: list[MPCProblem] = []
 
-    def solver(operator: BuildingOperator, machinery: EquipmentLayout) -> Solver:
-        return Recorder(build_solver(config, operator, machinery), problems)
+    def solver(operator: BuildingOperator, shape: ProblemShape) -> Solver:
+        return Recorder(build_solver(config, operator, shape), problems)
 
     with closing(EmbeddedPlant(synthetic_weather())) as plant:
         period = replace(plant.period("peak_heat_day"), scored_s=days * 86400.0)

@@ -111,7 +111,7 @@ class DoMpcPeer:
         full, features = np.full(self._n, highest), p.features[0]
         drive = self._operator.drive(full, features) / highest
         given = [drive] if self._gain_beforehand else list(features.T)
-        price = p.price_per_W[0] * p.power_W(full[None])[0] / highest
+        price = p.price_per_W[0] * (p.power_fixed_W[0] + p.power_per_u_W[0] * highest) / highest
         values = np.stack([*given, price, p.T_free_C[0], p.lower_C[0], p.upper_C[0]], axis=1)
         for k in range(self._n + 1):
             row = values[min(k, self._n - 1)]

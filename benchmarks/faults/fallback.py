@@ -17,8 +17,7 @@ from benchmarks.faults.faulty_plant import FaultyPlant
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.planner import build_solver
-from controllers.optimisation.machines import EquipmentLayout
-from controllers.optimisation.problem import MPCProblem
+from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solution, Solver
 from controllers.registry import controller_config
 from controllers.rules.native import NativeController
@@ -116,8 +115,8 @@ class _Broken:
     def __init__(self, model: ThermalModel, config: MPCConfig, case: Case, from_s: float, to_s: float) -> None:
         self.model, self._now = model, _Now()
 
-        def solver(operator: BuildingOperator, machinery: EquipmentLayout) -> Solver:
-            working = build_solver(config, operator, machinery)
+        def solver(operator: BuildingOperator, shape: ProblemShape) -> Solver:
+            working = build_solver(config, operator, shape)
             return _BrokenSolver(working, self._now) if case.solver_raises else working
 
         self._inner = ThermoForceMPC(model, config, solver=solver)

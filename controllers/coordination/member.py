@@ -5,19 +5,27 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+import casadi as ca
 import numpy as np
 from scipy import sparse
 
 from controllers.checks import ControllerConfigError
+from controllers.optimisation.plan_model import Evaluation, PlanModel
 from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem, ProblemShape
 from controllers.optimisation.qp_backends import Clarabel, Piqp, QPConfig, QPData
 from controllers.optimisation.solution import Solution, checked_solution
-from controllers.optimisation.sparse_qp import SparseQP
+from controllers.optimisation.terms import PlanExpressions
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 
 # Power above its limit that a checked plan may have, kW: a solver's tolerance.
 LIMIT_TOLERANCE_KW = 1e-5
+
+
+def power_of_steps(plan: PlanExpressions) -> None:
+    """The building's power over each step as variables, kW."""
+    power = plan.variable("power", plan.power_W.shape[1], -np.inf, np.inf)
+    plan.equal(power - ca.sum1(plan.power_W) / POWER_UNIT_W)
 
 
 def diagonal(values: Array) -> sparse.csc_matrix:
@@ -84,7 +92,8 @@ class QPMember:
         config: QPConfig,
         largest_kW: Array | None = None,
     ) -> None:
-        if not shape.convex(operator):
+        self._model = PlanModel(operator, replace(shape, terms=(*shape.terms, power_of_steps)))
+        if not self._model.convex or self._model.structure.chosen:
             raise ControllerConfigError(
                 f"{name}: buildings that share power need a convex problem; use actuation mode duty and a model "
                 "without feedback"
@@ -94,10 +103,10 @@ class QPMember:
             problem = replace(
                 problem, power_per_u_W=problem.power_per_u_W + problem.power_per_u2_W, power_per_u2_W=None
             )
-        self._sparse_qp = SparseQP(operator, shape)
-        self._problem = self._sparse_qp.as_solved(problem)
-        self._drive = self._sparse_qp.drive(self._problem)
-        self.data = self._with_power(self._sparse_qp.numbers(self._problem, self._drive))
+        self._problem, self._p = problem, self._model.numbers(problem)
+        data = self._model.local(self._p)
+        self.data = replace(data, quadratic=diagonal(data.quadratic.diagonal()))
+        self.of_power = self._model.own_at
         self._piqp = Piqp(config)
         self.largest_kW = self._largest_kW() if largest_kW is None else largest_kW
 
@@ -123,50 +132,25 @@ class QPMember:
             solution = self._checked(answer.x, data) if answer.solved else None
             if solution is None or not solution.ok:
                 continue
-            power_kW = self._problem.power_W(solution.u).sum(axis=0) / POWER_UNIT_W
+            found = self._brought(solution.u)
+            power_kW = found.power_W.sum(axis=0) / POWER_UNIT_W
             if (power_kW <= limit_kW + LIMIT_TOLERANCE_KW).all():
-                modes = self._sparse_qp.modes(self._problem, self._drive, solution.u)
-                return Settled(solution, float(self._problem.cost_under(solution.u, modes)), power_kW)
+                return Settled(solution, found.cost, power_kW)
         return None
 
+    def _brought(self, u: Array) -> Evaluation:
+        return self._model.evaluate(self._problem, self._p, u)
+
     def _checked(self, x: Array, data: QPData) -> Solution:
-        own = x[: self._sparse_qp.n_variables]
-        u = self._sparse_qp.levels(own)
-
-        def modes_of(levels: Array) -> Array:
-            return self._sparse_qp.modes(self._problem, self._drive, levels)
-
-        return checked_solution(self._problem, modes_of, u, data.objective(x), "settled", 0)
+        model, u = self._model, self._model.levels(x)
+        power_kW = self._brought(u).power_W.sum(axis=0) / POWER_UNIT_W
+        return checked_solution(model, self._problem, self._p, u, data.objective(x), "settled", 0, power_kW)
 
     def _largest_kW(self) -> Array:
         """Power with every actuator at its end that takes most; where capacity allows less, more than that."""
         p = self._problem
         highest, lowest = p.machinery.u_max[:, None], p.machinery.u_min[:, None]
-        power = p.power_W(np.repeat(highest, p.n_steps, axis=1)).sum(axis=0)
+        power = self._brought(np.repeat(highest, p.n_steps, axis=1)).power_W.sum(axis=0)
         if p.cooling is not None:
             power += np.maximum(-lowest * p.cooling.power_per_u_W - highest * p.power_per_u_W, 0.0).sum(axis=0)
         return np.asarray(power / POWER_UNIT_W)
-
-    def _with_power(self, q: QPData) -> QPData:
-        """The programme with the power of each step, kW, as further variables."""
-        n, width = self._problem.n_steps, q.linear.size
-        self.of_power = width + np.arange(n)
-        power = self._sparse_qp.power(self._problem)
-        eye = sparse.identity(n, format="csc")
-        A = sparse.vstack(
-            [sparse.hstack([q.A, sparse.csc_matrix((q.A.shape[0], n))]), sparse.hstack([power, -eye])], format="csc"
-        )
-        G = sparse.hstack([q.G, sparse.csc_matrix((q.G.shape[0], n))], format="csc")
-        return QPData(
-            diagonal(np.concatenate([q.quadratic.diagonal(), np.zeros(n)])),
-            np.concatenate([q.linear, np.zeros(n)]),
-            A,
-            np.concatenate([q.b, np.zeros(n)]),
-            G,
-            q.low.copy(),
-            q.high.copy(),
-            np.concatenate([q.x_low, np.full(n, -np.inf)]),
-            np.concatenate([q.x_high, np.full(n, np.inf)]),
-            q.unit,
-            q.constant,
-        )

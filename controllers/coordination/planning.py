@@ -14,7 +14,9 @@ from controllers.coordination.member import QPMember
 from controllers.coordination.settling import Agreement
 from controllers.many.batch import BatchPlanner, Planned, buildings_of
 from controllers.mpc.config import MPCConfig
+from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.qp import QPSolver
+from controllers.optimisation.qp_backends import QPConfig
 from controllers.optimisation.solution import Solve, failed
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import DataError
@@ -129,15 +131,17 @@ class _SharedSolves:
         members, why = dict[int, QPMember](), dict[int, str]()
         for i, labelled in of.items():
             solver, problem = labelled.solve.solver, labelled.solve.problem
-            if not isinstance(solver, QPSolver):
+            model = getattr(solver, "model", None)
+            if not isinstance(model, PlanModel) or not model.convex or model.structure.chosen:
                 why[i] = "its problem is not convex"
-            elif not problem.finite():
+            elif not np.isfinite(model.numbers(problem)).all():
                 why[i] = "its problem holds numbers that are not finite"
             elif problem.n_steps != self.shared.limit_kW.size:
                 why[i] = f"it plans {problem.n_steps} steps, and {self.shared.limit_kW.size} are shared"
             else:
                 largest = np.full(problem.n_steps, self.largest_kW[labelled.name])
-                members[i] = QPMember(labelled.name, solver.operator, solver.shape, problem, solver.config, largest)
+                config = solver.config if isinstance(solver, QPSolver) else QPConfig()
+                members[i] = QPMember(labelled.name, model.operator, model.shape, problem, config, largest)
         taking_part = {of[i].name for i in members}
         others = [power for name, power in self.largest_kW.items() if name not in taking_part]
         aside_kW = np.full(self.shared.limit_kW.size, sum(others))

@@ -11,8 +11,8 @@ from controllers.checks import ControllerConfigError
 from controllers.dpc.config import DPCConfig
 from controllers.dpc.policy import Policy, drive_parts, lead_steps, load_policy, operator_sha256
 from controllers.mpc.controller import ThermoForceMPC, at_step
-from controllers.optimisation.machines import EquipmentLayout
-from controllers.optimisation.problem import MPCProblem
+from controllers.optimisation.plan_model import PlanModel
+from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solution, checked_solution, failed
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -22,8 +22,9 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 class PolicySolver:
     """Levels of a policy in closed loop with the operator over the horizon; checked as a solver's are."""
 
-    def __init__(self, policy: Policy, operator: BuildingOperator) -> None:
+    def __init__(self, policy: Policy, operator: BuildingOperator, shape: ProblemShape) -> None:
         self._policy, self.operator, self._pair = policy, operator, operator.of_actuator(0)
+        self._model = PlanModel(operator, shape)
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
         """The policy's levels; beyond the horizon the last step is taken to go on. `guess` is not used."""
@@ -41,10 +42,9 @@ class PolicySolver:
         )[None]
         if not np.isfinite(u).all():
             return failed("policy", problem.n_steps, "the policy gave levels that are not finite")
-        modes = problem.modes_K(self.operator, u)
-        return checked_solution(
-            problem, lambda levels: modes, u, float(problem.cost_under(u, modes)), "policy", problem.n_steps
-        )
+        p = self._model.held_numbers(problem)
+        cost = self._model.evaluate(problem, p, u).cost
+        return checked_solution(self._model, problem, p, u, cost, "policy", problem.n_steps)
 
 
 class DPC(ThermoForceMPC):
@@ -93,7 +93,7 @@ class DPC(ThermoForceMPC):
             f"{super().actuation_in_words}; policy of {self.policy.iterations} iterations, loss {self.policy.loss:.3f}"
         )
 
-    def _policy_solver(self, operator: BuildingOperator, machinery: EquipmentLayout) -> PolicySolver:
+    def _policy_solver(self, operator: BuildingOperator, shape: ProblemShape) -> PolicySolver:
         """The policy in the place of a solver; trained for the first operator, that of the model, if none was given."""
         if self._policy is None:
             from controllers.dpc.training import train_policy
@@ -102,7 +102,7 @@ class DPC(ThermoForceMPC):
             self._policy = train_policy(
                 self._model_at_step.actuator(0), self._actuators.each[0], self.config, self.step_s, self._progress
             )
-        return PolicySolver(self._policy, operator)
+        return PolicySolver(self._policy, operator, shape)
 
     def _check(self) -> None:
         """Raise `ControllerConfigError` for a policy of another operator, step or actuation."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from controllers.mpc.controller import ThermoForceMPC
+from controllers.optimisation.plan_model import Evaluation
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, FreeForecast, Observation
 from thermoforce_mpc.data.superposition import compose
@@ -93,7 +94,7 @@ def alternatives(controller: ThermoForceMPC, observation: Observation, planned: 
     model = _Model(controller, context, observation)
     courses = []
     if planned is not None:
-        saved_K = model.forced_K(planned.u)
+        saved_K = model.evaluate(planned.u).forced_K
         off_K = float(np.abs(saved_K - planned.T_forced_K).max())
         if off_K > _SAME_K:
             notes.append(
@@ -144,21 +145,23 @@ class _Model:
         )
         self.base_K: Array | float = 0.0
 
-    def forced_K(self, u: Array) -> Array:
-        """Forced response (Z, N), K, under levels (A, N)."""
-        return self._problem.forced_K(self._operator, u)
+    def evaluate(self, u: Array) -> Evaluation:
+        """What levels (A, N) bring, by the statement of the plan."""
+        model = self._controller.plan_model
+        return model.evaluate(self._problem, model.held_numbers(self._problem), u)
 
     def course(self, name: str, u: Array) -> Course:
         """What the model predicts under levels (A, N)."""
-        T_zone_C = compose(self._T_free_C, self.forced_K(u)) + self.base_K
+        brought = self.evaluate(u)
+        T_zone_C = compose(self._T_free_C, brought.forced_K) + self.base_K
         hours = self._boundary.step_s / HOUR_S
         outside_K = np.maximum(self._boundary.lower_C[:, 1:] - T_zone_C, T_zone_C - self._boundary.upper_C[:, 1:])
         return Course(
             name,
             u,
             T_zone_C,
-            cost=float(self._problem.energy_cost(u).sum()),
-            energy_kWh=float(self._problem.power_W(u).sum()) * self._boundary.step_s / J_PER_KWH,
+            cost=float(brought.energy_cost.sum()),
+            energy_kWh=float(brought.power_W.sum()) * self._boundary.step_s / J_PER_KWH,
             discomfort_Kh=float(np.maximum(outside_K, 0.0).sum()) * hours,
         )
 

@@ -14,6 +14,7 @@ from controllers.optimisation.candidate_search import SearchConfig
 from controllers.optimisation.ipopt import IpoptConfig
 from controllers.optimisation.milp import MilpConfig
 from controllers.optimisation.qp_backends import QPConfig
+from controllers.optimisation.sqp import SQPConfig
 from controllers.safety.fallback_policy import FallbackConfig
 from controllers.safety.overrides import GateConfig, GuardConfig
 from thermoforce_mpc.data import HOUR_S
@@ -125,12 +126,18 @@ class MPCConfig(StrictModel):
     offset_h: float | None = Field(
         6.0, gt=0, description="time over which the mean error of one-step predictions is added to them, h; null: never"
     )
-    solver: Literal["auto", "qp", "milp", "ipopt", "search"] = Field(
+    solver: Literal["auto", "ipopt", "qp", "sqp", "milp", "search"] = Field(
         "auto",
-        description="qp: quadratic programme (duty); milp: choices between off and on in the first hours by "
-        "mixed-integer programming (modulating from a lowest level, actuators that exclude one another); ipopt: "
-        "nonlinear programme; search: the paper's candidate trajectories; auto: the first of qp, milp and ipopt that "
-        "fits the problem",
+        description="ipopt: nonlinear programme; qp: quadratic programme, where power and heat are linear in u; sqp: "
+        "sequential quadratic programming, where the gain sees the predicted temperature; milp: choices between off "
+        "and on in the first hours by mixed-integer programming (modulating from a lowest level, actuators that "
+        "exclude one another); search: the paper's candidate trajectories; auto: milp with choices, else ipopt up to "
+        "two zones, qp or sqp beyond",
+    )
+    terms: str | None = Field(
+        None,
+        description="file.py:function of your own that adds terms to objective and constraints, see the how-to "
+        "'Your own optimisation'",
     )
     objective: ObjectiveConfig = ObjectiveConfig()
     move_blocking: MoveBlockingConfig = MoveBlockingConfig()
@@ -159,6 +166,7 @@ class MPCConfig(StrictModel):
     qp: QPConfig = QPConfig()
     milp: MilpConfig = MilpConfig()
     ipopt: IpoptConfig = IpoptConfig()
+    sqp: SQPConfig = SQPConfig()
     search: SearchConfig = SearchConfig()
 
     def actuation_of(self, actuator: str) -> ActuationConfig:

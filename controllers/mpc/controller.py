@@ -15,14 +15,14 @@ from controllers.mpc.config import FreeResponseConfig, MPCConfig
 from controllers.mpc.formulation import Formulation, Instance
 from controllers.mpc.margins import Margins
 from controllers.mpc.model_watch import WatchedPredictions
-from controllers.mpc.planner import Planners, build_solver
+from controllers.mpc.planner import Planners, build_solver, plan_shape
 from controllers.mpc.prediction import Failure, Forecast, Prediction
 from controllers.mpc.readings import Readings, ReadingsFilter
 from controllers.mpc.realisation import Realisation
 from controllers.mpc.solved import first_demands, solved_plan
 from controllers.mpc.state import MPCState
-from controllers.optimisation.machines import EquipmentLayout
-from controllers.optimisation.problem import MPCProblem
+from controllers.optimisation.plan_model import PlanModel
+from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solve, Solver
 from controllers.safety.base import ActuatedController
 from controllers.safety.deadline import BoundedCalls, Overdue
@@ -51,8 +51,8 @@ from thermoforce_mpc.protocols import FreeResponse
 _SOLVERS_ABANDONED = 3
 
 
-SolverBuilder = Callable[[BuildingOperator, EquipmentLayout], Solver]
-"""Builds the solver of an operator, which is adjusted to the actuation, and of the machines behind it."""
+SolverBuilder = Callable[[BuildingOperator, ProblemShape], Solver]
+"""Builds the solver of an operator, which is adjusted to the actuation, and of what all its problems have in common."""
 
 
 class ThermoForceMPC(ActuatedController):
@@ -106,13 +106,15 @@ class ThermoForceMPC(ActuatedController):
         self._actuation_why = "; ".join(dict.fromkeys(reasons))
         self._handler = DirectHandler(BoundedCalls(len(zones) + _SOLVERS_ABANDONED))
         self._formulation = Formulation(c, model, self._actuators)
-        solver_of, machinery = solver or partial(build_solver, c), self._formulation.machinery
+        shape_of = partial(plan_shape, c, machinery=self._formulation.machinery, curved=self._formulation.bent)
+        solver_of = solver or partial(build_solver, c)
         self._planners = Planners(
             model,
             self._actuators,
             _free_responses(c.free_response, model, free_response),
             c.estimator,
-            lambda operator: solver_of(operator, machinery),
+            lambda operator: solver_of(operator, shape_of(operator)),
+            shape_of,
         )
         expected_power = self._formulation.expected_power_W
         watches = [Watch(c.watch, zone, n_steps, partial(expected_power, a)) for a, zone in enumerate(zone_models)]
@@ -154,6 +156,11 @@ class ThermoForceMPC(ActuatedController):
     def planning_operator(self) -> BuildingOperator:
         """The operator of `model`, adjusted to the actuation, as `instance` goes with it."""
         return self._planners.base.operator
+
+    @property
+    def plan_model(self) -> PlanModel:
+        """The statement with the numbers of `planning_operator`: what any levels bring."""
+        return self._planners.base.plan_model
 
     @property
     def actuation_in_words(self) -> str:

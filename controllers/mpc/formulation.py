@@ -53,15 +53,9 @@ class Formulation:
             tuple(power.load.lowest_level if power.load.lowest_level < 1.0 else 0.0 for power in self.power),
             layout.exclusive,
         )
-        aims = config.objective
-        # Choices, rows of power and Ipopt take power as linear in u: its chord, which is too high at part load.
-        self._straight = (
-            aims.peak_price_per_kW > 0
-            or aims.power_cap_kW is not None
-            or config.solver in ("milp", "ipopt")
-            or bool(self.machinery.held.any() or layout.exclusive)
-            or model.operator.of_actuator(0).feedback_active
-        )
+        # Choices take power as linear in u: its chord, which is too high at part load.
+        self._straight = config.solver == "milp" or bool(self.machinery.held.any() or layout.exclusive)
+        self.bent = not self._straight and any(power.load.curve_W for power in self.power)
 
     def instance(
         self,
@@ -111,7 +105,7 @@ class Formulation:
         per_u2_W = np.stack([weight * bends[m] for weight, m in zip(layout.weights, layout.machine_of, strict=True)])
         if self._straight:
             per_u_W = per_u_W + per_u2_W
-        bent = bool(per_u2_W.any()) and not self._straight
+        bent = self.bent and bool(per_u2_W.any())
         highest, fed_by = self.machinery.u_max, list(layout.machine_of)
         highest_W = np.array(layout.weights) * fixed_W[fed_by, -1] + per_u_W[:, -1] * highest
         if bent:

@@ -12,9 +12,12 @@ from controllers.optimisation.candidate_search import CandidateSearch
 from controllers.optimisation.ipopt import IpoptSolver
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.milp import MilpSolver
-from controllers.optimisation.problem import ProblemShape, blocked_moves
+from controllers.optimisation.plan_model import PlanModel
+from controllers.optimisation.problem import ProblemShape, blocked_moves, every_step
 from controllers.optimisation.qp import QPSolver
-from controllers.optimisation.solution import Solver
+from controllers.optimisation.solution import FirstOf, Solver
+from controllers.optimisation.sqp import SQPSolver
+from controllers.optimisation.terms import load_terms
 from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
 from thermoforce_mpc.model.forced_state import EstimatorConfig, ForcedStateEstimator
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -22,36 +25,58 @@ from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
+# Zones up to which Ipopt solves a step well within 50 ms.
+_ZONES_FOR_IPOPT = 2
 
-def build_solver(config: MPCConfig, operator: BuildingOperator, machinery: EquipmentLayout) -> Solver:
-    """The solver named in `config`, or for `auto` the fastest one that fits the problem, over the horizon of `config`.
 
-    Raises:
-        ControllerConfigError: the solver named does not fit the problem.
-    """
-    n_steps, step_s = config.n_steps(operator.step_s), operator.step_s
-    if config.solver == "search":
-        if machinery.signed.size:
-            raise ControllerConfigError(
-                "controller.options.solver: search does not plan heating and cooling together; use auto or qp"
-            )
-        return CandidateSearch(operator, n_steps, config.search)
-    shape = ProblemShape(
-        blocked_moves(n_steps, step_s, config.move_blocking.free_h, config.move_blocking.hold_h),
+def plan_shape(
+    config: MPCConfig, operator: BuildingOperator, machinery: EquipmentLayout, *, curved: bool = False
+) -> ProblemShape:
+    """What all problems over the horizon of `config` have in common; `curved`: power has a part in u²."""
+    step_s = operator.step_s
+    return ProblemShape(
+        blocked_moves(config.n_steps(step_s), step_s, config.move_blocking.free_h, config.move_blocking.hold_h),
         machinery,
         peak=config.objective.peak_price_per_kW > 0,
         capped=config.objective.power_cap_kW is not None,
         held_steps=config.milp.held_steps(step_s),
+        curved=curved,
+        terms=load_terms(config.terms),
     )
-    solver = config.solver
-    if solver == "auto":
-        solver = "ipopt" if operator.of_actuator(0).feedback_active else "milp"
-        solver = "qp" if shape.convex(operator) else solver
-    if solver == "qp":
-        return QPSolver(operator, shape, config.qp)
-    if solver == "milp":
-        return MilpSolver(operator, shape, config.milp, config.qp)
-    return IpoptSolver(operator, shape, config.ipopt)
+
+
+def build_solver(config: MPCConfig, operator: BuildingOperator, shape: ProblemShape) -> Solver:
+    """The solver named in `config`, or for `auto` the one that fits the problem.
+
+    Raises:
+        ControllerConfigError: the solver named does not fit the problem.
+    """
+    if config.solver == "search":
+        if shape.machinery.signed.size or shape.terms:
+            raise ControllerConfigError(
+                "controller.options.solver: search plans neither heating and cooling together nor terms; use auto or qp"
+            )
+        unblocked = replace(shape, move_of_step=every_step(shape.n_steps))
+        return CandidateSearch(operator, unblocked, config.search)
+    build: dict[str, Callable[[], Solver]] = {
+        "ipopt": lambda: IpoptSolver(operator, shape, config.ipopt),
+        "qp": lambda: QPSolver(operator, shape, config.qp),
+        "sqp": lambda: FirstOf([SQPSolver(operator, shape, config.sqp, config.qp), build["ipopt"]()]),
+        "milp": lambda: MilpSolver(operator, shape, config.milp, config.qp),
+    }
+    return build[chosen_solver(config, operator, shape)]()
+
+
+def chosen_solver(config: MPCConfig, operator: BuildingOperator, shape: ProblemShape) -> str:
+    """The solver named in `config`; for `auto` by choices, size and convexity of the problem."""
+    if config.solver != "auto":
+        return config.solver
+    convex = PlanModel(operator, shape).convex
+    if shape.needs_choices:
+        return "milp" if convex else "ipopt"
+    if len(operator.zones) <= _ZONES_FOR_IPOPT:
+        return "ipopt"
+    return "qp" if convex else "sqp"
 
 
 # Number of cached planners for adapted models; others are rebuilt when needed.
@@ -70,6 +95,7 @@ class Planners:
         free_responses: the free response of each zone (Z,).
         estimator: options of the estimator of forced states.
         solver: builds the solver of an operator, which is adjusted to the actuation.
+        shape: what the problems of an operator have in common.
     """
 
     def __init__(
@@ -79,9 +105,10 @@ class Planners:
         free_responses: Sequence[FreeResponse],
         estimator: EstimatorConfig,
         solver: Callable[[BuildingOperator], Solver],
+        shape: Callable[[BuildingOperator], ProblemShape],
     ) -> None:
         self._actuators, self._free_responses = actuators, tuple(free_responses)
-        self._estimator, self._solver = estimator, solver
+        self._estimator, self._solver, self._shape = estimator, solver, shape
         self._zones = tuple(model.actuator(a) for a in range(len(model.names.actuators)))
         self.base = self._build(model)
         self._adapted: list[tuple[_Factors, Planner]] = []
@@ -115,14 +142,18 @@ class Planners:
         )
         estimator = ForcedStateEstimator(model.operator, config=self._estimator)
         predictor = Predictor(model.operator, self._free_responses, estimator=estimator)
-        return Planner(model, predictor, operator, self._solver(operator))
+        return Planner(model, predictor, operator, self._solver(operator), PlanModel(operator, self._shape(operator)))
 
 
 @dataclass(frozen=True)
 class Planner:
-    """Predictor and solver of one thermal model; `operator` is the model's, adjusted to the actuation."""
+    """Predictor and solver of one thermal model; `operator` is the model's, adjusted to the actuation.
+
+    `plan_model`: the statement that says what levels bring, whatever solver they are from.
+    """
 
     model: ThermalModel
     predictor: Predictor
     operator: BuildingOperator
     solver: Solver
+    plan_model: PlanModel

@@ -37,9 +37,9 @@ def solved_plan(instance: Instance, solution: Solution, solve_s: float, forecast
     """
     problem, context, free = instance.problem, forecast.context, forecast.context.free
     u, names = solution.u, readings.observation.names
-    T_free_C, forced_K = problem.T_free_C, problem.forced_K(forecast.planner.operator, solution.u)
-    T_zone_C = compose(T_free_C, forced_K)
-    slack_K = problem.slack_K(T_zone_C)
+    model = forecast.planner.plan_model
+    brought = model.evaluate(problem, model.held_numbers(problem), u)
+    T_zone_C, slack_K = compose(problem.T_free_C, brought.forced_K), brought.slack_K
     doubts, learned = (*readings.doubts, free.doubt), forecast.state.margins
     status = PlanStatus.BRIDGED if any(doubts) else PlanStatus.SOLVED
     reason = reason_of(problem, names.zones, T_zone_C, slack_K, free)
@@ -49,12 +49,12 @@ def solved_plan(instance: Instance, solution: Solution, solve_s: float, forecast
         why=joined([solution.problem, reason, *doubts, context.bridged]),
         u=u,
         T_free_now_C=problem.features[:, 0, ZONE],
-        T_free_C=T_free_C,
-        T_forced_K=forced_K,
+        T_free_C=problem.T_free_C,
+        T_forced_K=brought.forced_K,
         T_free_low_C=free.quantile_C(0.1),
         T_free_high_C=free.quantile_C(0.9),
         slack_K=slack_K,
-        power_W=problem.power_W(u),
+        power_W=brought.power_W,
         time_s=context.boundary.time_s[: u.shape[1]],
         origin=readings.history.origin,
         solver_status=solution.status,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from functools import partial
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
-from controllers.optimisation.problem import MPCProblem
+from controllers.optimisation.plan_model import PlanModel
+from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solution, checked_solution, failed
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -31,19 +31,19 @@ class SearchConfig(StrictModel):
 
 
 class CandidateSearch:
-    """Evaluates all candidates, and the guess if given, in one vectorised rollout.
+    """Evaluates all candidates, and the guess if given.
 
     With several actuators, the candidates of one are tried while the others keep theirs, in turn until none gains: a
     plan that no change of a single actuator to a candidate improves, which need not be the cheapest of all.
     """
 
-    def __init__(self, operator: BuildingOperator, n_steps: int, config: SearchConfig) -> None:
-        self.operator = operator
-        self._candidates = _two_level_trajectories(config, n_steps)
+    def __init__(self, operator: BuildingOperator, shape: ProblemShape, config: SearchConfig) -> None:
+        self.model, self.operator = PlanModel(operator, shape), operator
+        self._candidates = _two_level_trajectories(config, shape.n_steps)
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
         """The cheapest candidate. On failure `ok` is False and `problem` has the reason."""
-        highest, modes_of = problem.machinery.u_max, partial(problem.modes_K, self.operator)
+        highest, p = problem.machinery.u_max, self.model.held_numbers(problem)
         best, least, tried = np.zeros((highest.size, problem.n_steps)), np.inf, 0
         starts = [] if guess is None else [guess]
         for _ in range(1 if highest.size == 1 else _MOST_SWEEPS):
@@ -53,17 +53,16 @@ class CandidateSearch:
                 trials = np.repeat(best[None], len(candidates), axis=0)
                 trials[:, a] = candidates
                 trials = np.concatenate([trials, *(start[None] for start in starts)])
-                costs = problem.cost(self.operator, trials)
-                if highest.size > 1:  # one actuator alone is checked with the solution
-                    costs = np.where([not problem.outside(u) for u in trials], costs, np.inf)
+                costs = self.model.costs(p, trials)
                 tried += len(trials)
                 if not np.isfinite(costs).any():
-                    return failed("no candidate", tried, "no candidate has a finite cost")
-                best, least = trials[int(np.nanargmin(costs))], float(np.nanmin(costs))
+                    return failed("search: no candidate", tried, "no candidate has a finite cost")
+                costs = np.where(np.isfinite(costs), costs, np.inf)
+                best, least = trials[int(np.argmin(costs))], float(costs.min())
                 starts = [best]
             if not least < before:
                 break
-        return checked_solution(problem, modes_of, best, least, "best_candidate", tried)
+        return checked_solution(self.model, problem, p, best, least, "search:best_candidate", tried)
 
 
 def _two_level_trajectories(config: SearchConfig, n_steps: int) -> Array:

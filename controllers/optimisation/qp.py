@@ -1,7 +1,4 @@
-"""The convex case of the MPC problem as a sparse quadratic programme: the fastest solver.
-
-Every solution is checked by a rollout of the modes of every pair before it is accepted.
-"""
+"""The convex problem as a sparse quadratic programme."""
 
 from __future__ import annotations
 
@@ -10,10 +7,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from controllers.checks import ControllerConfigError
+from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.qp_backends import Clarabel, Piqp, QPBackend, QPConfig, QPData, SolverResult
-from controllers.optimisation.solution import Solution, accept_suboptimal, checked_solution, failed
-from controllers.optimisation.sparse_qp import Drive, SparseQP
+from controllers.optimisation.solution import Solution, accept_suboptimal, checked_variables, failed
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 
@@ -28,8 +25,7 @@ class QPSolver:
         backends: solvers in the place of PIQP and Clarabel, by name.
 
     Raises:
-        ControllerConfigError: the problem is not convex (levels between off and `u_max` have their own efficiency, or
-            actuators exclude one another), or the operator is not of these actuators.
+        ControllerConfigError: the problem is not convex, or the operator is not of these actuators.
     """
 
     def __init__(
@@ -39,14 +35,13 @@ class QPSolver:
         config: QPConfig,
         backends: Mapping[QPBackend, Callable[[QPData], SolverResult]] | None = None,
     ) -> None:
-        if not shape.convex(operator):
+        self.model, self.operator, self.config = PlanModel(operator, shape), operator, config
+        if not self.model.convex or self.model.structure.chosen:
             raise ControllerConfigError(
                 "solver qp: power or heat is not proportional to u in this actuation, actuators exclude one another, "
                 "or the gain depends on the predicted temperature, so the problem is not convex; use actuation mode "
                 "duty with a model of feedback: false, solver: milp, or solver: ipopt"
             )
-        self.operator, self.shape, self.config = operator, shape, config
-        self._sparse_qp = SparseQP(operator, shape)
         self._backends: dict[QPBackend, Callable[[QPData], SolverResult]]
         self._backends = {"piqp": Piqp(config), "clarabel": Clarabel(config), **(backends or {})}
 
@@ -55,41 +50,32 @@ class QPSolver:
 
         `guess` starts no solver; where none reached its optimum, their last levels must not cost more than it does.
         """
-        if not problem.finite():
+        p = self.model.numbers(problem)
+        if not np.isfinite(p).all():
             return failed("not started", 0, "the problem holds numbers that are not finite")
-        problem = self._sparse_qp.as_solved(problem)
-        drive = self._sparse_qp.drive(problem)
-        qp_data = self._sparse_qp.numbers(problem, drive)
+        programme = self.model.local(p)
         failures: list[str] = []
         solution, iterate = failed("not started", 0, "no solver"), None
         for backend in self.config.backends:
-            solution = self._attempt(backend, qp_data, problem, drive, guess)
+            solution = self._attempt(backend, programme, problem, p, guess)
             if solution.ok and solution.optimal:
                 return solution
             iterate = iterate or (solution if solution.ok else None)
             failures.append(f"{backend}: {solution.problem}")
-        if iterate is not None:
-            return iterate
-        return failed(solution.status, solution.iterations, "; ".join(failures))
+        return iterate or failed(solution.status, solution.iterations, "; ".join(failures))
 
     def _attempt(
-        self, backend: QPBackend, qp_data: QPData, problem: MPCProblem, drive: Drive, guess: Array | None
+        self, backend: QPBackend, programme: QPData, problem: MPCProblem, p: Array, guess: Array | None
     ) -> Solution:
         try:
-            answer = self._backends[backend](qp_data)
+            answer = self._backends[backend](programme)
         except (KeyboardInterrupt, SystemExit):
             raise
         except BaseException as error:  # also a panic of a compiled solver, which is no Exception: the next is tried
             return failed(f"{backend}:raised", 0, f"raised {type(error).__name__}: {error}")
         status = f"{backend}:{answer.status}"
-
-        def modes_of(u: Array) -> Array:
-            return self._sparse_qp.modes(problem, drive, u)
-
-        if not answer.solved:
-            ended = failed(status, answer.iterations, f"ended with {answer.status}")
-            if answer.x.size != qp_data.linear.size or not np.isfinite(answer.x).all():
-                return ended
-            return accept_suboptimal(problem, modes_of, self._sparse_qp.levels(answer.x), guess, ended)
-        u, claimed = self._sparse_qp.levels(answer.x), qp_data.objective(answer.x)
-        return checked_solution(problem, modes_of, u, claimed, status, answer.iterations)
+        if answer.solved:
+            claimed = programme.objective(answer.x) if answer.x.size == programme.linear.size else np.nan
+            return checked_variables(self.model, problem, p, answer.x, claimed, status, answer.iterations)
+        ended = failed(status, answer.iterations, f"ended with {answer.status}")
+        return accept_suboptimal(self.model, problem, p, answer.x, guess, ended)

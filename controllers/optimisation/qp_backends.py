@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -28,7 +28,7 @@ class QPConfig(StrictModel):
 
 @dataclass(frozen=True)
 class QPData:
-    """One quadratic programme: min ½ x'Qx + c'x s.t. A x = b, low ≤ G x ≤ high, x_low ≤ x ≤ x_high; Q is diagonal.
+    """One quadratic programme: min ½ x'Qx + c'x s.t. A x = b, low ≤ G x ≤ high, x_low ≤ x ≤ x_high.
 
     The objective in currency is `unit` times this one plus `constant`.
     """
@@ -47,7 +47,7 @@ class QPData:
 
     def objective(self, x: Array) -> float:
         """Objective at `x` including the constant, currency."""
-        return self.constant + self.unit * float(0.5 * x @ (self.quadratic.data * x) + self.linear @ x)
+        return self.constant + self.unit * float(0.5 * x @ (self.quadratic @ x) + self.linear @ x)
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,7 @@ class SolverResult:
     x: Array
     status: str
     iterations: int
+    multipliers: Array = field(default_factory=lambda: np.zeros(0))
 
 
 class Piqp:
@@ -68,7 +69,7 @@ class Piqp:
         self._solver: Any = None
 
     def __call__(self, q: QPData) -> SolverResult:
-        """Solve one programme; all programmes of one instance share the structure and the bounds of x."""
+        """Solve one programme; all programmes share the structure. `multipliers` of the equations, then of G."""
         import piqp
 
         solver, self._solver = self._solver, None  # after a failed solve the solver is set up again
@@ -88,13 +89,17 @@ class Piqp:
             settings.max_iter = self._config.max_iterations
             solver.setup(q.quadratic, q.linear, q.A, q.b, q.G, q.low, q.high, q.x_low, q.x_high)
         else:
-            solver.update(P=q.quadratic, c=q.linear, A=q.A, b=q.b, G=q.G, h_l=q.low, h_u=q.high)
+            solver.update(
+                P=q.quadratic, c=q.linear, A=q.A, b=q.b, G=q.G, h_l=q.low, h_u=q.high, x_l=q.x_low, x_u=q.x_high
+            )
         status = solver.solve()
         result = solver.result
         solved = status == piqp.PIQP_SOLVED
         if solved:
             self._solver = solver
-        return SolverResult(solved, np.array(result.x, dtype=np.float64), str(status.name), int(result.info.iter))
+        multipliers = np.concatenate([result.y, result.z_u - result.z_l])
+        x = np.array(result.x, dtype=np.float64)
+        return SolverResult(solved, x, str(status.name), int(result.info.iter), multipliers)
 
 
 class Clarabel:
@@ -118,6 +123,6 @@ class Clarabel:
         settings.max_iter = self._config.max_iterations
         settings.time_limit = self._config.max_seconds
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = self._config.tolerance
-        result = clarabel.DefaultSolver(q.quadratic, q.linear, A, b, cones, settings).solve()
+        result = clarabel.DefaultSolver(sparse.triu(q.quadratic, format="csc"), q.linear, A, b, cones, settings).solve()
         status = str(result.status)
         return SolverResult(status == "Solved", np.array(result.x, dtype=np.float64), status, int(result.iterations))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
+from controllers.optimisation.plan_model import Evaluation, PlanModel
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.data import Array
 
@@ -42,15 +43,15 @@ class Solve:
         return self.solver.solve(self.problem, self.guess)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Solution:
     """Result of a solver; `ok` only if status, finiteness, bounds and objective passed the checks.
 
     `optimal` is False for levels that passed them without being the solver's optimum (`accept_suboptimal`).
 
-    `u` (A, N): levels, empty when not ok; `status`: the solver's own status; `problem`: reason of a failure; `gap`:
+    `u` (A, N): levels, empty when not ok; `status`: solver and its own status; `problem`: reason of a failure; `gap`:
     how much of its cost the solution may at most be above the optimum of what was solved, relative; 0 where it is
-    convex.
+    convex. `evaluation`: what the levels bring, as they are held; None when not ok.
     """
 
     ok: bool
@@ -60,6 +61,12 @@ class Solution:
     problem: str = ""
     gap: float = 0.0
     optimal: bool = True
+    evaluation: Evaluation | None = None
+
+    @property
+    def cost(self) -> float:
+        """The objective, currency; NaN when not ok."""
+        return float("nan") if self.evaluation is None else self.evaluation.cost
 
 
 def failed(status: str, iterations: int, why: str) -> Solution:
@@ -68,65 +75,82 @@ def failed(status: str, iterations: int, why: str) -> Solution:
 
 
 def checked_solution(
+    model: PlanModel,
     problem: MPCProblem,
-    modes_of: Callable[[Array], Array],
+    p: Array,
     u: Array,
     claimed: float,
     status: str,
     iterations: int,
+    own: Array | None = None,
 ) -> Solution:
-    """Check the result of a solver that reports success.
+    """Check the levels `u` (A, N) of a solver that reports success with an objective of `claimed`.
 
-    The solution is refused unless it is finite, within bounds, capacities and exclusion, and its objective, recomputed
-    by rollout, agrees with `claimed`. All other inequalities are soft, so such levels are feasible; a different
-    objective shows that another problem was solved. `modes_of` maps levels (A, N) to forced states (Z, A, N, r), K.
+    They are refused unless they are finite, within bounds, capacities and exclusion, and their objective, recomputed by
+    the statement mode by mode, agrees with `claimed`. All other inequalities are soft, so such levels are feasible; a
+    different objective shows that another problem was solved. `p`: parameters; `own`: variables of the user.
     """
-    m = problem.machinery
-    if u.shape != (len(m.actuators), problem.n_steps) or not np.isfinite(u).all() or not np.isfinite(claimed):
+    if u.shape != (model.structure.A, model.structure.N) or not np.isfinite(u).all() or not np.isfinite(claimed):
         return failed(status, iterations, f"{status} was reported, but the solution is not finite")
-    outside = problem.outside(u)
+    found = model.evaluate(problem, p, u, own)
+    outside = problem.unfit(u) or found.broken
     if outside:
         return failed(status, iterations, f"{status} was reported, but {outside}")
-    u = np.clip(u, m.u_min[:, None], m.u_max[:, None])
-    cost = float(problem.cost_under(u, modes_of(u)))
-    if not abs(cost - claimed) <= _CLAIM_TOLERANCE * (1.0 + abs(cost)):
-        what = f"{status} was reported with an objective of {claimed:.6g}, but its levels cost {cost:.6g}"
+    if not abs(found.cost - claimed) <= _CLAIM_TOLERANCE * (1.0 + abs(found.cost)):
+        what = f"{status} was reported with an objective of {claimed:.6g}, but its levels cost {found.cost:.6g}"
         return failed(status, iterations, what)
-    return Solution(True, u, status, iterations)
+    return Solution(True, u, status, iterations, evaluation=found)
+
+
+def checked_variables(
+    model: PlanModel, problem: MPCProblem, p: Array, x: Array, claimed: float, status: str, iterations: int
+) -> Solution:
+    """Check the variables `x` of a solver that reports success, as `checked_solution` does levels."""
+    if x.size != model.n_variables or not np.isfinite(x).all():
+        return failed(status, iterations, f"{status} was reported, but the solution is not finite")
+    outside = model.outside(x)
+    if outside:
+        return failed(status, iterations, f"{status} was reported, but {outside}")
+    return checked_solution(model, problem, p, model.levels(x), claimed, status, iterations, model.own(x))
 
 
 def accept_suboptimal(
-    problem: MPCProblem,
-    modes_of: Callable[[Array], Array],
-    u: Array,
-    guess: Array | None,
-    ended: Solution,
+    model: PlanModel, problem: MPCProblem, p: Array, x: Array, guess: Array | None, ended: Solution
 ) -> Solution:
-    """The levels `u` (A, N) as a solution that is not optimal, or `ended` where they are not acceptable.
+    """A solver's last variables `x` as a solution that is not optimal, or `ended` where they are not acceptable.
 
-    Args:
-        problem: the instance.
-        modes_of: forced states (Z, A, N, r), K, of levels (A, N).
-        u: the solver's last levels; whatever it left there.
-        guess: the previous plan, one step on (A, N); None without one.
-        ended: the failed solution with status and reason of the solver.
+    Their levels must not cost more than nothing, full level, or `guess`, the previous plan one step on (A, N).
     """
-    m = problem.machinery
-    if u.shape != (len(m.actuators), problem.n_steps) or not np.isfinite(u).all():
+    if x.size != model.n_variables or not np.isfinite(x).all():
         return ended
+    m, u, own = problem.machinery, model.levels(x), model.own(x)
     low, high = m.u_min[:, None], m.u_max[:, None]
-    u = np.clip(u, low, high)
-    if problem.outside(u):
+    own_evaluation = model.evaluate(problem, p, u, own)
+    if own_evaluation.broken:
         return ended
-
-    def cost(levels: Array) -> float:
-        return float(problem.cost_under(levels, modes_of(levels)))
-
     references = [np.zeros_like(u), np.broadcast_to(high, u.shape)]
     if guess is not None and guess.shape == u.shape:
         references.append(np.clip(guess, low, high))
-    least = min((cost(levels) for levels in references if not problem.outside(levels)), default=np.inf)
-    own_cost = cost(u)
-    if not np.isfinite(own_cost) or own_cost > least + _SAME_COST * (1.0 + abs(least)):
+    evaluations = [model.evaluate(problem, p, levels, own) for levels in references]
+    least = min((found.cost for found in evaluations if not found.broken), default=np.inf)
+    if not own_evaluation.cost <= least + _SAME_COST * (1.0 + abs(least)):
         return failed(ended.status, ended.iterations, f"{ended.problem}, with levels dearer than without it")
-    return Solution(True, u, ended.status, ended.iterations, ended.problem, optimal=False)
+    return replace(ended, ok=True, u=own_evaluation.u, optimal=False, evaluation=own_evaluation)
+
+
+class FirstOf:
+    """Solvers in the order in which they are tried: the first optimum, or else the first acceptable levels."""
+
+    def __init__(self, solvers: Sequence[Solver]) -> None:
+        self.solvers = tuple(solvers)
+
+    def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
+        """Solve one instance. On failure `ok` is False and `problem` has each solver's reason."""
+        tried: list[Solution] = []
+        for solver in self.solvers:
+            tried.append(solver.solve(problem, guess))
+            if tried[-1].ok and tried[-1].optimal:
+                return tried[-1]
+        acceptable = next((solution for solution in tried if solution.ok), None)
+        reasons = "; ".join(solution.problem for solution in tried if solution.problem)
+        return acceptable or replace(tried[0], problem=reasons)

@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 
 import numpy as np
+import numpy_problem
 import pytest
 from mpc_problems import N, random_operator, random_problem
 
@@ -27,9 +28,11 @@ def test_do_mpc_finds_the_optimum_of_ipopt(gain_beforehand):
     peer, operator = DoMpcPeer(operator, problems[0], gain_beforehand=gain_beforehand), single(operator)
     ipopt = IpoptSolver(operator, ProblemShape(every_step(N)), IpoptConfig())
     for problem in problems:
-        best = float(problem.cost(operator, ipopt.solve(problem).u))
-        assert float(problem.cost(operator, np.clip(peer.solve(problem), 0, 1)[None])) == pytest.approx(best, rel=1e-4)
-        assert float(problem.cost(operator, np.zeros((1, N)))) > 1.001 * best
+        best = float(numpy_problem.cost(problem, operator, ipopt.solve(problem).u))
+        assert float(numpy_problem.cost(problem, operator, np.clip(peer.solve(problem), 0, 1)[None])) == pytest.approx(
+            best, rel=1e-4
+        )
+        assert float(numpy_problem.cost(problem, operator, np.zeros((1, N)))) > 1.001 * best
 
 
 def test_a_missing_do_mpc_is_named(monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import numpy_problem
 import pytest
 
 from benchmarks.zones.do_mpc_building import DoMpcBuilding
@@ -51,10 +52,12 @@ def test_do_mpc_finds_the_same_optimum_of_a_building(modes_shared):
     problem = shortened(building_problem(operator, rng), 24)
     u = np.clip(DoMpcBuilding(operator, problem, modes_shared=modes_shared).solve(problem), 0.0, 1.0)
     shape = ProblemShape(every_step(24), problem.machinery, capped=True)
-    best = float(problem.cost(operator, QPSolver(operator, shape, QPConfig()).solve(problem).u))
-    assert float(problem.cost(operator, u)) == pytest.approx(best, rel=1e-4)
-    assert problem.running(u).max() > 0.2
-    assert problem.power_W(u).sum(axis=0).max() > 0.9 * problem.power_cap.limit_W[0], "cap and machine matter"
+    best = float(numpy_problem.cost(problem, operator, QPSolver(operator, shape, QPConfig()).solve(problem).u))
+    assert float(numpy_problem.cost(problem, operator, u)) == pytest.approx(best, rel=1e-4)
+    assert numpy_problem.running(problem, u).max() > 0.2
+    assert numpy_problem.power_W(problem, u).sum(axis=0).max() > 0.9 * problem.power_cap.limit_W[0], (
+        "cap and machine matter"
+    )
 
 
 def test_what_is_not_written_in_do_mpc_is_refused():

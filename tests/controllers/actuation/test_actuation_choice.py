@@ -14,7 +14,6 @@ from controllers import MPCConfig, ThermoForceMPC
 from controllers.actuation.actuator import ActuationConfig
 from controllers.actuation.actuators import Actuators
 from controllers.actuation.choice import choose_actuation
-from controllers.optimisation.qp import QPSolver
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.identification import identify
@@ -68,7 +67,8 @@ def test_a_machine_without_a_fixed_part_is_a_quadratic_programme_at_any_level():
     model = simple_model()
     boiler = replace(model, power=(PowerModel(law(0.0, 4300.0)),))
     controller = ThermoForceMPC(boiler, MPCConfig(step_s=None), free_response=object())
-    assert isinstance(controller.solver, QPSolver)
+    assert controller.solver.model.convex
+    assert not controller.solver.model.structure.chosen
     assert controller.actuation_in_words.startswith("modulating, any level")
     actuators = Actuators(controller.model.layout, [choose(law(0.0, 4300.0)).actuation])
     (block,) = actuators.realise([0.07], 3600.0, actuators.now(None, beginning())).together()

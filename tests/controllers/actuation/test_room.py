@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import numpy_problem
 import pytest
 from light_office import LightOffice
 from mpc_problems import N, random_operator, random_problem, unit_responses
@@ -68,7 +69,7 @@ def test_the_signed_programme_is_solved_to_its_optimum_and_never_heats_and_cools
         problem = both_ways(rng, 2)
         T_rest, effect = unit_responses(problem, operator)
         both = np.hstack([effect, -effect])
-        heat, cold = problem.energy_cost(np.ones((1, N))), problem.cooling_cost_per_u[0]
+        heat, cold = numpy_problem.energy_cost(problem, np.ones((1, N))), problem.cooling_cost_per_u[0]
         cost = np.concatenate([heat, cold, np.full(N, problem.comfort_price[0])])
         A = np.block([[-both, -np.eye(N)], [both, -np.eye(N)]])
         b = np.concatenate([T_rest - problem.lower_C[0], problem.upper_C[0] - T_rest])
@@ -76,7 +77,7 @@ def test_the_signed_programme_is_solved_to_its_optimum_and_never_heats_and_cools
         best = linprog(cost, A_ub=A, b_ub=b, bounds=bounds, method="highs").fun
         found = solver.solve(problem)
         assert found.ok, found.problem
-        assert float(problem.cost(operator, found.u)) == pytest.approx(best, rel=1e-5)
+        assert float(numpy_problem.cost(problem, operator, found.u)) == pytest.approx(best, rel=1e-5)
         assert found.u.min() >= LOWEST
         directions |= set(np.sign(found.u[np.abs(found.u) > 0.05]))
     assert directions == {-1.0, 1.0}
@@ -90,12 +91,12 @@ def test_the_peak_counts_power_in_both_directions():
     ours, reference = (solver.solve(problem) for solver in both_solvers(operator, shape))
     assert ours.ok, ours.problem
     assert reference.ok, reference.problem
-    best = float(problem.cost(operator, reference.u))
-    assert float(problem.cost(operator, ours.u)) == pytest.approx(best, rel=1e-5)
+    best = float(numpy_problem.cost(problem, operator, reference.u))
+    assert float(numpy_problem.cost(problem, operator, ours.u)) == pytest.approx(best, rel=1e-5)
     unpriced = QPSolver(operator, replace(shape, peak=False), QPConfig()).solve(
         replace(problem, weights=Weights(5.0, 1e-6))
     )
-    assert problem.power_W(ours.u).max() < problem.power_W(unpriced.u).max() - 50.0
+    assert numpy_problem.power_W(problem, ours.u).max() < numpy_problem.power_W(problem, unpriced.u).max() - 50.0
 
 
 def both_solvers(operator, shape):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import numpy_problem
 import pytest
 from mpc_problems import N, machinery_of, random_building, random_building_problem
 
@@ -12,9 +13,11 @@ from controllers.actuation.actuator import Actuation, ActuationConfig, Actuation
 from controllers.actuation.actuators import Actuators
 from controllers.checks import ControllerConfigError
 from controllers.monitoring.watch_tests import level_fault
+from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.problem import Cooling, PowerCap, ProblemShape, every_step
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.qp_backends import QPConfig
+from controllers.optimisation.sqp import SQPConfig, SQPSolver
 from controllers.registry import controller_config
 from thermoforce_mpc.data import Layout, Names, Record
 from thermoforce_mpc.errors import DataError
@@ -80,13 +83,13 @@ def test_no_other_levels_cost_less_where_power_grows_faster_than_heat(backend):
         problem
     )
     assert solution.ok, solution.problem
-    best = float(problem.cost(operator, solution.u))
+    best = float(numpy_problem.cost(problem, operator, solution.u))
     others = np.clip(solution.u + rng.normal(0.0, 0.1, (300, 2, N)) * (rng.random((300, 1, N)) < 0.1), 0.0, 1.0)
     others *= np.minimum(1.0, 1.0 / (0.6 * others.sum(axis=1, keepdims=True) + 1e-9))
-    assert problem.cost(operator, others).min() >= best * (1.0 - 1e-6)
+    assert numpy_problem.cost(problem, operator, others).min() >= best * (1.0 - 1e-6)
     straight = replace(problem, power_per_u2_W=None, power_per_u_W=problem.power_per_u_W + problem.power_per_u2_W)
     flat = QPSolver(operator, ProblemShape(every_step(N), problem.machinery), QPConfig()).solve(straight)
-    assert best < 0.999 * float(problem.cost(operator, flat.u)), "levels are spread over time"
+    assert best < 0.999 * float(numpy_problem.cost(problem, operator, flat.u)), "levels are spread over time"
 
 
 def test_power_that_grows_faster_than_heat_is_that_of_heating():
@@ -99,14 +102,29 @@ def test_power_that_grows_faster_than_heat_is_that_of_heating():
     assert solution.ok, solution.problem
     assert solution.u[0].min() < -0.5
     cold = np.minimum(solution.u, 0.0)
-    np.testing.assert_allclose(signed.power_W(cold), replace(signed, power_per_u2_W=None).power_W(cold))
+    np.testing.assert_allclose(
+        numpy_problem.power_W(signed, cold), numpy_problem.power_W(replace(signed, power_per_u2_W=None), cold)
+    )
 
 
-def test_rows_of_power_are_linear_in_the_level():
+@pytest.mark.parametrize("solver", [IpoptSolver, SQPSolver])
+def test_a_cap_sees_power_that_grows_faster_than_heat(solver):
     rng = np.random.default_rng(4)
-    _, problem = curved_problem(rng)
-    with pytest.raises(DataError, match="power is linear in u"):
-        replace(problem, power_cap=PowerCap(np.full(N, 3000.0), 0.5))
+    operator, problem = curved_problem(rng)
+    options = IpoptConfig() if solver is IpoptSolver else SQPConfig()
+    shape = ProblemShape(every_step(N), problem.machinery, capped=True, curved=True)
+    free = solver(operator, replace(shape, capped=False), options).solve(problem)
+    limit_W = 0.8 * numpy_problem.power_W(problem, free.u).sum(axis=0).max()
+    capped = replace(problem, power_cap=PowerCap(np.full(N, limit_W), 50.0))
+    solution = solver(operator, shape, options).solve(capped)
+    assert solution.ok, solution.problem
+    assert numpy_problem.power_W(capped, solution.u).sum(axis=0).max() <= limit_W + 1.0
+    assert solution.cost == pytest.approx(float(numpy_problem.cost(capped, operator, solution.u)))
+    blind = QPSolver(operator, replace(shape, curved=False), QPConfig())
+    with pytest.raises(DataError, match="part in u², which its shape"):
+        blind.solve(capped)
+    with pytest.raises(ControllerConfigError, match="not convex"):
+        QPSolver(operator, shape, QPConfig())
 
 
 @pytest.mark.parametrize(("measured", "fault"), [((0.62, 0.02), False), ((0.0, 0.0), True)], ids=["swings", "stuck"])

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy_problem
 import pytest
 from mpc_problems import N, machinery_of, random_building, random_building_problem
 
@@ -194,7 +195,7 @@ def test_the_most_a_building_may_draw_is_heating_in_one_room_and_cooling_in_anot
     problem = random_building_problem(rng, operator, machinery, **numbers)
     member = QPMember("rooms", operator, ProblemShape(every_step(N), machinery), problem, _CONFIG)
     assert member.largest_kW == pytest.approx(5.5)
-    assert problem.power_W(np.repeat([[-1.0], [1.0]], N, axis=1)).sum(axis=0) == pytest.approx(5500.0)
+    assert numpy_problem.power_W(problem, np.repeat([[-1.0], [1.0]], N, axis=1)).sum(axis=0) == pytest.approx(5500.0)
 
 
 def test_who_agrees_on_nothing_is_refused() -> None:

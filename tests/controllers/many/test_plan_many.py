@@ -120,7 +120,7 @@ def test_what_is_wrong_with_a_building_costs_that_building(monkeypatch):
     }
     options |= dict.fromkeys(buildings.keys() - {"no solution"}, WEATHER_MODEL)
     options["no solution"] = MPCConfig(
-        **HOURLY, free_response={"name": "linear_weather"}, qp={"backends": ("clarabel",)}
+        **HOURLY, free_response={"name": "linear_weather"}, solver="qp", qp={"backends": ("clarabel",)}
     )
     monkeypatch.setattr(Clarabel, "__call__", lambda self, q: 1 / 0)
     found = plan_many(buildings, observations, {"bad state": "a state"}, config=options)

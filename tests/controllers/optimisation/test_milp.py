@@ -8,6 +8,7 @@ import sys
 from dataclasses import replace
 
 import numpy as np
+import numpy_problem
 import pytest
 from mpc_problems import (
     N,
@@ -22,13 +23,15 @@ from scipy.optimize import linprog
 
 from controllers.checks import ControllerConfigError
 from controllers.mpc.config import MPCConfig
-from controllers.mpc.planner import build_solver
+from controllers.mpc.planner import build_solver, plan_shape
+from controllers.optimisation.held_levels import held_level
+from controllers.optimisation.ipopt import IpoptSolver
 from controllers.optimisation.machines import EquipmentLayout
-from controllers.optimisation.milp import ChoiceResult, Highs, MilpConfig, MilpSolver, held_level
+from controllers.optimisation.milp import ChoiceResult, Highs, MilpConfig, MilpSolver
+from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, PowerCap, ProblemShape, Weights, every_step
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.qp_backends import QPConfig
-from controllers.optimisation.sparse_qp import SparseQP
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
@@ -53,7 +56,7 @@ def optimum_of_choice(problem: MPCProblem, operator: BuildingOperator, on: np.nd
     high = m.u_max[:, None] * on
 
     def forced(u: np.ndarray) -> np.ndarray:
-        return problem.forced_K(operator, u).ravel()
+        return numpy_problem.forced_K(problem, operator, u).ravel()
 
     # Affine in the levels while the choice stands, so two points of each give its slope.
     start, middle = np.where(on, 0.5 * (low + high), 0.0), []
@@ -137,13 +140,10 @@ def test_the_plan_is_the_best_of_all_choices(signs, machine_of, lowest, exclusiv
         assert solution.ok, solution.problem
         assert bound.ok, bound.problem
         best = best_choice(problem, operator)
-        assert float(problem.cost(operator, solution.u)) == pytest.approx(best, rel=1e-6)
+        assert float(numpy_problem.cost(problem, operator, solution.u)) == pytest.approx(best, rel=1e-6)
         assert solution.gap <= 1e-6
         assert ((solution.u[machinery.held] == 0.0) | (solution.u[machinery.held] >= 0.3 - 1e-9)).all()
-        programme = SparseQP(operator, relaxed.shape)
-        modes_K = programme.modes(problem, programme.drive(problem), bound.u)
-        below = replace(problem, held_steps=0).cost_under(bound.u, modes_K)
-        gained.append(best - float(below))
+        gained.append(best - bound.cost)
     assert min(gained) > -1e-6
     assert max(gained) > 1e-3, "a choice that costs nothing tests nothing"
 
@@ -166,8 +166,10 @@ def test_two_steps_are_solved_as_well_as_by_trying_everything():
     for _ in range(8):
         problem = random_problem(rng, 2, lowest=0.3, n=2)
         levels = [0.0, *np.linspace(0.3, 1.0, 15)]
-        brute = min(float(problem.cost(operator, np.array([pair]))) for pair in itertools.product(levels, levels))
-        assert float(problem.cost(operator, milp.solve(problem).u)) <= brute * (1 + 1e-6)
+        brute = min(
+            float(numpy_problem.cost(problem, operator, np.array([pair]))) for pair in itertools.product(levels, levels)
+        )
+        assert float(numpy_problem.cost(problem, operator, milp.solve(problem).u)) <= brute * (1 + 1e-6)
 
 
 def test_later_steps_are_relaxed_and_reported_as_the_held_level_of_the_same_heat():
@@ -182,10 +184,9 @@ def test_later_steps_are_relaxed_and_reported_as_the_held_level_of_the_same_heat
 
     milp = solver(operator, held_steps=2, choose=choose)
     solution = milp.solve(problem)
-    programme = SparseQP(operator, milp.shape)
-    share = programme.levels(results[0].x)
-    modes_K = programme.modes(programme.as_solved(problem), programme.drive(problem), share)
-    np.testing.assert_allclose(problem.modes_K(operator, solution.u), modes_K, atol=1e-9)
+    share = milp.model.levels(results[0].x)
+    planned_K = milp.model.evaluate(problem, milp.model.numbers(problem), share).forced_K
+    np.testing.assert_allclose(numpy_problem.forced_K(problem, operator, solution.u), planned_K, atol=1e-9)
     np.testing.assert_allclose(solution.u[:, :2], share[:, :2])
     assert np.abs(solution.u[:, 2:] - share[:, 2:]).max() > 0.01, "part load gives another heat than a share"
 
@@ -203,7 +204,8 @@ def test_exclusion_later_is_in_time():
         operator, ProblemShape(every_step(N), replace(machinery, exclusive=())), QPConfig()
     ).solve(replace(problem, machinery=replace(machinery, exclusive=())))  # fmt: skip
     assert both.u.sum(axis=0).max() > 1.2
-    assert "act together" in problem.outside(both.u)
+    model = PlanModel(operator, ProblemShape(every_step(N), machinery, held_steps=4))
+    assert "act together" in model.evaluate(problem, model.numbers(problem), both.u).broken
 
 
 def test_without_choices_it_is_the_convex_optimum():
@@ -211,7 +213,7 @@ def test_without_choices_it_is_the_convex_optimum():
     operator, problem = single(random_operator(rng, 2)), random_problem(rng, 2)
     solution = MilpSolver(operator, ProblemShape(every_step(N)), EXACT).solve(problem)
     best = linear_programme_optimum(problem, operator)
-    assert float(problem.cost(operator, solution.u)) == pytest.approx(best, rel=1e-6)
+    assert float(numpy_problem.cost(problem, operator, solution.u)) == pytest.approx(best, rel=1e-6)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.35, 0.8, 1.0])
@@ -295,7 +297,7 @@ def test_it_starts_from_the_relaxation_rounded_within_lowest_levels_and_exclusio
     highs, starts = Highs(EXACT), []
 
     def seen(programme, choices, start):
-        starts.append(start[choices].reshape(3, 6))
+        starts.append(start[choices].reshape(6, 3).T)
         return highs(programme, choices, start)
 
     milp = MilpSolver(operator, ProblemShape(every_step(N), machinery, held_steps=6), EXACT, choose=seen)
@@ -310,9 +312,14 @@ def test_it_starts_from_the_relaxation_rounded_within_lowest_levels_and_exclusio
 def test_auto_chooses_it_for_levels_that_are_held():
     rng = np.random.default_rng(8)
     config, operator = MPCConfig(step_s=3600.0, horizon_h=12.0), machine(rng)
-    built = build_solver(config, operator, EquipmentLayout.one(lowest_level=0.3))
+    built = build_solver(config, operator, plan_shape(config, operator, EquipmentLayout.one(lowest_level=0.3)))
     assert isinstance(built, MilpSolver)
-    assert built.shape.n_held == 1
-    assert isinstance(build_solver(config, single(random_operator(rng, 2)), EquipmentLayout.one()), QPSolver)
+    assert built.model.structure.n_chosen == 1
+    linear = single(random_operator(rng, 2))
+    shape = plan_shape(config, linear, EquipmentLayout.one())
+    assert isinstance(build_solver(config, linear, shape), IpoptSolver)
+    three = random_building(rng, 3, (1, 1, 1))
+    shape = ProblemShape(every_step(N), machinery_of(three, (0, 1, 2)))
+    assert isinstance(build_solver(config, three, shape), QPSolver)
     with pytest.raises(ControllerConfigError, match=r"known for a lowest level of 0\.3, not 0\.5"):
-        build_solver(config, operator, EquipmentLayout.one(lowest_level=0.5))
+        build_solver(config, operator, plan_shape(config, operator, EquipmentLayout.one(lowest_level=0.5)))

@@ -6,6 +6,7 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
+import numpy_problem
 import pytest
 from mpc_problems import N, machinery_of, random_building, random_building_problem, random_operator, random_problem
 
@@ -13,11 +14,11 @@ from controllers.checks import ControllerConfigError
 from controllers.optimisation.candidate_search import CandidateSearch, SearchConfig
 from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.machines import EquipmentLayout
+from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import Cooling, PowerCap, ProblemShape, Weights, blocked_moves, every_step
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.qp_backends import QPConfig
 from controllers.optimisation.solution import checked_solution
-from controllers.optimisation.sparse_qp import SparseQP
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -49,8 +50,8 @@ def test_the_programme_of_a_building_has_ipopts_optimum(building, backend):
         reference = IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10)).solve(problem)
         assert ours.ok, ours.problem
         assert reference.ok, reference.problem
-        best = float(problem.cost(operator, reference.u))
-        assert float(problem.cost(operator, ours.u)) == pytest.approx(best, rel=1e-6)
+        best = float(numpy_problem.cost(problem, operator, reference.u))
+        assert float(numpy_problem.cost(problem, operator, ours.u)) == pytest.approx(best, rel=1e-6)
         assert (ours.u.shape, ours.gap) == ((4, N), 0.0)
 
 
@@ -72,8 +73,8 @@ def test_a_signed_level_beside_other_actuators_has_ipopts_optimum():
     reference = IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10)).solve(problem)
     assert ours.ok, ours.problem
     assert reference.ok, reference.problem
-    best = float(problem.cost(operator, reference.u))
-    assert float(problem.cost(operator, ours.u)) == pytest.approx(best, rel=1e-6)
+    best = float(numpy_problem.cost(problem, operator, reference.u))
+    assert float(numpy_problem.cost(problem, operator, ours.u)) == pytest.approx(best, rel=1e-6)
     assert ours.u[1].min() < -0.05
 
 
@@ -117,7 +118,9 @@ def test_the_order_of_zones_actuators_and_machines_does_not_change_the_plan():
     theirs = QPSolver(other, replace(shape, machinery=machinery), QPConfig()).solve(turned)
     assert ours.ok, ours.problem
     assert theirs.ok, theirs.problem
-    assert float(turned.cost(other, theirs.u)) == pytest.approx(float(problem.cost(operator, ours.u)), rel=1e-7)
+    assert float(numpy_problem.cost(turned, other, theirs.u)) == pytest.approx(
+        float(numpy_problem.cost(problem, operator, ours.u)), rel=1e-7
+    )
     np.testing.assert_allclose(theirs.u, ours.u[actuators], atol=1e-3)
 
 
@@ -151,10 +154,14 @@ def test_a_shared_machine_runs_as_long_as_the_longest_and_pays_its_fixed_part_on
     u = np.zeros((2, N))
     u[:, 0], u[:, 1] = (0.6, 0.2), (0.5, 0.6)
     per_u = (problem.power_per_u_W * u).sum(axis=0)
-    np.testing.assert_allclose(problem.running(u)[0, :3], [0.9 * 0.6 + 0.8 * 0.2, 0.9 * 0.5 + 0.8 * 0.6, 0.0])
-    np.testing.assert_allclose(problem.power_W(u)[0], problem.power_fixed_W[0] * problem.running(u)[0] + per_u)
+    np.testing.assert_allclose(
+        numpy_problem.running(problem, u)[0, :3], [0.9 * 0.6 + 0.8 * 0.2, 0.9 * 0.5 + 0.8 * 0.6, 0.0]
+    )
+    np.testing.assert_allclose(
+        numpy_problem.power_W(problem, u)[0], problem.power_fixed_W[0] * numpy_problem.running(problem, u)[0] + per_u
+    )
     unlimited = replace(problem, machinery=machinery_of(operator, (0, 0)))
-    np.testing.assert_allclose(unlimited.running(u)[0, :3], [0.6, 0.6, 0.0])
+    np.testing.assert_allclose(numpy_problem.running(unlimited, u)[0, :3], [0.6, 0.6, 0.0])
 
 
 def test_a_shared_machine_cycles_below_its_lowest_load():
@@ -165,10 +172,10 @@ def test_a_shared_machine_cycles_below_its_lowest_load():
     u = np.zeros((2, N))
     u[:, 0], u[:, 1], u[:, 2] = (1.0, 0.2), (0.5, 1.0), (1.0, 1.0)
     # Both open: above its lowest load. One alone asks for 0.2 / 0.4 or 0.3 / 0.4 of the time.
-    np.testing.assert_allclose(problem.running(u)[0, :4], [0.2 + 0.8 * 0.5, 0.5 + 0.5 * 0.75, 1.0, 0.0])
+    np.testing.assert_allclose(numpy_problem.running(problem, u)[0, :4], [0.2 + 0.8 * 0.5, 0.5 + 0.5 * 0.75, 1.0, 0.0])
     # Where it does not cycle, it runs for the longest of them.
     in_full = replace(problem, machinery=machinery_of(operator, (0, 0), share=machinery.share))
-    np.testing.assert_allclose(in_full.running(u)[0, :4], [1.0, 1.0, 1.0, 0.0])
+    np.testing.assert_allclose(numpy_problem.running(in_full, u)[0, :4], [1.0, 1.0, 1.0, 0.0])
 
 
 @pytest.mark.parametrize("below", [0.1, 0.25, 0.35, 0.6, 1.0])
@@ -182,16 +189,16 @@ def test_the_optimum_for_a_machine_that_cycles_is_ipopts(below):
     reference = IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10)).solve(problem)
     assert ours.ok, ours.problem
     assert reference.ok, reference.problem
-    best = float(problem.cost(operator, reference.u))
-    assert float(problem.cost(operator, ours.u)) == pytest.approx(best, rel=1e-6)
+    best = float(numpy_problem.cost(problem, operator, reference.u))
+    assert float(numpy_problem.cost(problem, operator, ours.u)) == pytest.approx(best, rel=1e-6)
 
 
 def test_a_machine_of_one_actuator_needs_no_variable_of_its_own():
     rng = np.random.default_rng(6)
     operator = random_building(rng, 2, (1, 1))
-    own = SparseQP(operator, ProblemShape(every_step(N), machinery_of(operator, (0, 1))))
-    shared = SparseQP(operator, ProblemShape(every_step(N), machinery_of(operator, (0, 0))))
-    alone = SparseQP(single(random_operator(rng, 3)), ProblemShape(every_step(N)))
+    own = PlanModel(operator, ProblemShape(every_step(N), machinery_of(operator, (0, 1))))
+    shared = PlanModel(operator, ProblemShape(every_step(N), machinery_of(operator, (0, 0))))
+    alone = PlanModel(single(random_operator(rng, 3)), ProblemShape(every_step(N)))
     assert (own.n_variables, shared.n_variables, alone.n_variables) == (6 * N, 7 * N, 3 * N)
 
 
@@ -207,8 +214,8 @@ def test_capacity_is_kept_where_it_would_be_exceeded():
     )
     assert (0.8 * solution.u.sum(axis=0)).max() <= 1.0 + 1e-6
     assert (0.8 * unlimited.u.sum(axis=0)).max() > 1.2
-    modes_of, cost = (lambda u: problem.modes_K(operator, u)), float(problem.cost(operator, unlimited.u))
-    refused = checked_solution(problem, modes_of, unlimited.u, cost, "ok", 1)
+    model, cost = PlanModel(operator, ProblemShape(every_step(N), limited)), unlimited.cost
+    refused = checked_solution(model, problem, model.numbers(problem), unlimited.u, cost, "ok", 1)
     assert "capacity of machine 0" in refused.problem
 
 
@@ -218,14 +225,14 @@ def test_power_above_the_cap_is_bought_only_where_comfort_is_worth_it():
     machinery = machinery_of(operator, (0, 1))
     problem = random_building_problem(rng, operator, machinery)
     free = QPSolver(operator, ProblemShape(every_step(N), machinery), QPConfig()).solve(problem)
-    limit = 0.5 * problem.power_W(free.u).sum(axis=0).max()
+    limit = 0.5 * numpy_problem.power_W(problem, free.u).sum(axis=0).max()
     shape = ProblemShape(every_step(N), machinery, capped=True)
     over = []
     for price in (0.1, 100.0):
         capped = replace(problem, power_cap=PowerCap(np.full(N, limit), price))
         solution = QPSolver(operator, shape, QPConfig()).solve(capped)
         assert solution.ok, solution.problem
-        over.append(np.maximum(problem.power_W(solution.u).sum(axis=0) - limit, 0.0).sum())
+        over.append(np.maximum(numpy_problem.power_W(problem, solution.u).sum(axis=0) - limit, 0.0).sum())
     assert over[0] > 100.0
     assert over[1] < 0.01 * over[0]
 
@@ -245,16 +252,19 @@ def test_the_search_keeps_capacity_and_is_never_better_than_the_programme():
     operator = random_building(rng, 2, (1, 1))
     machinery = machinery_of(operator, (0, 0), share=np.array([0.7, 0.7]))
     problem = random_building_problem(rng, operator, machinery)
-    found = CandidateSearch(operator, N, SearchConfig()).solve(problem)
+    found = CandidateSearch(operator, ProblemShape(every_step(N), machinery), SearchConfig()).solve(problem)
     best = QPSolver(operator, ProblemShape(every_step(N), machinery), QPConfig()).solve(problem)
     assert found.ok, found.problem
-    assert float(problem.cost(operator, best.u)) <= float(problem.cost(operator, found.u)) + 1e-6
-    off = float(problem.cost(operator, np.zeros((2, N))))
+    assert (
+        float(numpy_problem.cost(problem, operator, best.u))
+        <= float(numpy_problem.cost(problem, operator, found.u)) + 1e-6
+    )
+    off = float(numpy_problem.cost(problem, operator, np.zeros((2, N))))
     one_alone = min(
-        float(problem.cost(operator, np.array([np.full(N, a), np.full(N, b)])))
+        float(numpy_problem.cost(problem, operator, np.array([np.full(N, a), np.full(N, b)])))
         for a, b in itertools.product((0.0, 0.25, 0.5), repeat=2)
     )
-    assert float(problem.cost(operator, found.u)) < min(off, one_alone)
+    assert float(numpy_problem.cost(problem, operator, found.u)) < min(off, one_alone)
 
 
 def test_messages_name_the_actuator():
@@ -263,7 +273,8 @@ def test_messages_name_the_actuator():
     problem = random_building_problem(rng, operator, machinery_of(operator, (0, 1)))
     u = np.zeros((2, N))
     u[1, 3] = 1.5
-    solution = checked_solution(problem, lambda u: problem.modes_K(operator, u), u, 0.0, "ok", 1)
+    model = PlanModel(operator, ProblemShape(every_step(N), problem.machinery))
+    solution = checked_solution(model, problem, model.numbers(problem), u, 0.0, "ok", 1)
     assert "u of actuator 1 leaves its bounds" in solution.problem
     with pytest.raises(DataError, match=r"2 zones, 2 actuators and 2 machines over 12 steps: price_per_kWh has shape"):
         replace(problem, price_per_kWh=problem.price_per_kWh[0])

@@ -14,7 +14,6 @@ from waiting import wait_for
 
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
-from controllers.mpc.planner import build_solver
 from controllers.mpc.readings import ReadingsFilter
 from controllers.mpc.state import MPCState
 from controllers.optimisation.qp import QPSolver
@@ -153,9 +152,8 @@ def test_levels_of_a_solver_that_stopped_early_act_where_they_cost_no_more_than_
     config = QPConfig()
 
     def planned(acts) -> Plan:
-        def solver(operator, machinery):
+        def solver(operator, shape):
             backends = {"piqp": acts(Piqp(config)), "clarabel": acts(Clarabel(config))}
-            shape = build_solver(CONFIG, operator, machinery).shape
             return QPSolver(operator, shape, config, backends)
 
         return ThermoForceMPC(simple_model(), CONFIG, free_response=OutdoorResponse(), solver=solver).plan(

@@ -10,8 +10,7 @@ from simple_house import OutdoorResponse, SimpleHouse, outdoor_C
 
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.planner import build_solver
-from controllers.optimisation.machines import EquipmentLayout
-from controllers.optimisation.problem import MPCProblem
+from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solution, Solver
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, FreeForecast, Measurement, Record
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -86,8 +85,8 @@ class ChangedSolver:
     def __init__(self, config: MPCConfig, changed: Callable[[int, Solution], Solution]) -> None:
         self.config, self.changed, self.calls = config, changed, 0
 
-    def __call__(self, operator: BuildingOperator, machinery: EquipmentLayout) -> Solver:
-        return _Changed(self, build_solver(self.config, operator, machinery))
+    def __call__(self, operator: BuildingOperator, shape: ProblemShape) -> Solver:
+        return _Changed(self, build_solver(self.config, operator, shape))
 
 
 class _Changed:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy_problem
 from scipy.optimize import linprog, minimize
 
 from controllers.optimisation.machines import EquipmentLayout
@@ -51,15 +52,15 @@ def random_problem(
 
 def unit_responses(problem: MPCProblem, operator: BuildingOperator) -> tuple[Array, Array]:
     """Zone temperature without heat (N,), and what each u adds to it in columns (N, N); one zone and actuator."""
-    at_rest = problem.forced_K(operator, np.zeros((1, N)))[0]
-    effect = np.stack([problem.forced_K(operator, row[None])[0] - at_rest for row in np.eye(N)], axis=1)
+    at_rest = numpy_problem.forced_K(problem, operator, np.zeros((1, N)))[0]
+    effect = np.stack([numpy_problem.forced_K(problem, operator, row[None])[0] - at_rest for row in np.eye(N)], axis=1)
     return problem.T_free_C[0] + at_rest, effect
 
 
 def linear_programme_optimum(problem: MPCProblem, operator: BuildingOperator) -> float:
     """The same problem condensed and solved by HiGHS: the effect of each u is a column of unit responses."""
     T_rest, effect = unit_responses(problem, operator)
-    cost = np.concatenate([problem.energy_cost(np.ones((1, N))), np.full(N, problem.comfort_price[0])])
+    cost = np.concatenate([numpy_problem.energy_cost(problem, np.ones((1, N))), np.full(N, problem.comfort_price[0])])
     A = np.block([[-effect, -np.eye(N)], [effect, -np.eye(N)]])
     b = np.concatenate([T_rest - problem.lower_C[0], problem.upper_C[0] - T_rest])
     bounds = [(0, 1)] * N + [(0, None)] * N
@@ -76,24 +77,24 @@ def multi_start_optimum(
     n, highest = problem.n_steps, float(problem.machinery.u_max[0])
 
     def zone_C(u: Array) -> Array:
-        return problem.T_free_C + problem.forced_K(operator, u[None])
+        return problem.T_free_C + numpy_problem.forced_K(problem, operator, u[None])
 
     def room_K(x: Array) -> Array:
         T = zone_C(x[:n])[0]
         return np.concatenate([T - problem.lower_C[0], problem.upper_C[0] - T]) + np.tile(x[n:], 2)
 
     def cost(x: Array) -> float:
-        energy, comfort = problem.energy_cost(x[None, :n]).sum(), problem.comfort_price[0] * x[n:].sum()
+        energy, comfort = numpy_problem.energy_cost(problem, x[None, :n]).sum(), problem.comfort_price[0] * x[n:].sum()
         return float(energy + comfort + problem.weights.curvature * (x[:n] ** 2).sum())
 
     best = np.inf
     for _ in range(starts):
         u = rng.uniform(0, 1, n)
-        x0 = np.concatenate([u, problem.slack_K(zone_C(u))[0]])
+        x0 = np.concatenate([u, numpy_problem.slack_K(problem, zone_C(u))[0]])
         bounds = [(0, highest)] * n + [(0, None)] * n
         constraint = {"type": "ineq", "fun": room_K}
         found = minimize(cost, x0, method="SLSQP", bounds=bounds, constraints=[constraint], options={"maxiter": 300})
-        best = min(best, float(problem.cost(operator, np.clip(found.x[None, :n], 0, highest))))
+        best = min(best, float(numpy_problem.cost(problem, operator, np.clip(found.x[None, :n], 0, highest))))
     return best
 
 

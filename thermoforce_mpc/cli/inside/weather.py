@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 from pathlib import Path
 
 import click
+
+from thermoforce_mpc.data.cache_folder import cache_folder
 
 
 @click.group(short_help="Download the weather file of the BOPTEST test case.")
@@ -32,9 +33,3 @@ def fetch_command(out: Path | None, url: str | None) -> None:
     path = fetch_brussels(out or cache_folder(), url or URL)
     click.echo(str(path))
     click.echo(f"Use it with --weather {shlex.quote(str(path))}", err=True)
-
-
-def cache_folder() -> Path:
-    """Folder for downloads: `$XDG_CACHE_HOME/thermoforce-mpc`, by default in `~/.cache`."""
-    root = os.environ.get("XDG_CACHE_HOME")
-    return (Path(root) if root else Path.home() / ".cache") / "thermoforce-mpc"

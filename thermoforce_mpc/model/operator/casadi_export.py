@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import cache
 from typing import TypeVar
 
 import casadi as ca
+import numpy as np
 
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR, ZONE
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -32,6 +36,54 @@ def heat_input_expression(heat_input: HeatInput, u: Expression, T_out_C: Express
         low, high = heat_input.T_out_range_C
         return u * (1.0 + heat_input.per_K * (ca.fmin(ca.fmax(T_out_C, low), high) - heat_input.reference_C))
     return on_load_expression(heat_input.heat, u, T_out_C) / heat_input.reference_W
+
+
+def gain_from(q: Mapping[str, ca.SX], before: ca.SX, forced: ca.SX | float = 0.0) -> ca.SX:
+    """Return m(x) (paper eq:mod) with its weights as expressions.
+
+    Args:
+        q: `slope` (H, 1), what the hidden units add per kelvin of the zone, `output` (H, 1), `output_bias`, `gamma`.
+        before: what enters the hidden units without the forced response, (H, 1).
+        forced: forced response, K, where the gain sees the predicted temperature.
+    """
+    hidden = ca.tanh(before + q["slope"] * forced)
+    return 1.0 + q["gamma"] * ca.tanh(ca.dot(q["output"], hidden) + q["output_bias"])
+
+
+@cache
+def gains_function(hidden: int, n_steps: int) -> ca.Function:
+    """Return m(x) over a horizon as a function of the weights of `gain_weights`: `before` (H, N) → (1, N)."""
+    q = {name: ca.SX.sym(name, *size) for name, size in gain_sizes(hidden).items()}
+    before = ca.SX.sym("before", hidden)
+    m = ca.Function("gain", [before, *q.values()], [gain_from(q, before)])
+    return m.map("gains", "serial", n_steps, list(range(1, 1 + len(q))), [])
+
+
+def gain_sizes(hidden: int) -> dict[str, tuple[int, int]]:
+    """Sizes of the weights of `gain_from`, by name."""
+    return {"slope": (hidden, 1), "output": (hidden, 1), "output_bias": (1, 1), "gamma": (1, 1)}
+
+
+def gain_weights(params: OperatorParameters) -> dict[str, Array]:
+    """Return the numbers of the weights of `gain_from`."""
+    return {
+        "slope": params.hidden_weight[:, ZONE] / params.feature_scale[ZONE],
+        "output": params.output_weight,
+        "output_bias": np.array([params.output_bias]),
+        "gamma": np.array([params.gamma]),
+    }
+
+
+def before_gain(params: OperatorParameters, features: Array) -> Array:
+    """Return what enters the hidden units at `features` (N, 4), (H, N)."""
+    scaled = (np.asarray(features, dtype=np.float64) - params.feature_mean) / params.feature_scale
+    return np.asarray(params.hidden_weight @ scaled.T + params.hidden_bias[:, None])
+
+
+def gains(params: OperatorParameters, features: Array) -> Array:
+    """Return m(x) at `features` (N, 4), (N,), evaluated by the exported function."""
+    function = gains_function(params.hidden_bias.size, len(features))
+    return np.asarray(function(before_gain(params, features), *gain_weights(params).values())).ravel()
 
 
 def modulation_function(params: OperatorParameters) -> ca.Function:

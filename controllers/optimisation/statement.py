@@ -1,0 +1,162 @@
+"""The optimisation problem of one control step, stated once.
+
+For zones z, actuators a and machines m, over steps k,
+
+    minimise    Σ_k [ Σ_m fixed_cost_mk · on_mk  +  Σ_a ( cost_ak u_ak + bend_ak u_ak² )  +  Σ_z w_z · s_zk · Δt
+                      +  Σ_a ε u_ak²  +  c · o_k · Δt ]  +  π · p  −  Σ_za λ_za' F_za,N
+    subject to  F_za,k+1 = A_za F_za,k + g_za m(x_ak) v(u_ak)     forced response of each pair (paper eq:operator)
+                lower_zk − s_zk ≤ T_free,zk + Σ_a F_za,k ≤ upper_zk + s_zk,   s_zk ≥ 0,   u_min,a ≤ u_ak ≤ u_max,a
+                P_mk = fixed_mk · on_mk + Σ_{a of m} (per_u_ak u_ak + bend_ak u_ak²)
+                on_mk = max( min_{θ ≥ 0} θ + Σ_{a of m} w_a max(on_ak − θ, 0),  Σ_{a of m} share_a u_ak )
+                Σ_{a of m} share_a u_ak ≤ capacity_mk
+                Σ_m P_mk ≤ p_0 + p,   p ≥ 0                      p: peak power above the highest so far, p_0
+                Σ_m P_mk ≤ cap_k + o_k,   o_k ≥ 0                soft power cap
+                u_ak = v_aj for all steps k of move j            move blocking
+
+Levels below 0 cool, at a price and power of their own. An actuator is on for the share on_ak = u_ak / (level at which
+it switches). In the first moves a held level is 0 or at least its lowest, b = 1 where it is not 0 and then on = b; of
+actuators that exclude one another one acts in a step, later they share it. The free response T_free is fixed. The slack
+makes every instance feasible. λ is the value of heat stored at the end.
+
+A machine's actuators begin together; w_a is the share of the time that it runs while only actuator a is on
+(`model.machine.running`), and it runs at least as long as its capacity asks.
+
+The gain m(x) is a number worked out beforehand, unless it sees the predicted temperature (`feedback`). All numbers, of
+the instance and of the operator, are parameters q, so one statement serves all buildings of one structure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+
+from controllers.optimisation.algebra import Direct, Lifted
+from controllers.optimisation.problem import POWER_UNIT_W
+from controllers.optimisation.structure import Structure
+from controllers.optimisation.terms import PlanExpressions
+
+Algebra = Lifted | Direct
+Numbers = Mapping[str, ca.SX]
+
+
+@dataclass(frozen=True)
+class Stated:
+    """Expressions of a plan: `cost`; over the steps: `energy` (1, N), `power` (M, N), `T` (Z, N), `forced` (Z, N)."""
+
+    cost: ca.SX
+    energy: ca.SX
+    power: ca.SX
+    forced: ca.SX
+    slack: ca.SX
+    running: ca.SX
+
+
+def parameter_sizes(s: Structure) -> dict[str, tuple[int, int]]:
+    """Rows and columns of every parameter of the statement, in their order."""
+    G, P, E = len(s.groups), len(s.pairs), sum(len(actuators) for _, actuators in s.groups)
+    by_actuator = dict.fromkeys(("drive", "onset", "on_per_v", "worth", "per_u", "heat_cost", "bend", "bend_cost"))
+    by_actuator |= dict.fromkeys(("cold_power", "cold_cost"))
+    sizes = {
+        **{"denominator": (G, s.r + 1), "numerator": (s.r, E), "begin": (G, s.r)},
+        **dict.fromkeys(("poles", "gains", "forced"), (P, s.r)),
+        **dict.fromkeys(by_actuator, (s.A, s.N)),
+        **dict.fromkeys(("T_free", "lower", "upper"), (s.Z, s.N)),
+        **dict.fromkeys(("fixed", "fixed_cost", "capacity"), (s.M, s.N)),
+        **dict.fromkeys(("share", "runs_for", "u_max", "u_min", "lowest", "last_u"), (s.A, 1)),
+        **{"comfort": (s.Z, 1), "weights": (3, 1), "reached": (1, 1), "kept": (1, 1), "limit": (1, s.N)},
+    }
+    if s.hidden:
+        H = s.hidden
+        sizes |= {"before": (H, s.N), "slope": (H, 1), "output": (H, 1), "output_bias": (1, 1), "gamma": (1, 1)}
+    return sizes
+
+
+def stated(alg: Algebra, q: Numbers, s: Structure) -> Stated:
+    """State the plan of a structure `s` with parameters `q` in an algebra."""
+    step = list(s.move_of_step)
+    v, cold = alg.levels(s)
+    on, acts = alg.acting(q, s, v, cold)
+    runs = _running(alg, q, s, v, on)
+    _exclude(alg, q, s, v, cold, acts)
+    heat, cool, on, runs = v[:, step], cold[:, step], on[:, step], runs[:, step]
+    u = heat - cool
+    forced, drive = alg.response(q, s, q["drive"] * u + q["onset"] * on)
+    T = q["T_free"] + forced
+    slack = alg.at_least("slack", q["lower"] - T, T - q["upper"])
+
+    energy = ca.sum1(q["fixed_cost"] * runs) + ca.sum1(q["heat_cost"] * heat + q["bend_cost"] * heat**2)
+    power = q["fixed"] * runs + _of_machines(s, q["per_u"] * heat)
+    if s.signed:
+        energy += ca.sum1(q["cold_cost"] * cool)
+        power += _of_machines(s, q["cold_power"] * cool)
+    cost = ca.sum2(energy) + ca.dot(q["comfort"], ca.sum2(slack)) + q["weights"][0] * ca.sumsqr(u)
+    cost -= ca.dot(q["worth"], drive) + q["kept"]
+    if s.curved or isinstance(alg, Direct):  # rows of power are linear otherwise
+        power += _of_machines(s, q["bend"] * heat**2)
+    total = ca.sum1(power) / POWER_UNIT_W
+    if s.peak:
+        cost += q["weights"][1] * POWER_UNIT_W * alg.highest("peak", total - q["reached"] / POWER_UNIT_W)
+    if s.capped:
+        over = alg.at_least("over", total - q["limit"] / POWER_UNIT_W)
+        cost += q["weights"][2] * POWER_UNIT_W * ca.sum2(over)
+    for term in s.terms:
+        plan = PlanExpressions(alg, u, T, power, slack, q["last_u"], s.step_s)
+        term(plan)
+        cost += plan.cost
+    return Stated(cost, energy, power, forced, slack, runs)
+
+
+def _running(alg: Algebra, q: Numbers, s: Structure, v: ca.SX, on: ca.SX) -> ca.SX:
+    """Share of each move that each machine runs, (M, moves), within its capacity."""
+    rows, part_load = [], {m: (part, split) for m, part, split in s.part_load}
+    for m in range(s.M):
+        fed, loads = s.fed_by(m), []
+        if m in s.limited:
+            loads = [ca.mtimes(q["share"][fed].T, v[fed, :])]
+            alg.require(f"capacity {m}", q["capacity"][m, s.first_steps] - loads[0])
+        if len(fed) == 1:
+            rows.append(on[fed[0], :])
+            continue
+        asked = [on[a, :] for a in fed]
+        if m in part_load:
+            part, split = part_load[m]
+            together = ca.mtimes(q["runs_for"][fed].T, on[fed, :])
+            asked = [_above_part_load(alg, q, fed, part, on) if split else together]
+        rows.append(alg.at_least("runs", *loads, *asked))
+    return ca.vertcat(*rows)
+
+
+def _above_part_load(alg: Algebra, q: Numbers, fed: list[int], part: tuple[int, ...], on: ca.SX) -> ca.SX:
+    """Time that a machine runs for on-times, which it shares among the actuators `part` where they take less."""
+    floor = ca.SX.zeros(1, on.shape[1])
+    for a in set(fed) - set(part):
+        floor = ca.fmax(floor, on[a, :])
+
+    def runs(theta: ca.SX) -> ca.SX:
+        return theta + sum(q["runs_for"][a] * ca.fmax(on[a, :] - theta, 0.0) for a in part)
+
+    theta = alg.least("theta", [floor, *(ca.fmax(floor, on[a, :]) for a in part)], runs)
+    for a in set(fed) - set(part):
+        alg.require("", theta - on[a, :])
+    return theta + sum(q["runs_for"][a] * alg.at_least("excess", on[a, :] - theta) for a in part)
+
+
+def _exclude(alg: Algebra, q: Numbers, s: Structure, v: ca.SX, cold: ca.SX, acts: ca.SX) -> None:
+    """Of actuators that exclude one another one acts in a first move; later they share the time."""
+    for group in s.exclusive:
+        what = f"exclusive {' '.join(str(a) for a in group)}"
+        if s.n_chosen:
+            together = ca.sum1(acts[[s.chosen.index(a) for a in group], :])
+            alg.require(what, 1.0 - together)
+        later = slice(s.n_chosen, v.shape[1])
+        if s.n_chosen < v.shape[1]:
+            shares = [v[a, later] / q["u_max"][a] for a in group]
+            shares += [cold[a, later] / -q["u_min"][a] for a in group if a in s.signed]
+            alg.require(what, 1.0 - ca.sum1(ca.vertcat(*shares)))
+
+
+def _of_machines(s: Structure, rows: ca.SX) -> ca.SX:
+    """Sums over the actuators of each machine: (A, N) → (M, N)."""
+    return ca.vertcat(*(ca.sum1(rows[s.fed_by(m), :]) for m in range(s.M)))

@@ -1,0 +1,134 @@
+"""What the statement of a plan depends on besides numbers: the key by which its functions are built once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from controllers.checks import ControllerConfigError
+from controllers.optimisation.problem import ProblemShape
+from thermoforce_mpc.model.operator.building import BuildingOperator
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Z zones, A actuators, M machines, N steps, modes of order r; everything else refers to their numbers.
+
+    Attributes:
+        move_of_step: number of the move that each step belongs to, (N,).
+        pairs: zone and actuator of every pair with an effect.
+        groups: zone and actuators of the pairs that share a response, see `transfer.groups_of`.
+        machine_of: machine of each actuator, (A,).
+        limited: machines with a capacity.
+        part_load: of each shared machine that cycles below a load: its number, the actuators that alone take less, and
+            whether all together take more.
+        signed: actuators with levels below 0.
+        chosen, held: actuators that are off or on in the first `n_chosen` moves; those that are held at a lowest level.
+        exclusive: groups of actuators of which one acts at a time.
+        peak, capped, curved: a price of peak power, a power cap, and whether the power in them, or in a term of the
+            user, has a part in u².
+        hidden: hidden units of the gain where it sees the predicted temperature; 0: the gain is a number.
+        terms, step_s: further terms of the user, and the length of a step for them, s.
+    """
+
+    Z: int
+    A: int
+    M: int
+    N: int
+    r: int
+    move_of_step: tuple[int, ...]
+    pairs: tuple[tuple[int, int], ...]
+    groups: tuple[tuple[int, tuple[int, ...]], ...]
+    machine_of: tuple[int, ...]
+    limited: tuple[int, ...] = ()
+    part_load: tuple[tuple[int, tuple[int, ...], bool], ...] = ()
+    signed: tuple[int, ...] = ()
+    chosen: tuple[int, ...] = ()
+    held: tuple[int, ...] = ()
+    n_chosen: int = 0
+    exclusive: tuple[tuple[int, ...], ...] = ()
+    peak: bool = False
+    capped: bool = False
+    curved: bool = False
+    hidden: int = 0
+    terms: tuple[Callable[..., None], ...] = ()
+    step_s: float = 0.0
+
+    @property
+    def n_moves(self) -> int:
+        """Number of moves."""
+        return self.move_of_step[-1] + 1
+
+    @property
+    def first_steps(self) -> list[int]:
+        """The first step of each move."""
+        return [int(k) for k in np.searchsorted(self.move_of_step, np.arange(self.n_moves))]
+
+    def fed_by(self, machine: int) -> list[int]:
+        """Actuators that a machine feeds."""
+        return [a for a in range(self.A) if self.machine_of[a] == machine]
+
+    @property
+    def by_steps(self) -> Structure:
+        """The same where every step is its own move."""
+        n_chosen = sum(move < self.n_chosen for move in self.move_of_step)
+        return replace(self, move_of_step=tuple(range(self.N)), n_chosen=n_chosen)
+
+
+def structure_of(
+    operator: BuildingOperator,
+    shape: ProblemShape,
+    groups: tuple[tuple[int, tuple[int, ...]], ...],
+) -> Structure:
+    """The structure of the problems of an operator and a shape.
+
+    Raises:
+        ControllerConfigError: the operator is not of these actuators, or its heat is known for another lowest level.
+    """
+    shape.check(operator)
+    machinery, (Z, A, r) = shape.machinery, operator.shape
+    h = shape.n_held_moves if shape.needs_choices else 0
+    for a, name in enumerate(machinery.actuators):
+        heat = operator.of_actuator(a).heat_input.heat
+        lowest = min(machinery.lowest_level[a], machinery.u_max[a])
+        if heat is not None and not np.isclose(min(heat.lowest_level, machinery.u_max[a]), lowest):
+            raise ControllerConfigError(
+                f"actuator {name}: its heat is known for a lowest level of {heat.lowest_level:g}, not {lowest:g}"
+            )
+    part_load = []
+    for m in np.flatnonzero(machinery.shared):
+        runs_for = np.where(machinery.machine_of == m, machinery.runs_for, 1.0)
+        if (runs_for < 1.0).any():
+            together = runs_for[machinery.machine_of == m].sum()
+            part_load.append((int(m), _numbers(runs_for < 1.0), bool(together > 1.0)))
+    feedback = operator.of_actuator(0).feedback_active
+    return Structure(
+        Z,
+        A,
+        len(machinery.machines),
+        shape.n_steps,
+        r,
+        tuple(int(k) for k in shape.move_of_step),
+        tuple((z, a) for z, a, _ in operator.each()),
+        groups,
+        tuple(int(m) for m in machinery.machine_of),
+        limited=_numbers(machinery.fed_by @ machinery.share > 0.0),
+        part_load=tuple(part_load),
+        signed=_numbers(machinery.u_min < 0.0),
+        chosen=_numbers(machinery.held | machinery.excluded) if h else (),
+        held=_numbers(machinery.held) if h else (),
+        n_chosen=h,
+        exclusive=machinery.exclusive,
+        peak=shape.peak,
+        capped=shape.capped,
+        curved=shape.curved and bool(shape.peak or shape.capped or shape.terms),
+        hidden=operator.of_actuator(0).hidden_bias.size if feedback else 0,
+        terms=shape.terms,
+        step_s=operator.step_s if shape.terms else 0.0,
+    )
+
+
+def _numbers(flags: np.ndarray) -> tuple[int, ...]:
+    return tuple(int(i) for i in np.flatnonzero(flags))

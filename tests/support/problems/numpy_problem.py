@@ -1,0 +1,83 @@
+"""The objective of the problem a second time, in numpy and mode by mode: what the statement is judged by."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from controllers.optimisation.problem import MPCProblem
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.data.superposition import compose
+from thermoforce_mpc.model.machine.running import running_share
+from thermoforce_mpc.model.operator.building import BuildingOperator
+
+
+def _heating(p: MPCProblem, u: Array) -> Array:
+    return np.maximum(u, 0.0) if p.machinery.signed.size else u
+
+
+def on_share(p: MPCProblem, u: Array) -> Array:
+    """Share of each step that each actuator is on with a level above 0: `u` (..., A, N) → (..., A, N)."""
+    return np.minimum(_heating(p, u) / p.machinery.switched_at(p.n_steps, p.held_steps), 1.0)
+
+
+def running(p: MPCProblem, u: Array) -> Array:
+    """Share of each step that each machine runs for levels `u` (..., A, N), shape (..., M, N)."""
+    m, on, rows = p.machinery, on_share(p, u), []
+    loads = m.share[:, None] * _heating(p, u)
+    for number in range(len(m.machines)):
+        fed = m.machine_of == number
+        needed = running_share(on[..., fed, :], m.runs_for[fed]) if fed.sum() > 1 else on[..., fed, :][..., 0, :]
+        rows.append(np.maximum(needed, loads[..., fed, :].sum(axis=-2)))
+    return np.stack(rows, axis=-2)
+
+
+def power_W(p: MPCProblem, u: Array) -> Array:
+    """Mean electric power of each machine over each step for levels `u` (..., A, N), W, shape (..., M, N)."""
+    heating = _heating(p, u)
+    per_u = p.power_per_u_W * heating
+    if p.cooling is not None:
+        per_u = per_u + p.cooling.power_per_u_W * np.maximum(-u, 0.0)
+    if p.power_per_u2_W is not None:
+        per_u = per_u + p.power_per_u2_W * heating**2
+    return p.power_fixed_W * running(p, u) + p.machinery.fed_by @ per_u
+
+
+def energy_cost(p: MPCProblem, u: Array) -> Array:
+    """Cost of energy of the building over each step for levels `u` (..., A, N), currency, shape (..., N)."""
+    heating, price = _heating(p, u), p.price_per_W[p.machinery.machine_of]
+    per_u = price * p.power_per_u_W * heating + p.cooling_cost_per_u * np.maximum(-u, 0.0)
+    if p.power_per_u2_W is not None:
+        per_u = per_u + np.maximum(price, 0.0) * p.power_per_u2_W * heating**2
+    return (p.fixed_cost * running(p, u)).sum(axis=-2) + per_u.sum(axis=-2)
+
+
+def modes_K(p: MPCProblem, operator: BuildingOperator, u: Array) -> Array:
+    """Forced state of every pair at the end of each step for levels `u` (..., A, N), K, shape (..., Z, A, N, r)."""
+    return operator.rollout(p.forced_state_K, u, p.features)
+
+
+def forced_K(p: MPCProblem, operator: BuildingOperator, u: Array) -> Array:
+    """Forced response of each zone at the end of each step for levels `u` (..., A, N), K, shape (..., Z, N)."""
+    return modes_K(p, operator, u).sum(axis=(-3, -1))
+
+
+def slack_K(p: MPCProblem, T_zone_C: Array) -> Array:
+    """Violation of the comfort bounds at the end of each step, K, shape as `T_zone_C` (..., Z, N)."""
+    return np.maximum(np.maximum(p.lower_C - T_zone_C, T_zone_C - p.upper_C), 0.0)
+
+
+def cost_under(p: MPCProblem, u: Array, modes: Array) -> Array:
+    """Objective for levels `u` (..., A, N) with forced states `modes` (..., Z, A, N, r), K; currency, (...,)."""
+    slack = slack_K(p, compose(p.T_free_C, modes.sum(axis=(-3, -1))))
+    cost = energy_cost(p, u).sum(axis=-1) + slack.sum(axis=-1) @ p.comfort_price
+    cost = cost + p.weights.curvature * (u**2).sum(axis=(-2, -1))
+    power = power_W(p, u).sum(axis=-2)
+    cost = cost + p.weights.peak * np.maximum(power.max(axis=-1) - p.peak_so_far_W, 0.0)
+    if p.power_cap is not None:
+        cost = cost + p.cap_price_per_W * np.maximum(power - p.power_cap.limit_W, 0.0).sum(axis=-1)
+    return cost - (modes[..., -1, :] * p.terminal_price_per_K).sum(axis=(-3, -2, -1))
+
+
+def cost(p: MPCProblem, operator: BuildingOperator, u: Array) -> Array:
+    """Objective for levels `u` (..., A, N), currency, shape (...,)."""
+    return cost_under(p, u, modes_K(p, operator, u))
