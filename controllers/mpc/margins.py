@@ -141,8 +141,11 @@ class MarginRules:
                 # A bound holds until the next instant: such a zone would leave it in the last step before it ends.
                 lower_C = np.maximum(boundary.lower_C[z, :-1], lower_C)
                 upper_C = np.minimum(boundary.upper_C[z, :-1], upper_C)
+            # Bounds that have crossed in it, or were given so, meet in the middle.
+            crossed = lower_C > upper_C
+            lower_C, upper_C = (np.where(crossed, 0.5 * (lower_C + upper_C), bound) for bound in (lower_C, upper_C))
             # Margins wider than half the band would swap the bounds.
-            half = 0.5 * np.maximum(upper_C - lower_C, 0.0)
+            half = 0.5 * (upper_C - lower_C)
             by_loops = any(self._actuators.each[a].by_rooms for a in own)
             learned_K = learned.inside_K(z, lower_C, upper_C, by_loops=by_loops)
             reserves_K = np.array([self._reserve_K(operator, z, sign) for sign in (1, -1)])

@@ -77,13 +77,23 @@ class Lifted:
         """Where a convex, piecewise linear objective is least."""
         return self.variable(name, *kinks[0].shape)
 
-    def response(self, q: Mapping[str, ca.SX], s: Structure, heat: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Responses of the zones (Z, N) and drives m·v (A, N) of `heat` v, by difference equations."""
-        y, drive = self.variable("y", len(s.groups), s.N), heat
+    def response(self, q: Mapping[str, ca.SX], s: Structure, heat: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Responses of the zones (Z, N), drives m·v (A, N) of `heat` v by difference equations, and slack (Z, N).
+
+        The response is what is inside the comfort bounds, a variable between numbers, less what is below, plus what is
+        above: where a zone has one group, comfort needs no rows.
+        """
+        inside, below, above = (self.variable(name, s.Z, s.N) for name in ("inside", "below", "above"))
+        forced, drive = inside - below + above, heat
+        zones = [z for z, _ in s.groups]
+        y = forced
+        if zones != list(range(s.Z)):
+            y = self.variable("y", len(s.groups), s.N)
+            self.equal.append(ca.vec(forced - ca.mtimes(_zones_of(zones, s.Z), y)))
         if s.hidden:
             drive = self.variable("drive", s.A, s.N)
-            forced = ca.horzcat(ca.sum2(q["forced"]), y[:, :-1])
-            gain = ca.horzcat(*(gain_from(q, q["before"][:, k], forced[0, k]) for k in range(s.N)))
+            seen = ca.horzcat(ca.sum2(q["forced"]), y[:, :-1])
+            gain = ca.horzcat(*(gain_from(q, q["before"][:, k], seen[0, k]) for k in range(s.N)))
             self.equal.append(ca.vec(drive - gain * heat))
         late = [drive]
         for _ in range(1, s.r):
@@ -95,7 +105,7 @@ class Lifted:
             shifted = ca.horzcat(ca.SX(len(s.groups), 1), shifted[:, :-1])
             left += ca.repmat(q["denominator"][:, i + 1], 1, s.N) * shifted
         self.equal.append(ca.vec(left - right))
-        return ca.mtimes(_zones_of([z for z, _ in s.groups], s.Z), y), drive
+        return forced, drive, below + above
 
     def require(self, what: str, row: ca.SX) -> None:
         """Rows that are at least 0."""
@@ -158,8 +168,8 @@ class Direct:
             best, least = ca.if_else(value < least, kink, best), ca.fmin(value, least)
         return self._keep(name, best)
 
-    def response(self, q: Mapping[str, ca.SX], s: Structure, heat: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Responses of the zones (Z, N) and drives m·v (A, N) of `heat` v, mode by mode (paper eq:operator)."""
+    def response(self, q: Mapping[str, ca.SX], s: Structure, heat: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Responses of the zones (Z, N), drives m·v (A, N) of `heat` v, mode by mode (paper eq:operator), and slack."""
         forced, columns, drives = q["forced"], [], []
         actuators = [a for _, a in s.pairs]
         of_group = [s.groups.index(next(g for g in s.groups if g[0] == z and a in g[1])) for z, a in s.pairs]
@@ -172,7 +182,11 @@ class Direct:
             columns.append(ca.mtimes(sums, ca.sum2(forced)))
             drives.append(drive)
         y = self._keep("y", ca.horzcat(*columns))
-        return ca.mtimes(_zones_of([z for z, _ in s.groups], s.Z), y), self._keep("drive", ca.horzcat(*drives))
+        total = ca.mtimes(_zones_of([z for z, _ in s.groups], s.Z), y)
+        low, high = q["lower"] - q["T_free"], q["upper"] - q["T_free"]
+        below, above = (self._keep("below", ca.fmax(low - total, 0.0)), self._keep("above", ca.fmax(total - high, 0.0)))
+        self._keep("inside", total + below - above)
+        return total, self._keep("drive", ca.horzcat(*drives)), below + above
 
     def require(self, what: str, row: ca.SX) -> None:
         """What must be at least 0."""

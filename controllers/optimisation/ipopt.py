@@ -46,7 +46,9 @@ class IpoptSolver:
             "max_iter": config.max_iterations,
             "tol": config.tolerance,
             "max_wall_time": config.max_seconds,
+            "mehrotra_algorithm": "yes" if self.model.convex else "no",
             "mu_strategy": "adaptive",
+            "min_refinement_steps": 0,
         }
         self._solver = self.model.functions.ipopt(self._options)
 
@@ -67,7 +69,7 @@ class IpoptSolver:
 
     def _solve_from(self, problem: MPCProblem, p: Array, start: Array, previous: Array | None) -> Solution:
         """Solve from one guess (A, N); `previous`: the plan of the step before, which an iterate must not exceed."""
-        model, low, high = self.model, self.model.x_low.copy(), self.model.x_high.copy()
+        model, (low, high) = self.model, self.model.bounds(p)
         x, claimed, status, iterations = self._ipopt(p, model.start(problem, p, start), low, high)
         if model.choices.size and status in _ACCEPTED:
             low[model.choices] = high[model.choices] = model.rounded(x)

@@ -13,7 +13,7 @@ from controllers.optimisation.transfer import Group
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator
-from thermoforce_mpc.model.operator.casadi_export import before_gain, gain_weights, gains
+from thermoforce_mpc.model.operator.casadi_export import ExportedGain, before_gain, gain_weights
 from thermoforce_mpc.model.operator.features import OUTDOOR
 
 
@@ -23,6 +23,7 @@ class Numbers:
     def __init__(self, operator: BuildingOperator, shape: ProblemShape, groups: list[Group], s: Structure) -> None:
         self._operator, self._shape, self._groups, self._s = operator, shape, groups, s
         machinery = shape.machinery
+        self._gains = [ExportedGain(operator.of_actuator(a), s.N) for a in range(s.A)]
         self._z, self._a = (np.array(numbers, dtype=np.intp) for numbers in zip(*s.pairs, strict=True))
         poles, gains_ = operator.poles, operator.gains
         self._remaining = gains_[..., None] * poles[..., None] ** (s.N - 1 - np.arange(s.N))
@@ -52,6 +53,11 @@ class Numbers:
         for name, value in values.items():
             at, rows, columns = self._places[name]
             vector[at : at + rows * columns].reshape(columns, rows)[:] = np.reshape(value, (rows, columns)).T
+
+    def part(self, vector: Array, name: str) -> Array:
+        """One of the parameters in the vector of all, in the order of its columns."""
+        at, rows, columns = self._places[name]
+        return vector[at : at + rows * columns]
 
     def of(self, p: MPCProblem, held_steps: int | None) -> Array:
         """The parameters of an instance whose levels are held in the first `held_steps` steps (None: in all).
@@ -110,7 +116,7 @@ class Numbers:
         n_held = s.N if held_steps is None else held_steps
         for a, home in enumerate(self._operator.home):
             pair, features = self._operator.of_actuator(a), p.features[home]
-            m, T_out_C = (1.0 if s.hidden else gains(pair, features)), features[:, OUTDOOR]
+            m, T_out_C = (1.0 if s.hidden else self._gains[a](features)), features[:, OUTDOOR]
             highest = float(machinery.u_max[a])
             full = pair.heat_input(np.full(s.N, highest), T_out_C)
             drive[a] = m * full / highest

@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from controllers.optimisation.functions import functions_of
@@ -19,6 +17,7 @@ from controllers.optimisation.structure import structure_of
 from controllers.optimisation.transfer import groups_of
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.casadi_export import Buffered
 
 # What a machine's share of running and the times that make it up can be at most; a bound that must not be active.
 _MOST_RUNNING = 2.0
@@ -61,10 +60,10 @@ class PlanModel:
         self.operator, self.shape, self.functions = operator, shape, functions_of(s)
         self.variables, self._numbers = self.functions.variables, Numbers(operator, shape, groups, s)
         self.n_variables, self.convex = len(self.variables.names), self.variables.convex
-        self._local, self._check = _Buffered(self.functions.local), _Buffered(self.functions.check)
+        self._local, self._check = Buffered(self.functions.local), Buffered(self.functions.check)
         at = self.variables.places
         low, high = np.full(self.n_variables, -np.inf), np.full(self.n_variables, np.inf)
-        for name in set(at) - {"y", "drive"}:
+        for name in set(at) - {"y", "drive", "inside"}:
             low[at[name]] = 0.0
         for name in {"runs", "theta", "excess"} & set(at):
             high[at[name]] = _MOST_RUNNING
@@ -132,13 +131,21 @@ class PlanModel:
             costs[i] = out[0][0] if not out[6].size or out[6].min() >= -BOUND_TOLERANCE else np.inf
         return costs.reshape(candidates.shape[:-2])
 
+    def bounds(self, p: Array) -> tuple[Array, Array]:
+        """Least and largest values of the variables."""
+        low, high = self.x_low.copy(), self.x_high.copy()
+        lower, upper, T_free = (self._numbers.part(p, name) for name in ("lower", "upper", "T_free"))
+        inside = self.variables.places["inside"]
+        low[inside], high[inside] = lower - T_free, np.maximum(upper, lower) - T_free
+        return low, high
+
     def local(self, p: Array, x: Array | None = None, multipliers: Array | None = None) -> QPData:
         """The quadratic programme of the step from `x`, by default from 0: for a convex instance, the instance."""
         x = np.zeros(self.n_variables) if x is None else x
         n_rows = self.functions.local.size1_in(2)
         f, gradient, H, equal, A, above, G = self._local(x, p, np.zeros(n_rows) if multipliers is None else multipliers)
         # Scaled by the largest slope, so that tolerances do not depend on the currency.
-        unit = float(np.abs(gradient).max()) or 1.0
+        unit, (low, high) = float(np.abs(gradient).max()) or 1.0, self.bounds(p)
         quadratic, A_, G_ = (pattern.copy() for pattern in self._patterns)
         quadratic.data, A_.data, G_.data = H / unit, A.copy(), G.copy()
         return QPData(
@@ -149,8 +156,8 @@ class PlanModel:
             G_,
             -above,
             np.full(above.size, np.inf),
-            self.x_low - x,
-            self.x_high - x,
+            low - x,
+            high - x,
             unit,
             float(f[0]),
         )
@@ -194,7 +201,7 @@ class PlanModel:
         u = u[:, s.first_steps][:, list(s.move_of_step)]
         evaluation, x = self.evaluate(problem, p, u, own), np.zeros(self.n_variables)
         for name, value in evaluation.values.items():
-            by_steps = name in ("y", "drive", "slack", "over", "peak")
+            by_steps = name in ("y", "drive", "inside", "below", "above", "over", "peak")
             columns = value if by_steps else value[:, s.first_steps[: s.n_chosen] if name == "b" else s.first_steps]
             if name in at:
                 x[at[name]] = _in_order(name, columns, at[name].size)
@@ -221,23 +228,3 @@ def _in_order(name: str, columns: Array, size: int) -> Array:
     """Values in the order of their variables: row after row where a name stands for several variables."""
     by_rows = name in ("runs", "theta", "excess")
     return (columns if by_rows else columns.T).ravel()[:size]
-
-
-class _Buffered:
-    """A function that is evaluated into arrays of its own, without copies; one call at a time."""
-
-    def __init__(self, function: ca.Function) -> None:
-        self._function = function
-        self._out = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
-        self._buffer, self._run = function.buffer()
-        for i, out in enumerate(self._out):
-            self._buffer.set_res(i, memoryview(out))  # type: ignore[call-arg,arg-type]
-
-    def __call__(self, *arguments: Array) -> list[NDArray[np.float64]]:
-        kept = [np.ascontiguousarray(argument, dtype=np.float64) for argument in arguments]
-        for i, argument in enumerate(kept):
-            if argument.size != self._function.nnz_in(i):
-                raise ValueError(f"argument {i} has {argument.size} numbers, expected {self._function.nnz_in(i)}")
-            self._buffer.set_arg(i, memoryview(argument))  # type: ignore[call-arg,arg-type]
-        self._run()
-        return self._out

@@ -198,6 +198,8 @@ class MPCProblem:
                     f"MPC problem of {Z} zones, {A} actuators and {M} machines over {n} steps: {name} has shape "
                     f"{np.shape(value)}, expected {shape}"
                 )
+        if (self.lower_C > self.upper_C + BOUND_TOLERANCE).any():
+            raise DataError("MPC problem: a lower comfort bound is above the upper one")
         if self.cooling is None and self.machinery.signed.size:
             raise DataError("MPC problem: levels below 0 need price and power of cooling")
 

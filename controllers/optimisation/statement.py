@@ -82,9 +82,7 @@ def stated(alg: Algebra, q: Numbers, s: Structure) -> Stated:
     _exclude(alg, q, s, v, cold, acts)
     heat, cool, on, runs = v[:, step], cold[:, step], on[:, step], runs[:, step]
     u = heat - cool
-    forced, drive = alg.response(q, s, q["drive"] * u + q["onset"] * on)
-    T = q["T_free"] + forced
-    slack = alg.at_least("slack", q["lower"] - T, T - q["upper"])
+    forced, drive, slack = alg.response(q, s, q["drive"] * u + q["onset"] * on)
 
     energy = ca.sum1(q["fixed_cost"] * runs) + ca.sum1(q["heat_cost"] * heat + q["bend_cost"] * heat**2)
     power = q["fixed"] * runs + _of_machines(s, q["per_u"] * heat)
@@ -102,7 +100,7 @@ def stated(alg: Algebra, q: Numbers, s: Structure) -> Stated:
         over = alg.at_least("over", total - q["limit"] / POWER_UNIT_W)
         cost += q["weights"][2] * POWER_UNIT_W * ca.sum2(over)
     for term in s.terms:
-        plan = PlanExpressions(alg, u, T, power, slack, q["last_u"], s.step_s)
+        plan = PlanExpressions(alg, u, q["T_free"] + forced, power, slack, q["last_u"], s.step_s)
         term(plan)
         cost += plan.cost
     return Stated(cost, energy, power, forced, slack, runs)

@@ -199,7 +199,7 @@ def test_a_machine_of_one_actuator_needs_no_variable_of_its_own():
     own = PlanModel(operator, ProblemShape(every_step(N), machinery_of(operator, (0, 1))))
     shared = PlanModel(operator, ProblemShape(every_step(N), machinery_of(operator, (0, 0))))
     alone = PlanModel(single(random_operator(rng, 3)), ProblemShape(every_step(N)))
-    assert (own.n_variables, shared.n_variables, alone.n_variables) == (6 * N, 7 * N, 3 * N)
+    assert (own.n_variables, shared.n_variables, alone.n_variables) == (8 * N, 9 * N, 4 * N)
 
 
 def test_capacity_is_kept_where_it_would_be_exceeded():

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import TypeVar
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.machine.load import MachineLoad
@@ -50,7 +50,6 @@ def gain_from(q: Mapping[str, ca.SX], before: ca.SX, forced: ca.SX | float = 0.0
     return 1.0 + q["gamma"] * ca.tanh(ca.dot(q["output"], hidden) + q["output_bias"])
 
 
-@cache
 def gains_function(hidden: int, n_steps: int) -> ca.Function:
     """Return m(x) over a horizon as a function of the weights of `gain_weights`: `before` (H, N) → (1, N)."""
     q = {name: ca.SX.sym(name, *size) for name, size in gain_sizes(hidden).items()}
@@ -80,10 +79,42 @@ def before_gain(params: OperatorParameters, features: Array) -> Array:
     return np.asarray(params.hidden_weight @ scaled.T + params.hidden_bias[:, None])
 
 
-def gains(params: OperatorParameters, features: Array) -> Array:
-    """Return m(x) at `features` (N, 4), (N,), evaluated by the exported function."""
-    function = gains_function(params.hidden_bias.size, len(features))
-    return np.asarray(function(before_gain(params, features), *gain_weights(params).values())).ravel()
+class ExportedGain:
+    """m(x) over a horizon by the exported function; `calls`: how often it was asked."""
+
+    def __init__(self, params: OperatorParameters, n_steps: int) -> None:
+        self._params, self.calls = params, 0
+        if params.constant_modulation is None:
+            self._function = Buffered(gains_function(params.hidden_bias.size, n_steps))
+            self._weights = [np.ravel(value) for value in gain_weights(params).values()]
+
+    def __call__(self, features: Array) -> Array | float:
+        """Return m(x) at `features` (N, 4), (N,); the constant where no feature enters it."""
+        if self._params.constant_modulation is not None:
+            return self._params.constant_modulation
+        self.calls += 1
+        return self._function(before_gain(self._params, features).ravel(order="F"), *self._weights)[0].copy()
+
+
+class Buffered:
+    """A function that is evaluated into arrays of its own, without copies; one call at a time."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self._sizes = [function.nnz_in(i) for i in range(function.n_in())]
+        self._out = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
+        self._buffer, self._run = function.buffer()
+        for i, out in enumerate(self._out):
+            self._buffer.set_res(i, memoryview(out))  # type: ignore[call-arg,arg-type]
+
+    def __call__(self, *arguments: Array) -> list[NDArray[np.float64]]:
+        """Return the nonzeros of every output, which the next call overwrites."""
+        kept = [np.ascontiguousarray(argument, dtype=np.float64) for argument in arguments]
+        for i, argument in enumerate(kept):
+            if argument.size != self._sizes[i]:
+                raise ValueError(f"argument {i} has {argument.size} numbers, expected {self._sizes[i]}")
+            self._buffer.set_arg(i, memoryview(argument))  # type: ignore[call-arg,arg-type]
+        self._run()
+        return self._out
 
 
 def modulation_function(params: OperatorParameters) -> ca.Function:
