@@ -16,8 +16,8 @@ from benchmarks.controller.do_mpc_peer import DoMpcPeer, without_extras
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.mpc.planner import build_solver
+from controllers.optimisation.evaluation import Evaluator
 from controllers.optimisation.ipopt import IpoptSolver
-from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape, blocked_moves, every_step
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.solution import Solution, Solver
@@ -65,7 +65,7 @@ def run_controller_bench(*, quick: bool = False, progress: Callable[[str], None]
     mpc, recorded, result = _recorded(days=1.0 if quick else 14.0)
     every = max(1, len(recorded) // (_QUICK_INSTANCES if quick else _INSTANCES))
     problems = [without_extras(problem) for problem in recorded[::every]]
-    seconds, costs = _timed(_contestants(mpc, problems[0], progress), problems, mpc.plan_model, progress)
+    seconds, costs = _timed(_contestants(mpc, problems[0], progress), problems, mpc.evaluator, progress)
     rows = [solver_row(name, seconds, costs, problems[0].n_steps) for name in seconds]
     rows += _parts(result)
     return results_json("controller", rows, _targets(rows, result))
@@ -101,7 +101,7 @@ def _contestants(
 def _timed(
     solvers: Mapping[str, Callable[[MPCProblem], Array]],
     problems: Sequence[MPCProblem],
-    model: PlanModel,
+    model: Evaluator,
     progress: Callable[[str], None],
 ) -> tuple[dict[str, list[float]], dict[str, list[float]]]:
     """Time, s, and cost of each solver on each problem; solvers alternate, so that other load affects all of them."""

@@ -10,8 +10,9 @@ import numpy as np
 from scipy import sparse
 
 from controllers.checks import ControllerConfigError
-from controllers.optimisation.plan_model import Evaluation, PlanModel
-from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem, ProblemShape
+from controllers.optimisation.evaluation import Evaluation
+from controllers.optimisation.plan_model import PlanModel
+from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem, ProblemShape, every_step
 from controllers.optimisation.qp_backends import Clarabel, Piqp, QPConfig, QPData
 from controllers.optimisation.solution import Solution, checked_solution
 from controllers.optimisation.terms import PlanExpressions
@@ -92,7 +93,10 @@ class QPMember:
         config: QPConfig,
         largest_kW: Array | None = None,
     ) -> None:
-        self._model = PlanModel(operator, replace(shape, terms=(*shape.terms, power_of_steps)))
+        self._model = PlanModel(
+            operator,
+            replace(shape, move_of_step=every_step(shape.n_steps), terms=(*shape.terms, power_of_steps)),
+        )
         if not self._model.convex or self._model.structure.chosen:
             raise ControllerConfigError(
                 f"{name}: buildings that share power need a convex problem; use actuation mode duty and a model "

@@ -11,7 +11,7 @@ from controllers.checks import ControllerConfigError
 from controllers.dpc.config import DPCConfig
 from controllers.dpc.policy import Policy, drive_parts, lead_steps, load_policy, operator_sha256
 from controllers.mpc.controller import ThermoForceMPC, at_step
-from controllers.optimisation.plan_model import PlanModel
+from controllers.optimisation.evaluation import Evaluator
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solution, checked_solution, failed
 from thermoforce_mpc.data import Array
@@ -24,7 +24,7 @@ class PolicySolver:
 
     def __init__(self, policy: Policy, operator: BuildingOperator, shape: ProblemShape) -> None:
         self._policy, self.operator, self._pair = policy, operator, operator.of_actuator(0)
-        self._model = PlanModel(operator, shape)
+        self._model = Evaluator(operator, shape).by_steps
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
         """The policy's levels; beyond the horizon the last step is taken to go on. `guess` is not used."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from controllers.mpc.controller import ThermoForceMPC
-from controllers.optimisation.plan_model import Evaluation
+from controllers.optimisation.evaluation import Evaluation
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, FreeForecast, Observation
 from thermoforce_mpc.data.superposition import compose
@@ -147,7 +147,7 @@ class _Model:
 
     def evaluate(self, u: Array) -> Evaluation:
         """What levels (A, N) bring, by the statement of the plan."""
-        model = self._controller.plan_model
+        model = self._controller.evaluator
         return model.evaluate(self._problem, model.held_numbers(self._problem), u)
 
     def course(self, name: str, u: Array) -> Course:

@@ -21,7 +21,7 @@ from controllers.mpc.readings import Readings, ReadingsFilter
 from controllers.mpc.realisation import Realisation
 from controllers.mpc.solved import first_demands, solved_plan
 from controllers.mpc.state import MPCState
-from controllers.optimisation.plan_model import PlanModel
+from controllers.optimisation.evaluation import Evaluator
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solve, Solver
 from controllers.safety.base import ActuatedController
@@ -158,9 +158,9 @@ class ThermoForceMPC(ActuatedController):
         return self._planners.base.operator
 
     @property
-    def plan_model(self) -> PlanModel:
-        """The statement with the numbers of `planning_operator`: what any levels bring."""
-        return self._planners.base.plan_model
+    def evaluator(self) -> Evaluator:
+        """What any levels cost and bring, step by step, by `planning_operator`."""
+        return self._planners.base.evaluator
 
     @property
     def actuation_in_words(self) -> str:

@@ -9,6 +9,7 @@ from controllers.actuation.actuators import Actuators
 from controllers.checks import ControllerConfigError
 from controllers.mpc.config import MPCConfig
 from controllers.optimisation.candidate_search import CandidateSearch
+from controllers.optimisation.evaluation import Evaluator
 from controllers.optimisation.ipopt import IpoptSolver
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.milp import MilpSolver
@@ -142,18 +143,20 @@ class Planners:
         )
         estimator = ForcedStateEstimator(model.operator, config=self._estimator)
         predictor = Predictor(model.operator, self._free_responses, estimator=estimator)
-        return Planner(model, predictor, operator, self._solver(operator), PlanModel(operator, self._shape(operator)))
+        return Planner(
+            model, predictor, operator, self._solver(operator), Evaluator(operator, self._shape(operator)).by_steps
+        )
 
 
 @dataclass(frozen=True)
 class Planner:
     """Predictor and solver of one thermal model; `operator` is the model's, adjusted to the actuation.
 
-    `plan_model`: the statement that says what levels bring, whatever solver they are from.
+    `evaluator`: what levels bring, step by step, whatever solver they are from.
     """
 
     model: ThermalModel
     predictor: Predictor
     operator: BuildingOperator
     solver: Solver
-    plan_model: PlanModel
+    evaluator: Evaluator

@@ -37,7 +37,7 @@ def solved_plan(instance: Instance, solution: Solution, solve_s: float, forecast
     """
     problem, context, free = instance.problem, forecast.context, forecast.context.free
     u, names = solution.u, readings.observation.names
-    model = forecast.planner.plan_model
+    model = forecast.planner.evaluator
     brought = model.evaluate(problem, model.held_numbers(problem), u)
     T_zone_C, slack_K = compose(problem.T_free_C, brought.forced_K), brought.slack_K
     doubts, learned = (*readings.doubts, free.doubt), forecast.state.margins

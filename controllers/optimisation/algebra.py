@@ -41,15 +41,15 @@ class Lifted:
         return self.variable(f"own {name}", 1, n)
 
     def levels(self, s: Structure) -> tuple[ca.SX, ca.SX]:
-        """Levels above and below 0 of each move, (A, moves)."""
-        v, cold = self.variable("v", s.A, s.n_moves), ca.SX(s.A, s.n_moves)
+        """Levels above and below 0, (A, N)."""
+        v, cold = self.variable("v", s.A, s.N), ca.SX(s.A, s.N)
         if s.signed:
-            cold[list(s.signed), :] = self.variable("cold", len(s.signed), s.n_moves)
+            cold[list(s.signed), :] = self.variable("cold", len(s.signed), s.N)
         return v, cold
 
     def acting(self, q: Mapping[str, ca.SX], s: Structure, v: ca.SX, cold: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Share of each move that an actuator is on, (A, moves), and whether it acts, (chosen, first moves)."""
-        on, b = q["on_per_v"][:, s.first_steps] * v, self.variable("b", len(s.chosen), s.n_chosen)
+        """Share of each step that an actuator is on, (A, N), and whether it acts, (chosen, first steps)."""
+        on, b = q["on_per_v"] * v, self.variable("b", len(s.chosen), s.n_chosen)
         early = slice(0, s.n_chosen)
         for i, a in enumerate(s.chosen):
             self.require("", q["u_max"][a] * b[i, :] - v[a, early])
@@ -98,12 +98,15 @@ class Lifted:
         late = [drive]
         for _ in range(1, s.r):
             late.append(ca.horzcat(ca.SX(s.A, 1), late[-1][:, :-1]))
-        right = ca.horzcat(q["begin"], ca.SX(len(s.groups), s.N - s.r)) if s.r < s.N else q["begin"][:, : s.N]
+        kind_of = [s.kinds.index(window) for window in s.windows]
+        right = ca.horzcat(q["begin"], ca.SX(len(s.groups), max(s.N - s.r, 0)))[:, : s.N]
         left, shifted = y, y
         for i in range(s.r):
-            right += ca.mtimes(_numerator(q, s, i), late[i])
+            for kind in range(len(s.kinds)):
+                of = [k for k in range(s.N) if kind_of[k] == kind]
+                right[:, of] += ca.mtimes(_numerator(q, s, kind * s.r + i), late[i][:, of])
             shifted = ca.horzcat(ca.SX(len(s.groups), 1), shifted[:, :-1])
-            left += ca.repmat(q["denominator"][:, i + 1], 1, s.N) * shifted
+            left += q["denominator"][:, [kind * s.r + i for kind in kind_of]] * shifted
         self.equal.append(ca.vec(left - right))
         return forced, drive, below + above
 
@@ -173,12 +176,13 @@ class Direct:
         forced, columns, drives = q["forced"], [], []
         actuators = [a for _, a in s.pairs]
         of_group = [s.groups.index(next(g for g in s.groups if g[0] == z and a in g[1])) for z, a in s.pairs]
-        sums = _zones_of(of_group, len(s.groups))
+        sums, sizes = _zones_of(of_group, len(s.groups)), sorted(set(s.lengths))
         for k in range(s.N):
             drive = heat[:, k]
             if s.hidden:
                 drive = gain_from(q, q["before"][:, k], ca.sum2(forced)) * drive
-            forced = q["poles"] * forced + q["gains"] * ca.repmat(drive[actuators], 1, s.r)
+            of = slice(s.r * sizes.index(s.lengths[k]), s.r * sizes.index(s.lengths[k]) + s.r)
+            forced = q["poles"][:, of] * forced + q["gains"][:, of] * ca.repmat(drive[actuators], 1, s.r)
             columns.append(ca.mtimes(sums, ca.sum2(forced)))
             drives.append(drive)
         y = self._keep("y", ca.horzcat(*columns))

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from controllers.optimisation.plan_model import PlanModel
+from controllers.optimisation.evaluation import Evaluator
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solution, checked_solution, failed
 from thermoforce_mpc.data import Array
@@ -38,7 +38,7 @@ class CandidateSearch:
     """
 
     def __init__(self, operator: BuildingOperator, shape: ProblemShape, config: SearchConfig) -> None:
-        self.model, self.operator = PlanModel(operator, shape), operator
+        self.model, self.operator = Evaluator(operator, shape), operator
         self._candidates = _two_level_trajectories(config, shape.n_steps)
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
-import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -20,8 +19,8 @@ from controllers.optimisation import algebra, statement, terms
 from controllers.optimisation.structure import Structure
 from thermoforce_mpc.data.cache_folder import cache_folder
 
-# Structures kept on disk.
-_MOST = 60
+# Files kept.
+_MOST = 120
 
 
 @cache
@@ -30,43 +29,46 @@ def _sources() -> str:
     return "".join(inspect.getsource(module) for module in (algebra, statement, terms, export)) + version("casadi")
 
 
-def _folder(s: Structure) -> Path:
-    key = hashlib.sha256(f"{_sources()}{s}".encode()).hexdigest()
-    return cache_folder() / "plans" / key[:32]
+def stored(
+    s: Structure, name: str, build: Callable[[], tuple[dict[str, Any], list[ca.Function]]]
+) -> tuple[dict[str, Any], list[ca.Function]]:
+    """Facts and functions of a structure as they were saved, or else built and saved.
 
-
-def load(s: Structure) -> tuple[dict[str, Any], list[ca.Function]] | None:
-    """What was saved of a structure; None where nothing was, or it is not as it was written."""
-    if s.terms:  # functions of the user, whose text may have changed
-        return None
-    try:
-        meta = json.loads((_folder(s) / "variables.json").read_text())
-        texts = [(_folder(s) / f"{name}.casadi").read_text() for name in meta["sha256"]]
-        if [hashlib.sha256(text.encode()).hexdigest() for text in texts] != list(meta["sha256"].values()):
-            return None
-        variables = {name: tuple(v) if isinstance(v, list) else v for name, v in meta["variables"].items()}
-        return variables, [ca.Function.deserialize(text) for text in texts]
-    except (OSError, ValueError, KeyError, RuntimeError):
-        return None
-
-
-def save(s: Structure, variables: Mapping[str, Any], functions: Sequence[ca.Function]) -> None:
-    """Save a structure's functions; without a word where the folder cannot be written."""
+    Functions of the user (`terms`) may have changed: with them nothing is saved.
+    """
     if s.terms:
-        return
+        return build()
+    key = hashlib.sha256(f"{_sources()}{s}".encode()).hexdigest()
+    file = cache_folder() / "plans" / f"{key[:32]}.{name}"
+    found = _load(file)
+    if found is None:
+        found = build()
+        _save(file, *found)
+    return found
+
+
+def _load(file: Path) -> tuple[dict[str, Any], list[ca.Function]] | None:
+    """What a file holds; None where there is none, or it is not as it was written."""
     try:
-        folder = _folder(s)
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(dir=folder.parent))
-        hashes = {}
-        for function in functions:
-            text = function.serialize()
-            hashes[function.name()] = hashlib.sha256(text.encode()).hexdigest()
-            (temporary / f"{function.name()}.casadi").write_text(text)
-        (temporary / "variables.json").write_text(json.dumps({"variables": dict(variables), "sha256": hashes}))
-        temporary.replace(folder) if not folder.exists() else shutil.rmtree(temporary)
-        oldest = sorted(folder.parent.iterdir(), key=lambda path: path.stat().st_mtime)[:-_MOST]
-        for path in oldest:
-            shutil.rmtree(path, ignore_errors=True)
+        sha256, text = file.read_text().split("\n", 1)
+        if hashlib.sha256(text.encode()).hexdigest() != sha256:
+            return None
+        facts, texts = json.loads(text)
+        facts = {name: tuple(value) if isinstance(value, list) else value for name, value in facts.items()}
+        return facts, [ca.Function.deserialize(function) for function in texts]
+    except (OSError, ValueError, RuntimeError):
+        return None
+
+
+def _save(file: Path, facts: Mapping[str, Any], functions: Sequence[ca.Function]) -> None:
+    """Save them; without a word where the folder cannot be written."""
+    text = json.dumps([dict(facts), [function.serialize() for function in functions]])
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=file.parent, delete=False) as temporary:
+            temporary.write(f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
+        Path(temporary.name).replace(file)
+        for path in sorted(file.parent.iterdir(), key=lambda path: path.stat().st_mtime)[:-_MOST]:
+            path.unlink(missing_ok=True)
     except OSError:
         pass

@@ -6,7 +6,7 @@ import json
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -14,28 +14,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.optimisation.algebra import Direct, Lifted
-from controllers.optimisation.function_store import load, save
-from controllers.optimisation.statement import parameter_sizes, stated
+from controllers.optimisation.function_store import stored
+from controllers.optimisation.statement import parameter_sizes, state
 from controllers.optimisation.structure import Structure
 
-_KEPT: dict[Structure, Functions] = {}
 # Structures kept in the process.
 _MOST = 64
+
+
+@dataclass(frozen=True)
+class Check:
+    """`function`: (u, own, p) → cost, energy cost (1, N), power (M, N), forced response (Z, N), slack (Z, N), running
+    (M, N), least of each of what is `required`; then the variables called `values`. `n_own`: numbers of the user's own.
+    """
+
+    function: ca.Function
+    required: tuple[str, ...]
+    values: tuple[str, ...]
+    n_own: int
 
 
 @dataclass(frozen=True)
 class Variables:
     """Variables by name in their order.
 
-    `own`: bounds of the user's own. `n_equal`: number of equations. `required`, `values`: what the check says must be
-    at least 0, and names of the variables that it gives. `convex`: no derivative depends on variables or multipliers.
+    `own`: bounds of the user's own. `n_equal`: number of equations. `convex`: no derivative depends on variables or
+    multipliers.
     """
 
     names: tuple[str, ...]
     own: Mapping[str, tuple[float, float]]
     n_equal: int
-    required: tuple[str, ...]
-    values: tuple[str, ...]
     convex: bool
 
     @cached_property
@@ -47,17 +56,15 @@ class Variables:
 
 @dataclass(frozen=True, eq=False)
 class Functions:
-    """What is built from the statement of a structure.
+    """The programme of a structure.
 
     `local`: (x, p, multipliers) → objective, gradient, second derivatives of the Lagrangian, equations and their
-    Jacobian, inequalities and theirs. `check`: (u, own, p) → cost, energy cost (1, N), power (M, N), forced response
-    (Z, N), slack (Z, N), running (M, N), least of each requirement; then the variables over the steps. `rows`:
-    (x, p) → objective and rows, for Ipopt; a solver is used by one at a time (`busy`).
+    Jacobian, inequalities and theirs. `rows`: (x, p) → objective and rows, for Ipopt; a solver is used by one at a
+    time (`busy`).
     """
 
     variables: Variables
     local: ca.Function
-    check: ca.Function
     rows: ca.Function
     solvers: dict[str, ca.Function] = field(default_factory=dict)
     busy: threading.Lock = field(default_factory=threading.Lock)
@@ -76,49 +83,52 @@ class Functions:
         return self.solvers[key]
 
 
+@lru_cache(_MOST)
+def check_of(s: Structure) -> Check:
+    """The check of a structure: from disk, or built."""
+    facts, (function,) = stored(s, "check", lambda: _build_check(s))
+    return Check(function, **facts)
+
+
+@lru_cache(_MOST)
 def functions_of(s: Structure) -> Functions:
-    """The functions of a structure: from the process, from disk, or built."""
-    found = _KEPT.pop(s, None)
-    if found is None:
-        stored = load(s)
-        if stored:
-            local, check, rows = stored[1]
-            found = Functions(Variables(**stored[0]), local, check, rows)
-        else:
-            found = build(s)
-            save(s, vars(found.variables), (found.local, found.check, found.rows))
-        while len(_KEPT) >= _MOST:
-            _KEPT.pop(next(iter(_KEPT)), None)
-    _KEPT[s] = found
-    return found
+    """The programme of a structure: from disk, or built."""
+    facts, (local, rows) = stored(s, "programme", lambda: _build_programme(s))
+    return Functions(Variables(**facts), local, rows)
 
 
-def build(s: Structure) -> Functions:
-    """Build the functions of a structure."""
-    q = {name: ca.SX.sym(name, *size) for name, size in parameter_sizes(s).items()}
-    p, lifted = ca.veccat(*q.values()), Lifted()
-    f = stated(lifted, q, s).cost
+def _build_check(s: Structure) -> tuple[dict[str, Any], list[ca.Function]]:
+    q, p = _parameters(s)
+    u = ca.SX.sym("u", s.A, s.N)
+    direct = Direct(u)
+    plan = state(direct, q, s)
+    required = ca.vertcat(*(least for _, least in direct.required))
+    outputs = [plan.cost, plan.energy, plan.power, plan.forced, plan.slack, plan.running, required]
+    outputs = [ca.densify(value) for value in (*outputs, *direct.values.values())]
+    own = ca.veccat(*direct.own.values())
+    facts = {"required": tuple(what for what, _ in direct.required), "values": tuple(direct.values)}
+    return facts | {"n_own": own.numel()}, [ca.Function("check", [u, own, p], outputs)]
+
+
+def _build_programme(s: Structure) -> tuple[dict[str, Any], list[ca.Function]]:
+    (q, p), lifted = _parameters(s), Lifted()
+    f = state(lifted, q, s).cost
     x, equal, above = ca.veccat(*lifted.x), ca.veccat(*lifted.equal), ca.veccat(*lifted.above)
     rows = ca.vertcat(equal, above)
     m = ca.SX.sym("m", rows.numel())
     A, G = ca.jacobian(equal, x), ca.jacobian(above, x)
     linear = not ca.depends_on(ca.veccat(A, G), x)
     H, gradient = ca.hessian(f if linear else f + ca.dot(m, rows), x)
-    convex = linear and not ca.depends_on(ca.vec(H), x)
-    if not linear:
-        gradient = ca.gradient(f, x)
+    facts = {
+        "names": tuple(lifted.names),
+        "own": lifted.own,
+        "n_equal": equal.numel(),
+        "convex": linear and not ca.depends_on(ca.vec(H), x),
+    }
+    outputs = [f, gradient if linear else ca.gradient(f, x), H, equal, A, above, G]
+    return facts, [ca.Function("local", [x, p, m], outputs), ca.Function("rows", [x, p], [f, rows])]
 
-    u = ca.SX.sym("u", s.A, s.N)
-    direct = Direct(u)
-    plan = stated(direct, q, s.by_steps)
-    required = ca.vertcat(*(least for _, least in direct.required))
-    checked = [plan.cost, plan.energy, plan.power, plan.forced, plan.slack, plan.running, required]
-    checked = [ca.densify(value) for value in (*checked, *direct.values.values())]
-    what, values = tuple(what for what, _ in direct.required), tuple(direct.values)
-    variables = Variables(tuple(lifted.names), lifted.own, equal.numel(), what, values, convex)
-    return Functions(
-        variables,
-        ca.Function("local", [x, p, m], [f, gradient, H, equal, A, above, G]),
-        ca.Function("check", [u, ca.veccat(*direct.own.values()), p], checked),
-        ca.Function("rows", [x, p], [f, rows]),
-    )
+
+def _parameters(s: Structure) -> tuple[dict[str, ca.SX], ca.SX]:
+    q = {name: ca.SX.sym(name, *size) for name, size in parameter_sizes(s).items()}
+    return q, ca.veccat(*q.values())

@@ -27,8 +27,10 @@ def as_held(model: PlanModel, problem: MPCProblem, solution: Solution) -> Soluti
         T_out_C = problem.features[model.operator.home[a], later, OUTDOOR]
         heat_input = model.operator.of_actuator(int(a)).heat_input
         u[a, later] = held_level(heat_input, u[a, later], T_out_C, float(machinery.u_max[a]))
-    evaluation = model.evaluate(problem, model.held_numbers(problem), u)
-    off_K = float(np.abs(evaluation.forced_K - solution.evaluation.forced_K).max())
+    fine = model.by_steps
+    planned = fine.evaluate(problem, fine.numbers(problem), solution.u)
+    evaluation = fine.evaluate(problem, fine.held_numbers(problem), u)
+    off_K = float(np.abs(evaluation.forced_K - planned.forced_K).max())
     if not off_K <= _SAME_K:
         why = f"levels of later steps bring another heat than planned ({off_K:.2g} K)"
         return failed(solution.status, solution.iterations, why)

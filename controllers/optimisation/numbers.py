@@ -9,7 +9,7 @@ import numpy as np
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.statement import parameter_sizes
 from controllers.optimisation.structure import Structure
-from controllers.optimisation.transfer import Group
+from controllers.optimisation.transfer import Group, difference_equation
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -23,18 +23,24 @@ class Numbers:
     def __init__(self, operator: BuildingOperator, shape: ProblemShape, groups: list[Group], s: Structure) -> None:
         self._operator, self._shape, self._groups, self._s = operator, shape, groups, s
         machinery = shape.machinery
-        self._gains = [ExportedGain(operator.of_actuator(a), s.N) for a in range(s.A)]
+        self._gains = [ExportedGain(operator.of_actuator(a), shape.n_steps) for a in range(s.A)]
         self._z, self._a = (np.array(numbers, dtype=np.intp) for numbers in zip(*s.pairs, strict=True))
         poles, gains_ = operator.poles, operator.gains
-        self._remaining = gains_[..., None] * poles[..., None] ** (s.N - 1 - np.arange(s.N))
-        self._faded = poles**s.N
+        n, self._firsts = shape.n_steps, shape.first_steps
+        self._remaining = gains_[..., None] * poles[..., None] ** (n - 1 - np.arange(n))
+        self._faded, self._lengths = poles**n, np.array(s.lengths)
         alone = ~machinery.shared[machinery.machine_of]
+        self._lasts = self._firsts + self._lengths - 1
         self._share_alone = np.where(alone, machinery.share, 0.0)[:, None]
+        each = [[difference_equation(g.poles, g.gains, kind) for g in groups] for kind in s.kinds]
+        sizes = np.array(sorted(set(s.lengths)))[:, None, None]
+        pole, gain = poles[self._z, self._a], gains_[self._z, self._a]
+        self._denominators = np.array([[left for left, _ in of_kind] for of_kind in each])
         self._constant = {
-            "denominator": np.array([group.denominator for group in groups]),
-            "numerator": np.concatenate([group.numerators for group in groups]).T,
-            "poles": poles[self._z, self._a],
-            "gains": gains_[self._z, self._a],
+            "denominator": np.concatenate(list(self._denominators[:, :, 1:]), axis=1),
+            "numerator": np.concatenate([np.concatenate([right for _, right in k], axis=1) for k in each]),
+            "poles": np.concatenate(list(pole**sizes), axis=1),
+            "gains": np.concatenate(list(gain * (1.0 - pole**sizes) / (1.0 - pole)), axis=1),
             "share": machinery.share,
             "runs_for": machinery.runs_for,
             "u_max": machinery.u_max,
@@ -68,67 +74,88 @@ class Numbers:
         s, machinery, machine_of = self._s, self._shape.machinery, self._shape.machinery.machine_of
         if p.power_per_u2_W is not None and (s.peak or s.capped or s.terms) and not s.curved:
             raise DataError("MPC problem: power has a part in u², which its shape (`curved`) does not say")
-        if p.n_steps != s.N:
-            raise DataError(f"MPC problem: {p.n_steps} steps, but the shape has {s.N}")
+        if p.n_steps != self._shape.n_steps:
+            raise DataError(f"MPC problem: {p.n_steps} steps, but the shape has {self._shape.n_steps}")
         drive, onset = self._drive(p, held_steps)
         worth = np.einsum("zar,zarn->an", p.terminal_price_per_K, self._remaining)
         price_of = p.price_per_W[machine_of]
-        bend_W = np.zeros((s.A, s.N)) if p.power_per_u2_W is None else p.power_per_u2_W
-        switched_at = machinery.switched_at(s.N, held_steps)
-        values = {
-            "begin": np.array([g.begin @ p.forced_state_K[g.zone, g.pairs].sum(axis=0) for g in self._groups]),
+        bend_W = np.zeros(drive.shape) if p.power_per_u2_W is None else p.power_per_u2_W
+        switched_at = np.broadcast_to(machinery.switched_at(p.n_steps, held_steps), drive.shape)
+        low_K, high_K = self._inside(p)
+        values: dict[str, Array | float] = {
+            "begin": self._begin(p.forced_state_K),
             "forced": p.forced_state_K[self._z, self._a],
-            "drive": drive,
-            "onset": onset,
-            "on_per_v": np.broadcast_to(np.maximum(1.0 / switched_at, self._share_alone), (s.A, s.N)),
-            "worth": worth,
+            "drive": self._mean(drive),
+            "onset": self._mean(onset),
+            "on_per_v": np.maximum(1.0 / switched_at, self._share_alone)[:, self._firsts],
+            "worth": self._sum(worth),
             "kept": float((p.terminal_price_per_K * self._faded * p.forced_state_K).sum()),
-            "per_u": p.power_per_u_W,
-            "heat_cost": price_of * p.power_per_u_W,
-            "bend": bend_W,
-            "bend_cost": np.maximum(price_of, 0.0) * bend_W,
-            "T_free": p.T_free_C,
-            "lower": p.lower_C,
-            "upper": p.upper_C,
-            "fixed": p.power_fixed_W,
-            "fixed_cost": p.fixed_cost,
-            "capacity": self._capacity(p),
+            "per_u": self._mean(p.power_per_u_W),
+            "heat_cost": self._sum(price_of * p.power_per_u_W),
+            "bend": self._mean(bend_W),
+            "bend_cost": self._sum(np.maximum(price_of, 0.0) * bend_W),
+            "T_free": p.T_free_C[:, self._lasts],
+            "lower": p.T_free_C[:, self._lasts] + low_K,
+            "upper": p.T_free_C[:, self._lasts] + high_K,
+            "fixed": self._mean(p.power_fixed_W),
+            "fixed_cost": self._sum(p.fixed_cost),
             "comfort": p.comfort_price,
             "weights": np.array([p.weights.curvature, p.weights.peak, p.cap_price_per_W]),
             "reached": p.peak_so_far_W,
         }
+        capacity = np.ones(p.power_fixed_W.shape) if p.capacity is None else p.capacity
+        values["capacity"] = np.minimum.reduceat(capacity, self._firsts, axis=1)
         if p.cooling is not None:
-            values |= {"cold_power": p.cooling.power_per_u_W, "cold_cost": p.cooling_cost_per_u}
+            values["cold_power"] = self._mean(p.cooling.power_per_u_W)
+            values["cold_cost"] = self._sum(p.cooling_cost_per_u)
         if p.power_cap is not None:
-            values["limit"] = p.power_cap.limit_W
+            values["limit"] = self._mean(p.power_cap.limit_W[None])
         if p.last_u is not None:
             values["last_u"] = p.last_u
         if s.hidden:
-            values["before"] = before_gain(self._operator.of_actuator(0), p.features[0])
+            values["before"] = self._mean(before_gain(self._operator.of_actuator(0), p.features[0]))
         vector = self._vector.copy()
         self._write(vector, values)
         return vector
 
+    def _sum(self, values: Array) -> Array:
+        """Sums over the control steps of each step of the plan: (rows, control steps) → (rows, N)."""
+        return np.asarray(np.add.reduceat(values, self._firsts, axis=1))
+
+    def _mean(self, values: Array) -> Array:
+        return self._sum(values) / self._lengths
+
+    def _inside(self, p: MPCProblem) -> tuple[Array, Array]:
+        """Least and largest forced response at the end of each step of the plan within comfort, K, (Z, N)."""
+        low_K, high_K = p.lower_C - p.T_free_C, p.upper_C - p.T_free_C
+        return low_K[:, self._lasts], high_K[:, self._lasts]
+
+    def _begin(self, forced_K: Array) -> Array:
+        """Right sides of the first equations by what the modes (Z, A, r) are now: (groups, r)."""
+        s, rows = self._s, np.zeros((len(self._groups), self._s.r))
+        ends = np.cumsum(self._lengths[: s.r])
+        kind_of = [s.kinds.index(window) for window in s.windows[: s.r]]
+        for g, group in enumerate(self._groups):
+            free = group.poles ** ends[:, None] @ forced_K[group.zone, group.pairs].sum(axis=0)
+            for k, kind in enumerate(kind_of):
+                rows[g, k] = self._denominators[kind, g, : k + 1] @ free[k::-1]
+        return rows
+
     def _drive(self, p: MPCProblem, held_steps: int | None) -> tuple[Array, Array]:
-        """Drive of the modes per level, and while a held level is on, (A, N) each; with the gain where it is known."""
+        """Drive of the modes per level, and while a held level is on, (A, control steps); with a known gain."""
         s, machinery = self._s, self._shape.machinery
-        drive, onset = np.zeros((s.A, s.N)), np.zeros((s.A, s.N))
-        n_held = s.N if held_steps is None else held_steps
+        n = p.n_steps
+        drive, onset = np.zeros((s.A, n)), np.zeros((s.A, n))
+        n_held = n if held_steps is None else held_steps
         for a, home in enumerate(self._operator.home):
             pair, features = self._operator.of_actuator(a), p.features[home]
             m, T_out_C = (1.0 if s.hidden else self._gains[a](features)), features[:, OUTDOOR]
             highest = float(machinery.u_max[a])
-            full = pair.heat_input(np.full(s.N, highest), T_out_C)
+            full = pair.heat_input(np.full(n, highest), T_out_C)
             drive[a] = m * full / highest
             if machinery.held[a] and n_held:
                 lowest = float(machinery.lowest_level[a])
-                slope = (full - pair.heat_input(np.full(s.N, lowest), T_out_C)) / (highest - lowest)
+                slope = (full - pair.heat_input(np.full(n, lowest), T_out_C)) / (highest - lowest)
                 first = slice(0, n_held)
                 drive[a, first], onset[a, first] = (m * slope)[first], (m * (full - slope * highest))[first]
         return drive, onset
-
-    def _capacity(self, p: MPCProblem) -> Array:
-        """Capacity of each machine over each step (M, N); over a move the least of its steps."""
-        if p.capacity is None:
-            return np.ones((self._s.M, self._s.N))
-        return np.minimum.reduceat(p.capacity, self._s.first_steps, axis=1)[:, list(self._s.move_of_step)]

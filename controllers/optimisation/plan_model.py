@@ -1,20 +1,16 @@
-"""The statement with the numbers of one operator and shape: what solvers solve, and what every answer is checked by."""
+"""The programme that solvers solve: the statement with the numbers of one operator and shape."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 
+from controllers.optimisation.evaluation import Evaluator
 from controllers.optimisation.functions import functions_of
-from controllers.optimisation.numbers import Numbers
 from controllers.optimisation.problem import BOUND_TOLERANCE, MPCProblem, ProblemShape
 from controllers.optimisation.qp_backends import QPData
-from controllers.optimisation.structure import structure_of
-from controllers.optimisation.transfer import groups_of
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.casadi_export import Buffered
@@ -23,28 +19,8 @@ from thermoforce_mpc.model.operator.casadi_export import Buffered
 _MOST_RUNNING = 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class Evaluation:
-    """What levels `u` (A, N) cost and bring, by the statement.
-
-    `cost`: the objective; `energy_cost` (N,), currency; `power_W` (M, N), mean over each step; at the end of each step
-    `forced_K` and `slack_K` (Z, N); `running` (M, N), share of each step. `broken`: which limit is left by how much,
-    or ''. `values`: variables of the programme over the steps, by name.
-    """
-
-    u: Array
-    cost: float
-    energy_cost: Array
-    power_W: Array
-    forced_K: Array
-    slack_K: Array
-    running: Array
-    broken: str
-    values: Mapping[str, Array]
-
-
-class PlanModel:
-    """The statement of one operator and shape."""
+class PlanModel(Evaluator):
+    """The statement of one operator and shape, for solvers."""
 
     def __init__(self, operator: BuildingOperator, shape: ProblemShape) -> None:
         """Build its functions, or take those of another operator of the same structure.
@@ -52,15 +28,10 @@ class PlanModel:
         Raises:
             ControllerConfigError: the operator is not of these actuators, or its heat is for another lowest level.
         """
-        machinery = shape.machinery
-        couples = bool(shape.peak or shape.capped or machinery.shared.any())
-        groups = groups_of(operator, power_couples=couples)
-        keys = tuple((group.zone, tuple(int(a) for a in group.actuators)) for group in groups)
-        self.structure = s = structure_of(operator, shape, keys)
-        self.operator, self.shape, self.functions = operator, shape, functions_of(s)
-        self.variables, self._numbers = self.functions.variables, Numbers(operator, shape, groups, s)
+        super().__init__(operator, shape)
+        s, machinery, self.functions = self.structure, shape.machinery, functions_of(self.structure)
+        self.variables, self._local = self.functions.variables, Buffered(self.functions.local)
         self.n_variables, self.convex = len(self.variables.names), self.variables.convex
-        self._local, self._check = Buffered(self.functions.local), Buffered(self.functions.check)
         at = self.variables.places
         low, high = np.full(self.n_variables, -np.inf), np.full(self.n_variables, np.inf)
         for name in set(at) - {"y", "drive", "inside"}:
@@ -69,67 +40,15 @@ class PlanModel:
             high[at[name]] = _MOST_RUNNING
         for name, (least, most) in self.variables.own.items():
             low[at[name]], high[at[name]] = least, most
-        self.levels_at = at["v"].reshape(s.n_moves, s.A).T
+        self.levels_at = at["v"].reshape(s.N, s.A).T
         high[self.levels_at] = machinery.u_max[:, None]
         if s.signed:
-            self._cold_at = at["cold"].reshape(s.n_moves, len(s.signed)).T
+            self._cold_at = at["cold"].reshape(s.N, len(s.signed)).T
             high[self._cold_at] = -machinery.u_min[list(s.signed)][:, None]
         self.own_at = np.concatenate([np.zeros(0), *(at[name] for name in self.variables.own)]).astype(np.intp)
         self.choices = at.get("b", np.zeros(0, dtype=np.intp))
         high[self.choices] = 1.0
         self.x_low, self.x_high = low, high
-
-    @property
-    def held_steps(self) -> int | None:
-        """Number of first steps in which levels are held, as it is solved; None: nothing is ever held."""
-        m = self.shape.machinery
-        return (self.shape.n_held if self.structure.chosen else 0) if m.held.any() or m.exclusive else None
-
-    def numbers(self, problem: MPCProblem) -> Array:
-        """The parameters of an instance as it is solved: relaxed after the first moves."""
-        return self._numbers.of(problem, self.held_steps)
-
-    def held_numbers(self, problem: MPCProblem) -> Array:
-        """The parameters of an instance in which levels are held in all steps."""
-        return self._numbers.of(problem, None)
-
-    def evaluate(self, problem: MPCProblem, p: Array, u: Array, own: Array | None = None) -> Evaluation:
-        """Evaluate levels `u` (A, N), with `own` variables of the user, at parameters `p`."""
-        given = np.zeros(self.own_at.size) if own is None else own
-        out = self._check(np.asarray(u, dtype=np.float64).ravel(order="F"), given, p)
-        s = self.structure
-        energy, power, forced, slack, running, required = (
-            value.reshape(rows, -1, order="F").copy()
-            for value, rows in zip(out[1:7], (1, s.M, s.Z, s.Z, s.M, 1), strict=True)
-        )
-        values = {
-            name: value.reshape(self.functions.check.size_out(7 + i), order="F").copy()
-            for i, (name, value) in enumerate(zip(self.variables.values, out[7:], strict=True))
-        }
-        least = required.ravel()
-        worst = int(np.argmin(least)) if least.size else -1
-        broken = self._in_words(worst, -least[worst]) if worst >= 0 and least[worst] < -BOUND_TOLERANCE else ""
-        return Evaluation(u, float(out[0][0]), energy[0], power, forced, slack, running, broken, values)
-
-    def _in_words(self, number: int, by: float) -> str:
-        """What of the statement is broken."""
-        kind, *numbers = self.variables.required[number].split(" ")
-        machinery = self.shape.machinery
-        if kind == "capacity":
-            return f"u asks {by:.4g} more than the capacity of {machinery.machines[int(numbers[0])]}"
-        if kind == "exclusive":
-            names = ", ".join(machinery.actuators[int(a)] for a in numbers)
-            return f"{names} act together, but exclude one another"
-        return f"{self.variables.required[number]} is broken by {by:.4g}"
-
-    def costs(self, p: Array, candidates: Array) -> Array:
-        """Objective of levels (..., A, N), currency, infinite where a limit is left, (...,)."""
-        flat = np.asarray(candidates, dtype=np.float64).reshape(-1, self.structure.A, self.structure.N)
-        costs = np.empty(len(flat))
-        for i, u in enumerate(flat):
-            out = self._check(u.ravel(order="F"), np.zeros(0), p)
-            costs[i] = out[0][0] if not out[6].size or out[6].min() >= -BOUND_TOLERANCE else np.inf
-        return costs.reshape(candidates.shape[:-2])
 
     def bounds(self, p: Array) -> tuple[Array, Array]:
         """Least and largest values of the variables."""
@@ -189,7 +108,7 @@ class PlanModel:
             # What a solver leaves of an actuator that is off, or lacks of its lowest level.
             lowest = machinery.lowest_level[a] if a in s.held else -np.inf
             moves[a, : s.n_chosen] = np.where(b > 0.5, np.maximum(moves[a, : s.n_chosen], lowest), 0.0)
-        return np.clip(moves, machinery.u_min[:, None], machinery.u_max[:, None])[:, list(s.move_of_step)]
+        return np.clip(moves, machinery.u_min[:, None], machinery.u_max[:, None])[:, self.shape.move_of_step]
 
     def own(self, x: Array) -> Array:
         """The user's own variables among `x`."""
@@ -197,14 +116,10 @@ class PlanModel:
 
     def start(self, problem: MPCProblem, p: Array, u: Array, own: Array | None = None) -> Array:
         """All variables for the first levels of each move of `u` (A, N)."""
-        s, at = self.structure, self.variables.places
-        u = u[:, s.first_steps][:, list(s.move_of_step)]
-        evaluation, x = self.evaluate(problem, p, u, own), np.zeros(self.n_variables)
+        at, evaluation, x = self.variables.places, self.evaluate(problem, p, u, own), np.zeros(self.n_variables)
         for name, value in evaluation.values.items():
-            by_steps = name in ("y", "drive", "inside", "below", "above", "over", "peak")
-            columns = value if by_steps else value[:, s.first_steps[: s.n_chosen] if name == "b" else s.first_steps]
             if name in at:
-                x[at[name]] = _in_order(name, columns, at[name].size)
+                x[at[name]] = _in_order(name, value, at[name].size)
         x[self.own_at] = 0.0 if own is None else own
         return x
 

@@ -8,7 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
-from controllers.optimisation.plan_model import Evaluation, PlanModel
+from controllers.optimisation.evaluation import Evaluation, Evaluator
+from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.data import Array
 
@@ -75,7 +76,7 @@ def failed(status: str, iterations: int, why: str) -> Solution:
 
 
 def checked_solution(
-    model: PlanModel,
+    model: Evaluator,
     problem: MPCProblem,
     p: Array,
     u: Array,
@@ -90,7 +91,7 @@ def checked_solution(
     the statement mode by mode, agrees with `claimed`. All other inequalities are soft, so such levels are feasible; a
     different objective shows that another problem was solved. `p`: parameters; `own`: variables of the user.
     """
-    if u.shape != (model.structure.A, model.structure.N) or not np.isfinite(u).all() or not np.isfinite(claimed):
+    if u.shape != (model.structure.A, problem.n_steps) or not np.isfinite(u).all() or not np.isfinite(claimed):
         return failed(status, iterations, f"{status} was reported, but the solution is not finite")
     found = model.evaluate(problem, p, u, own)
     outside = problem.unfit(u) or found.broken

@@ -1,6 +1,6 @@
 """The optimisation problem of one control step, stated once.
 
-For zones z, actuators a and machines m, over steps k,
+For zones z, actuators a and machines m, over steps k of the plan,
 
     minimise    Σ_k [ Σ_m fixed_cost_mk · on_mk  +  Σ_a ( cost_ak u_ak + bend_ak u_ak² )  +  Σ_z w_z · s_zk · Δt
                       +  Σ_a ε u_ak²  +  c · o_k · Δt ]  +  π · p  −  Σ_za λ_za' F_za,N
@@ -11,10 +11,9 @@ For zones z, actuators a and machines m, over steps k,
                 Σ_{a of m} share_a u_ak ≤ capacity_mk
                 Σ_m P_mk ≤ p_0 + p,   p ≥ 0                      p: peak power above the highest so far, p_0
                 Σ_m P_mk ≤ cap_k + o_k,   o_k ≥ 0                soft power cap
-                u_ak = v_aj for all steps k of move j            move blocking
 
 Levels below 0 cool, at a price and power of their own. An actuator is on for the share on_ak = u_ak / (level at which
-it switches). In the first moves a held level is 0 or at least its lowest, b = 1 where it is not 0 and then on = b; of
+it switches). In the first steps a held level is 0 or at least its lowest, b = 1 where it is not 0 and then on = b; of
 actuators that exclude one another one acts in a step, later they share it. The free response T_free is fixed. The slack
 makes every instance feasible. λ is the value of heat stored at the end.
 
@@ -59,8 +58,8 @@ def parameter_sizes(s: Structure) -> dict[str, tuple[int, int]]:
     by_actuator = dict.fromkeys(("drive", "onset", "on_per_v", "worth", "per_u", "heat_cost", "bend", "bend_cost"))
     by_actuator |= dict.fromkeys(("cold_power", "cold_cost"))
     sizes = {
-        **{"denominator": (G, s.r + 1), "numerator": (s.r, E), "begin": (G, s.r)},
-        **dict.fromkeys(("poles", "gains", "forced"), (P, s.r)),
+        **{"denominator": (G, s.r * len(s.kinds)), "numerator": (s.r * len(s.kinds), E), "begin": (G, s.r)},
+        **{"poles": (P, s.r * len(set(s.lengths))), "gains": (P, s.r * len(set(s.lengths))), "forced": (P, s.r)},
         **dict.fromkeys(by_actuator, (s.A, s.N)),
         **dict.fromkeys(("T_free", "lower", "upper"), (s.Z, s.N)),
         **dict.fromkeys(("fixed", "fixed_cost", "capacity"), (s.M, s.N)),
@@ -73,15 +72,13 @@ def parameter_sizes(s: Structure) -> dict[str, tuple[int, int]]:
     return sizes
 
 
-def stated(alg: Algebra, q: Numbers, s: Structure) -> Stated:
+def state(alg: Algebra, q: Numbers, s: Structure) -> Stated:
     """State the plan of a structure `s` with parameters `q` in an algebra."""
-    step = list(s.move_of_step)
-    v, cold = alg.levels(s)
-    on, acts = alg.acting(q, s, v, cold)
-    runs = _running(alg, q, s, v, on)
-    _exclude(alg, q, s, v, cold, acts)
-    heat, cool, on, runs = v[:, step], cold[:, step], on[:, step], runs[:, step]
-    u = heat - cool
+    heat, cool = alg.levels(s)
+    on, acts = alg.acting(q, s, heat, cool)
+    runs = _running(alg, q, s, heat, on)
+    _exclude(alg, q, s, heat, cool, acts)
+    u, lengths = heat - cool, ca.DM(s.lengths).T
     forced, drive, slack = alg.response(q, s, q["drive"] * u + q["onset"] * on)
 
     energy = ca.sum1(q["fixed_cost"] * runs) + ca.sum1(q["heat_cost"] * heat + q["bend_cost"] * heat**2)
@@ -89,7 +86,11 @@ def stated(alg: Algebra, q: Numbers, s: Structure) -> Stated:
     if s.signed:
         energy += ca.sum1(q["cold_cost"] * cool)
         power += _of_machines(s, q["cold_power"] * cool)
-    cost = ca.sum2(energy) + ca.dot(q["comfort"], ca.sum2(slack)) + q["weights"][0] * ca.sumsqr(u)
+    cost = (
+        ca.sum2(energy)
+        + ca.dot(lengths, ca.mtimes(q["comfort"].T, slack))
+        + q["weights"][0] * ca.dot(lengths, ca.sum1(u**2))
+    )
     cost -= ca.dot(q["worth"], drive) + q["kept"]
     if s.curved or isinstance(alg, Direct):  # rows of power are linear otherwise
         power += _of_machines(s, q["bend"] * heat**2)
@@ -98,7 +99,7 @@ def stated(alg: Algebra, q: Numbers, s: Structure) -> Stated:
         cost += q["weights"][1] * POWER_UNIT_W * alg.highest("peak", total - q["reached"] / POWER_UNIT_W)
     if s.capped:
         over = alg.at_least("over", total - q["limit"] / POWER_UNIT_W)
-        cost += q["weights"][2] * POWER_UNIT_W * ca.sum2(over)
+        cost += q["weights"][2] * POWER_UNIT_W * ca.dot(lengths, over)
     for term in s.terms:
         plan = PlanExpressions(alg, u, q["T_free"] + forced, power, slack, q["last_u"], s.step_s)
         term(plan)
@@ -107,13 +108,13 @@ def stated(alg: Algebra, q: Numbers, s: Structure) -> Stated:
 
 
 def _running(alg: Algebra, q: Numbers, s: Structure, v: ca.SX, on: ca.SX) -> ca.SX:
-    """Share of each move that each machine runs, (M, moves), within its capacity."""
+    """Share of each step that each machine runs, (M, N), within its capacity."""
     rows, part_load = [], {m: (part, split) for m, part, split in s.part_load}
     for m in range(s.M):
         fed, loads = s.fed_by(m), []
         if m in s.limited:
             loads = [ca.mtimes(q["share"][fed].T, v[fed, :])]
-            alg.require(f"capacity {m}", q["capacity"][m, s.first_steps] - loads[0])
+            alg.require(f"capacity {m}", q["capacity"][m, :] - loads[0])
         if len(fed) == 1:
             rows.append(on[fed[0], :])
             continue
@@ -142,7 +143,7 @@ def _above_part_load(alg: Algebra, q: Numbers, fed: list[int], part: tuple[int, 
 
 
 def _exclude(alg: Algebra, q: Numbers, s: Structure, v: ca.SX, cold: ca.SX, acts: ca.SX) -> None:
-    """Of actuators that exclude one another one acts in a first move; later they share the time."""
+    """Of actuators that exclude one another one acts in a first step; later they share the time."""
     for group in s.exclusive:
         what = f"exclusive {' '.join(str(a) for a in group)}"
         if s.n_chosen:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -14,10 +15,10 @@ from thermoforce_mpc.model.operator.building import BuildingOperator
 
 @dataclass(frozen=True)
 class Structure:
-    """Z zones, A actuators, M machines, N steps, modes of order r; everything else refers to their numbers.
+    """Z zones, A actuators, M machines, modes of order r; everything else refers to their numbers.
 
     Attributes:
-        move_of_step: number of the move that each step belongs to, (N,).
+        lengths: number of control steps of each of the N steps of the plan, (N,).
         pairs: zone and actuator of every pair with an effect.
         groups: zone and actuators of the pairs that share a response, see `transfer.groups_of`.
         machine_of: machine of each actuator, (A,).
@@ -25,7 +26,7 @@ class Structure:
         part_load: of each shared machine that cycles below a load: its number, the actuators that alone take less, and
             whether all together take more.
         signed: actuators with levels below 0.
-        chosen, held: actuators that are off or on in the first `n_chosen` moves; those that are held at a lowest level.
+        chosen, held: actuators that are off or on in the first `n_chosen` steps; those that are held at a lowest level.
         exclusive: groups of actuators of which one acts at a time.
         peak, capped, curved: a price of peak power, a power cap, and whether the power in them, or in a term of the
             user, has a part in u².
@@ -36,9 +37,8 @@ class Structure:
     Z: int
     A: int
     M: int
-    N: int
     r: int
-    move_of_step: tuple[int, ...]
+    lengths: tuple[int, ...]
     pairs: tuple[tuple[int, int], ...]
     groups: tuple[tuple[int, tuple[int, ...]], ...]
     machine_of: tuple[int, ...]
@@ -57,24 +57,24 @@ class Structure:
     step_s: float = 0.0
 
     @property
-    def n_moves(self) -> int:
-        """Number of moves."""
-        return self.move_of_step[-1] + 1
+    def N(self) -> int:
+        """Number of steps."""
+        return len(self.lengths)
 
-    @property
-    def first_steps(self) -> list[int]:
-        """The first step of each move."""
-        return [int(k) for k in np.searchsorted(self.move_of_step, np.arange(self.n_moves))]
+    @cached_property
+    def windows(self) -> tuple[tuple[int, ...], ...]:
+        """Lengths of each step and the r − 1 before it, the latest last; those before the first are 1."""
+        padded = (1,) * (self.r - 1) + self.lengths
+        return tuple(padded[k : k + self.r] for k in range(self.N))
+
+    @cached_property
+    def kinds(self) -> tuple[tuple[int, ...], ...]:
+        """The windows that differ."""
+        return tuple(dict.fromkeys(self.windows))
 
     def fed_by(self, machine: int) -> list[int]:
         """Actuators that a machine feeds."""
         return [a for a in range(self.A) if self.machine_of[a] == machine]
-
-    @property
-    def by_steps(self) -> Structure:
-        """The same where every step is its own move."""
-        n_chosen = sum(move < self.n_chosen for move in self.move_of_step)
-        return replace(self, move_of_step=tuple(range(self.N)), n_chosen=n_chosen)
 
 
 def structure_of(
@@ -108,9 +108,8 @@ def structure_of(
         Z,
         A,
         len(machinery.machines),
-        shape.n_steps,
         r,
-        tuple(int(k) for k in shape.move_of_step),
+        tuple(int(n) for n in shape.lengths),
         tuple((z, a) for z, a, _ in operator.each()),
         groups,
         tuple(int(m) for m in machinery.machine_of),

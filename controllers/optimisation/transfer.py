@@ -10,11 +10,11 @@ sides: one variable and one equation a step for all actuators of a zone instead 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -24,16 +24,14 @@ from thermoforce_mpc.model.operator.building import BuildingOperator
 class Group:
     """Pairs of a zone with the same poles.
 
-    `pairs`: their actuators; `actuators`: those of the rows of `numerators` (actuators, r). `denominator` (r + 1,).
-    `begin` (r, r): right sides of the first equations from the modes at the beginning.
+    `pairs`: their actuators; `actuators`: those of the equation. `poles` (r,); `gains` (actuators, r).
     """
 
     zone: int
     pairs: NDArray[np.intp]
     actuators: NDArray[np.intp]
-    denominator: Array
-    numerators: Array
-    begin: Array
+    poles: Array
+    gains: Array
 
 
 def groups_of(operator: BuildingOperator, *, power_couples: bool) -> list[Group]:
@@ -43,13 +41,8 @@ def groups_of(operator: BuildingOperator, *, power_couples: bool) -> list[Group]
         by_poles.setdefault((z, tuple(pair.poles.tolist())), []).append(a)
     groups, gains = [], operator.gains
     for (z, key), actuators in by_poles.items():
-        poles = np.array(key)
-        numerators = np.array([transfer_function(poles, gains[z, a])[1] for a in actuators])
-        denominator = np.asarray(np.poly(poles), dtype=np.float64)
-        faded = poles ** np.arange(1, poles.size + 1)[:, None]
-        begin = lfilter(denominator, [1.0], faded, axis=0)
         of = np.array(actuators, dtype=np.intp)
-        groups.append(Group(z, of, of, denominator, numerators, begin))
+        groups.append(Group(z, of, of, np.array(key), gains[z, actuators]))
     # Minimum degree orders a full pattern by time, and one with a few cross-effects so that it fills up: at 20 zones
     # the factorisation takes up to three times as long. So actuators without an effect get numerators of 0; buildings
     # without cross-effects, and sparse ones in which power couples nothing, are faster as they are.
@@ -61,20 +54,33 @@ def groups_of(operator: BuildingOperator, *, power_couples: bool) -> list[Group]
 
 
 def _filled(group: Group, A: int) -> Group:
-    numerators = np.zeros((A, group.numerators.shape[1]))
-    numerators[group.actuators] = group.numerators
-    return replace(group, actuators=np.arange(A), numerators=numerators)
+    gains = np.zeros((A, group.poles.size))
+    gains[group.actuators] = group.gains
+    return replace(group, actuators=np.arange(A), gains=gains)
 
 
-def transfer_function(poles: Array, gains: Array) -> tuple[Array, Array]:
-    """Σ g_i / (1 − a_i q⁻¹) over a common denominator.
+def difference_equation(poles: Array, gains: Array, window: Sequence[int]) -> tuple[Array, Array]:
+    """The difference equation of y = Σ F_i over the last r steps, which may differ in length.
+
+    With G the modes before them and L_j the length of the first j, y_j = Σ_i a_i^L_j G_i + what the drives add. The
+    weights w_j for which Σ_j w_j a_i^L_j = 0 for every mode eliminate G.
 
     Args:
         poles: a_i, shape (r,).
-        gains: g_i, shape (r,).
+        gains: g_i of each actuator, shape (actuators, r).
+        window: lengths of the steps in control steps, the latest last, (r,).
 
     Returns:
-        Coefficients of 1, q⁻¹, q⁻² … of the denominator, shape (r + 1,), and of the numerator, shape (r,).
+        Coefficients of y and its lags, shape (r + 1,), the first of them 1, and of the drives and their lags, shape
+        (r, actuators).
     """
-    numerator = sum(gain * np.atleast_1d(np.poly(np.delete(poles, i))) for i, gain in enumerate(gains))
-    return np.asarray(np.poly(poles), dtype=np.float64), np.asarray(numerator, dtype=np.float64)
+    r, lengths = poles.size, np.array(window)
+    ends = np.concatenate([[0], np.cumsum(lengths)])
+    faded = poles[:, None] ** ends
+    weights = np.append(np.linalg.solve(faded[:, :r], -faded[:, r]), 1.0)
+    numerator = np.zeros((r, len(gains)))
+    for i in range(1, r + 1):
+        added = gains * (1.0 - poles ** lengths[i - 1]) / (1.0 - poles)
+        for j in range(i, r + 1):
+            numerator[r - i] += weights[j] * added @ poles ** (ends[j] - ends[i])
+    return weights[::-1], numerator

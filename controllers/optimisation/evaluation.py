@@ -1,0 +1,118 @@
+"""What levels cost and bring, by the statement with the numbers of one operator and shape."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from controllers.optimisation.functions import check_of
+from controllers.optimisation.numbers import Numbers
+from controllers.optimisation.problem import BOUND_TOLERANCE, MPCProblem, ProblemShape, every_step
+from controllers.optimisation.structure import structure_of
+from controllers.optimisation.transfer import groups_of
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.casadi_export import Buffered
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """What levels `u` (A, N) cost and bring, by the statement.
+
+    `cost`: the objective; `energy_cost` (N,), currency; `power_W` (M, N), mean over each step; at the end of each step
+    `forced_K` and `slack_K` (Z, N); `running` (M, N), share of each step. `broken`: which limit is left by how much,
+    or ''. `values`: variables of the programme over the steps, by name.
+    """
+
+    u: Array
+    cost: float
+    energy_cost: Array
+    power_W: Array
+    forced_K: Array
+    slack_K: Array
+    running: Array
+    broken: str
+    values: Mapping[str, Array]
+
+
+class Evaluator:
+    """The statement of one operator and shape, for levels that are given."""
+
+    def __init__(self, operator: BuildingOperator, shape: ProblemShape) -> None:
+        """Build its functions, or take those of another operator of the same structure.
+
+        Raises:
+            ControllerConfigError: the operator is not of these actuators, or its heat is for another lowest level.
+        """
+        couples = bool(shape.peak or shape.capped or shape.machinery.shared.any())
+        groups = groups_of(operator, power_couples=couples)
+        keys = tuple((group.zone, tuple(int(a) for a in group.actuators)) for group in groups)
+        self.operator, self.shape, self.structure = operator, shape, structure_of(operator, shape, keys)
+        self._numbers, self._checks = Numbers(operator, shape, groups, self.structure), check_of(self.structure)
+        self._check = Buffered(self._checks.function)
+
+    @cached_property
+    def by_steps(self) -> Evaluator:
+        """The same where every control step is a step of the plan."""
+        move_of_step = every_step(self.shape.n_steps)
+        if np.array_equal(self.shape.move_of_step, move_of_step):
+            return self
+        return Evaluator(self.operator, replace(self.shape, move_of_step=move_of_step))
+
+    @property
+    def held_steps(self) -> int | None:
+        """Number of first steps in which levels are held, as it is solved; None: nothing is ever held."""
+        m = self.shape.machinery
+        return (self.shape.n_held if self.structure.chosen else 0) if m.held.any() or m.exclusive else None
+
+    def numbers(self, problem: MPCProblem) -> Array:
+        """The parameters of an instance as it is solved: relaxed after the first moves."""
+        return self._numbers.of(problem, self.held_steps)
+
+    def held_numbers(self, problem: MPCProblem) -> Array:
+        """The parameters of an instance in which levels are held in all steps."""
+        return self._numbers.of(problem, None)
+
+    def evaluate(self, problem: MPCProblem, p: Array, u: Array, own: Array | None = None) -> Evaluation:
+        """Evaluate levels `u` (A, N), with `own` variables of the user, at parameters `p`."""
+        given = np.zeros(self._checks.n_own) if own is None else own
+        out = self._check(self._of_moves(u), given, p)
+        s = self.structure
+        energy, power, forced, slack, running, required = (
+            value.reshape(rows, -1, order="F").copy()
+            for value, rows in zip(out[1:7], (1, s.M, s.Z, s.Z, s.M, 1), strict=True)
+        )
+        values = {
+            name: value.reshape(self._checks.function.size_out(7 + i), order="F").copy()
+            for i, (name, value) in enumerate(zip(self._checks.values, out[7:], strict=True))
+        }
+        least = required.ravel()
+        worst = int(np.argmin(least)) if least.size else -1
+        broken = self._in_words(worst, -least[worst]) if worst >= 0 and least[worst] < -BOUND_TOLERANCE else ""
+        return Evaluation(u, float(out[0][0]), energy[0], power, forced, slack, running, broken, values)
+
+    def _in_words(self, number: int, by: float) -> str:
+        """What of the statement is broken."""
+        kind, *numbers = self._checks.required[number].split(" ")
+        machinery = self.shape.machinery
+        if kind == "capacity":
+            return f"u asks {by:.4g} more than the capacity of {machinery.machines[int(numbers[0])]}"
+        if kind == "exclusive":
+            names = ", ".join(machinery.actuators[int(a)] for a in numbers)
+            return f"{names} act together, but exclude one another"
+        return f"{self._checks.required[number]} is broken by {by:.4g}"
+
+    def _of_moves(self, u: Array) -> Array:
+        return np.asarray(u, dtype=np.float64)[:, self.shape.first_steps].ravel(order="F")
+
+    def costs(self, p: Array, candidates: Array) -> Array:
+        """Objective of levels (..., A, N), currency, infinite where a limit is left, (...,)."""
+        flat, none = candidates.reshape(-1, *candidates.shape[-2:]), np.zeros(0)
+        costs = np.empty(len(flat))
+        for i, u in enumerate(flat):
+            out = self._check(self._of_moves(u), none, p)
+            costs[i] = out[0][0] if not out[6].size or out[6].min() >= -BOUND_TOLERANCE else np.inf
+        return costs.reshape(candidates.shape[:-2])
