@@ -91,7 +91,7 @@ def test_identify_offers_it_as_a_method():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("modulation", ["linear", "neural"])
+@pytest.mark.parametrize("modulation", ["linear", "auto"])
 def test_pairs_correct_what_a_wrong_second_stage_found(modulation):
     """While the actuator is on, windows are open: the second stage sees too little, a difference of pairs does not."""
     run = arx_run()

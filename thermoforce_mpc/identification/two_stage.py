@@ -182,9 +182,10 @@ def two_stage_model(
     step_s = step_s or fit.step_s
     operator = fit.operator()
     scores: dict[str, float] = {}
+    said: list[str] = []
     histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
     if pairs:
-        operator, scores = _train_on_pairs(fit, pairs, histories, config)
+        operator, scores, said = _train_on_pairs(fit, pairs, histories, config)
     return ZoneModel(
         operator=operator.resampled(step_s),
         free=fit.free_model().resampled(step_s),
@@ -195,15 +196,15 @@ def two_stage_model(
             scores={"one_step_rmse_K": fit.rmse_K, "off_steps": fit.n_off, "on_steps": fit.n_on} | scores,
             uncertainty={"pole_sd": fit.a_sd, "gain_sd_K": fit.g_sd},
             config=config.model_dump(mode="json"),
-            notes=tuple(notes),
+            notes=(*notes, *said),
         ),
     )
 
 
 def _train_on_pairs(
     fit: TwoStageFit, pairs: Sequence[Pair], histories: Sequence[Record], config: IdentificationConfig
-) -> tuple[OperatorParameters, dict[str, float]]:
-    """Train pole, gain and modulation on pairs, priors centred on the two-stage fit; return operator and scores."""
+) -> tuple[OperatorParameters, dict[str, float], list[str]]:
+    """Train pole, gain and modulation on pairs, priors centred on the two-stage fit; see `modulate`."""
     first = fit.operator()
     log_tau, slope = np.log(first.time_constants_h), np.abs(first.steady_gains_K) / first.time_constants_h
     start = ModeFit(log_tau, slope, residual_scale=1.0)
@@ -220,7 +221,7 @@ def _train_on_pairs(
             bounds_h=weak.bounds_h(),
             sign=fit.sign,
             # Without modulation only pole and gain are trained.
-            gamma=config.gamma if config.modulation == "neural" else 0.0,
+            gamma=0.0 if config.modulation == "linear" else config.gamma,
             hidden=config.hidden,
             heat_input=fit.heat_input,
             feature_mean=mean,
