@@ -95,7 +95,7 @@ class IdentificationConfig(StrictModel):
     modulation_sd: float | None = Field(
         None,
         gt=0,
-        description="prior standard deviation of m(x) around 1, or around measured heat; default: 0.15 and 0.05",
+        description="prior standard deviation of m(x) around 1, or around measured heat; default: 0.15 and 0.02",
     )
     validation_share: float = Field(0.25, gt=0, lt=0.9, description="held-out share of days or pairs")
     horizon_h: float = Field(24.0, gt=0, description="longest rollout scored on held-out data, h")

@@ -155,7 +155,7 @@ def _show_operator(name: str, operator: OperatorParameters, card: ModelCard, con
         c0, c1, c2, c3 = operator.heat_input.law.coefficients
         say(
             f"Heat: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out) W; full actuation above is "
-            f"{operator.heat_input.reference_W:.0f} W, the heat at {operator.heat_input.reference_C:g} °C outdoors"
+            f"{operator.heat_input.reference_W:.0f} W, the heat at {operator.heat_input.reference_C:.1f} °C outdoors"
         )
     elif operator.heat_input.per_K:
         say(

@@ -32,7 +32,7 @@ _STRAIGHT = 0.1
 # Largest part of γ that m(x) starts at.
 _MOST = 0.99
 # Prior standard deviation of m(x) around its start: smaller where measured heat includes the dependence on T_out.
-_MODULATION_SD, _MODULATION_SD_METERED = 0.15, 0.05
+_MODULATION_SD, _MODULATION_SD_METERED = 0.15, 0.02
 # L-BFGS: history size; convergence tolerances of the gradient's largest element and of the loss's relative change.
 _MEMORY, _FLAT, _SETTLED = 30, 1e-6, 1e-9
 

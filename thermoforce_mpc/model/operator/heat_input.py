@@ -17,8 +17,8 @@ class HeatInput:
 
     Without a `heat` load it is v = u·(1 + per_K·(T_out − reference_C)), and the identity v = u of the paper's operator
     where `per_K` is 0; outside `T_out_range_C`, °C, T_out is held at the nearer end. Heat that was measured beside
-    v = u is `metered`: it does not enter v, but readings of the meter are levels by it. `lowest` is the lowest level: 0,
-    or less where the level of one zone's heating and cooling is signed (cooling below 0), which only the identity
+    v = u is `metered`: it does not enter v, but readings of the meter are levels by it. `lowest` is the lowest level:
+    0, or less where the level of one zone's heating and cooling is signed (cooling below 0), which only the identity
     allows.
 
     Raises:
