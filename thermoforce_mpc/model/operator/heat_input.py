@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -31,7 +31,7 @@ class HeatInput:
     lowest: float = 0.0
     per_K: float = 0.0
     T_out_range_C: tuple[float, float] = (0.0, 0.0)
-    metered: MachineLoad | None = None
+    metered: MachineLoad | None = field(default=None, metadata={"added_later": True})
 
     def __post_init__(self) -> None:
         identity = self.heat is None and self.per_K == 0.0
