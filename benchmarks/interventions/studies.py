@@ -32,9 +32,9 @@ Row = dict[str, Any]
 Say = Callable[[str], None]
 
 # Compared operators: order, modulation and exponents of v(u); the paper compares the first two.
-_OPERATORS: dict[str, tuple[tuple[int, ...], Literal["neural", "linear"], tuple[float, ...]]] = {
+_OPERATORS: dict[str, tuple[tuple[int, ...], Literal["auto", "linear"], tuple[float, ...]]] = {
     "linear": ((1,), "linear", (1.0,)),
-    "neural": ((1,), "neural", (1.0,)),
+    "neural": ((1,), "auto", (1.0,)),
     "curve": ((1,), "linear", EXPONENTS),
     "two-state": ((2,), "linear", (1.0,)),
     "two-state, curve": ((2,), "linear", EXPONENTS),

@@ -43,7 +43,7 @@ def few_shot(
     for days in _DAYS:
         # Input heat always; input u (as in the paper) only with enough days to train a network.
         inputs = ("heat", "identity") if days >= _MANY_DAYS else ("heat",)
-        found: dict[tuple[str, str], list[PairScores]] = {(i, g): [] for i in inputs for g in ("linear", "neural")}
+        found: dict[tuple[str, str], list[PairScores]] = {(i, g): [] for i in inputs for g in ("linear", "auto")}
         found["identity", "two-stage, order 1"] = []
         refused = 0
         for record in _windows(runs, days, quick, say):
@@ -55,7 +55,7 @@ def few_shot(
                         floor_area_m2=FLOOR_AREA_M2,
                     )
                     for given, gain in found
-                    if gain in ("linear", "neural")
+                    if gain in ("linear", "auto")
                 }
             except DataError:
                 refused += 1
@@ -66,10 +66,10 @@ def few_shot(
             if paper is not None:
                 found["identity", "two-stage, order 1"].append(paper)
         rows += [_summary(days, given, gain, scores, refused) for (given, gain), scores in found.items() if scores]
-        if not found["heat", "neural"]:
+        if not found["heat", "auto"]:
             continue
         if days in _FEW_SHOT_GOALS_K:
-            errors = np.array([s.rmse_K for s in found["heat", "neural"]])
+            errors = np.array([s.rmse_K for s in found["heat", "auto"]])
             goal = _FEW_SHOT_GOALS_K[days]
             targets += [
                 Target(f"{days} days of one run: median effect RMSE, K", float(np.median(errors)), goal),
@@ -77,7 +77,7 @@ def few_shot(
                 Target(f"{days} days of one run: worst window, K", float(errors.max()), goal),
             ]
         for given in inputs:
-            linear, neural = (np.mean([s.rmse_K for s in found[given, g]]) for g in ("linear", "neural"))
+            linear, neural = (np.mean([s.rmse_K for s in found[given, g]]) for g in ("linear", "auto"))
             name = f"{days} days of one run, {INPUT_NAMES[given]}: neural against linear gain, mean RMSE"
             targets.append(Target(name, float(neural / linear), NEURAL_PENALTY))
             if days >= _MANY_DAYS:

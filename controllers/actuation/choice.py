@@ -14,13 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from controllers.actuation.actuator import Actuation, ActuationConfig
-from thermoforce_mpc.model.machine.part_load import CostAtPartLoad, part_load
+from thermoforce_mpc.model.machine.part_load import SWITCH_FROM, CostAtPartLoad, part_load
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-
-# Excess of power per heat at half level from which the machine is switched. Below it is what a few days of data leave
-# uncertain: an exponent of a radiator that is wrong by 0.2 looks like a fixed part of 8 %.
-_SWITCH_FROM = 0.1
 
 
 @dataclass(frozen=True)
@@ -38,18 +34,18 @@ def choose_actuation(
 
     A mode other than auto stays.
     """
-    if config.mode == "auto" and estimated is not None and heat_input.heat is None:
+    if config.mode == "auto" and estimated is not None and heat_input.law is None:
         return _choose_by_cost(config, estimated)
-    at_part_load = part_load(power, heat_input.heat)
-    proportional = at_part_load is not None and abs(at_part_load.at_half - 1.0) <= _SWITCH_FROM
+    at_part_load = part_load(power, heat_input.law)
+    proportional = at_part_load is not None and abs(at_part_load.at_half - 1.0) <= SWITCH_FROM
     if config.mode != "auto":
         actuation = Actuation(config, proportional=proportional)
         return ActuationChoice(actuation, f"{actuation.in_words}, as configured")
     # Blocks are the choice here, not all that the actuator can do; heat at a part level shows in its meter.
-    blocks = Actuation(config.model_copy(update={"mode": "duty"}), part_levels=heat_input.heat is not None)
+    blocks = Actuation(config.model_copy(update={"mode": "duty"}), part_levels=heat_input.law is not None)
     if at_part_load is None:
         return ActuationChoice(blocks, f"{blocks.in_words}: the data hold off and full level only")
-    if at_part_load.at_half > 1.0 + _SWITCH_FROM:
+    if at_part_load.at_half > 1.0 + SWITCH_FROM:
         actuation = blocks
     else:
         lowest = 0.0 if proportional else at_part_load.lowest_seen
@@ -64,7 +60,7 @@ def _choose_by_cost(config: ActuationConfig, estimated: CostAtPartLoad) -> Actua
     With any level, heat and power are both counted in proportion to the level: that is right at full level, and what
     part load gives beyond it, of both, the prediction's offset and the next plans take up.
     """
-    if estimated.cost > 1.0 + _SWITCH_FROM:
+    if estimated.cost > 1.0 + SWITCH_FROM:
         actuation = Actuation(config.model_copy(update={"mode": "duty"}))
     else:
         modulating = config.model_copy(update={"mode": "modulating", "lowest_level": 0.0})

@@ -81,7 +81,7 @@ def _beyond_capacity(model: ThermalModel, history: Record, m: int) -> NDArray[np
         return np.zeros(0, dtype=bool)
     fed = [b for b, machine in enumerate(model.machine_of) if machine == m]
     acting = history.u[fed] > ROUNDING
-    maps = [model.operator.of_actuator(b).heat_input.heat for b in fed]
+    maps = [model.operator.of_actuator(b).heat_input.law for b in fed]
     shares = np.array([model.shares[b] for b in fed])
     if any(heat_map is None for heat_map in maps):
         return np.asarray(shares @ acting > 1.0 + ROUNDING)

@@ -225,7 +225,7 @@ class Watch:
         if fault or not self.due(now):
             return fault, state
         recent = [item for item in state.asked if now - item[0] <= LEADS_H[-1] * HOUR_S]
-        comparison = machine_ratio(recent, history, self._model.operator.heat_input.heat, self._power)
+        comparison = machine_ratio(recent, history, self._model.operator.heat_input.law, self._power)
         if comparison is None:
             return "", state
         meter, ratio = comparison

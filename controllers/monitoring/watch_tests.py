@@ -36,26 +36,26 @@ def applied_levels(requests: Sequence[tuple[float, float]], history: Record, hea
     that gives the measured heat.
     """
     levels = np.array(history.u[0])
-    if heat_input.heat is None:
+    if heat_input.law is None:
         return levels
     requested, steps = _match_steps(requests, history)
     by_heat = np.isnan(levels)
     by_heat[steps[~np.isfinite(requested)]] = True
     for step in np.flatnonzero(by_heat & np.isfinite(history.heat_W[0] + history.T_out_C[:-1])):
-        share = abs(float(history.heat_W[0, step])) / heat_input.reference_W
-        levels[step] = np.interp(share, heat_input(_LEVELS, history.T_out_C[step]), _LEVELS)
+        heat_W = abs(float(history.heat_W[0, step]))
+        levels[step] = np.interp(heat_W, heat_input.law(_LEVELS, history.T_out_C[step]), _LEVELS)
     return levels
 
 
 def heat_ratio(history: Record, heat_input: HeatInput) -> float | None:
     """Measured heat of a record over that of the map at its levels; None where little of both is known."""
-    if heat_input.heat is None:
+    if heat_input.law is None:
         return None
     usable = np.isfinite(history.heat_W[0]) & np.isfinite(history.u[0]) & np.isfinite(history.T_out_C[:-1])
     u = np.clip(history.u[0, usable], 0.0, 1.0)
     if not u.size or float(u.sum()) * history.step_s / HOUR_S < _RUNNING_H:
         return None
-    modelled = heat_input.heat(u, history.T_out_C[:-1][usable])
+    modelled = heat_input.law(u, history.T_out_C[:-1][usable])
     return float(np.abs(history.heat_W[0, usable]).sum() / modelled.sum())
 
 

@@ -76,7 +76,12 @@ def is_fast(operator: OperatorParameters) -> bool:
 def _hour_K(operator: OperatorParameters) -> float:
     """Effect of an hour at full level, K (of one step, if that is longer)."""
     steps = max(1, round(HOUR_S / operator.step_s))
-    return abs(float(operator.impulse(steps).sum())) * min(1.0, HOUR_S / operator.step_s)
+    return _first_K(operator, steps) * min(1.0, HOUR_S / operator.step_s)
+
+
+def _first_K(operator: OperatorParameters, steps: int) -> float:
+    """Effect of the first steps at full level in the winter of the limits here, 0 °C outdoors, K."""
+    return abs(float(operator.impulse(steps).sum() * operator.heat_input.full_share(0.0)))
 
 
 def reserve_K(operator: OperatorParameters, actuation: Actuation, card: ModelCard) -> float:
@@ -100,7 +105,7 @@ def _swing_K(operator: OperatorParameters, actuation: Actuation) -> float:
         return 0.0
     c, step_s = actuation.config, operator.step_s
     cycle_s = max(2 * c.block_s, c.min_on_s / _SHARE, c.min_off_s / (1.0 - _SHARE))
-    return 0.5 * abs(float(operator.impulse(1)[0])) * _SHARE * (1.0 - _SHARE) * cycle_s / step_s
+    return 0.5 * _first_K(operator, 1) * _SHARE * (1.0 - _SHARE) * cycle_s / step_s
 
 
 @dataclass(frozen=True)

@@ -240,11 +240,11 @@ class MarginRules:
     def _metered(self, operator: BuildingOperator, T_out_C: Array) -> Iterator[tuple[int, list[int], Array, Array]]:
         """Machines with known shares whose several actuators are all metered: number, actuators, heat at full level.
 
-        The heat (A of the machine, n) is relative to that at the reference outdoors, 0 °C, which follows (A,), W.
+        The heat (A of the machine, n) is relative to that at the reference outdoors, which follows (A,), W.
         """
         for m in range(len(self._layout.names.machines)):
             fed = self._layout.fed_by(m)
             maps = [operator.of_actuator(a).heat_input for a in fed]
-            if len(fed) > 1 and self._shares[fed].all() and all(heat_map.heat is not None for heat_map in maps):
-                full = np.stack([heat_map(np.ones(T_out_C.size), T_out_C) for heat_map in maps])
+            if len(fed) > 1 and self._shares[fed].all() and all(heat_map.law is not None for heat_map in maps):
+                full = np.stack([heat_map.full_share(T_out_C) for heat_map in maps])
                 yield m, fed, full, np.array([heat_map.reference_W for heat_map in maps])

@@ -60,7 +60,8 @@ def source_fingerprint(*others: str) -> str:
 def canonical(value: Any, names: Mapping[type, str] = MappingProxyType({})) -> Any:
     """`value` as JSON in which equal values are equal and different ones differ; raises `TypeError`.
 
-    `names` of classes stand there instead of their paths.
+    `names` of classes stand there instead of their paths. A field with the metadata `added_later` is left out at its
+    default, so that keys from before hold.
     """
     if isinstance(value, Enum):
         return {"enum": _name(value, names), "value": value.name}
@@ -79,7 +80,11 @@ def canonical(value: Any, names: Mapping[type, str] = MappingProxyType({})) -> A
     if isinstance(value, BaseModel):
         return {"model": _name(value, names), "fields": {key: canonical(item, names) for key, item in value}}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = {item.name: canonical(getattr(value, item.name), names) for item in dataclasses.fields(value)}
+        fields = {
+            item.name: canonical(getattr(value, item.name), names)
+            for item in dataclasses.fields(value)
+            if not (item.metadata.get("added_later") and getattr(value, item.name) == item.default)
+        }
         return {"dataclass": _name(value, names), "fields": fields}
     if isinstance(value, Path):
         return {"path": str(value)}

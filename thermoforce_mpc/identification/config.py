@@ -46,7 +46,8 @@ class IdentificationConfig(StrictModel):
     order: Literal["auto", 1, 2, 3] = Field("auto", description="modes of the operator; auto: chosen on held-out data")
     heat_input: Literal["auto", "identity", "heat"] = Field(
         "auto",
-        description="input of the modes: u, or heat from the heat capacity of (u, T_out); auto: heat if measured",
+        description="input of the modes: u, or heat from the heat capacity of (u, T_out); auto: u, or measured heat "
+        "where held-out data prefer it or levels between off and full are held",
     )
     heat_capacity: HeatCapacityConfig | None = Field(
         None, description="heat capacity from a data sheet instead of an identified one"
@@ -77,7 +78,11 @@ class IdentificationConfig(StrictModel):
     sun_on_sensor: bool = Field(
         True, description="look for sun on the zone sensor, and take it off the readings where there is any"
     )
-    modulation: Literal["neural", "linear"] = Field("neural", description="gain m(x) of the paper, or m = 1")
+    modulation: Literal["always", "auto", "linear"] = Field(
+        "auto",
+        description="gain m(x) of the paper, a network: kept always, or (auto) unless it predicts held-out data "
+        "significantly worse than m = 1; linear: m = 1",
+    )
     feedback: bool = Field(
         False,
         description="m(x) takes the predicted temperature, actions included, instead of the free response (paper)",
@@ -88,7 +93,9 @@ class IdentificationConfig(StrictModel):
     epochs: int = Field(350, ge=1, le=5000, description="largest number of training epochs")
     learning_rate: float = Field(0.01, gt=0, description="learning rate of Adam")
     modulation_sd: float | None = Field(
-        None, gt=0, description="prior standard deviation of m(x) − 1; default: 0.15, with a heat capacity 0.05"
+        None,
+        gt=0,
+        description="prior standard deviation of m(x) around 1, or around measured heat; default: 0.15 and 0.02",
     )
     validation_share: float = Field(0.25, gt=0, lt=0.9, description="held-out share of days or pairs")
     horizon_h: float = Field(24.0, gt=0, description="longest rollout scored on held-out data, h")

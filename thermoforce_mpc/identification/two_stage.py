@@ -20,7 +20,7 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.joint import ModeFit
 from thermoforce_mpc.identification.estimation.modes import centred_priors, mode_priors, to_operator
 from thermoforce_mpc.identification.estimation.records import Pair
-from thermoforce_mpc.identification.estimation.regression import pair_regression
+from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression
 from thermoforce_mpc.identification.modulation.selection import modulate
 from thermoforce_mpc.identification.validation.held_out import Case, held_out, normalisation, ranges
 from thermoforce_mpc.model.card import ModelCard
@@ -175,16 +175,17 @@ def two_stage_model(
     source: str,
     notes: Sequence[str],
 ) -> ZoneModel:
-    """Return the thermal model, order 1; with pairs, paired training (eq:paired) starts from the two-stage fit."""
+    """Return the thermal model, order 1; training of the network, on pairs if any, starts from the two-stage fit."""
     if not runs:
         raise DataError("method two_stage needs single runs, none were given; for pairs only use method joint")
     fit = fit_two_stage(runs, heat_input=heat_input, sign=sign, u_off=config.u_off)
     step_s = step_s or fit.step_s
     operator = fit.operator()
     scores: dict[str, float] = {}
+    said: list[str] = []
     histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
-    if pairs:
-        operator, scores = _train_on_pairs(fit, pairs, histories, config)
+    if pairs or config.modulation != "linear":
+        operator, scores, said = _trained(fit, runs, pairs, config)
     return ZoneModel(
         operator=operator.resampled(step_s),
         free=fit.free_model().resampled(step_s),
@@ -195,22 +196,27 @@ def two_stage_model(
             scores={"one_step_rmse_K": fit.rmse_K, "off_steps": fit.n_off, "on_steps": fit.n_on} | scores,
             uncertainty={"pole_sd": fit.a_sd, "gain_sd_K": fit.g_sd},
             config=config.model_dump(mode="json"),
-            notes=tuple(notes),
+            notes=(*notes, *said),
         ),
     )
 
 
-def _train_on_pairs(
-    fit: TwoStageFit, pairs: Sequence[Pair], histories: Sequence[Record], config: IdentificationConfig
-) -> tuple[OperatorParameters, dict[str, float]]:
-    """Train pole, gain and modulation on pairs, priors centred on the two-stage fit; return operator and scores."""
+def _trained(
+    fit: TwoStageFit, runs: Sequence[Record], pairs: Sequence[Pair], config: IdentificationConfig
+) -> tuple[OperatorParameters, dict[str, float], list[str]]:
+    """Train pole, gain and modulation, priors centred on the two-stage fit; see `modulate`.
+
+    On pairs (eq:paired), which correct the fit; without, on the runs, which leave it as it is but for the modulation.
+    """
     first = fit.operator()
     log_tau, slope = np.log(first.time_constants_h), np.abs(first.steady_gains_K) / first.time_constants_h
     start = ModeFit(log_tau, slope, residual_scale=1.0)
     weak = mode_priors(1, config.model_copy(update={"time_constants_h": None}), fit.heat_input, None)
     priors = centred_priors(log_tau, slope, _TWO_STAGE_SD)
-    cases = [Case(pair_regression(p, fit.heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
-    mean, scale = normalisation(histories)
+    cases = [Case(pair_regression(p, fit.heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs] or [
+        Case(run_regression(h, fit.heat_input, config), (h,), float(h.time_s[0])) for h in runs
+    ]
+    mean, scale = normalisation([*runs, *(h for p in pairs for h in (p.a, p.b))])
 
     def linear(mode_fit: ModeFit) -> OperatorParameters:
         return to_operator(
@@ -220,7 +226,7 @@ def _train_on_pairs(
             bounds_h=weak.bounds_h(),
             sign=fit.sign,
             # Without modulation only pole and gain are trained.
-            gamma=config.gamma if config.modulation == "neural" else 0.0,
+            gamma=0.0 if config.modulation == "linear" else config.gamma,
             hidden=config.hidden,
             heat_input=fit.heat_input,
             feature_mean=mean,

@@ -1,9 +1,9 @@
 """Model of one zone from its records: order, linear fit, monotone-neural gain, verdict.
 
 Fit every order to the first part of the data and keep the one whose rollouts are best on the rest; fit it to
-everything; train the modulation the same way; refuse an operator that explains next to nothing or whose sign is not
-proven, whatever the method. The zone's own actuator is the first of its records; the others' effects are estimated with
-it.
+everything; train the modulation the same way, and keep it unless it is worse; refuse an operator that explains next to
+nothing or whose sign is not proven, whatever the method. The zone's own actuator is the first of its records; the
+others' effects are estimated with it.
 """
 
 from __future__ import annotations
@@ -23,12 +23,11 @@ from thermoforce_mpc.identification.estimation.modes import DIRECT_SLOPES_K_PER_
 from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
 from thermoforce_mpc.identification.estimation.regression import (
     OtherActuator,
-    RegressionData,
     pair_regression,
     run_regression,
 )
 from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
-from thermoforce_mpc.identification.modulation.selection import modulate, prove
+from thermoforce_mpc.identification.modulation.selection import by_level, modulate, prove
 from thermoforce_mpc.identification.two_stage import two_stage_model
 from thermoforce_mpc.identification.validation.competence import Fold, held_out_h, held_out_rmse_K, judge
 from thermoforce_mpc.identification.validation.held_out import Case, held_out, normalisation, ranges
@@ -183,7 +182,7 @@ def _joint_model(
     level_sd: float,
     grid_K: float,
 ) -> tuple[ZoneModel, JointFit]:
-    """The joint estimator as a zone's model, and its fit: order by held-out data, modulation trained where it pays."""
+    """The joint estimator as a zone's model, and its fit: order and input of the modulation by held-out data."""
     histories = [h for case in cases for h in case.histories]
     splits = held_out(cases, config)
     training = {order: training_data(cases, splits, order, sign) for order in config.orders()}
@@ -234,15 +233,15 @@ def _joint_model(
     scores = {f"held_out_order_{k}": c.score for k, c in candidates.items()}
     scores["held_out_rollout_rmse_K"] = candidates[order].rollout_rmse_K
     scores["residual_scale"] = final.residual_scale
-    if config.modulation == "neural":
+    if config.modulation != "linear":
         say(f"order {order} is best on held-out data; training the modulation of the gain")
-        operator, neural = modulate(cases, splits, linear, candidates[order].fit, final, priors, config)
-        scores |= neural
+        operator, neural, said = modulate(cases, splits, linear, candidates[order].fit, final, priors, config, power)
+        scores, notes = scores | neural, [*notes, *said]
     operator = operator.resampled(step_s or base_step)
     certainty = uncertainty(final, operator.step_s, level_sd) | {"sensor_resolution_K": grid_K}
     shape: dict[str, float] = {}
     if power is not None and heat_input.heat is None and heat_input.lowest == 0.0:
-        regressions = [_by_level(case, heat_input) for case in cases]
+        regressions = [by_level(case, heat_input) for case in cases]
         shape, shape_notes = level_shape(histories, regressions, final, priors, config, power, sign)
         notes = [*notes, *shape_notes]
     explained = explained_share(cases, operator)
@@ -267,15 +266,6 @@ def _joint_model(
         ),
     )
     return model, final
-
-
-def _by_level(case: Case, heat_input: HeatInput) -> RegressionData:
-    """The regression of a case with the levels themselves as drives."""
-    drives = tuple(
-        (sign, drive / heat_input.outdoor_factor(history.T_out_C[:-1]))
-        for (sign, drive), history in zip(case.regression.drives, case.histories, strict=True)
-    )
-    return replace(case.regression, drives=drives)
 
 
 def _warnings(certainty: Mapping[str, float]) -> list[str]:

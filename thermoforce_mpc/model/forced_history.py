@@ -22,8 +22,8 @@ _START_ROUNDS = 5
 def forced_history(operator: BuildingOperator, history: Record, *, initial_force: InitialForce = "steady") -> Array:
     """Return the forced state of each pair at each boundary of `history` (paper, below eq:arx), (Z, A, n + 1, r), K.
 
-    The modulation uses T − F of the rollout; a missing temperature is held at its last value. If the operator is driven
-    by heat, measured heat is used instead of the map of u, under native control too.
+    The modulation uses T − F of the rollout; a missing temperature is held at its last value. Where heat was measured
+    in identification, measured heat is used instead of the level, under native control too.
 
     Raises:
         DataError: the weather has gaps, u has gaps without measured heat, or u is outside [0, 1]; says where.
@@ -63,7 +63,7 @@ def heat_drive(operator: BuildingOperator, history: Record, start: int, stop: in
     for a in range(len(operator.actuators)):
         head = operator.of_actuator(a)
         heat_W, u = history.heat_W[a, start:stop], history.u[a, start:stop]
-        measured = np.isfinite(heat_W) & (head.heat_input.heat is not None)
+        measured = np.isfinite(heat_W) & (head.heat_input.law is not None)
         u = np.where(measured & ~np.isfinite(u), 0.0, u)  # u is not used there
         label = history.names.label("u", a)
         for name, values in ((label, u), ("T_out_C", T_out), ("solar_W_m2", solar)):
@@ -80,7 +80,7 @@ def heat_drive(operator: BuildingOperator, history: Record, start: int, stop: in
             at = start + outside[0]
             raise DataError(f"history: {label} is {u[outside[0]]:g} at step {at}, expected values in [{lowest:g}, 1]")
         heat = head.heat_input(np.clip(u, lowest, 1.0), T_out[:-1])
-        rows.append(np.where(measured, head.sign * heat_W / head.heat_input.reference_W, heat))
+        rows.append(np.where(measured, head.heat_input.of_meter(head.sign * heat_W, T_out[:-1]), heat))
     return np.stack(rows)
 
 

@@ -59,8 +59,8 @@ class Limits:
             return allowed
         heads = [model.operator.of_actuator(a) for a in range(len(model.operator.actuators))]
         allowed = replace(allowed, lowest=min(head.heat_input.lowest for head in heads))
-        if all(head.heat_input.heat is not None for head in heads):
-            full_W = [head.sign * head.heat_input.largest() * head.heat_input.reference_W for head in heads]
+        if all(head.heat_input.law is not None for head in heads):
+            full_W = [head.sign * head.heat_input.largest_W() for head in heads]
             ends = [share * each for share in limits.LOAD_RANGE for each in full_W]
             allowed = replace(allowed, heat_W=(min(ends), max(ends)))
         if all(power is not None for power in model.power):

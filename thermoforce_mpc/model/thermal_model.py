@@ -196,7 +196,8 @@ class ThermalModel:
             lines += self._actuator_lines(a, "" if self.names.single else f"{name}: ")
         if not self.names.single:
             pairs = len(list(self.operator.each()))
-            lines.append(f"{pairs} pairs with an effect, {self.operator.n_trained} trained parameters in all")
+            counts = f"{self.operator.n_trained} trained parameters in all, {self.operator.n_used} used"
+            lines.append(f"{pairs} pairs with an effect, {counts}")
         for m, power in enumerate(self.power):
             prefix = "" if len(self.power) == 1 else f"{self.machines[m]}: "
             if power is None:

@@ -73,7 +73,7 @@ def identified(
     training: Training,
     time_constants_h: tuple[float, ...],
     *,
-    modulation: Literal["neural", "linear"] = "neural",
+    modulation: Literal["auto", "linear"] = "auto",
     gamma: float = 0.75,
     exponent: float = 1.0,
     **options: Any,
@@ -104,7 +104,7 @@ def build_thermoforce(
     free_response: FreeResponse,
     *,
     orders: tuple[int, ...],
-    modulation: Literal["neural", "linear"] = "neural",
+    modulation: Literal["auto", "linear"] = "auto",
     gamma: float = 0.75,
     exponents: tuple[float, ...] = (1.0,),
     doubt_network: bool = True,
@@ -123,14 +123,14 @@ def build_thermoforce(
     name = best(candidates, training.validation)
     linear, exponent = candidates[name], candidates[name].exponent
     model = linear.model
-    if modulation == "neural":
+    if modulation == "auto":
         trained = identified(training, settings[name], gamma=gamma, exponent=exponent)
         network = SuperpositionPredictor(trained, free_response, name, exponent)
         if network.modulated and (not doubt_network or clearly_better(network, linear, training.validation)):
             model = trained
     chosen = SuperpositionPredictor(model, free_response, "", exponent)
     chosen.note = describe(model.only.operator)
-    if modulation == "neural":
+    if modulation == "auto":
         chosen.note += ", m(x) trained" if chosen.modulated else ", m(x) = 1"
     if len(exponents) > 1:
         chosen.note += f", exponent {exponent:g}"

@@ -27,11 +27,16 @@ def models():
     return [identify([record(HOUSE, 3.0, seed=s, noise_K=0.01)], config=LINEAR, floor_area_m2=190.0) for s in range(8)]
 
 
+def truth_of(model):
+    """Effect of full level, (49,) K, in the mean weather of the record, for which the card speaks."""
+    share = 1.0 + HOUSE.slope_per_K * model.only.operator.heat_input.reference_C
+    return HOUSE.effect_K(np.full(48, share), 3600.0)
+
+
 def test_bands_hold_the_truth(models):
-    truth = HOUSE.effect_K(np.ones(48), 3600.0)
     inside, widths = [], []
     for model in models:
-        known = model.only.card.uncertainty
+        known, truth = model.only.card.uncertainty, truth_of(model)
         for hours in (1, 4, 12, 24):
             sd = known[f"step_response_{hours}h_sd_K"]
             inside.append(abs(known[f"step_response_{hours}h_K"] - truth[hours]) <= 2 * sd)
@@ -43,11 +48,11 @@ def test_bands_hold_the_truth(models):
 @pytest.mark.parametrize("area_m2", [150.0, 235.0])
 def test_bands_allow_for_a_building_that_is_not_what_the_priors_expect(area_m2):
     """A floor area that is a quarter off puts the priors of capacity and coupling about one standard deviation off."""
-    truth = HOUSE.effect_K(np.ones(48), 3600.0)
     errors, deviations = [], []
     for seed in range(3):
         run = record(HOUSE, 3.0, seed=seed, noise_K=0.01)
-        known = identify([run], config=LINEAR, floor_area_m2=area_m2).only.card.uncertainty
+        model = identify([run], config=LINEAR, floor_area_m2=area_m2)
+        known, truth = model.only.card.uncertainty, truth_of(model)
         for hours in (1, 2, 4, 8, 12, 24):
             errors.append((known[f"step_response_{hours}h_K"] - truth[hours]) / truth[hours])
             deviations.append(known[f"step_response_{hours}h_sd_K"] / truth[hours])
@@ -58,13 +63,12 @@ def test_bands_allow_for_a_building_that_is_not_what_the_priors_expect(area_m2):
 
 def test_less_is_assumed_where_little_is_left_unexplained():
     """A house without disturbances: by the margin, the data may say more than the (misleading) priors."""
-    truth = HOUSE.effect_K(np.ones(48), 3600.0)
     run = record(HOUSE, 3.0, noise_K=0.01)
 
     def error(margin: float) -> float:
         config = IdentificationConfig(order=3, modulation="linear", disturbance_margin=margin)
-        known = identify([run], config=config, floor_area_m2=260.0).only.card.uncertainty
-        return abs(known["step_response_12h_K"] / truth[12] - 1)
+        model = identify([run], config=config, floor_area_m2=260.0)
+        return abs(model.only.card.uncertainty["step_response_12h_K"] / truth_of(model)[12] - 1)
 
     assert error(5.0) < 0.7 * error(1000.0)
 

@@ -96,13 +96,16 @@ def test_casadi_derivative_equals_autodiff():
 
 def test_only_parameters_that_bear_on_a_prediction_are_effective():
     kept = random_operator(0, 3)
-    assert (kept.n_trained, kept.n_effective) == (199, 199)
-    assert kept.parameters_in_words == "199 trained parameters"
-    for flat in (replace(kept, output_weight=np.zeros(32)), replace(kept, gamma=0.0)):
-        assert (flat.n_trained, flat.n_effective) == (199, 6)
-        assert flat.parameters_in_words == "199 trained parameters, 6 of them effective; the modulation is constant"
+    assert (kept.n_trained, kept.n_used, kept.n_effective) == (199, 199, 199)
+    assert kept.parameters_in_words == "199 trained parameters, 199 used"
+    dropped = replace(kept, output_weight=np.zeros(32))
+    assert (dropped.n_trained, dropped.n_used, dropped.n_effective) == (199, 6, 6)
+    assert dropped.parameters_in_words == "199 trained parameters, 6 used: the network was not kept"
+    for linear in (replace(dropped, hidden_weight=np.zeros((32, 4))), replace(kept, gamma=0.0)):
+        assert (linear.n_trained, linear.n_used, linear.n_effective) == (6, 6, 6)
+        assert linear.parameters_in_words == "6 trained parameters, 6 used"
     half = replace(kept, output_weight=np.where(np.arange(32) < 16, kept.output_weight, 0.0))
-    assert half.parameters_in_words == "199 trained parameters, 103 of them effective"
+    assert half.parameters_in_words == "199 trained parameters, 199 used, 103 effective"
 
 
 @pytest.mark.parametrize(("order", "count"), [(1, 195), (2, 197), (3, 199)])

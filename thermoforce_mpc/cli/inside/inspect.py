@@ -32,7 +32,6 @@ _MEANING = {
     "residual_scale": "residual, as a share of the assumed disturbances",
     "held_out_linear": "held-out error with a constant gain, in standard deviations",
     "held_out_neural": "the same with a network as gain",
-    "neural_improvement_in_standard_errors": "improvement by the network, in standard errors",
     "modulation_kept": "network kept (1) or not (0)",
 }
 _UNITS = {"T_zone_C": "zone, °C", "T_out_C": "outdoors, °C", "solar_W_m2": "sun, W/m²", "u": "action u"}
@@ -82,7 +81,7 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
     wrong = [f"{actuator} on {zone}" for (zone, actuator), proof in proofs.items() if not proof.certified]
     console.print(
         f"{name}: zones: {Z}, actuators: {A}, machines: {len(thermal.machines)}; {len(pairs)} pairs with an effect, "
-        f"{operator.n_trained} trained parameters, step {operator.step_s / 3600:g} h",
+        f"{operator.n_trained} trained parameters, {operator.n_used} used, step {operator.step_s / 3600:g} h",
         soft_wrap=True,
     )
     for m, machine in enumerate(thermal.machines):
@@ -152,11 +151,11 @@ def _show_operator(name: str, operator: OperatorParameters, card: ModelCard, con
             effects.add_row(f"{hours:g}", f"{proof.effect_low_K[k]:.4f}", f"{proof.effect_high_K[k]:.4f}")
     title = f"Zone response to full actuation for one step of {operator.step_s / 3600:g} h, K (proven interval)"
     _titled(title, effects, console)
-    if operator.heat_input.heat is not None:
-        c0, c1, c2, c3 = operator.heat_input.heat.coefficients
+    if operator.heat_input.law is not None:
+        c0, c1, c2, c3 = operator.heat_input.law.coefficients
         say(
             f"Heat: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out) W; full actuation above is "
-            f"{operator.heat_input.reference_W:.0f} W, the heat at {operator.heat_input.reference_C:g} °C outdoors"
+            f"{operator.heat_input.reference_W:.0f} W, the heat at {operator.heat_input.reference_C:.1f} °C outdoors"
         )
     elif operator.heat_input.per_K:
         say(

@@ -266,7 +266,7 @@ class OnlineAdaptation:
         known_u: NDArray[np.bool_],
     ) -> AdaptationState:
         """Return the state with the heat factor updated from measured heat, over steps on with a known level."""
-        heat = self._identified.operator.heat_input.heat
+        heat = self._identified.operator.heat_input.law
         if heat is None:
             return state
         u, Q = history.u[0, start:stop], history.heat_W[0, start:stop] * self._identified.operator.sign
@@ -301,15 +301,13 @@ class OnlineAdaptation:
         """Return `state` with the model of its factors; None if that is not certified."""
         base = self._identified.operator
         operator = _scaled(base, float(state.log_factors[0]), float(state.log_factors[1]))
-        if base.heat_input.heat is not None:
+        load = base.heat_input.law
+        if load is not None:
             # The heat of v = 1 scales with the machine, and the gain per v with it.
             factor = float(np.exp(state.log_heat))
-            load = base.heat_input.heat
             c0, c1, c2, c3 = (factor * c for c in load.coefficients)
             weaker = replace(load, coefficients=(c0, c1, c2, c3))
-            operator = replace(
-                operator, heat_input=replace(base.heat_input, heat=weaker), gains=operator.gains * factor
-            )
+            operator = replace(operator, heat_input=base.heat_input.with_law(weaker), gains=operator.gains * factor)
         if not certificate(operator).certified:
             return None
         return replace(state, model=replace(self._identified, operator=operator))

@@ -18,6 +18,7 @@ from thermoforce_mpc.identification.estimation.likelihood import Residuals, Spli
 from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.estimation.recursions import adjoint, responses
 from thermoforce_mpc.identification.estimation.regression import RegressionData
+from thermoforce_mpc.identification.validation.blocks import block_numbers
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 
@@ -36,31 +37,34 @@ class _Alike:
     """Regressions of equal shapes, m of them.
 
     `steps` (m, k, n): places of their k runs in the stack of all steps; `rows` of each; L⁻¹ (m, t, rows) and L⁻¹ target
-    (m, t) of the training rows and of the held-out ones.
+    (m, t) of the training rows and of the held-out ones; `blocks` (m, t) of the latter, see `validation.blocks`.
     """
 
     steps: NDArray[np.intp]
     rows: NDArray[np.intp]
     train: tuple[Array, Array]
     held_out: tuple[Array, Array]
+    blocks: NDArray[np.intp]
 
 
 def _grouped(data: Sequence[TrainingData]) -> list[_Alike]:
     """The regressions by shape: pairs are many and short, so that they are computed together."""
-    groups: dict[tuple[object, ...], list[tuple[TrainingData, NDArray[np.intp]]]] = {}
+    groups: dict[tuple[object, ...], list[tuple[TrainingData, NDArray[np.intp], NDArray[np.intp]]]] = {}
     first = 0
-    for e in data:
+    for number, e in enumerate(data):
         places = first + np.arange(len(e.regression.drives) * e.regression.n_steps)
         first += places.size
         key = (e.regression.n_steps, *(rows.tobytes() for rows in (e.regression.rows, e.split.train, e.split.judged)))
-        groups.setdefault(key, []).append((e, places.reshape(len(e.regression.drives), -1)))
+        blocks = block_numbers(number, e.regression.rows[e.split.judged], e.regression.step_s)
+        groups.setdefault(key, []).append((e, places.reshape(len(e.regression.drives), -1), blocks))
     stacks = []
     for members in groups.values():
-        L = np.stack([e.residuals.whitener() for e, _ in members])
-        residual = np.stack([e.regression.target - e.residuals.mean for e, _ in members])
+        L = np.stack([e.residuals.whitener() for e, *_ in members])
+        residual = np.stack([e.regression.target - e.residuals.mean for e, *_ in members])
         target, example = (L @ residual[..., None])[..., 0], members[0][0]
         train, held_out = ((L[:, part], target[:, part]) for part in (example.split.train, example.split.judged))
-        stacks.append(_Alike(np.stack([places for _, places in members]), example.regression.rows, train, held_out))
+        steps, blocks = (np.stack(arrays) for arrays in ([m[1] for m in members], [m[2] for m in members]))
+        stacks.append(_Alike(steps, example.regression.rows, train, held_out, blocks))
     return stacks
 
 
@@ -91,7 +95,7 @@ class Misfit:
         start: operator that gives all but these parameters.
         data: runs and pairs.
         priors: of the modes.
-        modulation_sd: prior standard deviation of m(x) − 1.
+        modulation_sd: prior standard deviation of m(x) around that of `start`.
     """
 
     def __init__(
@@ -111,9 +115,13 @@ class Misfit:
         self._mean = np.concatenate([mean, priors.log_tau])
         self._sd = np.concatenate([sd, np.full(priors.order, priors.log_tau_sd)])
         weights = 0.0 if start.gamma == 0.0 else (start.gamma / modulation_sd) ** 2
-        # Hidden weights and biases sd 1, output ones such that m − 1 has `modulation_sd`.
-        H = self._hidden
-        self._precision = np.concatenate([np.ones(5 * H), np.full(H, H * weights), [weights]])
+        # Output weights are such that m has `modulation_sd`; hidden ones have sd 1 about 0, but those of units that
+        # start connected stay where they are but for as much of m.
+        H, output = self._hidden, start.output_weight
+        hidden, connected = 1.0 + weights * output**2, output != 0.0
+        self._precision = np.concatenate([np.repeat(hidden, 4), hidden, np.full(H, H * weights), [weights]])
+        of_hidden = (connected[:, None] * start.hidden_weight).ravel(), connected * start.hidden_bias
+        self._centre = np.concatenate([*of_hidden, output, [start.output_bias]])
 
     def __call__(self, parameters: Array) -> tuple[float, Array]:
         """The misfit and its gradient (P,)."""
@@ -131,10 +139,16 @@ class Misfit:
             by_a += modes.g * np.tensordot(by_response, slope)
             by_drive[group.steps] = adjoint(by_response, modes.a, modes.g)[:, None]
         penalty, penalty_by_raw = self._penalty(modes)
+        away = network - self._centre
         by_raw = self._raw_gradient(modes, by_a, by_g) + 2.0 * penalty_by_raw
-        by_network = self._network_gradient(network, activations, by_drive) + 2.0 * self._precision * network
-        value = squares + 2.0 * (penalty + 0.5 * float(self._precision @ network**2))
+        by_network = self._network_gradient(network, activations, by_drive) + 2.0 * self._precision * away
+        value = squares + 2.0 * (penalty + 0.5 * float(self._precision @ away**2))
         return value / self._n, np.concatenate([by_raw, by_network]) / self._n
+
+    @property
+    def held_out_blocks(self) -> NDArray[np.intp]:
+        """Block numbers (rows,) of the held-out rows, in the order of `held_out_residuals`."""
+        return np.concatenate([group.blocks.ravel() for group in self._groups])
 
     def held_out_residuals(self, parameters: Array) -> Array:
         """Whitened residuals of the held-out rows (rows,), always in the same order."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.joint import ModeFit
@@ -16,16 +16,25 @@ from thermoforce_mpc.identification.estimation.likelihood import Split, residual
 from thermoforce_mpc.identification.estimation.modes import ModePriors, centred_priors
 from thermoforce_mpc.identification.estimation.regression import RegressionData, calibrated
 from thermoforce_mpc.identification.modulation.misfit import TrainingData
+from thermoforce_mpc.identification.validation.blocks import is_significant, standard_errors_saved
 from thermoforce_mpc.identification.validation.held_out import LEAST_SCALE, Case
 from thermoforce_mpc.model.forced_history import forced_history
+from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
+from thermoforce_mpc.model.machine.part_load import SWITCH_FROM, part_load
+from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.features import feature_matrix
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
-# Least held-out hours to keep a network; 6 h would decide by chance. With a heat input the remaining effect is small
-# compared with weather errors, so a whole day is needed.
-_LEAST_JUDGED_H = {"identity": 12.0, "heat": 24.0}
+# A held-out comparison decides at this probability (Student's t, one-sided), if the RMS is below this share.
+_SIGNIFICANT, _RELEVANT = 0.95, 0.98
+# Fixed share of heat up to which it counts as in proportion to the level.
+_PROPORTIONAL = 0.1
+# Levels from which full level counts as held, and share of the steps on from which lower ones are not mere trials.
+_NEARLY_FULL, _OFTEN = 0.9, 0.25
 # Relative prior standard deviation of gains and time constants while the network is trained on runs.
 _LINEAR_HELD_SD = 0.02
 
@@ -53,12 +62,15 @@ def modulate(
     final: ModeFit,
     priors: ModePriors,
     config: IdentificationConfig,
-) -> tuple[OperatorParameters, dict[str, float]]:
-    """Train m(x) on the training rows; if it improves the held-out rows, train on all data, else keep m = 1.
+    power: PowerModel | None = None,
+) -> tuple[OperatorParameters, dict[str, float], list[str]]:
+    """Train m(x) on the training rows, choose its input on the held-out ones, and train it on all data.
 
-    With too few held-out hours to decide, m = 1 without a try. Returns the operator and its held-out scores.
+    With heat input auto, v = u unless held-out data or held levels ask for measured heat. The operator is that with
+    m = 1 where the network is significantly worse than that and is not kept `always`. Returns the operator, its
+    held-out scores and notes in words.
     """
-    from thermoforce_mpc.identification.modulation.training import train
+    from thermoforce_mpc.identification.modulation.training import TrainingResult, train
 
     base = linear(final)
     features = [tuple(_features(base, h, config.feedback) for h in c.histories) for c in cases]
@@ -69,41 +81,88 @@ def modulate(
     def untrained(fit: ModeFit) -> OperatorParameters:
         return replace(linear(fit), feature_mean=mean, feature_scale=scale)
 
-    def regressions(fit: ModeFit, chosen: Sequence[Split]) -> list[TrainingData]:
-        return [
+    def trained(fit: ModeFit, heat_input: HeatInput, chosen: Sequence[Split]) -> TrainingResult:
+        driven = [by_level(c, base.heat_input) if heat_input != base.heat_input else c.regression for c in cases]
+        data = [
             TrainingData(e, x, residuals(e, fit.log_tau), s)
-            for e, x, s in zip(
-                calibrated([c.regression for c in cases], fit.residual_scale), features, chosen, strict=True
-            )
+            for e, x, s in zip(calibrated(driven, fit.residual_scale), features, chosen, strict=True)
         ]
-
-    def training_priors(fit: ModeFit) -> ModePriors:
         # The linear fit assumed larger disturbances; training must not change its slow gain.
-        if all(c.regression.is_pair for c in cases):
-            return priors
-        return centred_priors(fit.log_tau, fit.gains, _LINEAR_HELD_SD)
+        pairs_only = all(c.regression.is_pair for c in cases)
+        of_modes = priors if pairs_only else centred_priors(fit.log_tau, fit.gains, _LINEAR_HELD_SD)
+        return train(replace(untrained(fit), heat_input=heat_input), data, of_modes, config)
 
-    held_out_h = sum(_hours(c.regression, s.judged) for c, s in zip(cases, splits, strict=True))
-    if held_out_h < _LEAST_JUDGED_H[base.heat_input.kind]:
-        return replace(untrained(final), feedback=config.feedback), {"modulation_kept": 0.0}
-    search = train(untrained(part_fit), regressions(part_fit, splits), training_priors(part_fit), config)
+    found = trained(part_fit, base.heat_input, splits)
+    unmodulated, heat_input, notes = found.residuals_before, base.heat_input, []
+    if heat_input.heat is not None and config.heat_input == "auto" and config.heat_capacity is None:
+        level = trained(part_fit, heat_input.by_level, splits)
+        needed = _held_levels(heat_input.heat, cases, power)
+        better = not needed and _better(found.residuals, level.residuals, level.blocks)
+        if not needed and not better:
+            found, heat_input = level, heat_input.by_level
+        because = f", since {needed or _compared(found.residuals, level.residuals)}" if needed or better else ""
+        notes.append(f"heat input: {'measured heat' + because if because else 'the level, v = u'}")
+    worse = _better(unmodulated, found.residuals, found.blocks)
+    kept = config.modulation == "always" or not worse
     scores = {
-        "held_out_linear": search.linear_score,
-        "held_out_neural": search.score,
-        "neural_improvement_in_standard_errors": search.improvement_in_standard_errors,
+        "held_out_linear": _rms(unmodulated),
+        "held_out_neural": _rms(found.residuals),
+        "modulation_kept": float(kept),
     }
-    scores["modulation_kept"] = float(search.worth_it)
-    if not scores["modulation_kept"]:
-        return replace(untrained(final), feedback=config.feedback), scores
-    everything = [whole(c.regression) for c in cases]
-    # With feedback, training uses measured temperatures, so there is no recursion; prediction uses predicted ones.
-    trained = train(untrained(final), regressions(final, everything), training_priors(final), config).operator
-    return replace(trained, feedback=config.feedback), scores
+    if not kept:
+        notes.append(f"network not kept, since m = 1 {_compared(unmodulated, found.residuals)}")
+        network = found.operator
+        operator = replace(untrained(final), hidden_weight=network.hidden_weight, hidden_bias=network.hidden_bias)
+    else:
+        # With feedback, training uses measured temperatures, so there is no recursion; prediction uses predicted ones.
+        operator = trained(final, heat_input, [whole(c.regression) for c in cases]).operator
+    return replace(operator, feedback=config.feedback), scores, notes
 
 
-def _hours(regression: RegressionData, rows: NDArray[np.intp]) -> float:
-    """Return the time that `rows` represent, h."""
-    return rows.size * (regression.n_steps / max(1, regression.rows.size)) * regression.step_s / HOUR_S
+def by_level(case: Case, heat_input: HeatInput) -> RegressionData:
+    """The regression of a case, driven by `heat_input`, with the levels as drives.
+
+    A level that was held counts as the share of time at full level that gives its heat, as levels of a plan do.
+    """
+    drives = tuple(
+        (sign, drive / heat_input(np.asarray(1.0), history.T_out_C[:-1]))
+        for (sign, drive), history in zip(case.regression.drives, case.histories, strict=True)
+    )
+    return replace(case.regression, drives=drives)
+
+
+def _held_levels(heat: MachineLoad, cases: Sequence[Case], power: PowerModel | None) -> str:
+    """Why plans need the heat of levels between off and full, in words; empty where v = u will do.
+
+    Where heat is in proportion to the level, or the machine is switched at full level, it will.
+    """
+    fixed, per_u = (float(part) for part in heat.parts(0.5 * sum(heat.T_out_range_C)))
+    if not heat.levels_seen or fixed <= _PROPORTIONAL * (fixed + per_u):
+        return ""
+    u = np.concatenate([h.u[0] for case in cases for h in case.histories])
+    on = u > LEVEL_EDGE
+    held = np.count_nonzero(on & (u < _NEARLY_FULL)) > _OFTEN * np.count_nonzero(on)
+    at_part_load = None if power is None else part_load(power, heat)
+    if not held and (at_part_load is None or at_part_load.at_half > 1.0 + SWITCH_FROM):
+        return ""
+    return "levels between off and full are held, whose heat is not in proportion to the level"
+
+
+def _better(residuals: Array, than: Array, blocks: NDArray[np.intp]) -> bool:
+    """Whether held-out `residuals` are smaller by 2 % and significantly, block by block."""
+    significant = is_significant(*standard_errors_saved(than, residuals, blocks), _SIGNIFICANT)
+    return significant and _rms(residuals) < _RELEVANT * _rms(than)
+
+
+def _compared(residuals: Array, than: Array) -> str:
+    return (
+        f"held-out data are predicted better with it: error {_rms(residuals):.3g} instead of {_rms(than):.3g} "
+        "standard deviations"
+    )
+
+
+def _rms(residuals: Array) -> float:
+    return float(np.sqrt(np.mean(residuals**2))) if residuals.size else float("nan")
 
 
 def prove(operator: OperatorParameters) -> None:

@@ -1,16 +1,18 @@
 """Training of the monotone-neural operator on multi-step rollouts (paper eq:operator, eq:paired).
 
-The loss and its gradient are those of `misfit`. Training starts from the linear fit with m = 1, with priors on modes
-and weights; held-out data decide whether the network is kept.
+The loss and its gradient are those of `misfit`. Training starts from the linear fit with priors on modes and weights.
+m(x) starts at 1; where heat was measured beside v = u, at the measured heat of full level over T_out: the meter knows
+that better than a few days of temperatures, also in weather that they did not see.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.optimize import minimize
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
@@ -18,74 +20,66 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.modulation.misfit import Misfit, TrainingData
+from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 
 # Initial standard deviation of hidden weights: features are normalised, so slopes of order 1 use the range of tanh.
 _HIDDEN_SD = 0.5
-# Prior standard deviation of m(x) − 1, smaller with a heat capacity, which includes the dependence on T_out.
-_MODULATION_SD = {"identity": 0.15, "heat": 0.05}
-# The network is kept if it predicts the held-out rows better than m = 1 by this many standard errors and this factor.
-# With little data it may be better by chance and fit weather errors.
-_SIGNIFICANT, _RELEVANT = 1.0, 0.98
+# Hidden weight of the unit that starts as the measured heat of full level: tanh is straight within 1 % over ± 2
+# standard deviations of T_out, and bends far outside.
+_STRAIGHT = 0.1
+# Largest part of γ that m(x) starts at.
+_MOST = 0.99
+# Prior standard deviation of m(x) around its start: smaller where measured heat includes the dependence on T_out.
+_MODULATION_SD, _MODULATION_SD_METERED = 0.15, 0.02
 # L-BFGS: history size; convergence tolerances of the gradient's largest element and of the loss's relative change.
 _MEMORY, _FLAT, _SETTLED = 30, 1e-6, 1e-9
 
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """Trained operator, whitened held-out residuals (rows,) before (m = 1) and after training, and loss per epoch."""
+    """Trained operator, and loss per epoch.
+
+    `residuals_before` and `residuals` (rows,): whitened held-out residuals before and after training; `blocks` (rows,):
+    their block numbers, see `validation.blocks`.
+    """
 
     operator: OperatorParameters
-    linear_residuals: Array
+    residuals_before: Array
     residuals: Array
+    blocks: NDArray[np.intp]
     losses: Array
-
-    @property
-    def linear_score(self) -> float:
-        """RMS of the held-out residuals with m = 1 (NaN without held-out rows)."""
-        return _rms(self.linear_residuals)
-
-    @property
-    def score(self) -> float:
-        """RMS of the held-out residuals after training."""
-        return _rms(self.residuals)
-
-    @property
-    def improvement_in_standard_errors(self) -> float:
-        """Mean decrease of the squared held-out residuals over its standard error (NaN with fewer than two rows)."""
-        gain = self.linear_residuals**2 - self.residuals**2
-        if gain.size < 2:
-            return float("nan")
-        spread = float(np.std(gain, ddof=1))
-        return 0.0 if spread == 0.0 else float(np.mean(gain)) / (spread / np.sqrt(gain.size))
-
-    @property
-    def worth_it(self) -> bool:
-        """Whether the network improves the held-out rows by more than 1 standard error and 2 % in RMS."""
-        return self.improvement_in_standard_errors > _SIGNIFICANT and self.score < _RELEVANT * self.linear_score
 
 
 def train(
-    start: OperatorParameters, regressions: Sequence[TrainingData], priors: ModePriors, config: IdentificationConfig
+    linear: OperatorParameters, regressions: Sequence[TrainingData], priors: ModePriors, config: IdentificationConfig
 ) -> TrainingResult:
-    """Train from the linear operator `start` for at most the configured number of epochs."""
-    modulation_sd = config.modulation_sd or _MODULATION_SD[start.heat_input.kind]
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)
-        operator = ForcedResponseOperator(start)
-        with torch.no_grad():
-            operator.hidden.weight.normal_(0.0, _HIDDEN_SD)
-            operator.hidden.bias.normal_(0.0, _HIDDEN_SD)
-            operator.output.weight.zero_()
-            operator.output.bias.zero_()
+    """Train from the `linear` operator for at most the configured number of epochs."""
+    metered = linear.heat_input.law is not None
+    modulation_sd = config.modulation_sd or (_MODULATION_SD_METERED if metered else _MODULATION_SD)
+    start = with_network(linear, config.seed)
+    operator = ForcedResponseOperator(start)
     misfit = Misfit(start, regressions, priors, modulation_sd)
     begin = parameters_to_vector(operator.parameters()).detach().numpy()
     end, losses = minimise(misfit, begin, config)
     vector_to_parameters(torch.from_numpy(end), operator.parameters())
-    return TrainingResult(
-        operator.numpy(), misfit.held_out_residuals(begin), misfit.held_out_residuals(end), np.array(losses)
-    )
+    before, after = misfit.held_out_residuals(begin), misfit.held_out_residuals(end)
+    return TrainingResult(operator.numpy(), before, after, misfit.held_out_blocks, np.array(losses))
+
+
+def with_network(linear: OperatorParameters, seed: int) -> OperatorParameters:
+    """Return the operator with the network that training starts from; its normalisation of features is set."""
+    rng, H, gamma = np.random.default_rng(seed), linear.hidden_bias.size, linear.gamma
+    weight, bias = rng.normal(0.0, _HIDDEN_SD, (H, N_FEATURES)), rng.normal(0.0, _HIDDEN_SD, H)
+    output, output_bias = np.zeros(H), 0.0
+    if linear.heat_input.metered is not None and gamma > 0.0:
+        T_out_C = linear.feature_mean[OUTDOOR] + linear.feature_scale[OUTDOOR] * np.array([-1.0, 1.0])
+        share = (linear.heat_input.full_share(T_out_C) - 1.0) / gamma
+        low, high = np.arctanh(np.clip(share, -_MOST, _MOST))
+        weight[0], bias[0] = _STRAIGHT * np.eye(N_FEATURES)[OUTDOOR], 0.0
+        output[0], output_bias = 0.5 * (high - low) / np.tanh(_STRAIGHT), 0.5 * (high + low)
+    return replace(linear, hidden_weight=weight, hidden_bias=bias, output_weight=output, output_bias=float(output_bias))
 
 
 def minimise(
@@ -115,7 +109,3 @@ def minimise(
     options = {"maxcor": _MEMORY, "maxiter": config.epochs, "maxfun": config.epochs, "gtol": _FLAT, "ftol": _SETTLED}
     result = minimize(evaluate, start, jac=True, method="L-BFGS-B", options=options)
     return np.asarray(result.x), losses
-
-
-def _rms(residual: Array) -> float:
-    return float(np.sqrt(np.mean(residual**2))) if residual.size else float("nan")

@@ -27,7 +27,7 @@ _NEARLY_FULL = 0.9
 # Loads to try below which a shared machine cycles, as shares of its capacity; 1: its power is proportional to the load.
 _CYCLES_BELOW = (0.02, *np.linspace(0.1, 0.6, 11).round(2).tolist(), 1.0)
 # Lower limit of the features' scale: °C, °C, W/m², 1.
-LEAST_SCALE = np.array([1.0, 1.0, 50.0, 0.5])
+LEAST_SCALE = np.array([5.0, 8.0, 150.0, 0.5])
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def identified_heat_input(
     if config.heat_input == "identity":
         return IDENTITY, ["heat input: identity, as configured"]
     if config.heat_capacity is not None:
-        return HeatInput(heat=config.heat_capacity.load()), ["heat input: heat, as given"]
+        return HeatInput(heat=config.heat_capacity.load()), ["measured heat: as given"]
     heat = np.concatenate([h.heat_W[0] for h in histories]) * sign
     measured = float(np.isfinite(heat).mean())
     if measured < _MEASURED:
@@ -75,17 +75,18 @@ def identified_heat_input(
             f"the measured heat is that of {metered}, but the mode is {mode}: {metered} says nothing of what "
             f"{mode} does; record while the building is in use for {mode}, or check the sign of the heat"
         )
+    T_out_C = np.concatenate([h.T_out_C[:-1] for h in histories])
     fit = fit_heat(
         u,
-        np.concatenate([h.T_out_C[:-1] for h in histories]),
+        T_out_C,
         heat,
         kinds=kinds_for(sign) if config.machine == "auto" else (KINDS[config.machine],),
         step_s=histories[0].step_s,
         lowest_level=config.lowest_level,
     )
     rmse_W, r2 = fit.quality.rmse_W, fit.quality.r2
-    note = f"heat input: heat of a machine of kind '{fit.kind}', RMSE {rmse_W:.0f} W while on, R² {r2:.4f}"
-    return HeatInput(heat=fit.load), [note, *_unseen(histories, fit)]
+    note = f"measured heat: machine of kind '{fit.kind}', RMSE {rmse_W:.0f} W while on, R² {r2:.4f}"
+    return HeatInput(heat=fit.load, reference_C=float(T_out_C.mean())), [note, *_unseen(histories, fit)]
 
 
 def _unseen(histories: Sequence[Record], fit: HeatFit) -> list[str]:

@@ -131,7 +131,7 @@ def step_answer(pair: OperatorParameters) -> tuple[Array, Array]:
 
 def full_level_of(pair: OperatorParameters) -> str:
     """Return the heat of full level in words; empty where it is not known."""
-    return "" if pair.heat_input.heat is None else f"{pair.heat_input.reference_W / 1000:.1f} kW"
+    return "" if pair.heat_input.law is None else f"{pair.heat_input.reference_W / 1000:.1f} kW"
 
 
 def step_response_of(model: ThermalModel, z: int, a: int) -> tuple[Array, Array]:

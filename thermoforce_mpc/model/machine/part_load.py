@@ -12,6 +12,9 @@ from dataclasses import dataclass
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 
+# Excess of power per heat at half level from which a machine is switched. Below it is what a few days of data leave
+# uncertain: an exponent of a radiator that is wrong by 0.2 looks like a fixed part of 8 %.
+SWITCH_FROM = 0.1
 # Names on the model card (`ModelCard.uncertainty`), see `CostAtPartLoad`.
 LEVEL, HEAT, HEAT_SD = "part_load_level", "part_load_heat", "part_load_heat_sd"
 COST, COST_SD = "part_load_cost", "part_load_cost_sd"

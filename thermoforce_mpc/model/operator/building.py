@@ -214,8 +214,16 @@ class BuildingOperator:
     @property
     def n_trained(self) -> int:
         """Trained parameters: poles and gains of each pair, and each actuator's modulation once."""
+        return self._counted(lambda head: head.n_trained)
+
+    @property
+    def n_used(self) -> int:
+        """Trained parameters that enter predictions, see `OperatorParameters.n_used`."""
+        return self._counted(lambda head: head.n_used)
+
+    def _counted(self, count: Callable[[OperatorParameters], int]) -> int:
         heads = [self.of_actuator(a) for a in range(len(self.actuators))]
-        return sum(2 * pair.order for *_, pair in self.each()) + sum(head.n_trained - 2 * head.order for head in heads)
+        return sum(2 * pair.order for *_, pair in self.each()) + sum(count(head) - 2 * head.order for head in heads)
 
 
 def single(operator: OperatorParameters) -> BuildingOperator:

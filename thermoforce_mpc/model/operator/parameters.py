@@ -135,28 +135,29 @@ class OperatorParameters:
 
     @property
     def n_trained(self) -> int:
-        """Number of trained parameters: 195 at order 1 with 32 hidden units."""
-        return int(self.poles.size + self.gains.size + self.hidden_weight.size + self.hidden_bias.size) + int(
-            self.output_weight.size + 1
-        )
+        """Number of trained parameters: 195 at order 1 with 32 hidden units, 2 where no network was trained."""
+        network = self.hidden_bias.size * (N_FEATURES + 2) + 1
+        trained = self.gamma > 0.0 and bool(self.hidden_weight.any())
+        return 2 * self.order + (network if trained else 0)
+
+    @property
+    def n_used(self) -> int:
+        """Number of trained parameters that enter predictions: without the network where it was not kept."""
+        return self.n_trained if self.gamma > 0.0 and self.output_weight.any() else 2 * self.order
 
     @property
     def n_effective(self) -> int:
-        """Number of trained parameters that affect a prediction: poles, gains, and those of connected hidden units.
-
-        If the network was not kept, its output weights are zero, m(x) is constant, and only poles and gains count.
-        """
-        units = int(np.count_nonzero(self.output_weight)) if self.gamma > 0.0 else 0
-        network = units * (N_FEATURES + 2) + 1 if units else 0
-        return int(self.poles.size + self.gains.size) + network
+        """Number of used parameters that a prediction depends on: not those of hidden units that lead nowhere."""
+        idle = int(np.sum(self.output_weight == 0.0)) if self.n_used > 2 * self.order else 0
+        return self.n_used - (N_FEATURES + 2) * idle
 
     @property
     def parameters_in_words(self) -> str:
-        """Number of trained parameters and, if different, of effective ones, as text."""
-        if self.n_effective == self.n_trained:
-            return f"{self.n_trained} trained parameters"
-        constant = "; the modulation is constant" if self.n_effective == 2 * self.order else ""
-        return f"{self.n_trained} trained parameters, {self.n_effective} of them effective{constant}"
+        """Numbers of trained and used parameters and, if different, of effective ones, as text."""
+        words = f"{self.n_trained} trained parameters, {self.n_used} used"
+        if self.n_used < self.n_trained:
+            return f"{words}: the network was not kept"
+        return words if self.n_effective == self.n_used else f"{words}, {self.n_effective} effective"
 
     @property
     def time_constants_h(self) -> Array:

@@ -125,7 +125,7 @@ def decode(content: Mapping[str, Any], arrays: Mapping[str, Array]) -> dict[str,
 
 def _operator(data: Mapping[str, Any], arrays: Mapping[str, Array], prefix: str) -> OperatorParameters:
     heat_input = data["heat_input"]
-    heat = heat_input["heat"]
+    heat, metered = heat_input["heat"], heat_input.get("metered")
     low, high = heat_input.get("T_out_range_C", (0.0, 0.0))
     return OperatorParameters(
         **{name: _array(arrays, prefix + name) for name in _OPERATOR_ARRAYS},
@@ -140,6 +140,7 @@ def _operator(data: Mapping[str, Any], arrays: Mapping[str, Array], prefix: str)
             lowest=number(heat_input.get("lowest", 0.0)),
             per_K=number(heat_input.get("per_K", 0.0)),
             T_out_range_C=(number(low), number(high)),
+            metered=None if metered is None else _load(metered),
         ),
     )
 

@@ -98,7 +98,8 @@ def origin(model: ThermalModel) -> dict[str, Any]:
     origins = {name: _origin_of(model.actuator(a)) for a, name in enumerate(model.operator.actuators)}
     if model.names.single:
         return origins[model.operator.actuators[0]]
-    return {"n_trained": model.operator.n_trained, "pairs": len(list(model.operator.each())), "actuators": origins}
+    counts = {"n_trained": model.operator.n_trained, "n_used": model.operator.n_used}
+    return counts | {"pairs": len(list(model.operator.each())), "actuators": origins}
 
 
 def _origin_of(zone: ZoneModel) -> dict[str, Any]:
@@ -107,6 +108,7 @@ def _origin_of(zone: ZoneModel) -> dict[str, Any]:
     return {
         "order": operator.order,
         "n_trained": operator.n_trained,
+        "n_used": operator.n_used,
         "n_effective": operator.n_effective,
         "time_constants_h": operator.time_constants_h.tolist(),
         "steady_gains_K": operator.steady_gains_K.tolist(),

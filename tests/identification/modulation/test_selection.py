@@ -1,0 +1,115 @@
+"""The network is trained and kept by default; held-out data and held levels decide what it is kept over."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from houses import House, make_pair, random_levels, record
+
+from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.identification import IdentificationConfig, identify
+from thermoforce_mpc.identification.modulation.training import with_network
+from thermoforce_mpc.model.operator import certificate
+from thermoforce_mpc.model.operator.features import feature_matrix
+from thermoforce_mpc.model.operator.parameters import linear_operator
+
+HOUSE = House()
+# Off and full level, as a machine that is switched is probed.
+SWITCHED = random_levels(288, 1, levels=(0.0, 1.0))
+
+
+def found(run, **options):
+    return identify([run], config=IdentificationConfig(order=3, **options), floor_area_m2=190.0).only
+
+
+def counts(model):
+    return model.operator.n_trained, model.operator.n_used, model.operator.n_effective
+
+
+def test_three_days_of_probing_give_the_level_and_the_network():
+    """17 held-out hours and no clear gain from the network: it is kept all the same."""
+    model = found(record(HOUSE, 3.0, u=SWITCHED, noise_K=0.01))
+    assert counts(model) == (199, 199, 199)
+    assert model.operator.parameters_in_words == "199 trained parameters, 199 used"
+    assert (model.operator.heat_input.kind, model.card.scores["modulation_kept"]) == ("identity", 1.0)
+    assert "heat input: the level, v = u" in model.card.notes
+    assert certificate(model.operator).certified
+
+
+def test_the_network_is_the_measured_heat_of_full_level_where_temperatures_say_nothing():
+    """Also in weather that the record has not seen, and in the meter's units: a control step reads meters by it."""
+    run = record(HOUSE, 3.0, u=SWITCHED, noise_K=0.01)
+    model = found(run)
+    T_out = run.T_out_C.mean() + np.array([-8.0, -4.0, 0.0, 4.0, 8.0])
+    features = feature_matrix(np.full(5, 15.0), T_out, np.full(5, 50.0), np.full(5, 6 * HOUR_S))
+    full_share = (1 + HOUSE.slope_per_K * T_out) / (1 + HOUSE.slope_per_K * run.T_out_C[:-1].mean())
+    np.testing.assert_allclose(model.operator.modulation(features), full_share, rtol=0.05)
+    heat_input = model.operator.heat_input
+    np.testing.assert_allclose(heat_input.of_meter(0.5 * HOUSE.heat_W(1.0, T_out), T_out), 0.5, rtol=0.01)
+
+
+def test_linear_trains_no_network():
+    model = found(record(HOUSE, 3.0, u=SWITCHED), modulation="linear")
+    assert counts(model) == (6, 6, 6)
+    assert model.operator.heat_input.kind == "heat"
+    assert model.operator.constant_modulation == 1.0
+
+
+def changing_house():
+    """Full level gives half as much again by day and half by night, and after the part to train on the reverse."""
+    pairs = []
+    for seed in range(8):
+        pair = make_pair(HOUSE, seed)
+        runs = []
+        for run in (pair.a, pair.b):
+            hour = run.time_s[:-1] / HOUR_S % 24
+            share = np.where((hour > 9) & (hour < 21), 0.4, -0.4) * (-1.0 if seed in HELD_OUT else 1.0)
+            extra = HOUSE.effect_K(share * run.heat_W[0] / sum(HOUSE.machine_W), run.step_s)
+            runs.append(replace(run, T_zone_C=run.T_zone_C + extra, time_s=run.time_s + 10 * 86400.0 * seed))
+        pairs.append(replace(pair, a=runs[0], b=runs[1]))
+    return pairs
+
+
+HELD_OUT = frozenset(np.random.default_rng(IdentificationConfig().seed).permutation(8)[:2].tolist())
+
+
+@pytest.mark.parametrize(("modulation", "kept"), [("auto", False), ("always", True)])
+def test_a_network_that_is_significantly_worse_is_dropped_unless_it_is_always_kept(modulation, kept):
+    pairs = changing_house()
+    config = IdentificationConfig(order=3, modulation=modulation, heat_input="identity")
+    model = identify(pairs=pairs, config=config, floor_area_m2=190.0).only
+    scores = model.card.scores
+    assert scores["held_out_neural"] > 1.02 * scores["held_out_linear"]
+    assert bool(scores["modulation_kept"]) is kept
+    assert counts(model) == ((199, 199, 199) if kept else (199, 6, 6))
+    said = [note for note in model.card.notes if note.startswith("network not kept, since m = 1")]
+    assert bool(said) is not kept
+    if not kept:
+        assert model.operator.parameters_in_words == "199 trained parameters, 6 used: the network was not kept"
+
+
+def test_levels_that_are_held_keep_the_heat_map_under_the_network():
+    """A plan that holds levels needs the heat at each, which v = u does not have."""
+    model = found(record(HOUSE, 3.0, noise_K=0.01))
+    assert (model.operator.heat_input.kind, *counts(model)) == ("heat", 199, 199, 199)
+    (said,) = [note for note in model.card.notes if note.startswith("heat input")]
+    assert said.startswith("heat input: measured heat, since levels between off and full are held")
+
+
+def test_heat_that_held_out_data_prefer_stays_and_is_said():
+    """Heat that bends over T_out more than m(x) within γ can: the map has it, the network has not."""
+    house = replace(HOUSE, machine_W=(0.0, 10000.0), slope_per_K=0.12)
+    run = record(house, 6.0, u=random_levels(576, 1, levels=(0.0, 1.0)), noise_K=0.001)
+    model = found(run, gamma=0.02)
+    assert model.operator.heat_input.kind == "heat"
+    (said,) = [note for note in model.card.notes if note.startswith("heat input")]
+    assert said.startswith("heat input: measured heat, since held-out data are predicted better with it: error ")
+
+
+def test_without_a_meter_the_network_starts_at_one():
+    linear = linear_operator([0.9], [0.1], step_s=900.0)
+    start = with_network(linear, seed=1)
+    assert start.n_trained == 195
+    assert start.constant_modulation == 1.0
