@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping
 from functools import cache
 from typing import TypeVar
@@ -16,6 +17,22 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 Expression = TypeVar("Expression", ca.SX, ca.MX)
+
+
+class _Calls(threading.local):
+    n = 0
+
+
+_calls = _Calls()
+
+
+def export_calls() -> int:
+    """Number of horizons for which this thread has put features into the exported gain, one for each actuator.
+
+    A gain that sees the predicted temperature is part of the programme: a solver then evaluates it as often as it
+    needs, and the horizon counts once.
+    """
+    return _calls.n
 
 
 def on_load_expression(load: MachineLoad, u: Expression, T_out_C: Expression) -> Expression:
@@ -76,6 +93,7 @@ def gain_weights(params: OperatorParameters) -> dict[str, Array]:
 
 def before_gain(params: OperatorParameters, features: Array) -> Array:
     """Return what enters the hidden units at `features` (N, 4), (H, N)."""
+    _calls.n += 1
     scaled = (np.asarray(features, dtype=np.float64) - params.feature_mean) / params.feature_scale
     return np.asarray(params.hidden_weight @ scaled.T + params.hidden_bias[:, None])
 
