@@ -92,7 +92,9 @@ class QPMember:
         config: QPConfig,
         largest_kW: Array | None = None,
     ) -> None:
-        self._model = PlanModel(operator, replace(shape, terms=(*shape.terms, power_of_steps)))
+        if shape.terms:
+            raise ControllerConfigError(f"{name}: buildings that share power are planned without terms of your own")
+        self._model = PlanModel(operator, replace(shape, terms=(power_of_steps,)))
         if not self._model.convex or self._model.structure.chosen:
             raise ControllerConfigError(
                 f"{name}: buildings that share power need a convex problem; use actuation mode duty and a model "

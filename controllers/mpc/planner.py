@@ -17,7 +17,7 @@ from controllers.optimisation.problem import ProblemShape, blocked_moves, every_
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.solution import FirstOf, Solver
 from controllers.optimisation.sqp import SQPSolver
-from controllers.optimisation.terms import load_terms
+from controllers.optimisation.terms import Terms
 from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
 from thermoforce_mpc.model.forced_state import EstimatorConfig, ForcedStateEstimator
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -30,7 +30,12 @@ _ZONES_FOR_IPOPT = 2
 
 
 def plan_shape(
-    config: MPCConfig, operator: BuildingOperator, machinery: EquipmentLayout, *, curved: bool = False
+    config: MPCConfig,
+    operator: BuildingOperator,
+    machinery: EquipmentLayout,
+    *,
+    curved: bool = False,
+    terms: Terms = (),
 ) -> ProblemShape:
     """What all problems over the horizon of `config` have in common; `curved`: power has a part in u²."""
     step_s = operator.step_s
@@ -41,7 +46,7 @@ def plan_shape(
         capped=config.objective.power_cap_kW is not None,
         held_steps=config.milp.held_steps(step_s),
         curved=curved,
-        terms=load_terms(config.terms),
+        terms=terms,
     )
 
 
