@@ -35,24 +35,32 @@ def export_calls() -> int:
     return _calls.n
 
 
-def on_load_expression(load: MachineLoad, u: Expression, T_out_C: Expression) -> Expression:
-    """Return `load(u, T_out)` in W as an expression (elementwise), for delivered heat, which has no term in u²."""
+def on_load_expression(
+    load: MachineLoad, u: Expression, T_out_C: Expression, on: Expression | None = None
+) -> Expression:
+    """Return `load(u, T_out)` in W as an expression (elementwise), for delivered heat, which has no term in u².
+
+    `on`: share of the step in which the machine is on, by default that of a level that is held.
+    """
     low, high = load.T_out_range_C
     T = ca.fmin(ca.fmax(T_out_C, low), high)
     c0, c1, c2, c3 = load.coefficients
     # At lowest_level 1 the load is linear in u, without a kink for the solver.
-    on = u if load.lowest_level == 1.0 else ca.fmin(u / load.lowest_level, 1.0)
+    if on is None:
+        on = u if load.lowest_level == 1.0 else ca.fmin(u / load.lowest_level, 1.0)
     return on * (c0 + c1 * T) + u * (c2 + c3 * T)
 
 
-def heat_input_expression(heat_input: HeatInput, u: Expression, T_out_C: Expression) -> Expression:
-    """Return v(u, T_out) as an expression (elementwise)."""
+def heat_input_expression(
+    heat_input: HeatInput, u: Expression, T_out_C: Expression, on: Expression | None = None
+) -> Expression:
+    """Return v(u, T_out) as an expression (elementwise); `on` as in `on_load_expression`."""
     if heat_input.heat is None:
         if heat_input.per_K == 0.0:
             return u
         low, high = heat_input.T_out_range_C
         return u * (1.0 + heat_input.per_K * (ca.fmin(ca.fmax(T_out_C, low), high) - heat_input.reference_C))
-    return on_load_expression(heat_input.heat, u, T_out_C) / heat_input.reference_W
+    return on_load_expression(heat_input.heat, u, T_out_C, on) / heat_input.reference_W
 
 
 def gain_from(q: Mapping[str, ca.SX], before: ca.SX, forced: ca.SX | float = 0.0) -> ca.SX:
@@ -107,10 +115,15 @@ def gains(params: OperatorParameters, features: Array) -> Array:
 def modulation_function(params: OperatorParameters) -> ca.Function:
     """Return `m(x)` (paper eq:mod): x (4,) in physical units → scalar; use `.map(N)` for a horizon."""
     x = ca.SX.sym("x", N_FEATURES)
+    return ca.Function("modulation", [x], [modulation_of(params, x)], ["x"], ["m"])
+
+
+def modulation_of(params: OperatorParameters, x: Expression) -> Expression:
+    """Return m(x) of `x` (4,) in physical units as an expression."""
     normalised = (x - ca.DM(params.feature_mean)) / ca.DM(params.feature_scale)
     hidden = ca.tanh(ca.mtimes(ca.DM(params.hidden_weight), normalised) + ca.DM(params.hidden_bias))
     output = ca.mtimes(ca.DM(params.output_weight).T, hidden) + params.output_bias
-    return ca.Function("modulation", [x], [1.0 + params.gamma * ca.tanh(output)], ["x"], ["m"])
+    return 1.0 + params.gamma * ca.tanh(output)
 
 
 def step_function(params: OperatorParameters) -> ca.Function:
