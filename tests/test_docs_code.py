@@ -97,4 +97,4 @@ def test_page_is_followed(page, practice, tmp_path):
 
 
 def test_pages_are_followed():
-    assert {"your-building", "forecaster", "controller", "connection"} <= {page.stem for page in FOLLOWED}
+    assert {"your-building", "forecaster", "controller", "optimisation", "connection"} <= {page.stem for page in FOLLOWED}
