@@ -49,8 +49,8 @@ class ActuationConfig(StrictModel):
     )
     proportional: bool = Field(
         False,
-        description="modulating with lowest_level 0: plan with power and heat in proportion to the level, any in [0, 1] "
-        "(the paper's), though the identified laws have a fixed part while on",
+        description="modulating with lowest_level 0: plan any level in [0, 1], power and heat in proportion to it (the "
+        "paper's), though the identified laws have a fixed part while on",
     )
 
     @model_validator(mode="after")

@@ -57,7 +57,7 @@ def step_function(
     actuator: str | None = None,
     part_load: PartLoad = "blocks",
 ) -> ca.Function:
-    """Return one step of the forced response (paper eq:operator): `F` (r,) K, `u` in [0, 1], `x` (4,) → `F_next` (r,) K.
+    """Return one step of the forced response (paper eq:operator): `F` (r,) K, `u`, `x` (4,) → `F_next` (r,) K.
 
     The sum over F is what the actuator adds to the zone's temperature. With `part_load` split the inputs are F, u, on
     and x.
@@ -67,7 +67,7 @@ def step_function(
         step_s: length of the step, s; the model's own does not matter.
         zone: zone that responds, by default the actuator's home; several actuators of a zone add up.
         actuator: its name; may be left out where there is one.
-        part_load: what a level is, see `thermoforce_mpc.model.operator.exported`.
+        part_load: what a level is, see `thermoforce_mpc.model.exported`.
 
     Raises:
         DataError: a name is not known or missing, the actuator has no effect there, or `step_s` or `part_load` is none.
