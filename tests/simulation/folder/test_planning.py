@@ -57,7 +57,7 @@ def test_every_plan_counts_once_and_calls_the_export_once(solver, word, feedback
 
 def test_a_network_that_was_not_kept_is_not_said_to_be_used():
     model = simple_model()
-    assert planning_of(closed_loop(model), model).in_words().endswith(": 195 trained parameters, 2 used")
+    assert planning_of(closed_loop(model), model).in_words().endswith(" 2 used")
 
 
 def test_solvers_that_took_turns_and_solves_that_failed_are_told_apart():

@@ -214,20 +214,8 @@ class BuildingOperator:
     @property
     def n_trained(self) -> int:
         """Trained parameters: poles and gains of each pair, and each actuator's modulation once."""
-        return self._parameters([head.n_trained for head in self._heads])
-
-    @property
-    def n_effective(self) -> int:
-        """Those of `n_trained` that affect a prediction, see `OperatorParameters.n_effective`."""
-        return self._parameters([head.n_effective for head in self._heads])
-
-    @property
-    def _heads(self) -> list[OperatorParameters]:
-        return [self.of_actuator(a) for a in range(len(self.actuators))]
-
-    def _parameters(self, of_heads: list[int]) -> int:
-        """Poles and gains of each pair, and what `of_heads` (A,) has beside its own."""
-        return sum(2 * pair.order for *_, pair in self.each()) + sum(of_heads) - 2 * sum(h.order for h in self._heads)
+        heads = [self.of_actuator(a) for a in range(len(self.actuators))]
+        return sum(2 * pair.order for *_, pair in self.each()) + sum(head.n_trained - 2 * head.order for head in heads)
 
 
 def single(operator: OperatorParameters) -> BuildingOperator:
