@@ -82,8 +82,7 @@ def planning_of(result: RunResult, model: ThermalModel | None) -> Planning:
 
 
 def _used(operator: BuildingOperator) -> int:
-    """Trained parameters that affect a prediction: poles and gains of each pair, and each actuator's modulation once."""
+    """Trained parameters that affect a prediction, each actuator's modulation once."""
     heads = [operator.of_actuator(a) for a in range(len(operator.actuators))]
-    return sum(2 * pair.order for *_, pair in operator.each()) + sum(
-        head.n_effective - 2 * head.order for head in heads
-    )
+    of_pairs = sum(2 * pair.order for *_, pair in operator.each())
+    return of_pairs + sum(head.n_effective - 2 * head.order for head in heads)
