@@ -113,6 +113,7 @@ _AS_PRINTED: dict[str, Any] = {
     "guard": {"enabled": False},
     "reserve": False,
     "watch": {"enabled": False},
+    "sensor": {"enabled": False},
     "free_response": {"name": "chronos", "options": {"resolutions": "one"}},
 }
 
