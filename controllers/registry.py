@@ -98,7 +98,8 @@ def _mpc_entry(summary: str, **defaults: Any) -> Entry:
     return Entry(summary, True, _mpc_config, _build_mpc, defaults)
 
 
-# The paper's setting: 24 h horizon, median of one resolution of the forecaster, no margin to the comfort bound.
+# The paper's setting: any level in [0, 1] held for the step, 24 h horizon, median of one resolution of the forecaster,
+# no margin to the comfort bound, and nothing learned while running.
 _AS_PRINTED: dict[str, Any] = {
     "step_s": None,
     "horizon_h": 24.0,
@@ -106,11 +107,13 @@ _AS_PRINTED: dict[str, Any] = {
     "backoff_level": 0.5,
     "backoff_level_other": 0.5,
     "backoff_violation_K": None,
-    "actuation": {"mode": "modulating"},
+    "offset_h": None,
+    "actuation": {"mode": "modulating", "lowest_level": 0.0, "proportional": True},
     "gate": {"enabled": False},
     "guard": {"enabled": False},
     "reserve": False,
     "watch": {"enabled": False},
+    "sensor": {"enabled": False},
     "free_response": {"name": "chronos", "options": {"resolutions": "one"}},
 }
 

@@ -97,4 +97,5 @@ def test_page_is_followed(page, practice, tmp_path):
 
 
 def test_pages_are_followed():
-    assert {"your-building", "forecaster", "controller", "connection"} <= {page.stem for page in FOLLOWED}
+    pages = {"your-building", "forecaster", "controller", "optimisation", "connection"}
+    assert pages <= {page.stem for page in FOLLOWED}

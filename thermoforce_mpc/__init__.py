@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from thermoforce_mpc.identification.pipeline import identify
     from thermoforce_mpc.measurements.forecast import read_forecast
     from thermoforce_mpc.measurements.load import read_measurements
+    from thermoforce_mpc.model.exported import modulation_function, rollout_function, step_function
     from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
     from thermoforce_mpc.simulation.run import run
     from thermoforce_mpc.whatif.counterfactual import counterfactual
@@ -41,10 +42,13 @@ __all__ = [
     "counterfactual",
     "identify",
     "load_model",
+    "modulation_function",
     "plan_many",
     "read_forecast",
     "read_measurements",
+    "rollout_function",
     "run",
+    "step_function",
     "verified_saving",
 ]
 
@@ -62,10 +66,13 @@ _HOME = {
     "counterfactual": "thermoforce_mpc.whatif.counterfactual",
     "identify": "thermoforce_mpc.identification.pipeline",
     "load_model": "thermoforce_mpc.model.thermal_model",
+    "modulation_function": "thermoforce_mpc.model.exported",
     "plan_many": "controllers.many.portfolio",
     "read_forecast": "thermoforce_mpc.measurements.forecast",
     "read_measurements": "thermoforce_mpc.measurements.load",
+    "rollout_function": "thermoforce_mpc.model.exported",
     "run": "thermoforce_mpc.simulation.run",
+    "step_function": "thermoforce_mpc.model.exported",
     "verified_saving": "thermoforce_mpc.whatif.saving",
 }
 

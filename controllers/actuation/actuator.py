@@ -47,9 +47,16 @@ class ActuationConfig(StrictModel):
         description="modulating: lowest level while on; a planned level below half of it is off (auto: from the "
         "laws); supply: level below which valves open for a part of the step instead",
     )
+    proportional: bool = Field(
+        False,
+        description="modulating with lowest_level 0: plan any level in [0, 1], power and heat in proportion to it (the "
+        "paper's), though the identified laws have a fixed part while on",
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> ActuationConfig:
+        if self.proportional and (self.mode != "modulating" or self.lowest_level > 0):
+            raise ValueError("proportional belongs to mode modulating with lowest_level 0")
         for name in ("min_on_s", "min_off_s"):
             if getattr(self, name) % self.block_s:
                 raise ValueError(f"{name} must be a multiple of block_s ({self.block_s:g} s)")
@@ -84,7 +91,8 @@ class Actuation:
     """
 
     def __init__(self, config: ActuationConfig, *, proportional: bool = False, part_levels: bool = False) -> None:
-        self.config, self._proportional, self.part_levels = config, proportional, part_levels
+        self.config, self.part_levels = config, part_levels
+        self._proportional = proportional or config.proportional
 
     @property
     def modulates(self) -> bool:
@@ -111,7 +119,7 @@ class Actuation:
         """Levels below this cost and heat as their share of it; `highest` where all levels do."""
         if not self.modulates:
             return self.config.level
-        if self.by_supply or (self._proportional and self.config.lowest_level == 0):
+        if self.by_supply or (self._proportional and self.config.lowest_level == 0):  # any level, without a choice
             return self.highest
         return max(self.config.lowest_level, 1e-3)
 

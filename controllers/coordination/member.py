@@ -93,10 +93,10 @@ class QPMember:
         config: QPConfig,
         largest_kW: Array | None = None,
     ) -> None:
-        self._model = PlanModel(
-            operator,
-            replace(shape, move_of_step=every_step(shape.n_steps), terms=(*shape.terms, power_of_steps)),
-        )
+        if shape.terms:
+            raise ControllerConfigError(f"{name}: buildings that share power are planned without terms of your own")
+        by_steps = replace(shape, move_of_step=every_step(shape.n_steps))
+        self._model = PlanModel(operator, replace(by_steps, terms=(power_of_steps,)))
         if not self._model.convex or self._model.structure.chosen:
             raise ControllerConfigError(
                 f"{name}: buildings that share power need a convex problem; use actuation mode duty and a model "

@@ -136,6 +136,8 @@ class _SharedSolves:
                 why[i] = "its problem is not convex"
             elif not np.isfinite(model.numbers(problem)).all():
                 why[i] = "its problem holds numbers that are not finite"
+            elif model.shape.terms:
+                why[i] = "it plans with terms of its own"
             elif problem.n_steps != self.shared.limit_kW.size:
                 why[i] = f"it plans {problem.n_steps} steps, and {self.shared.limit_kW.size} are shared"
             else:

@@ -95,6 +95,8 @@ class DPC(ThermoForceMPC):
 
     def _policy_solver(self, operator: BuildingOperator, shape: ProblemShape) -> PolicySolver:
         """The policy in the place of a solver; trained for the first operator, that of the model, if none was given."""
+        if shape.terms:
+            raise ControllerConfigError("controller.options.terms: dpc trains without them; use thermoforce_mpc")
         if self._policy is None:
             from controllers.dpc.training import train_policy
 

@@ -136,8 +136,8 @@ class MPCConfig(StrictModel):
     )
     terms: str | None = Field(
         None,
-        description="file.py:function of your own that adds terms to objective and constraints, see the how-to "
-        "'Your own optimisation'",
+        description="function of your own that adds terms to objective and constraints, as my_terms.py:ramp; a path "
+        "from where the command is started. See the how-to 'Your own optimisation'",
     )
     objective: ObjectiveConfig = ObjectiveConfig()
     move_blocking: MoveBlockingConfig = MoveBlockingConfig()

@@ -24,6 +24,7 @@ from controllers.mpc.state import MPCState
 from controllers.optimisation.evaluation import Evaluator
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solve, Solver
+from controllers.optimisation.terms import Terms, load_terms, of_controller
 from controllers.safety.base import ActuatedController
 from controllers.safety.deadline import BoundedCalls, Overdue
 from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan
@@ -87,8 +88,8 @@ class ThermoForceMPC(ActuatedController):
             name: name in reports.
 
         Raises:
-            ControllerConfigError: the horizon is shorter than a step, the actuation does not fit the step, or an option
-                names a zone, an actuator or a meter that there is not.
+            ControllerConfigError: the horizon is shorter than a step, the actuation does not fit the step, an option
+                names a zone, an actuator or a meter that there is not, or a term of the user cannot be stated.
             BackboneError, ConfigError: the free response cannot be built.
         """
         self.config = c = config or MPCConfig()
@@ -106,7 +107,13 @@ class ThermoForceMPC(ActuatedController):
         self._actuation_why = "; ".join(dict.fromkeys(reasons))
         self._handler = DirectHandler(BoundedCalls(len(zones) + _SOLVERS_ABANDONED))
         self._formulation = Formulation(c, model, self._actuators)
-        shape_of = partial(plan_shape, c, machinery=self._formulation.machinery, curved=self._formulation.bent)
+        shape_of = partial(
+            plan_shape,
+            c,
+            machinery=self._formulation.machinery,
+            curved=self._formulation.bent,
+            terms=of_controller(self.terms()),
+        )
         solver_of = solver or partial(build_solver, c)
         self._planners = Planners(
             model,
@@ -131,6 +138,14 @@ class ThermoForceMPC(ActuatedController):
         self._overrides: tuple[OverrideRule, ...] = (*alarms, self._gate, LostZone(self._fallbacks))
         guard = ComfortGuard(c.guard, layout, [actuation.highest for actuation in self._actuators.each])
         self._realisation = Realisation(self._actuators, self._fallbacks, guard, self.step_s)
+
+    def terms(self) -> Terms:
+        """Functions that add to objective and constraints (`PlanExpressions`); a subclass may return further ones.
+
+        It is called while the controller is built, when only `config` is set; `(*super().terms(), ramp)` keeps what
+        `controller.options.terms` names.
+        """
+        return load_terms(self.config.terms)
 
     @property
     def model(self) -> ThermalModel:

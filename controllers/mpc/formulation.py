@@ -131,6 +131,7 @@ class Formulation:
             else PowerCap(np.full(boundary.n_steps, 1000.0 * cap_kW), aims.power_cap_price_per_kWh),
             power_per_u2_W=per_u2_W if bent else None,
             capacity=self.margins.capacity(operator, T_out, margins.unused),
+            last_u=self._last_u(history),
         )
         return Instance(problem, bounds)
 
@@ -138,6 +139,11 @@ class Formulation:
         """Electric power (n,), W, for the levels of actuator `a` in a record of its own."""
         levels = np.clip(record.u[0], self._layout.lowest[a], 1.0)
         return self.power[self._layout.machine_of[a]](levels, record.T_out_C[:-1], record.T_return_C[0])
+
+    def _last_u(self, history: Record) -> Array:
+        """Levels of the last step of the record (A,), within their bounds; 0 where they are not known."""
+        last = history.u[:, -1] if history.u.shape[1] else np.zeros(len(self._layout.lowest))
+        return np.clip(np.where(np.isfinite(last), last, 0.0), self.machinery.u_min, self.machinery.u_max)
 
     def _cooling(self, boundary: Boundary, price: Array) -> Cooling | None:
         """What levels below 0 cost at `price` (M, N), currency/kWh; None where there are none."""

@@ -18,7 +18,7 @@ from controllers.optimisation.problem import ProblemShape, blocked_moves, every_
 from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.solution import FirstOf, Solver
 from controllers.optimisation.sqp import SQPSolver
-from controllers.optimisation.terms import load_terms
+from controllers.optimisation.terms import Terms
 from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
 from thermoforce_mpc.model.forced_state import EstimatorConfig, ForcedStateEstimator
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -31,18 +31,25 @@ _ZONES_FOR_IPOPT = 2
 
 
 def plan_shape(
-    config: MPCConfig, operator: BuildingOperator, machinery: EquipmentLayout, *, curved: bool = False
+    config: MPCConfig,
+    operator: BuildingOperator,
+    machinery: EquipmentLayout,
+    *,
+    curved: bool = False,
+    terms: Terms = (),
 ) -> ProblemShape:
     """What all problems over the horizon of `config` have in common; `curved`: power has a part in u²."""
-    step_s = operator.step_s
+    step_s, blocking = operator.step_s, config.move_blocking
+    moves = blocked_moves(config.n_steps(step_s), step_s, blocking.free_h, blocking.hold_h)
     return ProblemShape(
-        blocked_moves(config.n_steps(step_s), step_s, config.move_blocking.free_h, config.move_blocking.hold_h),
+        # Terms of the user are written for steps of one length.
+        every_step(moves.size) if terms else moves,
         machinery,
         peak=config.objective.peak_price_per_kW > 0,
         capped=config.objective.power_cap_kW is not None,
         held_steps=config.milp.held_steps(step_s),
         curved=curved,
-        terms=load_terms(config.terms),
+        terms=terms,
     )
 
 

@@ -59,6 +59,8 @@ def solved_plan(instance: Instance, solution: Solution, solve_s: float, forecast
         origin=readings.history.origin,
         solver_status=solution.status,
         iterations=solution.iterations,
+        export_calls=solution.export_calls,
+        own=solution.own,
         seconds={**context.seconds, "solve": solve_s},
         margins={**instance.bounds.first_step, "offset": learned.offset_K, "unused_capacity": learned.unused},
         names=names,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -12,6 +12,7 @@ from controllers.optimisation.evaluation import Evaluation, Evaluator
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.model.operator.casadi_export import export_calls
 
 # Relative tolerance between a solver's objective and the recomputed one: they differ if the solver accepted violated
 # constraints.
@@ -40,8 +41,10 @@ class Solve:
     guess: Array | None
 
     def __call__(self) -> Solution:
-        """Solve it."""
-        return self.solver.solve(self.problem, self.guess)
+        """Solve it, and count the calls of the exported operator."""
+        before = export_calls()
+        solution = self.solver.solve(self.problem, self.guess)
+        return replace(solution, export_calls=export_calls() - before)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +55,8 @@ class Solution:
 
     `u` (A, N): levels, empty when not ok; `status`: solver and its own status; `problem`: reason of a failure; `gap`:
     how much of its cost the solution may at most be above the optimum of what was solved, relative; 0 where it is
-    convex. `evaluation`: what the levels bring, as they are held; None when not ok.
+    convex. `evaluation`: what the levels bring, as they are held; None when not ok. `export_calls`: calls of the
+    exported operator that it took, see `casadi_export.export_calls`. `own`: the user's own variables (n,), by name.
     """
 
     ok: bool
@@ -63,6 +67,8 @@ class Solution:
     gap: float = 0.0
     optimal: bool = True
     evaluation: Evaluation | None = None
+    export_calls: int = 0
+    own: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def cost(self) -> float:
@@ -100,7 +106,7 @@ def checked_solution(
     if not abs(found.cost - claimed) <= _CLAIM_TOLERANCE * (1.0 + abs(found.cost)):
         what = f"{status} was reported with an objective of {claimed:.6g}, but its levels cost {found.cost:.6g}"
         return failed(status, iterations, what)
-    return Solution(True, u, status, iterations, evaluation=found)
+    return Solution(True, u, status, iterations, evaluation=found, own=_by_name(model, own))
 
 
 def checked_variables(
@@ -136,7 +142,19 @@ def accept_suboptimal(
     least = min((found.cost for found in evaluations if not found.broken), default=np.inf)
     if not own_evaluation.cost <= least + _SAME_COST * (1.0 + abs(least)):
         return failed(ended.status, ended.iterations, f"{ended.problem}, with levels dearer than without it")
-    return replace(ended, ok=True, u=own_evaluation.u, optimal=False, evaluation=own_evaluation)
+    return replace(
+        ended, ok=True, u=own_evaluation.u, optimal=False, evaluation=own_evaluation, own=_by_name(model, own)
+    )
+
+
+def _by_name(model: PlanModel, own: Array | None) -> dict[str, Array]:
+    """The user's own variables by the names that the user gave them."""
+    if own is None:
+        return {}
+    names = list(model.variables.own)
+    ends = np.cumsum([model.variables.places[name].size for name in names])
+    values = np.split(np.asarray(own, dtype=np.float64), ends[:-1]) if names else []
+    return {name.removeprefix("own "): value for name, value in zip(names, values, strict=True)}
 
 
 class FirstOf:

@@ -1,32 +1,38 @@
-"""Further terms of the problem, written by the user in CasADi (`controller.options.terms`)."""
+"""Further terms of the problem, written by the user in CasADi (`controller.options.terms`, `ThermoForceMPC.terms`)."""
 
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable
+import traceback
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
+import numpy as np
 
-from controllers.checks import ControllerConfigError
+from controllers.checks import ControllerConfigError, message_of
 
 if TYPE_CHECKING:
     from controllers.optimisation.algebra import Direct, Lifted
 
+_KEY = "controller.options.terms"
+# Expressions that are 0 or 1: a constraint is an expression that is at least 0, or 0.
+_COMPARISONS = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR}
+
 
 @dataclass
 class PlanExpressions:
-    """What a term may use, as CasADi expressions over N steps, and what it adds.
+    """What a term may use, as CasADi expressions (SX) over N steps, and what it adds.
 
     Attributes:
-        u: levels (A, N), in [0, 1].
+        u: levels (A, N), in [0, 1]; below 0 where they cool.
         T_zone_C: temperatures at the end of each step (Z, N), °C.
-        power_W: electric power of each machine over each step (M, N), W.
+        power_W: mean electric power of each machine over each step (M, N), W.
         slack_K: violation of the comfort bounds at the end of each step (Z, N), K.
-        last_u: levels of the step before the first (A,).
+        last_u: measured levels of the step before the first (A,); 0 where they are not known.
         step_s: length of a step, s.
     """
 
@@ -38,49 +44,131 @@ class PlanExpressions:
     last_u: ca.SX
     step_s: float
     cost: ca.SX = field(default_factory=lambda: ca.SX(0))
+    n_added: int = 0
 
     def variable(self, name: str, n: int, low: float, high: float) -> ca.SX:
-        """A decision of your own, (1, n), between two bounds."""
-        return self.algebra.own_variable(name, n, low, high)
+        """A decision of your own, (1, n), between two bounds; `Plan.own` has its values by `name`."""
+        if f"own {name}" in self.algebra.own:
+            raise ValueError(f"variable {name!r}: there is one of this name already")
+        if not (int(n) == n > 0 and low <= high):
+            raise ValueError(f"variable {name!r}: {n} values from {low} to {high}; expected one or more, low ≤ high")
+        return self.algebra.own_variable(name, int(n), float(low), float(high))
 
     def add_cost(self, expression: ca.SX) -> None:
-        """Add a scalar to the objective, currency."""
-        self.cost += ca.sum1(ca.vec(expression))
+        """Add the sum of the elements to the objective, currency."""
+        self.cost += ca.sum1(ca.vec(self._checked(expression, "add_cost")))
 
     def require(self, expression: ca.SX, what: str = "a term of yours") -> None:
         """Require that every element is at least 0; where it cannot be, there is no plan and the fallback acts."""
-        self.algebra.require(what, expression)
+        self.algebra.require(what, self._checked(expression, "require"))
 
     def equal(self, expression: ca.SX, what: str = "a term of yours") -> None:
         """Require that every element is 0."""
-        self.algebra.equal_to_zero(what, expression)
+        self.algebra.equal_to_zero(what, self._checked(expression, "equal"))
+
+    def _checked(self, expression: object, method: str) -> ca.SX:
+        if not isinstance(expression, ca.SX | ca.DM | float | int | np.ndarray):
+            raise ValueError(f"{method}: expected an expression of CasADi's SX, got {type(expression).__name__}")
+        row = ca.SX(expression)
+        elements: list[Any] = row.nonzeros()  # SX of one element each
+        if method != "add_cost" and any(element.op() in _COMPARISONS for element in elements):
+            raise ValueError(f"{method}: a comparison is 0 or 1; give the difference, as require(0.5 - u) for u ≤ 0.5")
+        if any(element.is_constant() and not np.isfinite(float(element)) for element in elements):
+            raise ValueError(f"{method}: the expression is not finite")
+        foreign = self._foreign(row)
+        if foreign:
+            raise ValueError(f"{method}: unknown symbols {', '.join(foreign)}; decisions are made by variable()")
+        self.n_added += 1
+        return row
+
+    def _foreign(self, row: ca.SX) -> list[str]:
+        """Names of symbols that are not of the plan."""
+        own = [value for value in self.algebra.own.values() if isinstance(value, ca.SX)]
+        own += getattr(self.algebra, "x", [])  # of solvers: with what stands for the user's
+        of_plan = ca.veccat(self.u, self.T_zone_C, self.power_W, self.slack_K, self.last_u, *own)
+        known = {symbol.element_hash() for symbol in ca.symvar(of_plan)}
+        return sorted({str(symbol) for symbol in ca.symvar(row) if symbol.element_hash() not in known})
 
 
-def load_terms(where: str | None) -> tuple[Callable[[PlanExpressions], None], ...]:
-    """The function of the user at `file.py:function`; nothing for None.
+Terms = tuple[Callable[[PlanExpressions], None], ...]
+
+
+@dataclass(frozen=True)
+class Term:
+    """A function of the user; an error in it is told with where it stands. `where`: key, file and name."""
+
+    function: Callable[[PlanExpressions], object]
+    where: str
+
+    def __call__(self, plan: PlanExpressions) -> None:
+        """Let the function add what it adds.
+
+        Raises:
+            ControllerConfigError: it raised, returned something, or added nothing.
+        """
+        before = plan.n_added
+        try:
+            returned = self.function(plan)
+        except Exception as error:  # whatever a function of the user raises
+            raise ControllerConfigError(f"{self.where}{self._line(error)}: {message_of(error)}") from error
+        if returned is not None or plan.n_added == before:
+            raise ControllerConfigError(
+                f"{self.where}: {'returned something' if returned is not None else 'added nothing'}; a term adds by "
+                "plan.add_cost(…), plan.require(…) or plan.equal(…) and returns None"
+            )
+
+    def _line(self, error: Exception) -> str:
+        """The last line of the function's file that led to an error."""
+        file = getattr(getattr(self.function, "__code__", None), "co_filename", None)
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+        return f", line {lines[-1]}" if lines else ""
+
+
+def load_terms(where: str | None) -> Terms:
+    """The function of the user at `file.py:function`, relative to the working directory; nothing for None.
 
     Raises:
         ControllerConfigError: the file cannot be read, or holds no such function; says why.
     """
-    return () if where is None else (_function(where),)
+    if where is None:
+        return ()
+    file, _, name = where.rpartition(":")
+    path = Path(file)
+    if path.suffix != ".py" or not name:
+        raise ControllerConfigError(f"{_KEY}: {where!r}: expected path/to/file.py:function")
+    if not path.is_file():
+        raise ControllerConfigError(f"{_KEY}: {where!r}: no such file in {Path.cwd()}")
+    return (Term(_function(path.resolve(), path.stat().st_mtime_ns, name), f"{_KEY}: {where}"),)
+
+
+def of_controller(functions: Iterable[Callable[[PlanExpressions], None]]) -> Terms:
+    """The functions that a controller's `terms` gave, each with where it stands."""
+    found = tuple(functions)
+    for function in found:
+        if not callable(function):
+            raise ControllerConfigError(f"terms(): expected functions of a plan, got {type(function).__name__}")
+    return tuple(f if isinstance(f, Term) else Term(f, f"terms(): {_place(f)}") for f in found)
+
+
+def _place(function: Callable[..., object]) -> str:
+    code = getattr(function, "__code__", None)
+    name = getattr(function, "__qualname__", type(function).__name__)
+    return name if code is None else f"{code.co_filename}:{name}"
 
 
 @cache
-def _function(where: str) -> Callable[[PlanExpressions], None]:
-    key, (file, _, name) = "controller.options.terms", where.rpartition(":")
-    path = Path(file)
-    if not file or not path.is_file():
-        raise ControllerConfigError(f"{key}: {where!r}: no such file; expected path/to/file.py:function")
+def _function(path: Path, changed_ns: int, name: str) -> Callable[[PlanExpressions], object]:
+    """The function `name` of a file as it was at its last change."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None  # of a file that exists
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever the file raises
-        raise ControllerConfigError(f"{key}: {path} raised {type(error).__name__}: {error}") from error
+    except (Exception, SystemExit) as error:  # whatever the file raises
+        raise ControllerConfigError(f"{_KEY}: {path} raised {type(error).__name__}: {error}") from error
     function = getattr(module, name, None)
     if not callable(function):
-        raise ControllerConfigError(f"{key}: {path} has no function {name!r}")
-    found: Callable[[PlanExpressions], None] = function
+        raise ControllerConfigError(f"{_KEY}: {path} has no function {name!r}")
+    found: Callable[[PlanExpressions], object] = function
     return found

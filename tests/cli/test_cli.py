@@ -165,6 +165,8 @@ def test_a_run_leaves_a_complete_folder_and_prints_the_comparison(simple, tmp_pa
         assert f"  {found['cost_tot']:.4f} EUR/m²  {found['tdis_tot']:.2f} K·h" in last_day
     manifest = json.loads((folder / "manifest.json").read_text())
     assert manifest["environment"]["numpy"]
+    assert manifest["planning"]["thermostat"]["in_words"] == "nothing was planned"
+    assert "thermostat: nothing was planned" in done.output
     assert set(manifest["sha256"]) == names - {"manifest.json", "report.html"}
     resolved = yaml.safe_load((folder / "scenario.yaml").read_text())
     assert resolved["controller"]["name"] == "thermostat"

@@ -97,8 +97,9 @@ class Plan:
     is added to the prediction, `unused_capacity` (M,) the share of each machine that is not planned for.
     `acting` (A,): source of the action of each actuator; `status` is that of the plan, or of what took the place of the
     plan at one of them. `why` is one sentence for people; `news` (part of it) what the controller learned in this step
-    of sensors, meters or its model; `solver_status` is the status reported by the solver. `state`
-    goes to the controller's next plan of this run and is opaque to others.
+    of sensors, meters or its model; `solver_status` is the status reported by the solver, `export_calls` how often the
+    exported operator was called for it, `own` the values of your own variables by name (`controller.options.terms`).
+    `state` goes to the controller's next plan of this run and is opaque to others.
     """
 
     blocks: tuple[Block, ...]
@@ -117,6 +118,8 @@ class Plan:
     news: str = ""
     solver_status: str = ""
     iterations: int = 0
+    export_calls: int = 0
+    own: Mapping[str, Array] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     margins: Mapping[str, Array] = field(default_factory=dict)
     names: Names = SINGLE

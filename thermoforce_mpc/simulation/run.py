@@ -28,6 +28,7 @@ from thermoforce_mpc.simulation.composition import (
     controller_options,
     scored_period,
 )
+from thermoforce_mpc.simulation.folder.planning import Planning, planning_of
 from thermoforce_mpc.simulation.folder.run_book import RunBook
 from thermoforce_mpc.simulation.folder.run_folder import (
     clear_partial,
@@ -76,6 +77,11 @@ class ScenarioResult:
     def kpis(self) -> dict[str, dict[str, float]]:
         """BOPTEST's KPIs by controller, the scenario's own first."""
         return {name: dict(result.kpis) for name, result in self._results().items()}
+
+    @property
+    def planning(self) -> dict[str, Planning]:
+        """How each controller planned: solves by solver, calls of the exported operator, parameters."""
+        return {name: planning_of(result, self.models.get(name)) for name, result in self._results().items()}
 
     def to_dataframe(self, controller: str | None = None) -> pd.DataFrame:
         """The trajectory of a controller, by default the scenario's own; one row per applied block.
@@ -186,6 +192,7 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
         result=outcome.result,
         baselines=outcome.baselines,
         identification=outcome.identification,
+        planning=outcome.planning,
         command=book.command,
         forecaster=outcome.forecaster,
     )
@@ -212,6 +219,7 @@ def _print_summary(outcome: ScenarioResult, folder: Path, testcase: TestCase, di
     title = f"{plant.kind} plant, {plant.weather}\n{window}, {outcome.scenario.price} tariff"
     gates = {name: gate.in_words() for name, gate in gates_held(outcome.result, outcome.baselines).items()}
     display.kpi_table(outcome.kpis, title, testcase.currency, gates)
+    display.say(f"{outcome.result.controller}: {outcome.planning[outcome.result.controller].in_words()}")
     levels = outcome.result.fallback_levels()
     fallbacks = {level: n for level, n in levels.items() if n and level not in ("solved", "rule", "gate")}
     if fallbacks:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping
 from typing import TypeVar
 
@@ -18,24 +19,48 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters
 Expression = TypeVar("Expression", ca.SX, ca.MX)
 
 
-def on_load_expression(load: MachineLoad, u: Expression, T_out_C: Expression) -> Expression:
-    """Return `load(u, T_out)` in W as an expression (elementwise), for delivered heat, which has no term in u²."""
+class _Calls(threading.local):
+    n = 0
+
+
+_calls = _Calls()
+
+
+def export_calls() -> int:
+    """Number of horizons for which this thread has put features into the exported gain, one for each actuator.
+
+    A gain that sees the predicted temperature is part of the programme: a solver then evaluates it as often as it
+    needs, and the horizon counts once.
+    """
+    return _calls.n
+
+
+def on_load_expression(
+    load: MachineLoad, u: Expression, T_out_C: Expression, on: Expression | None = None
+) -> Expression:
+    """Return `load(u, T_out)` in W as an expression (elementwise), for delivered heat, which has no term in u².
+
+    `on`: share of the step in which the machine is on, by default that of a level that is held.
+    """
     low, high = load.T_out_range_C
     T = ca.fmin(ca.fmax(T_out_C, low), high)
     c0, c1, c2, c3 = load.coefficients
     # At lowest_level 1 the load is linear in u, without a kink for the solver.
-    on = u if load.lowest_level == 1.0 else ca.fmin(u / load.lowest_level, 1.0)
+    if on is None:
+        on = u if load.lowest_level == 1.0 else ca.fmin(u / load.lowest_level, 1.0)
     return on * (c0 + c1 * T) + u * (c2 + c3 * T)
 
 
-def heat_input_expression(heat_input: HeatInput, u: Expression, T_out_C: Expression) -> Expression:
-    """Return v(u, T_out) as an expression (elementwise)."""
+def heat_input_expression(
+    heat_input: HeatInput, u: Expression, T_out_C: Expression, on: Expression | None = None
+) -> Expression:
+    """Return v(u, T_out) as an expression (elementwise); `on` as in `on_load_expression`."""
     if heat_input.heat is None:
         if heat_input.per_K == 0.0:
             return u
         low, high = heat_input.T_out_range_C
         return u * (1.0 + heat_input.per_K * (ca.fmin(ca.fmax(T_out_C, low), high) - heat_input.reference_C))
-    return on_load_expression(heat_input.heat, u, T_out_C) / heat_input.reference_W
+    return on_load_expression(heat_input.heat, u, T_out_C, on) / heat_input.reference_W
 
 
 def gain_from(q: Mapping[str, ca.SX], before: ca.SX, forced: ca.SX | float = 0.0) -> ca.SX:
@@ -75,15 +100,16 @@ def gain_weights(params: OperatorParameters) -> dict[str, Array]:
 
 def before_gain(params: OperatorParameters, features: Array) -> Array:
     """Return what enters the hidden units at `features` (N, 4), (H, N)."""
+    _calls.n += 1
     scaled = (np.asarray(features, dtype=np.float64) - params.feature_mean) / params.feature_scale
     return np.asarray(params.hidden_weight @ scaled.T + params.hidden_bias[:, None])
 
 
 class ExportedGain:
-    """m(x) over a horizon by the exported function; `calls`: how often it was asked."""
+    """m(x) over a horizon by the exported function."""
 
     def __init__(self, params: OperatorParameters, n_steps: int) -> None:
-        self._params, self.calls = params, 0
+        self._params = params
         if params.constant_modulation is None:
             self._function = Buffered(gains_function(params.hidden_bias.size, n_steps))
             self._weights = [np.ravel(value) for value in gain_weights(params).values()]
@@ -92,7 +118,6 @@ class ExportedGain:
         """Return m(x) at `features` (N, 4), (N,); the constant where no feature enters it."""
         if self._params.constant_modulation is not None:
             return self._params.constant_modulation
-        self.calls += 1
         return self._function(before_gain(self._params, features).ravel(order="F"), *self._weights)[0].copy()
 
 
@@ -120,10 +145,15 @@ class Buffered:
 def modulation_function(params: OperatorParameters) -> ca.Function:
     """Return `m(x)` (paper eq:mod): x (4,) in physical units → scalar; use `.map(N)` for a horizon."""
     x = ca.SX.sym("x", N_FEATURES)
+    return ca.Function("modulation", [x], [modulation_of(params, x)], ["x"], ["m"])
+
+
+def modulation_of(params: OperatorParameters, x: Expression) -> Expression:
+    """Return m(x) of `x` (4,) in physical units as an expression."""
     normalised = (x - ca.DM(params.feature_mean)) / ca.DM(params.feature_scale)
     hidden = ca.tanh(ca.mtimes(ca.DM(params.hidden_weight), normalised) + ca.DM(params.hidden_bias))
     output = ca.mtimes(ca.DM(params.output_weight).T, hidden) + params.output_bias
-    return ca.Function("modulation", [x], [1.0 + params.gamma * ca.tanh(output)], ["x"], ["m"])
+    return 1.0 + params.gamma * ca.tanh(output)
 
 
 def step_function(params: OperatorParameters) -> ca.Function:

@@ -24,6 +24,7 @@ from thermoforce_mpc.files import storage_errors, write_whole
 from thermoforce_mpc.registry import plugins
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held
+from thermoforce_mpc.simulation.folder.planning import Planning
 from thermoforce_mpc.version import VERSION
 
 _LOCK = ".lock"
@@ -118,6 +119,7 @@ def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
                 **_by_actuator(plan, names),
                 "solver_status": plan.solver_status,
                 "iterations": plan.iterations,
+                "export_calls": plan.export_calls,
                 **first("u_planned", "u"),
                 **first("T_free_now_C", "T_free_now_C"),
                 **first("T_free_next_C", "T_free_C"),
@@ -164,6 +166,7 @@ def write_results(
     result: RunResult,
     baselines: Mapping[str, RunResult],
     identification: Mapping[str, Any],
+    planning: Mapping[str, Planning],
     command: Sequence[str],
     forecaster: Mapping[str, Any],
 ) -> dict[str, Any]:
@@ -199,6 +202,7 @@ def write_results(
         "environment": environment(),
         "plant": asdict(plant),
         "identification": dict(identification),
+        "planning": {name: counts.to_json() for name, counts in planning.items()},
         "forecaster": dict(forecaster),
         "fallbacks": {
             "controller": result.fallback_levels(),

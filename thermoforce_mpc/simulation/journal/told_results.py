@@ -138,6 +138,7 @@ def _plan(step: ToldStep, blocks: tuple[Block, ...], seconds: Mapping[str, float
         news=str(decision.get("news", "")),
         solver_status=str(decision["solver_status"]),
         iterations=int(decision["iterations"]),
+        export_calls=int(decision.get("export_calls", 0)),  # not in journals of before
         seconds=seconds,
         margins=margins_of(decision),
         names=step.names,

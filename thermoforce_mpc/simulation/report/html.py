@@ -12,6 +12,7 @@ import numpy as np
 from thermoforce_mpc.data import HOUR_S, Layout
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.closed_loop import RunResult, gates_held
+from thermoforce_mpc.simulation.folder.planning import planning_of
 from thermoforce_mpc.simulation.report.answers import answers_json
 from thermoforce_mpc.simulation.report.courses import Course, course_of, most_blocks
 from thermoforce_mpc.simulation.report.decisions import decisions_json
@@ -85,6 +86,7 @@ def write_report(
         events=stretches[:_MOST_EVENTS],
         more_events=max(0, len(stretches) - _MOST_EVENTS),
         fallback_levels=result.fallback_levels(),
+        planning=planning_of(result, model).in_words(),
         rounding=_rounding(data),
     )
     path = path or folder / "report.html"

@@ -1,0 +1,92 @@
+"""The record of a run says who planned how often, whether over the exported operator, and with how many parameters."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
+
+from controllers import ThermoForceMPC
+from controllers.mpc.config import MPCConfig
+from controllers.optimisation.qp import QPSolver
+from controllers.optimisation.solution import Solution, failed
+from controllers.rules.thermostat import Thermostat
+from thermoforce_mpc.model.operator.building import single
+from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
+from thermoforce_mpc.simulation.folder.planning import planning_of
+
+RNG = np.random.default_rng(2)
+
+
+def networked(*, feedback: bool = False):
+    """The simple house's model with a network that is kept: 195 parameters."""
+    model = simple_model()
+    pair = model.operator.of_actuator(0)
+    pair = replace(
+        pair,
+        hidden_weight=0.1 * RNG.standard_normal(pair.hidden_weight.shape),
+        output_weight=0.01 * RNG.standard_normal(pair.output_weight.shape),
+        feature_mean=np.array([15.0, 3.0, 0.0, 0.0]),
+        feature_scale=np.array([5.0, 5.0, 100.0, 1.0]),
+        feedback=feedback,
+    )
+    return replace(model, operator=single(pair))
+
+
+def closed_loop(model, build=None, **options) -> RunResult:
+    house = SimpleHouse()
+    config = MPCConfig(step_s=None, horizon_h=24.0, **options)
+    mpc = ThermoForceMPC(model, config, free_response=OutdoorResponse(), solver=build)
+    return run_closed_loop(house, mpc, replace(house.period("x"), scored_s=12 * 3600.0))
+
+
+@pytest.mark.parametrize(
+    ("solver", "word", "feedback"),
+    [("auto", "Ipopt", False), ("qp", "PIQP", False), ("sqp", "SQP", True), ("search", "candidate search", False)],
+)
+def test_every_plan_counts_once_and_calls_the_export_once(solver, word, feedback):
+    model = networked(feedback=feedback)
+    counts = planning_of(closed_loop(model, solver=solver), model)
+    assert counts.in_words() == (
+        f"planned 12 times by {word} over the exported operator: 195 trained parameters, 195 used"
+    )
+    assert (counts.steps, counts.export_calls, counts.failed) == (12, 12, 0)
+
+
+def test_a_network_that_was_not_kept_is_not_said_to_be_used():
+    model = simple_model()
+    assert planning_of(closed_loop(model), model).in_words().endswith(" 2 used")
+
+
+def test_solvers_that_took_turns_and_solves_that_failed_are_told_apart():
+    class Turns:
+        """Fails once, solves four times under another name, then as it is."""
+
+        solves = 0
+
+        def __init__(self, operator, shape):
+            self._solver = QPSolver(operator, shape, MPCConfig().qp)
+
+        def solve(self, problem, guess=None) -> Solution:
+            self.solves += 1
+            if self.solves == 1:
+                return failed("ipopt:Infeasible_Problem_Detected", 3, "Ipopt ended with Infeasible_Problem_Detected")
+            solution = self._solver.solve(problem, guess)
+            return solution if self.solves > 5 else replace(solution, status="ipopt:Solve_Succeeded")
+
+    model = networked()
+    counts = planning_of(closed_loop(model, Turns), model)
+    assert counts.plans == {"piqp": 7, "ipopt": 4}
+    assert counts.in_words() == (
+        "planned 7 times by PIQP and 4 times by Ipopt over the exported operator: 195 trained parameters, 195 used; "
+        "1 solve without a plan"
+    )
+
+
+def test_rules_plan_nothing():
+    house = SimpleHouse()
+    counts = planning_of(run_closed_loop(house, Thermostat(), house.period("x")), None)
+    assert counts.in_words() == "nothing was planned"
+    assert counts.to_json()["export_calls"] == 0

@@ -1,0 +1,88 @@
+"""How a run was planned: plans by solver, calls of the exported operator, and how many of its parameters were used."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from thermoforce_mpc.errors import counted
+from thermoforce_mpc.simulation.closed_loop import RunResult
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.model.operator.building import BuildingOperator
+    from thermoforce_mpc.model.thermal_model import ThermalModel
+
+# Solvers by the first word of their status.
+_SOLVERS = {
+    "ipopt": "Ipopt",
+    "piqp": "PIQP",
+    "clarabel": "Clarabel",
+    "sqp": "SQP",
+    "highs": "HiGHS",
+    "search": "candidate search",
+    "policy": "a trained policy",
+}
+
+
+@dataclass(frozen=True)
+class Planning:
+    """Counts of a closed loop.
+
+    Attributes:
+        steps: control steps.
+        plans: steps with a plan of a solver, by solver, most first; what an override did with it is not counted here.
+        failed: steps in which a solver was started and gave no plan.
+        export_calls: calls of the exported operator for those plans, one for each horizon and actuator.
+        trained, used: parameters of the operator, and those of them that affect a prediction; 0 without a model.
+    """
+
+    steps: int
+    plans: Mapping[str, int]
+    failed: int
+    export_calls: int
+    trained: int
+    used: int
+
+    def to_json(self) -> dict[str, Any]:
+        """The counts, and what they say in words."""
+        return {**asdict(self), "in_words": self.in_words()}
+
+    def in_words(self) -> str:
+        """One line for people."""
+        words = "nothing was planned"
+        if self.plans:
+            by = [f"{n} times by {_SOLVERS.get(solver, solver)}" for solver, n in self.plans.items()]
+            words = f"planned {' and '.join(filter(None, (', '.join(by[:-1]), by[-1])))}"
+            words += " over the exported operator" if self.export_calls else ""
+            words += f": {counted(self.trained, 'trained parameter')}, {self.used} used" if self.trained else ""
+        return f"{words}; {counted(self.failed, 'solve')} without a plan" if self.failed else words
+
+
+def planning_of(result: RunResult, model: ThermalModel | None) -> Planning:
+    """The counts of a closed loop; `model`: what its controller planned with, if anything."""
+    plans, failed, calls = Counter[str](), 0, 0
+    for step in result.steps:
+        solver, _, how = step.plan.solver_status.partition(":")
+        if step.plan.u.size:
+            plans[solver or "another solver"] += 1
+            calls += step.plan.export_calls
+        else:
+            failed += bool(how) or solver == "raised"
+    operator = None if model is None else model.operator
+    return Planning(
+        steps=len(result.steps),
+        plans=dict(plans.most_common()),
+        failed=failed,
+        export_calls=calls,
+        trained=operator.n_trained if operator else 0,
+        used=_used(operator) if operator else 0,
+    )
+
+
+def _used(operator: BuildingOperator) -> int:
+    """Trained parameters that affect a prediction, each actuator's modulation once."""
+    heads = [operator.of_actuator(a) for a in range(len(operator.actuators))]
+    of_pairs = sum(2 * pair.order for *_, pair in operator.each())
+    return of_pairs + sum(head.n_effective - 2 * head.order for head in heads)
