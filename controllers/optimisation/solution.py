@@ -147,9 +147,9 @@ def accept_suboptimal(
     )
 
 
-def _by_name(model: PlanModel, own: Array | None) -> dict[str, Array]:
+def _by_name(model: Evaluator, own: Array | None) -> dict[str, Array]:
     """The user's own variables by the names that the user gave them."""
-    if own is None:
+    if own is None or not isinstance(model, PlanModel):
         return {}
     names = list(model.variables.own)
     ends = np.cumsum([model.variables.places[name].size for name in names])
