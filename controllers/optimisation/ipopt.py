@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -17,6 +19,8 @@ from thermoforce_mpc.scenario.settings import StrictModel
 
 # Statuses with which Ipopt reports an optimum, to its tolerance or to a looser one; any other is a failed solve.
 _OPTIMAL, _ACCEPTED = "Solve_Succeeded", {"Solve_Succeeded", "Solved_To_Acceptable_Level"}
+# Of a second try.
+_CAREFUL = {"mehrotra_algorithm": "no"}
 # Level from which a solve without a guess starts, as a share of the highest.
 _START = 0.3
 
@@ -46,34 +50,37 @@ class IpoptSolver:
             "max_iter": config.max_iterations,
             "tol": config.tolerance,
             "max_wall_time": config.max_seconds,
+            # Predictor and corrector without a line search: fewer iterations where the problem is convex.
             "mehrotra_algorithm": "yes" if self.model.convex else "no",
             "mu_strategy": "adaptive",
             "min_refinement_steps": 0,
         }
-        self._solver = self.model.functions.ipopt(self._options)
+        self.model.functions.ipopt(self._options)  # built once
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
         """Solve one instance from `guess` (A, N). On failure `ok` is False and `problem` has the reason.
 
-        Where a start from `guess` fails, it is thrown away, and the solver starts cold.
+        Where that fails, the solver starts cold, with a line search.
         """
         p = self.model.numbers(problem)
         if not np.isfinite(p).all():
             return failed("not started", 0, "the problem holds numbers that are not finite")
         cold = np.broadcast_to(_START * problem.machinery.u_max[:, None], problem.power_per_u_W.shape)
-        solution = self._solve_from(problem, p, cold if guess is None else guess, guess)
-        if guess is None or (solution.ok and solution.optimal):
+        solution = self._solve_from(problem, p, cold if guess is None else guess, guess, self._options)
+        if solution.ok and solution.optimal:
             return solution
-        again = self._solve_from(problem, p, cold, guess)
-        return again if again.ok and (again.optimal or not solution.ok) else solution
+        again = self._solve_from(problem, p, cold, guess, self._options | _CAREFUL)
+        return again if not solution.ok or (again.ok and again.optimal) else solution
 
-    def _solve_from(self, problem: MPCProblem, p: Array, start: Array, previous: Array | None) -> Solution:
+    def _solve_from(
+        self, problem: MPCProblem, p: Array, start: Array, previous: Array | None, options: Mapping[str, Any]
+    ) -> Solution:
         """Solve from one guess (A, N); `previous`: the plan of the step before, which an iterate must not exceed."""
         model, (low, high) = self.model, self.model.bounds(p)
-        x, claimed, status, iterations = self._ipopt(p, model.start(problem, p, start), low, high)
+        x, claimed, status, iterations = self._ipopt(p, model.start(problem, p, start), low, high, options)
         if model.choices.size and status in _ACCEPTED:
             low[model.choices] = high[model.choices] = model.rounded(x)
-            x, claimed, status, more = self._ipopt(p, np.clip(x, low, high), low, high)
+            x, claimed, status, more = self._ipopt(p, np.clip(x, low, high), low, high, options)
             iterations += more
         said = f"ipopt:{status}"
         if status not in _ACCEPTED:
@@ -83,13 +90,16 @@ class IpoptSolver:
         solution = as_held(model, problem, solution)
         return solution if status == _OPTIMAL else replace(solution, optimal=False, problem=f"Ipopt: {status}")
 
-    def _ipopt(self, p: Array, x: Array, low: Array, high: Array) -> tuple[Array, float, str, int]:
+    def _ipopt(
+        self, p: Array, x: Array, low: Array, high: Array, options: Mapping[str, Any]
+    ) -> tuple[Array, float, str, int]:
         """Variables, objective, status and iterations of one call."""
         n_rows, n_equal = self.model.functions.rows.size1_out(1), self.model.variables.n_equal
         upper = np.full(n_rows, np.inf)
         upper[:n_equal] = 0.0
+        solver = self.model.functions.ipopt(options)
         with self.model.functions.busy:  # status and iterations are those of the call before
-            found = self._solver(x0=x, p=p, lbx=low, ubx=high, lbg=np.zeros(n_rows), ubg=upper)
-            stats = self._solver.stats()
+            found = solver(x0=x, p=p, lbx=low, ubx=high, lbg=np.zeros(n_rows), ubg=upper)
+            stats = solver.stats()
         x = np.asarray(found["x"], dtype=np.float64).ravel()
         return x, float(found["f"]), str(stats["return_status"]), int(stats["iter_count"])
