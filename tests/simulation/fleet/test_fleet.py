@@ -137,7 +137,9 @@ def test_rows_in_the_repository_are_those_of_the_fleet_that_ships() -> None:
     assert len(kept) == 24 * source.generated.count
     # Rows of the MPC are of before the network was kept by default; they are measured anew with four hours of time.
     baselines = [run.cell for run in runs if run.cell.task is None]
-    of_both = kept.building.isin({run.building.name for run in runs}) & kept.variant.isin({c.variant for c in baselines})
+    of_both = kept.building.isin({run.building.name for run in runs}) & kept.variant.isin(
+        {c.variant for c in baselines}
+    )
     assert {cell.key for cell in baselines} == set(kept.key[of_both])
 
 
