@@ -84,7 +84,9 @@ def test_a_network_that_is_significantly_worse_is_dropped_unless_it_is_always_ke
     assert scores["held_out_neural"] > 1.02 * scores["held_out_linear"]
     assert bool(scores["modulation_kept"]) is kept
     assert counts(model) == ((199, 199, 199) if kept else (199, 6, 6))
-    said = [note for note in model.card.notes if note.startswith("network not kept, since m = 1")]
+    said = [
+        note for note in model.card.notes if note.startswith("network not kept: m = 1 instead, since held-out data")
+    ]
     assert bool(said) is not kept
     if not kept:
         assert model.operator.parameters_in_words == "199 trained parameters, 6 used: the network was not kept"

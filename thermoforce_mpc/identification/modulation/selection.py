@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,9 @@ from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
+
+if TYPE_CHECKING:  # training loads torch
+    from thermoforce_mpc.identification.modulation.training import TrainingResult
 
 # A held-out comparison decides at this probability (Student's t, one-sided), if the RMS is below this share.
 _SIGNIFICANT, _RELEVANT = 0.95, 0.98
@@ -70,53 +74,83 @@ def modulate(
     m = 1 where the network is significantly worse than that and is not kept `always`. Returns the operator, its
     held-out scores and notes in words.
     """
-    from thermoforce_mpc.identification.modulation.training import TrainingResult, train
-
-    base = linear(final)
-    features = [tuple(_features(base, h, config.feedback) for h in c.histories) for c in cases]
-    free = np.concatenate([x[:, 0] for xs in features for x in xs])
-    mean, scale = base.feature_mean.copy(), base.feature_scale.copy()
-    mean[0], scale[0] = free.mean(), max(float(free.std()), float(LEAST_SCALE[0]))
-
-    def untrained(fit: ModeFit) -> OperatorParameters:
-        return replace(linear(fit), feature_mean=mean, feature_scale=scale)
-
-    def trained(fit: ModeFit, heat_input: HeatInput, chosen: Sequence[Split]) -> TrainingResult:
-        driven = [by_level(c, base.heat_input) if heat_input != base.heat_input else c.regression for c in cases]
-        data = [
-            TrainingData(e, x, residuals(e, fit.log_tau), s)
-            for e, x, s in zip(calibrated(driven, fit.residual_scale), features, chosen, strict=True)
-        ]
-        # The linear fit assumed larger disturbances; training must not change its slow gain.
-        pairs_only = all(c.regression.is_pair for c in cases)
-        of_modes = priors if pairs_only else centred_priors(fit.log_tau, fit.gains, _LINEAR_HELD_SD)
-        return train(replace(untrained(fit), heat_input=heat_input), data, of_modes, config)
-
-    found = trained(part_fit, base.heat_input, splits)
-    unmodulated, heat_input, notes = found.residuals_before, base.heat_input, []
+    training = _Training.of(cases, linear, final, priors, config)
+    heat_input, notes = linear(final).heat_input, []
+    found = training.run(part_fit, heat_input, splits)
+    unmodulated = found.residuals_before
     if heat_input.heat is not None and config.heat_input == "auto" and config.heat_capacity is None:
-        level = trained(part_fit, heat_input.by_level, splits)
-        needed = _held_levels(heat_input.heat, cases, power)
-        better = not needed and _better(found.residuals, level.residuals, level.blocks)
-        if not needed and not better:
+        why, level = _held_levels(heat_input.heat, cases, power), None
+        if not why:
+            level = training.run(part_fit, heat_input.by_level, splits)
+            why = _why_better(found.residuals, level.residuals, level.blocks)
+        if level is not None and not why:
             found, heat_input = level, heat_input.by_level
-        because = f", since {needed or _compared(found.residuals, level.residuals)}" if needed or better else ""
-        notes.append(f"heat input: {'measured heat' + because if because else 'the level, v = u'}")
-    worse = _better(unmodulated, found.residuals, found.blocks)
+        notes.append(f"heat input: {f'measured heat, since {why}' if why else 'the level, v = u'}")
+    worse = _why_better(unmodulated, found.residuals, found.blocks)
     kept = config.modulation == "always" or not worse
+    if kept:
+        # With feedback, training uses measured temperatures, so there is no recursion; prediction uses predicted ones.
+        operator = training.run(final, heat_input, [whole(c.regression) for c in cases]).operator
+    else:
+        notes.append(f"network not kept: m = 1 instead, since {worse}")
+        hidden = {name: getattr(found.operator, name) for name in ("hidden_weight", "hidden_bias")}
+        operator = replace(training.untrained(final), **hidden)
     scores = {
         "held_out_linear": _rms(unmodulated),
         "held_out_neural": _rms(found.residuals),
         "modulation_kept": float(kept),
     }
-    if not kept:
-        notes.append(f"network not kept, since m = 1 {_compared(unmodulated, found.residuals)}")
-        network = found.operator
-        operator = replace(untrained(final), hidden_weight=network.hidden_weight, hidden_bias=network.hidden_bias)
-    else:
-        # With feedback, training uses measured temperatures, so there is no recursion; prediction uses predicted ones.
-        operator = trained(final, heat_input, [whole(c.regression) for c in cases]).operator
     return replace(operator, feedback=config.feedback), scores, notes
+
+
+@dataclass(frozen=True)
+class _Training:
+    """What every training of a zone's network begins from: features x_t of each run, their mean and scale (4,)."""
+
+    cases: Sequence[Case]
+    features: Sequence[tuple[Array, ...]]
+    mean: Array
+    scale: Array
+    linear: Callable[[ModeFit], OperatorParameters]
+    priors: ModePriors
+    config: IdentificationConfig
+
+    @classmethod
+    def of(
+        cls,
+        cases: Sequence[Case],
+        linear: Callable[[ModeFit], OperatorParameters],
+        final: ModeFit,
+        priors: ModePriors,
+        config: IdentificationConfig,
+    ) -> _Training:
+        """The training of a zone; control-free temperatures are those of its final linear fit."""
+        base = linear(final)
+        features = [tuple(_features(base, h, config.feedback) for h in c.histories) for c in cases]
+        free = np.concatenate([x[:, 0] for xs in features for x in xs])
+        mean, scale = base.feature_mean.copy(), base.feature_scale.copy()
+        mean[0], scale[0] = free.mean(), max(float(free.std()), float(LEAST_SCALE[0]))
+        return cls(cases, features, mean, scale, linear, priors, config)
+
+    def untrained(self, fit: ModeFit) -> OperatorParameters:
+        """The linear operator of a fit."""
+        return replace(self.linear(fit), feature_mean=self.mean, feature_scale=self.scale)
+
+    def run(self, fit: ModeFit, heat_input: HeatInput, splits: Sequence[Split]) -> TrainingResult:
+        """Train on the rows of `splits` from a linear fit, with v of `heat_input`."""
+        from thermoforce_mpc.identification.modulation.training import train
+
+        linear, cases = self.untrained(fit), self.cases
+        same = heat_input == linear.heat_input
+        driven = [c.regression if same else by_level(c, linear.heat_input) for c in cases]
+        data = [
+            TrainingData(e, x, residuals(e, fit.log_tau), split)
+            for e, x, split in zip(calibrated(driven, fit.residual_scale), self.features, splits, strict=True)
+        ]
+        # The linear fit assumed larger disturbances; training must not change its slow gain.
+        pairs_only = all(c.regression.is_pair for c in cases)
+        priors = self.priors if pairs_only else centred_priors(fit.log_tau, fit.gains, _LINEAR_HELD_SD)
+        return train(replace(linear, heat_input=heat_input), data, priors, self.config)
 
 
 def by_level(case: Case, heat_input: HeatInput) -> RegressionData:
@@ -148,17 +182,12 @@ def _held_levels(heat: MachineLoad, cases: Sequence[Case], power: PowerModel | N
     return "levels between off and full are held, whose heat is not in proportion to the level"
 
 
-def _better(residuals: Array, than: Array, blocks: NDArray[np.intp]) -> bool:
-    """Whether held-out `residuals` are smaller by 2 % and significantly, block by block."""
-    significant = is_significant(*standard_errors_saved(than, residuals, blocks), _SIGNIFICANT)
-    return significant and _rms(residuals) < _RELEVANT * _rms(than)
-
-
-def _compared(residuals: Array, than: Array) -> str:
-    return (
-        f"held-out data are predicted better with it: error {_rms(residuals):.3g} instead of {_rms(than):.3g} "
-        "standard deviations"
-    )
+def _why_better(residuals: Array, than: Array, blocks: NDArray[np.intp]) -> str:
+    """In what held-out `residuals` are smaller, in words; empty unless by 2 % and significantly, block by block."""
+    error, other = _rms(residuals), _rms(than)
+    if error >= _RELEVANT * other or not is_significant(*standard_errors_saved(than, residuals, blocks), _SIGNIFICANT):
+        return ""
+    return f"held-out data are predicted better with it: error {error:.3g} instead of {other:.3g} standard deviations"
 
 
 def _rms(residuals: Array) -> float:
