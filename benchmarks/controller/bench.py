@@ -17,11 +17,11 @@ from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.mpc.planner import build_solver
 from controllers.optimisation.evaluation import Evaluator
-from controllers.optimisation.ipopt import IpoptSolver
 from controllers.optimisation.problem import MPCProblem, ProblemShape, blocked_moves, every_step
-from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.solution import Solution, Solver
-from controllers.optimisation.sqp import SQPSolver
+from controllers.optimisation.solvers.ipopt import IpoptSolver
+from controllers.optimisation.solvers.qp import QPSolver
+from controllers.optimisation.solvers.sqp import SQPSolver
 from controllers.registry import controller_config
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import Array

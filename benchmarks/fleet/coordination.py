@@ -12,7 +12,7 @@ from benchmarks.fleet.joint_optimum import solve_jointly
 from benchmarks.zones.scaling import building_operator, building_problem
 from controllers.coordination import Answer, Member, QPMember, Settled, SharedPower, coordinate
 from controllers.optimisation.problem import ProblemShape, blocked_moves
-from controllers.optimisation.qp_backends import QPConfig
+from controllers.optimisation.solvers.qp_backends import QPConfig
 from thermoforce_mpc.data import Array
 
 _STEP_S, _FREE_H, _HOLD_H = 900.0, 12.0, 1.0

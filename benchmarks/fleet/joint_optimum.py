@@ -10,7 +10,7 @@ from scipy import sparse
 from controllers.checks import ControllerConfigError
 from controllers.coordination.limit import SharedPower
 from controllers.coordination.member import QPMember, diagonal
-from controllers.optimisation.qp_backends import Clarabel, QPConfig, QPData
+from controllers.optimisation.solvers.qp_backends import Clarabel, QPConfig, QPData
 from thermoforce_mpc.data import Array
 
 

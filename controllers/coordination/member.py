@@ -13,9 +13,9 @@ from controllers.checks import ControllerConfigError
 from controllers.optimisation.evaluation import Evaluation
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem, ProblemShape, every_step
-from controllers.optimisation.qp_backends import Clarabel, Piqp, QPConfig, QPData
 from controllers.optimisation.solution import Solution, checked_solution
-from controllers.optimisation.terms import PlanExpressions
+from controllers.optimisation.solvers.qp_backends import Clarabel, Piqp, QPConfig, QPData
+from controllers.optimisation.statement.terms import PlanExpressions
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 

@@ -15,9 +15,9 @@ from controllers.coordination.settling import Agreement
 from controllers.many.batch import BatchPlanner, Planned, buildings_of
 from controllers.mpc.config import MPCConfig
 from controllers.optimisation.plan_model import PlanModel
-from controllers.optimisation.qp import QPSolver
-from controllers.optimisation.qp_backends import QPConfig
 from controllers.optimisation.solution import Solve, failed
+from controllers.optimisation.solvers.qp import QPSolver
+from controllers.optimisation.solvers.qp_backends import QPConfig
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution.cooperative import Computation, Handler, Outcome, Request, Result, altered, gather, run

@@ -10,11 +10,11 @@ from controllers.actuation.actuator import ActuationConfig
 from controllers.monitoring.meters import MeterConfig
 from controllers.monitoring.watch_state import WatchConfig
 from controllers.monitoring.zone_sensor_state import SensorConfig
-from controllers.optimisation.candidate_search import SearchConfig
-from controllers.optimisation.ipopt import IpoptConfig
-from controllers.optimisation.milp import MilpConfig
-from controllers.optimisation.qp_backends import QPConfig
-from controllers.optimisation.sqp import SQPConfig
+from controllers.optimisation.solvers.candidate_search import SearchConfig
+from controllers.optimisation.solvers.ipopt import IpoptConfig
+from controllers.optimisation.solvers.milp import MilpConfig
+from controllers.optimisation.solvers.qp_backends import QPConfig
+from controllers.optimisation.solvers.sqp import SQPConfig
 from controllers.safety.fallback_policy import FallbackConfig
 from controllers.safety.overrides import GateConfig, GuardConfig
 from thermoforce_mpc.data import HOUR_S

@@ -24,7 +24,7 @@ from controllers.mpc.state import MPCState
 from controllers.optimisation.evaluation import Evaluator
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solve, Solver
-from controllers.optimisation.terms import Terms, load_terms, of_controller
+from controllers.optimisation.statement.terms import Terms, load_terms, of_controller
 from controllers.safety.base import ActuatedController
 from controllers.safety.deadline import BoundedCalls, Overdue
 from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan

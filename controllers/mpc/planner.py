@@ -8,17 +8,17 @@ from dataclasses import dataclass, replace
 from controllers.actuation.actuators import Actuators
 from controllers.checks import ControllerConfigError
 from controllers.mpc.config import MPCConfig
-from controllers.optimisation.candidate_search import CandidateSearch
 from controllers.optimisation.evaluation import Evaluator
-from controllers.optimisation.ipopt import IpoptSolver
 from controllers.optimisation.machines import EquipmentLayout
-from controllers.optimisation.milp import MilpSolver
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import ProblemShape, blocked_moves, every_step
-from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.solution import FirstOf, Solver
-from controllers.optimisation.sqp import SQPSolver
-from controllers.optimisation.terms import Terms
+from controllers.optimisation.solvers.candidate_search import CandidateSearch
+from controllers.optimisation.solvers.ipopt import IpoptSolver
+from controllers.optimisation.solvers.milp import MilpSolver
+from controllers.optimisation.solvers.qp import QPSolver
+from controllers.optimisation.solvers.sqp import SQPSolver
+from controllers.optimisation.statement.terms import Terms
 from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
 from thermoforce_mpc.model.forced_state import EstimatorConfig, ForcedStateEstimator
 from thermoforce_mpc.model.operator.building import BuildingOperator

@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from controllers.optimisation.functions import check_of
-from controllers.optimisation.numbers import Numbers
 from controllers.optimisation.problem import BOUND_TOLERANCE, MPCProblem, ProblemShape, every_step
-from controllers.optimisation.structure import structure_of
-from controllers.optimisation.transfer import groups_of
+from controllers.optimisation.statement.difference_equations import groups_of
+from controllers.optimisation.statement.functions import check_of
+from controllers.optimisation.statement.parameter_values import Numbers
+from controllers.optimisation.statement.structure import structure_of
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.casadi_export import Buffered

@@ -8,9 +8,9 @@ import numpy as np
 from scipy import sparse
 
 from controllers.optimisation.evaluation import Evaluator
-from controllers.optimisation.functions import functions_of
 from controllers.optimisation.problem import BOUND_TOLERANCE, MPCProblem, ProblemShape
-from controllers.optimisation.qp_backends import QPData
+from controllers.optimisation.solvers.qp_backends import QPData
+from controllers.optimisation.statement.functions import functions_of
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.casadi_export import Buffered

@@ -1,4 +1,4 @@
-"""The numbers of one instance of the problem (`controllers.optimisation.statement`), and what its instances share."""
+"""The numbers of one instance of the problem (`statement.problem_statement`), and what its instances share."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class ProblemShape:
     `held_steps`: number of first steps in which a held level is 0 or at least its lowest and exclusion holds (rounded
     up to whole moves); later steps are relaxed: actuators switch, and exclude one another in time. None: all steps.
     `curved`: power has a part in u², which a price of peak power and a cap must see. `terms`: further terms of the
-    user, see `controllers.optimisation.terms`.
+    user, see `controllers.optimisation.statement.terms`.
     """
 
     move_of_step: NDArray[np.intp]

@@ -11,7 +11,7 @@ from boptest_server import running_service
 from click.testing import CliRunner
 
 from controllers import ThermoForceMPC
-from controllers.optimisation.qp import QPSolver
+from controllers.optimisation.solvers.qp import QPSolver
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.simulation import doctor

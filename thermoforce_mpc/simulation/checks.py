@@ -61,6 +61,6 @@ def _check_terms(config: StrictModel) -> None:
     """Read the file of terms that a controller's options name; raises `ConfigError`."""
     where = getattr(config, "terms", None)
     if where is not None:
-        from controllers.optimisation.terms import load_terms  # loads CasADi
+        from controllers.optimisation.statement.terms import load_terms  # loads CasADi
 
         load_terms(where)

@@ -12,8 +12,8 @@ from mpc_problems import N, random_operator, random_problem
 
 from benchmarks.controller.bench import solver_row
 from benchmarks.controller.do_mpc_peer import DoMpcPeer, without_extras
-from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.problem import ProblemShape, Weights, every_step
+from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.operator.building import single
 

@@ -11,8 +11,8 @@ import pytest
 from benchmarks.zones.do_mpc_building import DoMpcBuilding
 from benchmarks.zones.scaling import building_operator, building_problem, exponent, solve_times
 from controllers.optimisation.problem import MPCProblem, PowerCap, ProblemShape, every_step
-from controllers.optimisation.qp import QPSolver
-from controllers.optimisation.qp_backends import QPConfig
+from controllers.optimisation.solvers.qp import QPSolver
+from controllers.optimisation.solvers.qp_backends import QPConfig
 from thermoforce_mpc.errors import DataError
 
 

@@ -25,11 +25,11 @@ from controllers.mpc.margins import Margins
 from controllers.mpc.readings import Readings
 from controllers.mpc.solved import first_demands
 from controllers.mpc.state import MPCState
-from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import Cooling, ProblemShape, Weights, every_step
-from controllers.optimisation.qp import QPSolver
-from controllers.optimisation.qp_backends import QPConfig
+from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
+from controllers.optimisation.solvers.qp import QPSolver
+from controllers.optimisation.solvers.qp_backends import QPConfig
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Boundary, Layout, Observation, Period, Plan, PlanStatus
 from thermoforce_mpc.errors import DataError

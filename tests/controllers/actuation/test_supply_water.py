@@ -13,11 +13,11 @@ from controllers.actuation.actuator import Actuation, ActuationConfig, Actuation
 from controllers.actuation.actuators import Actuators
 from controllers.checks import ControllerConfigError
 from controllers.monitoring.watch_tests import level_fault
-from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.problem import Cooling, PowerCap, ProblemShape, every_step
-from controllers.optimisation.qp import QPSolver
-from controllers.optimisation.qp_backends import QPConfig
-from controllers.optimisation.sqp import SQPConfig, SQPSolver
+from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
+from controllers.optimisation.solvers.qp import QPSolver
+from controllers.optimisation.solvers.qp_backends import QPConfig
+from controllers.optimisation.solvers.sqp import SQPConfig, SQPSolver
 from controllers.registry import controller_config
 from thermoforce_mpc.data import Layout, Names, Record
 from thermoforce_mpc.errors import DataError

@@ -16,7 +16,7 @@ from controllers.checks import ControllerConfigError
 from controllers.coordination import Coordination, QPMember, SharedPower, coordinate
 from controllers.coordination.member import Answer, Settled
 from controllers.optimisation.problem import Cooling, ProblemShape, blocked_moves, every_step
-from controllers.optimisation.qp_backends import QPConfig
+from controllers.optimisation.solvers.qp_backends import QPConfig
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 

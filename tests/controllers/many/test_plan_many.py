@@ -19,7 +19,7 @@ from controllers.actuation.actuator import ActuationConfig
 from controllers.checks import ControllerConfigError, PackedState
 from controllers.many.portfolio import Portfolio, plan_many
 from controllers.many.worker import read_shared, write_shared
-from controllers.optimisation.qp_backends import Clarabel
+from controllers.optimisation.solvers.qp_backends import Clarabel
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.competence import Competence

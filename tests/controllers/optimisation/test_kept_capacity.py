@@ -12,9 +12,9 @@ from two_houses import TwoHouses, two_model
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.mpc.margin_rules import learned_share
-from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.problem import ProblemShape, every_step
-from controllers.optimisation.qp import QPConfig, QPSolver
+from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
+from controllers.optimisation.solvers.qp import QPConfig, QPSolver
 from thermoforce_mpc.data import HOUR_S, Observation
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import MachineLoad

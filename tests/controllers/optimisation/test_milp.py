@@ -24,14 +24,14 @@ from scipy.optimize import linprog
 from controllers.checks import ControllerConfigError
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.planner import build_solver, plan_shape
-from controllers.optimisation.held_levels import held_level
-from controllers.optimisation.ipopt import IpoptSolver
 from controllers.optimisation.machines import EquipmentLayout
-from controllers.optimisation.milp import ChoiceResult, Highs, MilpConfig, MilpSolver
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, PowerCap, ProblemShape, Weights, every_step
-from controllers.optimisation.qp import QPSolver
-from controllers.optimisation.qp_backends import QPConfig
+from controllers.optimisation.solvers.held_levels import held_level
+from controllers.optimisation.solvers.ipopt import IpoptSolver
+from controllers.optimisation.solvers.milp import ChoiceResult, Highs, MilpConfig, MilpSolver
+from controllers.optimisation.solvers.qp import QPSolver
+from controllers.optimisation.solvers.qp_backends import QPConfig
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
@@ -235,7 +235,7 @@ def test_heat_that_does_not_grow_with_the_level_is_had_at_the_lowest():
 
 def test_the_solver_prints_nothing():
     """Its version was printed into the output of commands, by the first solver of a process."""
-    code = "from controllers.optimisation.milp import silent_highs; silent_highs().run()"
+    code = "from controllers.optimisation.solvers.milp import silent_highs; silent_highs().run()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout == done.stderr == ""
 

@@ -10,14 +10,14 @@ import pytest
 from mpc_problems import N, linear_programme_optimum, random_operator, random_problem
 
 from controllers.checks import ControllerConfigError
-from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import ProblemShape, Weights, blocked_moves, every_step
-from controllers.optimisation.qp import QPSolver
-from controllers.optimisation.qp_backends import Clarabel, Piqp, QPConfig, SolverResult
 from controllers.optimisation.solution import checked_solution
-from controllers.optimisation.transfer import difference_equation
+from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
+from controllers.optimisation.solvers.qp import QPSolver
+from controllers.optimisation.solvers.qp_backends import Clarabel, Piqp, QPConfig, SolverResult
+from controllers.optimisation.statement.difference_equations import difference_equation
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.heat_input import HeatInput

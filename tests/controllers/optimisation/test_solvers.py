@@ -9,10 +9,10 @@ import numpy_problem
 import pytest
 from mpc_problems import N, linear_programme_optimum, multi_start_optimum, random_operator, random_problem
 
-from controllers.optimisation.candidate_search import CandidateSearch, SearchConfig
-from controllers.optimisation.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import MPCProblem, ProblemShape, every_step
+from controllers.optimisation.solvers.candidate_search import CandidateSearch, SearchConfig
+from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
 from thermoforce_mpc.model.operator.building import single
 
 

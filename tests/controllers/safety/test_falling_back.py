@@ -16,9 +16,9 @@ from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.readings import ReadingsFilter
 from controllers.mpc.state import MPCState
-from controllers.optimisation.qp import QPSolver
-from controllers.optimisation.qp_backends import Clarabel, Piqp, QPConfig
 from controllers.optimisation.solution import Solution
+from controllers.optimisation.solvers.qp import QPSolver
+from controllers.optimisation.solvers.qp_backends import Clarabel, Piqp, QPConfig
 from thermoforce_mpc.data import HOUR_S, FreeForecast, Observation, Plan, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 

@@ -10,8 +10,8 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
-from controllers.optimisation.qp import QPSolver
 from controllers.optimisation.solution import Solution, failed
+from controllers.optimisation.solvers.qp import QPSolver
 from controllers.rules.thermostat import Thermostat
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop

@@ -16,7 +16,7 @@ import numpy as np
 from controllers.checks import ControllerConfigError, message_of
 
 if TYPE_CHECKING:
-    from controllers.optimisation.algebra import Direct, Lifted
+    from controllers.optimisation.statement.algebra import Direct, Lifted
 
 _KEY = "controller.options.terms"
 # Expressions that are 0 or 1: a constraint is an expression that is at least 0, or 0.

@@ -15,8 +15,8 @@ from typing import Any
 import casadi as ca
 
 import thermoforce_mpc.model.operator.casadi_export as export
-from controllers.optimisation import algebra, statement, terms
-from controllers.optimisation.structure import Structure
+from controllers.optimisation.statement import algebra, problem_statement, terms
+from controllers.optimisation.statement.structure import Structure
 from thermoforce_mpc.data.cache_folder import cache_folder
 
 # Files kept.
@@ -26,7 +26,9 @@ _MOST = 120
 @cache
 def _sources() -> str:
     """What decides how a structure is built: the text of the statement, and the version of CasADi."""
-    return "".join(inspect.getsource(module) for module in (algebra, statement, terms, export)) + version("casadi")
+    return "".join(inspect.getsource(module) for module in (algebra, problem_statement, terms, export)) + version(
+        "casadi"
+    )
 
 
 def stored(

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
-from controllers.optimisation.structure import Structure
+from controllers.optimisation.statement.structure import Structure
 from thermoforce_mpc.model.operator.casadi_export import gain_from
 
 # Levels up to this do not act.

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from controllers.optimisation.problem import MPCProblem, ProblemShape
-from controllers.optimisation.statement import parameter_sizes
-from controllers.optimisation.structure import Structure
-from controllers.optimisation.transfer import Group, difference_equation
+from controllers.optimisation.statement.difference_equations import Group, difference_equation
+from controllers.optimisation.statement.problem_statement import parameter_sizes
+from controllers.optimisation.statement.structure import Structure
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator

@@ -21,11 +21,11 @@ from pydantic import Field
 from scipy import sparse
 
 from controllers.checks import ControllerConfigError
-from controllers.optimisation.held_levels import as_held
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape
-from controllers.optimisation.qp_backends import Piqp, QPConfig, QPData
 from controllers.optimisation.solution import Solution, checked_variables, failed
+from controllers.optimisation.solvers.held_levels import as_held
+from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, QPData
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.scenario.settings import StrictModel

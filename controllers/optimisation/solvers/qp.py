@@ -9,8 +9,8 @@ import numpy as np
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape
-from controllers.optimisation.qp_backends import Clarabel, Piqp, QPBackend, QPConfig, QPData, SolverResult
 from controllers.optimisation.solution import Solution, accept_suboptimal, checked_variables, failed
+from controllers.optimisation.solvers.qp_backends import Clarabel, Piqp, QPBackend, QPConfig, QPData, SolverResult
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 

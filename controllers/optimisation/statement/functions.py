@@ -13,10 +13,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.optimisation.algebra import Direct, Lifted
-from controllers.optimisation.function_store import stored
-from controllers.optimisation.statement import parameter_sizes, state
-from controllers.optimisation.structure import Structure
+from controllers.optimisation.statement.algebra import Direct, Lifted
+from controllers.optimisation.statement.function_store import stored
+from controllers.optimisation.statement.problem_statement import parameter_sizes, state
+from controllers.optimisation.statement.structure import Structure
 
 # Structures kept in the process.
 _MOST = 64

@@ -31,10 +31,10 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from controllers.optimisation.algebra import Direct, Lifted
 from controllers.optimisation.problem import POWER_UNIT_W
-from controllers.optimisation.structure import Structure
-from controllers.optimisation.terms import PlanExpressions
+from controllers.optimisation.statement.algebra import Direct, Lifted
+from controllers.optimisation.statement.structure import Structure
+from controllers.optimisation.statement.terms import PlanExpressions
 
 Algebra = Lifted | Direct
 Numbers = Mapping[str, ca.SX]

@@ -16,8 +16,8 @@ from scipy import sparse
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape
-from controllers.optimisation.qp_backends import Piqp, QPConfig, QPData
 from controllers.optimisation.solution import Solution, checked_solution, failed
+from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, QPData
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.scenario.settings import StrictModel
