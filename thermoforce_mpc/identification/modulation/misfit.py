@@ -115,13 +115,13 @@ class Misfit:
         self._mean = np.concatenate([mean, priors.log_tau])
         self._sd = np.concatenate([sd, np.full(priors.order, priors.log_tau_sd)])
         weights = 0.0 if start.gamma == 0.0 else (start.gamma / modulation_sd) ** 2
-        # Output weights are such that m has `modulation_sd`; hidden ones have sd 1 about 0, but those of units that
-        # start connected stay where they are but for as much of m.
-        H, output = self._hidden, start.output_weight
-        hidden, connected = 1.0 + weights * output**2, output != 0.0
+        # Output weights are such that m has `modulation_sd`, hidden ones have sd 1, or as much less as they move m.
+        # Both about 0 instead of the start would take units that the data say little of to exactly nothing.
+        H, hidden = self._hidden, 1.0 + weights * start.output_weight**2
         self._precision = np.concatenate([np.repeat(hidden, 4), hidden, np.full(H, H * weights), [weights]])
-        of_hidden = (connected[:, None] * start.hidden_weight).ravel(), connected * start.hidden_bias
-        self._centre = np.concatenate([*of_hidden, output, [start.output_bias]])
+        self._centre = np.concatenate(
+            [start.hidden_weight.ravel(), start.hidden_bias, start.output_weight, [start.output_bias]]
+        )
 
     def __call__(self, parameters: Array) -> tuple[float, Array]:
         """The misfit and its gradient (P,)."""
