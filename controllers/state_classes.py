@@ -129,4 +129,8 @@ def controller_key(model: ThermalModel, config: MPCConfig) -> str:
     for name, field in MPCConfig.model_fields.items():
         if name in _NEW_OPTIONS and getattr(config, name) == field.get_default(call_default_factory=True):
             del of_config["fields"][name]
+    actuations = of_config["fields"]["actuations"]["mapping"].values()
+    for actuation in (of_config["fields"]["actuation"], *actuations):
+        if not actuation["fields"]["proportional"]:
+            del actuation["fields"]["proportional"]
     return digest({"mpc": [of_model, of_config]})
