@@ -77,7 +77,10 @@ def difference_equation(poles: Array, gains: Array, window: Sequence[int]) -> tu
     r, lengths = poles.size, np.array(window)
     ends = np.concatenate([[0], np.cumsum(lengths)])
     faded = poles[:, None] ** ends
-    weights = np.append(np.linalg.solve(faded[:, :r], -faded[:, r]), 1.0)
+    if len(set(window)) == 1:  # exact, however near the poles are
+        weights = np.poly(faded[:, 1])[::-1]
+    else:
+        weights = np.append(np.linalg.lstsq(faded[:, :r], -faded[:, r], rcond=None)[0], 1.0)
     numerator = np.zeros((r, len(gains)))
     for i in range(1, r + 1):
         added = gains * (1.0 - poles ** lengths[i - 1]) / (1.0 - poles)
