@@ -11,7 +11,6 @@ from thermoforce_mpc.errors import counted
 from thermoforce_mpc.simulation.closed_loop import RunResult
 
 if TYPE_CHECKING:
-    from thermoforce_mpc.model.operator.building import BuildingOperator
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Solvers by the first word of their status.
@@ -77,12 +76,5 @@ def planning_of(result: RunResult, model: ThermalModel | None) -> Planning:
         failed=failed,
         export_calls=calls,
         trained=operator.n_trained if operator else 0,
-        used=_used(operator) if operator else 0,
+        used=operator.n_used if operator else 0,
     )
-
-
-def _used(operator: BuildingOperator) -> int:
-    """Trained parameters that affect a prediction, each actuator's modulation once."""
-    heads = [operator.of_actuator(a) for a in range(len(operator.actuators))]
-    of_pairs = sum(2 * pair.order for *_, pair in operator.each())
-    return of_pairs + sum(head.n_effective - 2 * head.order for head in heads)
