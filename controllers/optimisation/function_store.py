@@ -22,6 +22,7 @@ from thermoforce_mpc.data.cache_folder import cache_folder
 
 # Structures kept on disk.
 _MOST = 60
+_NAMES = ("local", "check", "rows")
 
 
 @cache
@@ -40,33 +41,40 @@ def load(s: Structure) -> tuple[dict[str, Any], list[ca.Function]] | None:
     if s.terms:  # functions of the user, whose text may have changed
         return None
     try:
-        meta = json.loads((_folder(s) / "variables.json").read_text())
-        texts = [(_folder(s) / f"{name}.casadi").read_text() for name in meta["sha256"]]
-        if [hashlib.sha256(text.encode()).hexdigest() for text in texts] != list(meta["sha256"].values()):
+        folder = _folder(s)
+        meta = json.loads((folder / "variables.json").read_text())
+        texts = {name: (folder / f"{name}.casadi").read_text() for name in _NAMES}
+        if meta["sha256"] != _hashes(meta["variables"], texts):
             return None
         variables = {name: tuple(v) if isinstance(v, list) else v for name, v in meta["variables"].items()}
-        return variables, [ca.Function.deserialize(text) for text in texts]
-    except (OSError, ValueError, KeyError, RuntimeError):
+        return variables, [ca.Function.deserialize(text) for text in texts.values()]
+    except (OSError, ValueError, KeyError, TypeError, RuntimeError):
         return None
 
 
 def save(s: Structure, variables: Mapping[str, Any], functions: Sequence[ca.Function]) -> None:
-    """Save a structure's functions; without a word where the folder cannot be written."""
+    """Save a structure's functions in the place of damaged ones; without a word where the folder cannot be written."""
     if s.terms:
         return
     try:
-        folder = _folder(s)
+        folder, texts = _folder(s), {function.name(): function.serialize() for function in functions}
         folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(dir=folder.parent))
-        hashes = {}
-        for function in functions:
-            text = function.serialize()
-            hashes[function.name()] = hashlib.sha256(text.encode()).hexdigest()
-            (temporary / f"{function.name()}.casadi").write_text(text)
-        (temporary / "variables.json").write_text(json.dumps({"variables": dict(variables), "sha256": hashes}))
-        temporary.replace(folder) if not folder.exists() else shutil.rmtree(temporary)
+        with tempfile.TemporaryDirectory(dir=folder.parent) as temporary:
+            whole = Path(temporary) / "whole"
+            whole.mkdir()
+            for name, text in texts.items():
+                (whole / f"{name}.casadi").write_text(text)
+            meta = {"variables": dict(variables), "sha256": _hashes(dict(variables), texts)}
+            (whole / "variables.json").write_text(json.dumps(meta))
+            shutil.rmtree(folder, ignore_errors=True)
+            whole.replace(folder)
         oldest = sorted(folder.parent.iterdir(), key=lambda path: path.stat().st_mtime)[:-_MOST]
         for path in oldest:
             shutil.rmtree(path, ignore_errors=True)
     except OSError:
         pass
+
+
+def _hashes(variables: dict[str, Any], texts: Mapping[str, str]) -> dict[str, str]:
+    parts = {"variables": json.dumps(variables), **texts}
+    return {name: hashlib.sha256(text.encode()).hexdigest() for name, text in parts.items()}
