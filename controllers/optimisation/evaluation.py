@@ -60,7 +60,7 @@ class Evaluator:
         move_of_step = every_step(self.shape.n_steps)
         if np.array_equal(self.shape.move_of_step, move_of_step):
             return self
-        return Evaluator(self.operator, replace(self.shape, move_of_step=move_of_step))
+        return Evaluator(self.operator, replace(self.shape, move_of_step=move_of_step, held_steps=self.shape.n_held))
 
     @property
     def held_steps(self) -> int | None:

@@ -75,7 +75,7 @@ class QPSolver:
             return failed(f"{backend}:raised", 0, f"raised {type(error).__name__}: {error}")
         status = f"{backend}:{answer.status}"
         if answer.solved:
-            claimed = programme.objective(answer.x) if answer.x.size == programme.linear.size else np.nan
+            claimed = programme.objective(answer.x)
             return checked_variables(self.model, problem, p, answer.x, claimed, status, answer.iterations)
         ended = failed(status, answer.iterations, f"ended with {answer.status}")
         return accept_suboptimal(self.model, problem, p, answer.x, guess, ended)

@@ -46,7 +46,9 @@ class QPData:
     constant: float
 
     def objective(self, x: Array) -> float:
-        """Objective at `x` including the constant, currency."""
+        """Objective at `x` including the constant, currency; NaN where `x` is of another size."""
+        if x.size != self.linear.size:
+            return float("nan")
         return self.constant + self.unit * float(0.5 * x @ (self.quadratic @ x) + self.linear @ x)
 
 

@@ -86,4 +86,4 @@ def difference_equation(poles: Array, gains: Array, window: Sequence[int]) -> tu
         added = gains * (1.0 - poles ** lengths[i - 1]) / (1.0 - poles)
         for j in range(i, r + 1):
             numerator[r - i] += weights[j] * added @ poles ** (ends[j] - ends[i])
-    return weights[::-1], numerator
+    return np.asarray(weights[::-1], dtype=np.float64), numerator

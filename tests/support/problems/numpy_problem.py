@@ -1,4 +1,7 @@
-"""The objective of the problem a second time, in numpy and mode by mode: what the statement is judged by."""
+"""The objective of the problem a second time, in numpy and mode by mode: what the statement is judged by.
+
+`MPCProblem.held_steps` says for how long levels are held; later they are shares of the highest, as they are solved.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.machine.running import running_share
 from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.features import OUTDOOR
 
 
 def _heating(p: MPCProblem, u: Array) -> Array:
@@ -53,7 +57,26 @@ def energy_cost(p: MPCProblem, u: Array) -> Array:
 
 def modes_K(p: MPCProblem, operator: BuildingOperator, u: Array) -> Array:
     """Forced state of every pair at the end of each step for levels `u` (..., A, N), K, shape (..., Z, A, N, r)."""
-    return operator.rollout(p.forced_state_K, u, p.features)
+    if p.held_steps is None or not p.machinery.held.any():
+        return operator.rollout(p.forced_state_K, u, p.features)
+    return _stepped(p, operator, np.stack([_heat(p, operator, u, a) for a in range(u.shape[-2])]))
+
+
+def _heat(p: MPCProblem, operator: BuildingOperator, u: Array, a: int) -> Array:
+    """v of one actuator (..., N): of its level where it is held, and later of its highest level for a share."""
+    heat_input, T_out_C = operator.of_actuator(a).heat_input, p.features[operator.home[a], :, OUTDOOR]
+    highest, held = p.machinery.u_max[a], heat_input(u[..., a, :], T_out_C)
+    switched = u[..., a, :] / highest * heat_input(np.full(p.n_steps, highest), T_out_C)
+    return np.where((np.arange(p.n_steps) < p.held_steps) | ~p.machinery.held[a], held, switched)
+
+
+def _stepped(p: MPCProblem, operator: BuildingOperator, heat: Array) -> Array:
+    """Forced states (Z, A, N, r) of v (A, N), step by step."""
+    forced, states = p.forced_state_K, []
+    for k in range(p.n_steps):
+        forced = operator.advance(forced, operator.modulated(heat[:, k], p.features[:, k], forced))
+        states.append(forced)
+    return np.stack(states, axis=2)
 
 
 def forced_K(p: MPCProblem, operator: BuildingOperator, u: Array) -> Array:
