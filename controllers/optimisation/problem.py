@@ -243,7 +243,10 @@ class MPCProblem:
         return 0.0 if self.power_cap is None else self.power_cap.price_per_kWh * self.step_s / J_PER_KWH
 
     def unfit(self, u: Array) -> str:
-        """Why `u` are no levels (A, N) to act on: another shape, not finite, or out of bounds; or ''."""
+        """Why `u` are no levels (A, N) to act on: another shape, not finite, out of bounds or over a capacity; or ''.
+
+        Later held levels may stand for shares of a higher one, so there the capacity counts in the first step.
+        """
         m = self.machinery
         if np.shape(u) != (len(m.actuators), self.n_steps):
             return f"the solver gave levels of shape {np.shape(u)}, expected {(len(m.actuators), self.n_steps)}"
@@ -252,6 +255,11 @@ class MPCProblem:
         low, high = u.min(axis=-1), u.max(axis=-1)
         for a in np.flatnonzero((low < m.u_min - BOUND_TOLERANCE) | (high > m.u_max + BOUND_TOLERANCE)):
             return f"u of {m.actuators[a]} leaves its bounds (from {low[a]:.4g} to {high[a]:.4g})"
+        steps = slice(0, 1 if m.held.any() else None)
+        load = m.fed_by @ (m.share[:, None] * np.maximum(u[:, steps], 0.0))
+        over = (load - (1.0 if self.capacity is None else self.capacity[:, steps])).max(axis=1)
+        for machine in np.flatnonzero(over > BOUND_TOLERANCE):
+            return f"u asks {over[machine]:.4g} more than the capacity of {m.machines[machine]}"
         return ""
 
 
