@@ -21,7 +21,7 @@ from controllers.mpc.readings import Readings, ReadingsFilter
 from controllers.mpc.realisation import Realisation
 from controllers.mpc.solved import first_demands, solved_plan
 from controllers.mpc.state import MPCState
-from controllers.optimisation.evaluation import Evaluator
+from controllers.optimisation.evaluation import Evaluation, Evaluator
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solve, Solver
 from controllers.optimisation.statement.terms import Terms, load_terms, of_controller
@@ -293,13 +293,23 @@ class ThermoForceMPC(ActuatedController):
             request = Request(planner.solver, solve, seconds=self.config.deadline.solve_s)
             solution, solve_s = yield from timed(perform(request))
             refused = solution.problem if not solution.ok else instance.problem.unfit(solution.u)
+            brought = None if refused else self._brought(planner.evaluator, instance.problem, solution.u)
         except Exception as error:  # whatever a solver raises, there is another way to act
             if isinstance(error, Overdue):
                 self._planners.renew_solver(planner)
             return Failure(f"the solver failed ({message_of(error)})", forecast.state, "raised", seconds)
-        if refused:
-            return Failure(refused, forecast.state, solution.status, {**seconds, "solve": solve_s})
-        return solved_plan(instance, solution, solve_s, forecast, readings)
+        if brought is None or brought.broken:
+            why = refused or f"the solver's levels leave a limit: {brought.broken if brought else ''}"
+            return Failure(why, forecast.state, solution.status, {**seconds, "solve": solve_s})
+        return solved_plan(instance, solution, brought, solve_s, forecast, readings)
+
+    def _brought(self, evaluator: Evaluator, problem: MPCProblem, u: Array) -> Evaluation:
+        """What levels bring, whatever solver they are from, with the limit that they leave.
+
+        Of choices only a solver knows: later levels of its plan stand for shares of higher ones.
+        """
+        brought = evaluator.evaluate(problem, evaluator.held_numbers(problem), u)
+        return replace(brought, broken="") if evaluator.structure.chosen else brought
 
     def _realise(
         self,

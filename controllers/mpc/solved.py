@@ -14,6 +14,7 @@ from controllers.mpc.formulation import Instance
 from controllers.mpc.prediction import Forecast
 from controllers.mpc.readings import Readings, joined
 from controllers.mpc.state import MPCState
+from controllers.optimisation.evaluation import Evaluation
 from controllers.optimisation.problem import MPCProblem
 from controllers.optimisation.solution import Solution
 from controllers.safety.fallback_policy import GoodPlan
@@ -25,20 +26,26 @@ from thermoforce_mpc.model.operator.features import ZONE
 _BINDING_K = 0.02
 
 
-def solved_plan(instance: Instance, solution: Solution, solve_s: float, forecast: Forecast, readings: Readings) -> Plan:
+def solved_plan(
+    instance: Instance,
+    solution: Solution,
+    brought: Evaluation,
+    solve_s: float,
+    forecast: Forecast,
+    readings: Readings,
+) -> Plan:
     """The plan of a checked solution, without blocks; its state remembers it as the last good one.
 
     Args:
         instance: what was solved.
         solution: its levels.
+        brought: what they bring.
         solve_s: what the solve cost, s.
         forecast: what it was made on.
         readings: what was believed.
     """
     problem, context, free = instance.problem, forecast.context, forecast.context.free
     u, names = solution.u, readings.observation.names
-    model = forecast.planner.evaluator
-    brought = model.evaluate(problem, model.held_numbers(problem), u)
     T_zone_C, slack_K = compose(problem.T_free_C, brought.forced_K), brought.slack_K
     doubts, learned = (*readings.doubts, free.doubt), forecast.state.margins
     status = PlanStatus.BRIDGED if any(doubts) else PlanStatus.SOLVED

@@ -6,8 +6,8 @@ import sys
 from dataclasses import replace
 
 import numpy as np
-import numpy_problem
 import pytest
+from in_do_mpc import do_mpc_cost
 from mpc_problems import N, random_operator, random_problem
 
 from benchmarks.controller.bench import solver_row
@@ -20,7 +20,7 @@ from thermoforce_mpc.model.operator.building import single
 
 @pytest.mark.slow
 @pytest.mark.parametrize("gain_beforehand", [False, True])
-def test_do_mpc_finds_the_optimum_of_ipopt(gain_beforehand):
+def test_do_mpc_finds_the_optimum_of_ipopt_and_levels_cost_there_what_the_statement_says(gain_beforehand):
     pytest.importorskip("do_mpc", reason="extra [bench]", exc_type=ImportError)
     rng = np.random.default_rng(3)
     operator = random_operator(rng, 3)
@@ -28,11 +28,15 @@ def test_do_mpc_finds_the_optimum_of_ipopt(gain_beforehand):
     peer, operator = DoMpcPeer(operator, problems[0], gain_beforehand=gain_beforehand), single(operator)
     ipopt = IpoptSolver(operator, ProblemShape(every_step(N)), IpoptConfig())
     for problem in problems:
-        best = float(numpy_problem.cost(problem, operator, ipopt.solve(problem).u))
-        assert float(numpy_problem.cost(problem, operator, np.clip(peer.solve(problem), 0, 1)[None])) == pytest.approx(
-            best, rel=1e-4
-        )
-        assert float(numpy_problem.cost(problem, operator, np.zeros((1, N)))) > 1.001 * best
+        best = ipopt.solve(problem).cost
+        p = ipopt.model.numbers(problem)
+        found = ipopt.model.evaluate(problem, p, np.clip(peer.solve(problem), 0, 1)[None]).cost
+        assert found == pytest.approx(best, rel=1e-4)
+        assert ipopt.model.evaluate(problem, p, np.zeros((1, N))).cost > 1.001 * best
+    for problem in problems:
+        u = rng.uniform(0.0, 1.0, (1, N))
+        cost = ipopt.model.evaluate(problem, ipopt.model.numbers(problem), u).cost
+        assert do_mpc_cost(peer, problem, u) == pytest.approx(cost, rel=1e-7)
 
 
 def test_a_missing_do_mpc_is_named(monkeypatch):

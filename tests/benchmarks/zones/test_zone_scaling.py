@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy_problem
 import pytest
+from in_do_mpc import do_mpc_cost
 
 from benchmarks.zones.do_mpc_building import DoMpcBuilding
 from benchmarks.zones.scaling import building_operator, building_problem, exponent, solve_times
@@ -45,19 +45,22 @@ def test_neighbours_are_reached_and_no_one_else():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("modes_shared", [False, True])
-def test_do_mpc_finds_the_same_optimum_of_a_building(modes_shared):
+def test_do_mpc_finds_the_same_optimum_of_a_building_and_levels_cost_there_the_same(modes_shared):
     pytest.importorskip("do_mpc", reason="extra [bench]", exc_type=ImportError)
     rng = np.random.default_rng(0)
     operator = building_operator(2, 1, rng)
     problem = shortened(building_problem(operator, rng), 24)
-    u = np.clip(DoMpcBuilding(operator, problem, modes_shared=modes_shared).solve(problem), 0.0, 1.0)
-    shape = ProblemShape(every_step(24), problem.machinery, capped=True)
-    best = float(numpy_problem.cost(problem, operator, QPSolver(operator, shape, QPConfig()).solve(problem).u))
-    assert float(numpy_problem.cost(problem, operator, u)) == pytest.approx(best, rel=1e-4)
-    assert numpy_problem.running(problem, u).max() > 0.2
-    assert numpy_problem.power_W(problem, u).sum(axis=0).max() > 0.9 * problem.power_cap.limit_W[0], (
-        "cap and machine matter"
-    )
+    peer = DoMpcBuilding(operator, problem, modes_shared=modes_shared)
+    solver = QPSolver(operator, ProblemShape(every_step(24), problem.machinery, capped=True), QPConfig())
+    model, p = solver.model, solver.model.numbers(problem)
+    found = model.evaluate(problem, p, np.clip(peer.solve(problem), 0.0, 1.0))
+    assert found.cost == pytest.approx(solver.solve(problem).cost, rel=1e-4)
+    assert found.running.max() > 0.2
+    assert found.power_W.sum(axis=0).max() > 0.9 * problem.power_cap.limit_W[0], "cap and machine matter"
+    for _ in range(3):
+        u = rng.uniform(0.0, [[0.9], [0.6]], (2, 24))
+        cost = model.evaluate(problem, p, u).cost
+        assert do_mpc_cost(peer, problem, u) == pytest.approx(cost, rel=1e-7)
 
 
 def test_what_is_not_written_in_do_mpc_is_refused():

@@ -37,8 +37,8 @@ def test_a_machine_with_a_fixed_part_is_planned_at_any_level_without_a_choice():
     house = SimpleHouse()
     house.reset(10 * 86400.0, 2 * 86400.0)
     plan = mpc.plan(Observation(house.past(HOUR_S), house.forecast(24 * HOUR_S, HOUR_S)))
-    assert mpc.plan_model.structure.chosen == ()
-    assert mpc.plan_model.convex
+    assert mpc.solver.model.structure.chosen == ()
+    assert mpc.solver.model.convex
     assert plan.solver_status == "ipopt:Solve_Succeeded"
     assert np.any((plan.u > 0.01) & (plan.u < 0.29)), "also levels below 0.3"
     assert [block.duration_s for block in plan.blocks] == [HOUR_S]

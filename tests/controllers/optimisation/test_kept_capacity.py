@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from faults import ChangedSolver
 from mpc_problems import N, machinery_of, random_building, random_building_problem
 from simple_house import OutdoorResponse
 from two_houses import TwoHouses, two_model
@@ -15,7 +16,7 @@ from controllers.mpc.margin_rules import learned_share
 from controllers.optimisation.problem import ProblemShape, every_step
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.solvers.qp import QPConfig, QPSolver
-from thermoforce_mpc.data import HOUR_S, Observation
+from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -84,14 +85,15 @@ def test_a_capacity_of_another_shape_is_refused():
         replace(problem, capacity=np.ones(N))
 
 
-def metered() -> ThermoForceMPC:
+def metered(changed=lambda n, found: found) -> ThermoForceMPC:
     """Control of two houses on one machine that cannot feed both at full level; their heat falls with T_out."""
     model = two_model(shared=True)
     heat = HeatInput(heat=MachineLoad((0.0, 0.0, 5000.0, -100.0), (-20.0, 20.0)))
     operator = model.operator.map(lambda pair: replace(pair, heat_input=heat))
     config = MPCConfig(step_s=None, horizon_h=24.0)
     shares = (0.8, 0.6)
-    return ThermoForceMPC(replace(model, operator=operator, shares=shares), config, free_response=OutdoorResponse())
+    solver, model = ChangedSolver(config, changed), replace(model, operator=operator, shares=shares)
+    return ThermoForceMPC(model, config, free_response=OutdoorResponse(), solver=solver)
 
 
 def seen(plant: TwoHouses, mpc: ThermoForceMPC, levels: list[float], heat_W: list[float]) -> Observation:
@@ -125,3 +127,11 @@ def test_the_limit_follows_the_outdoor_temperature_and_what_was_lacking():
     problem = mpc.instance(context, observation.history, replace(first.state.margins, unused=kept))
     ahead_C = observation.boundary.T_out_C[:-1]
     np.testing.assert_allclose(problem.capacity[0], 0.88 / (1.0 - ahead_C / 50.0), rtol=1e-9)
+
+
+def test_a_plan_for_more_than_the_machine_gives_is_not_followed_whatever_solver_it_is_from():
+    plant, mpc = TwoHouses(shared=True), metered(lambda n, found: replace(found, u=np.ones_like(found.u)))
+    plant.reset(10 * 86400.0, 2 * 86400.0)
+    plan = mpc.plan(seen(plant, mpc, [0.5, 0.5], [2500.0, 2500.0]))
+    assert plan.status is PlanStatus.THERMOSTAT
+    assert "more than the capacity of boiler" in plan.why

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -106,12 +107,15 @@ def test_convex_is_what_is_convex(case):
 
 @EACH
 def test_what_leaves_a_limit_is_said(case):
+    """Full level or full cooling of all actuators, while levels are held and later."""
     for _, problem, shape, model, _ in drawn(case, 1):
-        m, p = problem.machinery, model.numbers(problem)
-        full = np.repeat(m.u_max[:, None], shape.n_steps, axis=1)
-        capacity = 1.0 if problem.capacity is None else problem.capacity.min(axis=1)
-        limits = [f"the capacity of {m.machines[i]}" for i in np.flatnonzero(m.fed_by @ (m.share * m.u_max) > capacity)]
-        limits += ["exclude one another"] * bool(m.exclusive)
-        broken = model.evaluate(problem, p, full).broken
-        assert any(limit in broken for limit in limits) if limits else broken == ""
-        assert np.isinf(model.costs(p, full)) == bool(limits)
+        m, p, early = problem.machinery, model.numbers(problem), np.arange(shape.n_steps) < shape.n_held
+        capacity = np.ones((len(m.machines), early.size)) if problem.capacity is None else problem.capacity
+        for levels, steps in itertools.product((m.u_max, np.where(m.u_min < 0.0, m.u_min, m.u_max)), (early, ~early)):
+            u = levels[:, None] * steps
+            over = np.flatnonzero((m.fed_by @ (m.share[:, None] * np.maximum(u, 0.0)) > capacity).any(axis=1))
+            limits = [f"the capacity of {m.machines[i]}" for i in over]
+            limits += ["exclude one another"] * bool(m.exclusive and steps.any())
+            broken = model.evaluate(problem, p, u).broken
+            assert any(limit in broken for limit in limits) if limits else broken == ""
+            assert np.isinf(model.costs(p, u)) == bool(limits)
