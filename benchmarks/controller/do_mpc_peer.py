@@ -102,7 +102,7 @@ class DoMpcPeer:
         mpc.set_tvp_fun(lambda now: self._template)
         with quiet_do_mpc():
             mpc.setup()
-        self._mpc = mpc
+        self.mpc = mpc
         self._guessed = False
 
     def solve(self, problem: MPCProblem) -> Array:
@@ -118,13 +118,13 @@ class DoMpcPeer:
             for name, value in zip(self._varying, row, strict=True):
                 self._template["_tvp", k, name] = value
         state = np.asarray(p.forced_state_K[0, 0]).reshape(-1, 1)
-        self._mpc.x0 = state
+        self.mpc.x0 = state
         if not self._guessed:
-            self._mpc.set_initial_guess()
+            self.mpc.set_initial_guess()
             self._guessed = True
         with quiet_do_mpc():
-            self._mpc.make_step(state)
-        moves = self._mpc.opt_x_num["_u", :, 0]
+            self.mpc.make_step(state)
+        moves = self.mpc.opt_x_num["_u", :, 0]
         return np.array([float(move[0]) for move in moves])
 
 

@@ -107,7 +107,7 @@ class DoMpcBuilding:
         mpc.set_tvp_fun(lambda now: self._template)
         with quiet_do_mpc():
             mpc.setup()
-        self._mpc: Any = mpc
+        self.mpc: Any = mpc
         self._guessed = False
 
     def solve(self, problem: MPCProblem) -> Array:
@@ -124,10 +124,10 @@ class DoMpcBuilding:
         for k in range(self._n + 1):
             self._template["_tvp", k, "given"] = given[:, min(k, self._n - 1)]
         state = (p.forced_state_K.sum(axis=1) if self._modes_shared else p.forced_state_K).reshape(-1, 1)
-        self._mpc.x0 = state
+        self.mpc.x0 = state
         if not self._guessed:
-            self._mpc.set_initial_guess()
+            self.mpc.set_initial_guess()
             self._guessed = True
         with quiet_do_mpc():
-            self._mpc.make_step(state)
-        return np.array([move.full().ravel() for move in self._mpc.opt_x_num["_u", :, 0, "u"]]).T
+            self.mpc.make_step(state)
+        return np.array([move.full().ravel() for move in self.mpc.opt_x_num["_u", :, 0, "u"]]).T

@@ -23,7 +23,7 @@ from controllers.mpc.solved import first_demands, solved_plan
 from controllers.mpc.state import MPCState
 from controllers.optimisation.evaluation import Evaluation, Evaluator
 from controllers.optimisation.problem import MPCProblem, ProblemShape
-from controllers.optimisation.solution import Solve, Solver
+from controllers.optimisation.solution import Solution, Solve, Solver
 from controllers.optimisation.statement.terms import Terms, load_terms, of_controller
 from controllers.safety.base import ActuatedController
 from controllers.safety.deadline import BoundedCalls, Overdue
@@ -293,7 +293,7 @@ class ThermoForceMPC(ActuatedController):
             request = Request(planner.solver, solve, seconds=self.config.deadline.solve_s)
             solution, solve_s = yield from timed(perform(request))
             refused = solution.problem if not solution.ok else instance.problem.unfit(solution.u)
-            brought = None if refused else self._brought(planner.evaluator, instance.problem, solution.u)
+            brought = None if refused else self._brought(planner.evaluator, instance.problem, solution)
         except Exception as error:  # whatever a solver raises, there is another way to act
             if isinstance(error, Overdue):
                 self._planners.renew_solver(planner)
@@ -303,12 +303,13 @@ class ThermoForceMPC(ActuatedController):
             return Failure(why, forecast.state, solution.status, {**seconds, "solve": solve_s})
         return solved_plan(instance, solution, brought, solve_s, forecast, readings)
 
-    def _brought(self, evaluator: Evaluator, problem: MPCProblem, u: Array) -> Evaluation:
+    def _brought(self, evaluator: Evaluator, problem: MPCProblem, solution: Solution) -> Evaluation:
         """What levels bring, whatever solver they are from, with the limit that they leave.
 
         Of choices only a solver knows: later levels of its plan stand for shares of higher ones.
         """
-        brought = evaluator.evaluate(problem, evaluator.held_numbers(problem), u)
+        own = np.concatenate(list(solution.own.values())) if solution.own else None
+        brought = evaluator.evaluate(problem, evaluator.held_numbers(problem), solution.u, own)
         return replace(brought, broken="") if evaluator.structure.chosen else brought
 
     def _realise(

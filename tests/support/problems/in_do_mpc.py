@@ -10,7 +10,7 @@ from thermoforce_mpc.data import Array
 
 def do_mpc_cost(peer: DoMpcPeer | DoMpcBuilding, problem: MPCProblem, u: Array) -> float:
     """do-mpc's objective for levels `u` (A, N), which are left nothing to decide; slacks are."""
-    mpc = peer._mpc
+    mpc = peer.mpc
     for k in range(problem.n_steps):
         mpc.lb_opt_x["_u", k, 0, "u"] = mpc.ub_opt_x["_u", k, 0, "u"] = u[:, k]
     peer.solve(problem)
