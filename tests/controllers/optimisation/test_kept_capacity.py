@@ -13,9 +13,6 @@ from two_houses import TwoHouses, two_model
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.mpc.margin_rules import learned_share
-from controllers.optimisation.problem import ProblemShape, every_step
-from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
-from controllers.optimisation.solvers.qp import QPConfig, QPSolver
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import MachineLoad
@@ -53,28 +50,6 @@ def test_it_stays_between_nothing_and_a_quarter():
         kept = learned_share(kept, 1.0, MOST_W, np.array([2750.0, 100.0]), FULL_W[:2], np.ones(2), STEP_S)
     assert kept == 0.25
     assert learned([1700.0, 420.0, 720.0], [1.0, 1.0, 0.6], before=0.0) == 0.0, "not below nothing"
-
-
-@pytest.mark.parametrize("solver", ["qp", "ipopt"])
-def test_plans_ask_for_no_more_than_each_step_allows(solver):
-    rng = np.random.default_rng(3)
-    operator = random_building(rng, 2, (1, 1))
-    machinery = machinery_of(operator, (0, 0), share=np.array([0.9, 0.8]))
-    problem = random_building_problem(rng, operator, machinery)
-    capacity = np.where(np.arange(N) < N // 2, 0.5, 0.8)[None]
-    limited = replace(problem, capacity=capacity)
-    shape = ProblemShape(every_step(N), machinery)
-    made = QPSolver(operator, shape, QPConfig()) if solver == "qp" else IpoptSolver(operator, shape, IpoptConfig())
-    free, within = made.solve(problem), made.solve(limited)
-    assert free.ok, free.problem
-    assert within.ok, within.problem
-    load = machinery.share @ within.u
-    assert (load <= capacity[0] + 1e-5).all()
-    assert load.max() > 0.45, "the limit is used"
-    broken = made.model.evaluate(limited, made.model.numbers(limited), free.u).broken
-    assert "more than the capacity of machine 0" in broken
-    again = made.solve(problem)
-    np.testing.assert_allclose(again.u, free.u, atol=1e-5)
 
 
 def test_a_capacity_of_another_shape_is_refused():

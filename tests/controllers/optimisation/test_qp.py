@@ -38,22 +38,6 @@ def full_problem(rng: np.random.Generator, order: int, *, peak: bool):
     return replace(problem, weights=weights, terminal_price_per_K=terminal, peak_so_far_W=1500.0)
 
 
-@pytest.mark.parametrize("backend", ["piqp", "clarabel"])
-@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
-def test_the_optimum_is_ipopts(shape, backend):
-    rng = np.random.default_rng(5)
-    operator = single(random_operator(rng, 3))
-    qp = QPSolver(operator, shape, QPConfig(backends=(backend,)))
-    ipopt = IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10))
-    for _ in range(4):
-        problem = full_problem(rng, 3, peak=shape.peak)
-        ours, reference = qp.solve(problem), ipopt.solve(problem)
-        assert ours.ok, ours.problem
-        assert reference.ok, reference.problem
-        best = float(numpy_problem.cost(problem, operator, reference.u))
-        assert float(numpy_problem.cost(problem, operator, ours.u)) == pytest.approx(best, rel=1e-6)
-
-
 def test_it_finds_the_optimum_of_the_linear_programme():
     rng = np.random.default_rng(11)
     operator = single(random_operator(rng, 2))
@@ -97,30 +81,17 @@ def test_what_is_left_at_the_end_is_worth_something():
     assert numpy_problem.power_W(problem, solver.solve(kept).u).sum() > 1000.0
 
 
-def broken_solver(x, *, solved: bool = True):
-    return lambda qp_data: SolverResult(solved, x(qp_data), "claims", 1)
-
-
-@pytest.mark.parametrize(
-    ("answer", "reason"),
-    [
-        (broken_solver(lambda q: np.full(q.linear.size, np.nan)), "not finite"),
-        (broken_solver(lambda q: np.full(q.linear.size, 2.0)), "leaves its bounds"),
-        # All off, with no slack: comfort is violated, and the objective says nothing of it.
-        (broken_solver(lambda q: np.zeros(q.linear.size)), "but its levels cost"),
-        (broken_solver(lambda q: np.zeros(q.linear.size), solved=False), "ended with claims"),
-    ],
-)
-def test_the_second_solver_acts_when_the_first_lies_or_fails(answer, reason):
+def test_the_second_solver_acts_when_the_first_fails():
     rng = np.random.default_rng(9)
     operator, shape = single(random_operator(rng, 2)), SHAPES["every step"]
     problem = random_problem(rng, 2, curvature=1e-6)
-    solution = QPSolver(operator, shape, QPConfig(), {"piqp": answer}).solve(problem)
+    fails = lambda q: SolverResult(False, np.zeros(q.linear.size), "a word of its own", 1)  # noqa: E731
+    solution = QPSolver(operator, shape, QPConfig(), {"piqp": fails}).solve(problem)
     assert solution.ok
     assert solution.status == "clarabel:Solved"
-    failed = QPSolver(operator, shape, QPConfig(), {"piqp": answer, "clarabel": answer}).solve(problem)
+    failed = QPSolver(operator, shape, QPConfig(), {"piqp": fails, "clarabel": fails}).solve(problem)
     assert (failed.ok, failed.u.size) == (False, 0)
-    assert failed.problem.count(reason) == 2, failed.problem
+    assert failed.problem.count("ended with a word of its own") == 2, failed.problem
 
 
 def test_a_failed_solve_does_not_spoil_the_next():
@@ -142,17 +113,6 @@ def test_a_problem_that_is_not_convex_is_refused_with_advice():
     heat = MachineLoad((1000.0, 0.0, 9000.0, 0.0), (-10.0, 20.0), lowest_level=0.3)
     with pytest.raises(ControllerConfigError, match=r"known for a lowest level of 0\.3, not 1"):
         QPSolver(single(replace(pair, heat_input=HeatInput(heat=heat))), ProblemShape(every_step(N)), QPConfig())
-
-
-def test_a_heat_map_of_an_on_off_machine_is_convex_and_scales_what_the_heat_adds():
-    rng = np.random.default_rng(12)
-    heat = MachineLoad((1000.0, 20.0, 9000.0, 200.0), (-10.0, 20.0), lowest_level=1.0)
-    operator = single(replace(random_operator(rng, 2), heat_input=HeatInput(heat=heat)))
-    problem = random_problem(rng, 2, curvature=1e-6)
-    ours = QPSolver(operator, SHAPES["every step"], QPConfig()).solve(problem)
-    reference = IpoptSolver(operator, SHAPES["every step"], IpoptConfig(tolerance=1e-10)).solve(problem)
-    best = float(numpy_problem.cost(problem, operator, reference.u))
-    assert float(numpy_problem.cost(problem, operator, ours.u)) == pytest.approx(best, rel=1e-6)
 
 
 def test_a_claim_that_is_true_is_accepted_and_one_that_is_too_good_is_not():

@@ -21,7 +21,7 @@ EACH = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 Drawn = tuple[BuildingOperator, MPCProblem, ProblemShape, PlanModel, np.random.Generator]
 
 
-def drawn(case: Case, instances: int = 3) -> Iterator[Drawn]:
+def drawn(case: Case, instances: int = 2) -> Iterator[Drawn]:
     """Random instances with their model."""
     for seed in range(instances):
         rng = np.random.default_rng(seed)

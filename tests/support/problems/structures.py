@@ -15,7 +15,7 @@ from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
-HEAT = MachineLoad((1100.0, 30.0, 9000.0, 100.0), (-15.0, 20.0), lowest_level=0.3)
+HEAT = MachineLoad((1100.0, 30.0, 9000.0, 100.0), (-15.0, 20.0))
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,7 @@ EXCLUSIVE = {"exclusive": ((0, 1),)}
 CASES = {
     "one zone": Case(order=3),
     "one zone, modes beyond the horizon": Case(order=3, blocked=(1, 1)),
+    "one zone whose heat is measured": Case(heat=(0,)),
     "blocked": Case(blocked=(1, 1, 1, 2, 3)),
     "one below full level": Case(machinery={"u_max": [0.8]}),
     "several": Case(**SEVERAL),
@@ -110,13 +111,16 @@ CASES = {
 
 def instance(case: Case, rng: np.random.Generator) -> tuple[BuildingOperator, MPCProblem, ProblemShape]:
     """Operator, problem and shape, with a gain that depends on the weather."""
-    moves = np.repeat(np.arange(len(case.blocked)), case.blocked) if case.blocked else every_step(rng.integers(6, 12))
+    moves = np.repeat(np.arange(len(case.blocked)), case.blocked) if case.blocked else every_step(9)
     n, M, A = moves.size, max(case.machine_of) + 1, len(case.signs)
     base = random_building(rng, case.zones, case.signs, case.order, **case.building)
     networks = [random_operator(rng, 1) for _ in range(A)]
 
     def changed(a: int, pair: OperatorParameters) -> OperatorParameters:
-        heat = HeatInput(heat=HEAT) if a in case.heat else HeatInput(lowest=-0.6) if a == case.signed else IDENTITY
+        heat = HeatInput(lowest=-0.6) if a == case.signed else IDENTITY
+        if a in case.heat:
+            lowest = case.machinery.get("lowest_level", [1.0] * A)[a]
+            heat = HeatInput(heat=replace(HEAT, lowest_level=lowest))
         names = ("hidden_weight", "hidden_bias", "output_weight", "feature_mean", "feature_scale")
         network = {name: getattr(networks[a], name) for name in names}
         if case.feedback:
