@@ -226,13 +226,6 @@ class MPCProblem:
         shared = self.machinery.shared
         return np.where(shared[:, None], np.maximum(cost, 0.0), cost) if shared.any() else np.asarray(cost)
 
-    @cached_property
-    def curve_cost(self) -> Array:
-        """Energy cost over each step per unit of u², currency, shape (A, N), or (1, 1) where power has no such part."""
-        if self.power_per_u2_W is None:
-            return np.zeros((1, 1))
-        return np.asarray(np.maximum(self.price_per_W, 0.0)[self.machinery.machine_of] * self.power_per_u2_W)
-
     @property
     def cooling_cost_per_u(self) -> Array:
         """Energy cost of cooling over each step per unit of −u, currency, shape (A, N); 0 without cooling."""
