@@ -22,11 +22,13 @@ from controllers.checks import ControllerConfigError
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.planner import build_solver, plan_shape
 from controllers.optimisation.machines import EquipmentLayout
-from controllers.optimisation.milp import Highs, MilpConfig, MilpSolver
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import ProblemShape, every_step
-from controllers.optimisation.qp import QPSolver
-from controllers.optimisation.qp_backends import QPConfig
+from controllers.optimisation.solvers.held_levels import held_level
+from controllers.optimisation.solvers.ipopt import IpoptSolver
+from controllers.optimisation.solvers.milp import Highs, MilpConfig, MilpSolver
+from controllers.optimisation.solvers.qp import QPSolver
+from controllers.optimisation.solvers.qp_backends import QPConfig
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
