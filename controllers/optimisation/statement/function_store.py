@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import inspect
 import json
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +14,6 @@ from typing import Any
 import casadi as ca
 
 import thermoforce_mpc.model.operator.casadi_export as export
-from controllers.optimisation.statement import algebra, problem_statement, terms
 from controllers.optimisation.statement.structure import Structure
 from thermoforce_mpc.data.cache_folder import cache_folder
 
@@ -25,10 +23,9 @@ _MOST = 120
 
 @cache
 def _sources() -> str:
-    """What decides how a structure is built: the text of the statement, and the version of CasADi."""
-    return "".join(inspect.getsource(module) for module in (algebra, problem_statement, terms, export)) + version(
-        "casadi"
-    )
+    """What decides how a structure is built: the text of this room and of the operator, and the version of CasADi."""
+    files = [*sorted(Path(__file__).parent.glob("*.py")), Path(export.__file__)]
+    return "".join(file.read_text() for file in files) + version("casadi")
 
 
 def stored(
