@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import numpy_problem
 import pytest
@@ -20,6 +21,7 @@ from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, SolverResult
 from controllers.optimisation.solvers.sqp import SQPConfig, SQPSolver
 from controllers.optimisation.statement import functions
+from controllers.optimisation.statement.terms import PlanExpressions
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 
@@ -50,6 +52,41 @@ def test_all_solvers_find_one_optimum(case):
         best = cost(IpoptSolver(operator, shape, PRECISE).solve(problem), problem, operator)
         for solver in solvers:
             assert cost(solver.solve(problem), problem, operator) == pytest.approx(best, rel=1e-6, abs=1e-7), solver
+
+
+RAMP_PRICE = 0.3
+
+
+def ramp(plan: PlanExpressions) -> None:
+    """A price of every change of a level."""
+    for a in range(plan.u.shape[0]):
+        change = plan.variable(f"change {a}", plan.u.shape[1], 0.0, 10.0)
+        difference = plan.u[a, :] - ca.horzcat(plan.last_u[a], plan.u[a, :-1])
+        plan.require(change - difference)
+        plan.require(change + difference)
+        plan.add_cost(RAMP_PRICE * change)
+
+
+@pytest.mark.parametrize("name", ["several", "signed", "power over u² under a cap", "held", "feedback"])
+def test_a_term_of_the_user_is_in_the_optimum_and_the_cost_of_every_solver(name):
+    operator, problem, shape = instance(CASES[name], np.random.default_rng(2))
+    problem, shape = replace(problem, last_u=np.full(len(operator.actuators), 0.5)), replace(shape, terms=(ramp,))
+    solvers = [IpoptSolver(operator, shape, PRECISE)]
+    if CASES[name].convex:
+        solvers += [MilpSolver(operator, shape, EXACT)]
+    if not shape.needs_choices:
+        solvers += [SQPSolver(operator, shape, SQPConfig())]
+    if CASES[name].convex and not shape.needs_choices:
+        solvers += [QPSolver(operator, shape, QPConfig())]
+    costs = []
+    for solver in solvers:
+        solution = solver.solve(problem)
+        assert solution.ok, solution.problem
+        changes = np.abs(np.diff(solution.u, prepend=problem.last_u[:, None])).sum()
+        costs.append(float(numpy_problem.cost(problem, operator, solution.u)) + RAMP_PRICE * changes)
+        assert solution.cost == pytest.approx(costs[-1], rel=1e-6), solver
+    assert changes > 0.1
+    assert costs == pytest.approx([costs[0]] * len(costs), rel=1e-6)
 
 
 def test_from_any_start_sqp_ends_in_ipopts_optimum_or_near_it_where_the_gain_sees_much():
