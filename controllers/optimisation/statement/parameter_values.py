@@ -126,9 +126,14 @@ class Numbers:
         return self._sum(values) / self._lengths
 
     def _inside(self, p: MPCProblem) -> tuple[Array, Array]:
-        """Least and largest forced response at the end of each step of the plan within comfort, K, (Z, N)."""
-        low_K, high_K = p.lower_C - p.T_free_C, p.upper_C - p.T_free_C
-        return low_K[:, self._lasts], high_K[:, self._lasts]
+        """Least and largest forced response at the end of each step of the plan within comfort, K, (Z, N).
+
+        They are the tightest of its control steps; where these cross, the middle.
+        """
+        low_K = np.maximum.reduceat(p.lower_C - p.T_free_C, self._firsts, axis=1)
+        high_K = np.minimum.reduceat(p.upper_C - p.T_free_C, self._firsts, axis=1)
+        middle_K = 0.5 * (low_K + high_K)
+        return np.minimum(low_K, middle_K), np.maximum(high_K, middle_K)
 
     def _begin(self, forced_K: Array) -> Array:
         """Right sides of the first equations by what the modes (Z, A, r) are now: (groups, r)."""
