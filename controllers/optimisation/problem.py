@@ -39,8 +39,8 @@ class ProblemShape:
     """Structure shared by all instances, from which a solver is built once.
 
     `move_of_step` (N,) numbers the move each step belongs to (0 … n_moves − 1, nondecreasing): a move is one step of
-    the programme, with one level, the means of its steps, and their tightest comfort bound at its end. `machinery`: actuators and machines.
-    `peak`: peak power is in the objective; `capped`: a power cap is.
+    the programme, with one level, the means of its steps, and their tightest comfort bound at its end. `machinery`:
+    actuators and machines. `peak`: peak power is in the objective; `capped`: a power cap is.
     `held_steps`: number of first steps in which a held level is 0 or at least its lowest and exclusion holds (rounded
     up to whole moves); later steps are relaxed: actuators switch, and exclude one another in time. None: all steps.
     `curved`: power has a part in u², which a price of peak power and a cap must see. `terms`: further terms of the

@@ -17,6 +17,10 @@ from thermoforce_mpc.model.operator.casadi_export import ExportedGain, before_ga
 from thermoforce_mpc.model.operator.features import OUTDOOR
 
 
+# Half of the least width of a comfort band: solvers keep away from bounds that meet.
+_HALF_BAND_K = 1e-3
+
+
 class Numbers:
     """Packs instances of one operator and shape into the vector of the parameters of a structure."""
 
@@ -128,12 +132,12 @@ class Numbers:
     def _inside(self, p: MPCProblem) -> tuple[Array, Array]:
         """Least and largest forced response at the end of each step of the plan within comfort, K, (Z, N).
 
-        They are the tightest of its control steps; where these cross, the middle.
+        They are the tightest of its control steps; where these cross or meet, about the middle.
         """
         low_K = np.maximum.reduceat(p.lower_C - p.T_free_C, self._firsts, axis=1)
         high_K = np.minimum.reduceat(p.upper_C - p.T_free_C, self._firsts, axis=1)
         middle_K = 0.5 * (low_K + high_K)
-        return np.minimum(low_K, middle_K), np.maximum(high_K, middle_K)
+        return np.minimum(low_K, middle_K - _HALF_BAND_K), np.maximum(high_K, middle_K + _HALF_BAND_K)
 
     def _begin(self, forced_K: Array) -> Array:
         """Right sides of the first equations by what the modes (Z, A, r) are now: (groups, r)."""
