@@ -16,7 +16,6 @@ from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.casadi_export import ExportedGain, before_gain, gain_weights
 from thermoforce_mpc.model.operator.features import OUTDOOR
 
-
 # Half of the least width of a comfort band: solvers keep away from bounds that meet.
 _HALF_BAND_K = 1e-3
 
