@@ -81,7 +81,7 @@ def chosen_solver(config: MPCConfig, operator: BuildingOperator, shape: ProblemS
         return config.solver
     convex = PlanModel(operator, shape).convex
     if shape.needs_choices:
-        return "milp" if convex else "ipopt"
+        return "milp" if convex and not shape.terms else "ipopt"
     if len(operator.zones) <= _ZONES_FOR_IPOPT:
         return "ipopt"
     return "qp" if convex else "sqp"

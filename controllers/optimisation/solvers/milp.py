@@ -130,7 +130,8 @@ class MilpSolver:
         choose: solver of the choices in the place of `Highs`.
 
     Raises:
-        ControllerConfigError: the problem is not convex but for its choices, or the operator is not of these actuators.
+        ControllerConfigError: the problem is not convex but for its choices, a term of the user is quadratic, or the
+            operator is not of these actuators.
     """
 
     def __init__(
@@ -146,6 +147,11 @@ class MilpSolver:
             raise ControllerConfigError(
                 "solver milp: the gain depends on the predicted temperature, or another term is not linear; use "
                 "solver: ipopt, or a model of feedback: false"
+            )
+        s, quadratic = self.model.structure, self.model.functions.local.sparsity_out(2).nnz()
+        if s.terms and quadratic > s.N * (s.A + 3 * len(s.signed)):  # of u², with u = v − cold
+            raise ControllerConfigError(
+                "solver milp: a term of the user is quadratic, which HiGHS leaves out; use solver: ipopt"
             )
         self._choose, self._relax = choose or Highs(config), Piqp(qp or QPConfig())
 

@@ -12,6 +12,7 @@ import numpy_problem
 import pytest
 from structures import CASES, Case, instance
 
+from controllers.checks import ControllerConfigError
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, Weights
 from controllers.optimisation.solution import Solution
@@ -87,6 +88,16 @@ def test_a_term_of_the_user_is_in_the_optimum_and_the_cost_of_every_solver(name)
         assert solution.cost == pytest.approx(costs[-1], rel=1e-6), solver
     assert changes > 0.1
     assert costs == pytest.approx([costs[0]] * len(costs), rel=1e-6)
+
+
+def test_milp_refuses_a_quadratic_term_that_it_would_leave_out():
+    operator, _, shape = instance(CASES["held"], np.random.default_rng(2))
+
+    def smooth(plan: PlanExpressions) -> None:
+        plan.add_cost(ca.sumsqr(plan.u[:, 1:] - plan.u[:, :-1]))
+
+    with pytest.raises(ControllerConfigError, match="quadratic, which HiGHS leaves out"):
+        MilpSolver(operator, replace(shape, terms=(smooth,)), EXACT)
 
 
 def test_from_any_start_sqp_ends_in_ipopts_optimum_or_near_it_where_the_gain_sees_much():
