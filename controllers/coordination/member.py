@@ -148,7 +148,8 @@ class QPMember:
     def _checked(self, x: Array, data: QPData) -> Solution:
         model, u = self._model, self._model.levels(x)
         power_kW = self._brought(u).power_W.sum(axis=0) / POWER_UNIT_W
-        return checked_solution(model, self._problem, self._p, u, data.objective(x), "settled", 0, power_kW)
+        solution = checked_solution(model, self._problem, self._p, u, data.objective(x), "settled", 0, power_kW)
+        return replace(solution, own={})  # the power is ours, not the controller's
 
     def _largest_kW(self) -> Array:
         """Power with every actuator at its end that takes most; where capacity allows less, more than that."""
