@@ -25,7 +25,9 @@ def found(name: str, tmp_path, **options) -> doctor.Finding:
     return finding
 
 
-@pytest.mark.parametrize("name", ["Python", "packages", "plant", "solver qp", "solver milp", "solver ipopt", "disk"])
+@pytest.mark.parametrize(
+    "name", ["Python", "packages", "plant", "solver qp", "solver milp", "solver ipopt", "solver sqp", "disk"]
+)
 def test_a_sound_installation_is_sound(name, tmp_path):
     finding = found(name, tmp_path)
     assert finding.state in ("ok", "warning"), finding.told

@@ -68,7 +68,7 @@ def examine(
         "packages": _packages,
         "plugins": _plugins,
         "plant": _plant,
-        **{f"solver {name}": lambda name=name: _solver(name) for name in ("qp", "milp", "ipopt")},  # type: ignore[misc]
+        **{f"solver {name}": lambda name=name: _solver(name) for name in ("ipopt", "qp", "sqp", "milp")},  # type: ignore[misc]
         "backbone": _backbone,
         "serving": _serving,
         "service": lambda: _service(testcase, url),
