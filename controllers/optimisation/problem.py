@@ -183,19 +183,16 @@ class MPCProblem:
             ("power_fixed_W", self.power_fixed_W, (M, n)),
             ("power_per_u_W", self.power_per_u_W, (A, n)),
         ]
-        if self.cooling is not None:
-            expected += [
-                ("cooling.price_per_kWh", self.cooling.price_per_kWh, (A, n)),
-                ("cooling.power_per_u_W", self.cooling.power_per_u_W, (A, n)),
-            ]
-        if self.power_cap is not None:
-            expected.append(("power_cap.limit_W", self.power_cap.limit_W, (n,)))
-        if self.power_per_u2_W is not None:
-            expected.append(("power_per_u2_W", self.power_per_u2_W, (A, n)))
-        if self.capacity is not None:
-            expected.append(("capacity", self.capacity, (M, n)))
-        if self.last_u is not None:
-            expected.append(("last_u", self.last_u, (A,)))
+        cooling, cap = self.cooling, self.power_cap
+        optional: list[tuple[str, Array | None, tuple[int, ...]]] = [
+            ("cooling.price_per_kWh", None if cooling is None else cooling.price_per_kWh, (A, n)),
+            ("cooling.power_per_u_W", None if cooling is None else cooling.power_per_u_W, (A, n)),
+            ("power_cap.limit_W", None if cap is None else cap.limit_W, (n,)),
+            ("power_per_u2_W", self.power_per_u2_W, (A, n)),
+            ("capacity", self.capacity, (M, n)),
+            ("last_u", self.last_u, (A,)),
+        ]
+        expected += [(name, value, shape) for name, value, shape in optional if value is not None]
         if np.ndim(self.weights.comfort):
             expected.append(("weights.comfort", self.weights.comfort, (Z,)))
         for name, value, shape in expected:
@@ -223,8 +220,7 @@ class MPCProblem:
     def fixed_cost(self) -> Array:
         """Cost of each machine's fixed part over each step while it runs, currency, shape (M, N)."""
         cost = self.price_per_W * self.power_fixed_W
-        shared = self.machinery.shared
-        return np.where(shared[:, None], np.maximum(cost, 0.0), cost) if shared.any() else np.asarray(cost)
+        return np.where(self.machinery.shared[:, None], np.maximum(cost, 0.0), cost)
 
     @property
     def cooling_cost_per_u(self) -> Array:
