@@ -38,7 +38,10 @@ def stored(
     if s.terms:
         return build()
     key = hashlib.sha256(f"{_sources()}{s}".encode()).hexdigest()
-    file = cache_folder() / "plans" / f"{key[:32]}.{name}"
+    try:
+        file = cache_folder() / "plans" / f"{key[:32]}.{name}"
+    except RuntimeError:  # who runs this has no home
+        return build()
     found = _load(file)
     if found is None:
         found = build()
