@@ -21,7 +21,6 @@ from controllers.optimisation.solvers.candidate_search import SearchConfig
 from controllers.optimisation.solvers.ipopt import IpoptConfig
 from controllers.optimisation.solvers.milp import MilpConfig
 from controllers.optimisation.solvers.qp_backends import QPConfig
-from controllers.optimisation.solvers.sqp import SQPConfig
 from controllers.rules.pi import PIState
 from controllers.rules.thermostat import ThermostatState
 from controllers.safety.fallback_policy import FallbackConfig, GoodPlan
@@ -120,27 +119,8 @@ _IN_KEY: dict[type, str] = {
     SensorConfig: "controllers.sensor_state.SensorConfig",
     WatchConfig: "controllers.watch_state.WatchConfig",
 }
-# Options that came after states were first kept, with their defaults: left out of the key where they change nothing.
-_NEW_OPTIONS: dict[str, dict[str, Any]] = {
-    _IN_KEY[MPCConfig]: {"terms": None, "sqp": canonical(SQPConfig())},
-    _IN_KEY[ActuationConfig]: {"proportional": False},
-}
 
 
 def controller_key(model: ThermalModel, config: MPCConfig) -> str:
     """Key by which a kept state tells controllers apart: of the same model and options it is the same, 16 digits."""
-    return digest({"mpc": _without_new(canonical((model, config), _IN_KEY))})
-
-
-def _without_new(value: Any) -> Any:
-    """A canonical value without new options that have their defaults."""
-    if isinstance(value, list):
-        return [_without_new(item) for item in value]
-    if not isinstance(value, dict):
-        return value
-    new = _NEW_OPTIONS.get(value["model"], {}) if "model" in value else {}
-    kept = {name: _without_new(item) for name, item in value.items()}
-    if new:
-        fields = value["fields"].items()
-        kept["fields"] = {name: _without_new(item) for name, item in fields if name not in new or item != new[name]}
-    return kept
+    return digest({"mpc": canonical((model, config), _IN_KEY)})

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from pydantic import Field, model_validator
 
 from controllers.checks import ControllerConfigError
 from thermoforce_mpc.data import Array, Block
+from thermoforce_mpc.execution.keys import ADDED_LATER
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Shares below this mean off; also the tolerance on measured mean levels.
@@ -47,7 +48,7 @@ class ActuationConfig(StrictModel):
         description="modulating: lowest level while on; a planned level below half of it is off (auto: from the "
         "laws); supply: level below which valves open for a part of the step instead",
     )
-    proportional: bool = Field(
+    proportional: Annotated[bool, ADDED_LATER] = Field(
         False,
         description="modulating with lowest_level 0: plan any level in [0, 1], power and heat in proportion to it (the "
         "paper's), though the identified laws have a fixed part while on",

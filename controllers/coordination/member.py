@@ -12,7 +12,7 @@ from scipy import sparse
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.evaluation import Evaluation
 from controllers.optimisation.plan_model import PlanModel
-from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem, ProblemShape, every_step
+from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solution, checked_solution
 from controllers.optimisation.solvers.qp_backends import Clarabel, Piqp, QPConfig, QPData
 from controllers.optimisation.statement.terms import PlanExpressions
@@ -95,8 +95,7 @@ class QPMember:
     ) -> None:
         if shape.terms:
             raise ControllerConfigError(f"{name}: buildings that share power are planned without terms of your own")
-        by_steps = replace(shape, move_of_step=every_step(shape.n_steps))
-        self._model = PlanModel(operator, replace(by_steps, terms=(power_of_steps,)))
+        self._model = PlanModel(operator, replace(shape.by_steps, terms=(power_of_steps,)))
         if not self._model.convex or self._model.structure.chosen:
             raise ControllerConfigError(
                 f"{name}: buildings that share power need a convex problem; use actuation mode duty and a model "

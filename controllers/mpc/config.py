@@ -19,6 +19,7 @@ from controllers.safety.fallback_policy import FallbackConfig
 from controllers.safety.overrides import GateConfig, GuardConfig
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.execution.keys import ADDED_LATER
 from thermoforce_mpc.identification.estimation.adaptation import AdaptationConfig
 from thermoforce_mpc.model.forced_state import EstimatorConfig
 from thermoforce_mpc.model.free_response.registry import check_free_response, own_options
@@ -134,7 +135,7 @@ class MPCConfig(StrictModel):
         "exclude one another); search: the paper's candidate trajectories; auto: milp with choices, else ipopt up to "
         "two zones, qp or sqp beyond",
     )
-    terms: str | None = Field(
+    terms: Annotated[str | None, ADDED_LATER] = Field(
         None,
         description="function of your own that adds terms to objective and constraints, as my_terms.py:ramp; a path "
         "from where the command is started. See the how-to 'Your own optimisation'",
@@ -166,7 +167,7 @@ class MPCConfig(StrictModel):
     qp: QPConfig = QPConfig()
     milp: MilpConfig = MilpConfig()
     ipopt: IpoptConfig = IpoptConfig()
-    sqp: SQPConfig = SQPConfig()
+    sqp: Annotated[SQPConfig, ADDED_LATER] = SQPConfig()
     search: SearchConfig = SearchConfig()
 
     def actuation_of(self, actuator: str) -> ActuationConfig:

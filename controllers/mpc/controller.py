@@ -308,8 +308,7 @@ class ThermoForceMPC(ActuatedController):
 
         Of choices only a solver knows: later levels of its plan stand for shares of higher ones.
         """
-        own = np.concatenate(list(solution.own.values())) if solution.own else None
-        brought = evaluator.evaluate(problem, evaluator.held_numbers(problem), solution.u, own)
+        brought = evaluator.evaluate(problem, evaluator.held_numbers(problem), solution.u, solution.own_values)
         return replace(brought, broken="") if evaluator.structure.chosen else brought
 
     def _realise(

@@ -64,8 +64,7 @@ def build_solver(config: MPCConfig, operator: BuildingOperator, shape: ProblemSh
             raise ControllerConfigError(
                 "controller.options.solver: search plans neither heating and cooling together nor terms; use auto or qp"
             )
-        unblocked = replace(shape, move_of_step=every_step(shape.n_steps))
-        return CandidateSearch(operator, unblocked, config.search)
+        return CandidateSearch(operator, shape.by_steps, config.search)
     build: dict[str, Callable[[], Solver]] = {
         "ipopt": lambda: IpoptSolver(operator, shape, config.ipopt),
         "qp": lambda: QPSolver(operator, shape, config.qp),
@@ -79,11 +78,11 @@ def chosen_solver(config: MPCConfig, operator: BuildingOperator, shape: ProblemS
     """The solver named in `config`; for `auto` by choices, size and convexity of the problem."""
     if config.solver != "auto":
         return config.solver
+    if len(operator.zones) <= _ZONES_FOR_IPOPT and not shape.needs_choices:
+        return "ipopt"
     convex = PlanModel(operator, shape).convex
     if shape.needs_choices:
         return "milp" if convex and not shape.terms else "ipopt"
-    if len(operator.zones) <= _ZONES_FOR_IPOPT:
-        return "ipopt"
     return "qp" if convex else "sqp"
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from controllers.optimisation.problem import BOUND_TOLERANCE, MPCProblem, ProblemShape, every_step
+from controllers.optimisation.problem import BOUND_TOLERANCE, MPCProblem, ProblemShape
 from controllers.optimisation.statement.difference_equations import groups_of
 from controllers.optimisation.statement.functions import check_of
 from controllers.optimisation.statement.parameter_values import Numbers
@@ -57,10 +57,10 @@ class Evaluator:
     @cached_property
     def by_steps(self) -> Evaluator:
         """The same where every control step is a step of the plan."""
-        move_of_step = every_step(self.shape.n_steps)
-        if np.array_equal(self.shape.move_of_step, move_of_step):
+        by_steps = self.shape.by_steps
+        if np.array_equal(self.shape.move_of_step, by_steps.move_of_step):
             return self
-        return Evaluator(self.operator, replace(self.shape, move_of_step=move_of_step, held_steps=self.shape.n_held))
+        return Evaluator(self.operator, by_steps)
 
     @property
     def held_steps(self) -> int | None:
@@ -78,7 +78,7 @@ class Evaluator:
 
     def evaluate(self, problem: MPCProblem, p: Array, u: Array, own: Array | None = None) -> Evaluation:
         """Evaluate levels `u` (A, N), with `own` variables of the user, at parameters `p`."""
-        given = np.zeros(self._checks.n_own) if own is None else own
+        given = np.zeros(sum(self._checks.own.values())) if own is None else own
         out = self._check(self._of_moves(u), given, p)
         s = self.structure
         energy, power, forced, slack, running, required = (
@@ -93,6 +93,14 @@ class Evaluator:
         worst = int(np.argmin(least)) if least.size else -1
         broken = self._in_words(worst, -least[worst]) if worst >= 0 and least[worst] < -BOUND_TOLERANCE else ""
         return Evaluation(u, float(out[0][0]), energy[0], power, forced, slack, running, broken, values)
+
+    def by_name(self, own: Array | None) -> dict[str, Array]:
+        """The user's own variables by the names that the user gave them."""
+        sizes = self._checks.own
+        if own is None or not sizes:
+            return {}
+        values = np.split(np.asarray(own, dtype=np.float64), np.cumsum(list(sizes.values()))[:-1])
+        return {name.removeprefix("own "): value for name, value in zip(sizes, values, strict=True)}
 
     def _in_words(self, number: int, by: float) -> str:
         """What of the statement is broken."""

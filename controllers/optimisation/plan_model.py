@@ -18,6 +18,9 @@ from thermoforce_mpc.model.operator.casadi_export import Buffered
 # What a machine's share of running and the times that make it up can be at most; a bound that must not be active.
 _MOST_RUNNING = 2.0
 
+# Level from which a solve without a guess starts, as a share of the highest.
+_START = 0.3
+
 
 class PlanModel(Evaluator):
     """The statement of one operator and shape, for solvers."""
@@ -49,6 +52,10 @@ class PlanModel(Evaluator):
         self.choices = at.get("b", np.zeros(0, dtype=np.intp))
         high[self.choices] = 1.0
         self.x_low, self.x_high = low, high
+
+    def cold(self) -> Array:
+        """Levels (A, N) from which a solve without a guess starts."""
+        return np.repeat(_START * self.shape.machinery.u_max[:, None], self.shape.n_steps, axis=1)
 
     def bounds(self, p: Array) -> tuple[Array, Array]:
         """Least and largest values of the variables."""

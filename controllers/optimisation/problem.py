@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -86,6 +86,11 @@ class ProblemShape:
         """Number of steps in those moves."""
         return int(np.searchsorted(self.move_of_step, self.n_held_moves))
 
+    @property
+    def by_steps(self) -> ProblemShape:
+        """The same where every control step is a move."""
+        return replace(self, move_of_step=every_step(self.n_steps), held_steps=self.n_held)
+
     def check(self, operator: BuildingOperator) -> None:
         """Raise `ControllerConfigError` where the operator is not of these actuators."""
         if operator.actuators != self.machinery.actuators:
@@ -138,10 +143,10 @@ class MPCProblem:
     `price_per_kWh` and `power_fixed_W` (while running) of each machine (M, N), `power_per_u_W` of each actuator (A, N).
     `machinery`: levels, machines and capacities. `terminal_price_per_K` (Z, A, r): value of one kelvin of each mode at
     the end, currency/K; `peak_so_far_W`: highest mean power of the building over a step so far. `cooling`: what levels
-    below 0 cost; None where there are none. `power_cap`: None without one. `held_steps` as in `ProblemShape`: after
-    them an actuator runs for the share u / u_max of a step. `power_per_u2_W` (A, N): power over u², where it grows
-    faster than heat; None where it does not. `capacity` (M, N): what the actuators of a machine may take together, in
-    the unit of their shares; None: 1. `last_u` (A,): levels of the step before, for terms of the user.
+    below 0 cost; None where there are none. `power_cap`: None without one. `power_per_u2_W` (A, N): power over u²,
+    where it grows faster than heat; None where it does not. `capacity` (M, N): what the actuators of a machine may
+    take together, in the unit of their shares; None: 1. `last_u` (A,): levels of the step before, for terms of the
+    user.
 
     A shared machine's fixed part and power over u² earn nothing while the price is negative.
 
@@ -164,7 +169,6 @@ class MPCProblem:
     peak_so_far_W: float = 0.0
     cooling: Cooling | None = None
     power_cap: PowerCap | None = None
-    held_steps: int | None = None
     power_per_u2_W: Array | None = None
     capacity: Array | None = None
     last_u: Array | None = None

@@ -77,10 +77,22 @@ class Solution:
         """The objective, currency; NaN when not ok."""
         return float("nan") if self.evaluation is None else self.evaluation.cost
 
+    @property
+    def own_values(self) -> Array | None:
+        """The user's own variables one after another; None without any."""
+        return np.concatenate(list(self.own.values())) if self.own else None
+
 
 def failed(status: str, iterations: int, why: str) -> Solution:
     """A solution that is none."""
     return Solution(False, np.empty((0, 0)), status, iterations, why)
+
+
+def not_finite(p: Array) -> Solution | None:
+    """A failed solution where the parameters of an instance are not all finite."""
+    if np.isfinite(p).all():
+        return None
+    return failed("not started", 0, "the problem holds numbers that are not finite")
 
 
 def checked_solution(
@@ -108,7 +120,7 @@ def checked_solution(
     if not abs(found.cost - claimed) <= _CLAIM_TOLERANCE * (1.0 + abs(found.cost)):
         what = f"{status} was reported with an objective of {claimed:.6g}, but its levels cost {found.cost:.6g}"
         return failed(status, iterations, what)
-    return Solution(True, u, status, iterations, evaluation=found, own=_by_name(model, own))
+    return Solution(True, u, status, iterations, evaluation=found, own=model.by_name(own))
 
 
 def checked_variables(
@@ -144,19 +156,7 @@ def accept_suboptimal(
     least = min((found.cost for found in evaluations if not found.broken), default=np.inf)
     if not own_evaluation.cost <= least + _SAME_COST * (1.0 + abs(least)):
         return failed(ended.status, ended.iterations, f"{ended.problem}, with levels dearer than without it")
-    return replace(
-        ended, ok=True, u=own_evaluation.u, optimal=False, evaluation=own_evaluation, own=_by_name(model, own)
-    )
-
-
-def _by_name(model: Evaluator, own: Array | None) -> dict[str, Array]:
-    """The user's own variables by the names that the user gave them."""
-    if own is None or not isinstance(model, PlanModel):
-        return {}
-    names = list(model.variables.own)
-    ends = np.cumsum([model.variables.places[name].size for name in names])
-    values = np.split(np.asarray(own, dtype=np.float64), ends[:-1]) if names else []
-    return {name.removeprefix("own "): value for name, value in zip(names, values, strict=True)}
+    return replace(ended, ok=True, u=own_evaluation.u, optimal=False, evaluation=own_evaluation, own=model.by_name(own))
 
 
 class FirstOf:

@@ -16,6 +16,10 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
+# Metadata of a field that came after keys were first kept: `field(metadata={ADDED_LATER: True})` of a dataclass,
+# `Annotated[..., ADDED_LATER]` of a pydantic model.
+ADDED_LATER = "added_later"
+
 _PACKAGES = ("thermoforce_mpc", "controllers", "boptest_client")
 
 
@@ -60,7 +64,7 @@ def source_fingerprint(*others: str) -> str:
 def canonical(value: Any, names: Mapping[type, str] = MappingProxyType({})) -> Any:
     """`value` as JSON in which equal values are equal and different ones differ; raises `TypeError`.
 
-    `names` of classes stand there instead of their paths. A field with the metadata `added_later` is left out at its
+    `names` of classes stand there instead of their paths. A field that was `ADDED_LATER` (metadata) is left out at its
     default, so that keys from before hold.
     """
     if isinstance(value, Enum):
@@ -78,12 +82,18 @@ def canonical(value: Any, names: Mapping[type, str] = MappingProxyType({})) -> A
     if isinstance(value, bytes):
         return {"bytes": hashlib.sha256(value).hexdigest()}
     if isinstance(value, BaseModel):
-        return {"model": _name(value, names), "fields": {key: canonical(item, names) for key, item in value}}
+        later = {
+            key: field.get_default(call_default_factory=True)
+            for key, field in type(value).model_fields.items()
+            if ADDED_LATER in field.metadata
+        }
+        kept = {key: item for key, item in value if key not in later or item != later[key]}
+        return {"model": _name(value, names), "fields": {key: canonical(item, names) for key, item in kept.items()}}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {
             item.name: canonical(getattr(value, item.name), names)
             for item in dataclasses.fields(value)
-            if not (item.metadata.get("added_later") and getattr(value, item.name) == item.default)
+            if not (item.metadata.get(ADDED_LATER) and getattr(value, item.name) == item.default)
         }
         return {"dataclass": _name(value, names), "fields": fields}
     if isinstance(value, Path):

@@ -22,8 +22,9 @@ import casadi as ca
 import numpy as np
 
 from thermoforce_mpc.errors import DataError, suggestion
-from thermoforce_mpc.model.operator.casadi_export import heat_input_expression, modulation_of
-from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR, ZONE
+from thermoforce_mpc.model.operator import casadi_export
+from thermoforce_mpc.model.operator.casadi_export import heat_input_expression
+from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 if TYPE_CHECKING:
@@ -45,8 +46,7 @@ def modulation_function(model: ThermalModel, *, actuator: str | None = None) -> 
         DataError: there is no such actuator, or it was not named and there are several.
     """
     pair = model.operator.of_actuator(_number(actuator, model.operator.actuators, "actuator"))
-    x = ca.SX.sym("x", N_FEATURES)
-    return ca.Function("modulation", [x], [modulation_of(pair, x)], ["x"], ["m"])
+    return casadi_export.modulation_function(pair)
 
 
 def step_function(
@@ -76,9 +76,7 @@ def step_function(
         raise DataError(f"part_load is {part_load!r}, expected {', '.join(get_args(PartLoad))}")
     pair = _pair(model, step_s, zone, actuator)
     F, u, on, x = ca.SX.sym("F", pair.order), ca.SX.sym("u"), ca.SX.sym("on"), ca.SX.sym("x", N_FEATURES)
-    seen = ca.vertcat(x[ZONE] + ca.sum1(F), x[ZONE + 1 :]) if pair.feedback_active else x
-    drive = modulation_of(pair, seen) * _heat(pair, u, on, x[OUTDOOR], part_load)
-    F_next = ca.DM(pair.poles) * F + ca.DM(pair.gains) * drive
+    F_next = casadi_export.advanced(pair, F, x, _heat(pair, u, on, x[OUTDOOR], part_load))
     inputs = {"F": F, "u": u, "on": on, "x": x}
     if part_load != "split":
         del inputs["on"]
@@ -114,14 +112,7 @@ def rollout_function(
     if not (isinstance(n_steps, int | np.integer) and n_steps >= 1):
         raise DataError(f"rollout_function: n_steps is {n_steps!r}, expected a whole number of at least 1")
     step = step_function(model, step_s, zone=zone, actuator=actuator, part_load=part_load)
-    F0, X = ca.SX.sym("F0", step.size1_in(0)), ca.SX.sym("X", N_FEATURES, n_steps)
-    levels = [ca.SX.sym(name, n_steps) for name in step.name_in()[1:-1]]
-    columns, F = [], F0
-    for t in range(n_steps):
-        F = step(F, *(level[t] for level in levels), X[:, t])
-        columns.append(F)
-    modes, names = ca.horzcat(*columns), ["F0", *step.name_in()[1:-1], "X"]
-    return ca.Function("forced_rollout", [F0, *levels, X], [modes, ca.sum1(modes)], names, ["modes", "forced"])
+    return casadi_export.rolled_out(step, n_steps)
 
 
 def _heat(pair: OperatorParameters, u: ca.SX, on: ca.SX, T_out_C: ca.SX, part_load: PartLoad) -> ca.SX:

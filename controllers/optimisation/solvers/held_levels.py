@@ -28,9 +28,8 @@ def as_held(model: PlanModel, problem: MPCProblem, solution: Solution) -> Soluti
         heat_input = model.operator.of_actuator(int(a)).heat_input
         u[a, later] = held_level(heat_input, u[a, later], T_out_C, float(machinery.u_max[a]))
     fine = model.by_steps
-    own = np.concatenate(list(solution.own.values())) if solution.own else None
-    planned = fine.evaluate(problem, fine.numbers(problem), solution.u, own)
-    evaluation = fine.evaluate(problem, fine.held_numbers(problem), u, own)
+    planned = fine.evaluate(problem, fine.numbers(problem), solution.u, solution.own_values)
+    evaluation = fine.evaluate(problem, fine.held_numbers(problem), u, solution.own_values)
     off_K = float(np.abs(evaluation.forced_K - planned.forced_K).max())
     if not off_K <= _SAME_K:
         why = f"levels of later steps bring another heat than planned ({off_K:.2g} K)"

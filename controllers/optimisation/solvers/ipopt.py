@@ -11,7 +11,7 @@ from pydantic import Field
 
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape
-from controllers.optimisation.solution import Solution, accept_suboptimal, checked_variables, failed
+from controllers.optimisation.solution import Solution, accept_suboptimal, checked_variables, failed, not_finite
 from controllers.optimisation.solvers.held_levels import as_held
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -21,8 +21,6 @@ from thermoforce_mpc.scenario.settings import StrictModel
 _OPTIMAL, _ACCEPTED = "Solve_Succeeded", {"Solve_Succeeded", "Solved_To_Acceptable_Level"}
 # Of a second try.
 _CAREFUL = {"mehrotra_algorithm": "no"}
-# Level from which a solve without a guess starts, as a share of the highest.
-_START = 0.3
 
 
 class IpoptConfig(StrictModel):
@@ -63,9 +61,9 @@ class IpoptSolver:
         Where that fails, the solver starts cold, with a line search.
         """
         p = self.model.numbers(problem)
-        if not np.isfinite(p).all():
-            return failed("not started", 0, "the problem holds numbers that are not finite")
-        cold = np.broadcast_to(_START * problem.machinery.u_max[:, None], problem.power_per_u_W.shape)
+        if unfinished := not_finite(p):
+            return unfinished
+        cold = self.model.cold()
         solution = self._solve_from(problem, p, cold if guess is None else guess, guess, self._options)
         if solution.ok and solution.optimal:
             return solution

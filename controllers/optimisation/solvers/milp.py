@@ -23,7 +23,7 @@ from scipy import sparse
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape
-from controllers.optimisation.solution import Solution, checked_variables, failed
+from controllers.optimisation.solution import Solution, checked_variables, failed, not_finite
 from controllers.optimisation.solvers.held_levels import as_held
 from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, QPData
 from thermoforce_mpc.data import HOUR_S, Array
@@ -161,8 +161,8 @@ class MilpSolver:
         In later steps u is the held level with the heat of the switched one that was planned.
         """
         model, p = self.model, self.model.numbers(problem)
-        if not np.isfinite(p).all():
-            return failed("not started", 0, "the problem holds numbers that are not finite")
+        if unfinished := not_finite(p):
+            return unfinished
         programme = model.local(p)
         try:
             answer = self._choose(programme, model.choices, self._start(programme))

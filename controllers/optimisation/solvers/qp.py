@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-import numpy as np
-
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape
-from controllers.optimisation.solution import Solution, accept_suboptimal, checked_variables, failed
+from controllers.optimisation.solution import Solution, accept_suboptimal, checked_variables, failed, not_finite
 from controllers.optimisation.solvers.qp_backends import Clarabel, Piqp, QPBackend, QPConfig, QPData, SolverResult
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -51,8 +49,8 @@ class QPSolver:
         `guess` starts no solver; where none reached its optimum, their last levels must not cost more than it does.
         """
         p = self.model.numbers(problem)
-        if not np.isfinite(p).all():
-            return failed("not started", 0, "the problem holds numbers that are not finite")
+        if unfinished := not_finite(p):
+            return unfinished
         programme = self.model.local(p)
         failures: list[str] = []
         solution, iterate = failed("not started", 0, "no solver"), None

@@ -16,14 +16,12 @@ from scipy import sparse
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape
-from controllers.optimisation.solution import Solution, checked_solution, failed
+from controllers.optimisation.solution import Solution, checked_solution, failed, not_finite
 from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, QPData
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.scenario.settings import StrictModel
 
-# Level from which a solve without a guess starts, as a share of the highest.
-_START = 0.3
 # Share of the promised gain that a step must bring, and lengths that are tried.
 _ENOUGH, _LENGTHS = 1e-2, (1.0, 0.5, 0.2)
 # Proximal terms, as a share of the largest slope: the first one, and the one from which there is no progress.
@@ -59,13 +57,12 @@ class SQPSolver:
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
         """Solve one instance from `guess` (A, N). On failure `ok` is False and `problem` has the reason."""
         model, p = self.model, self.model.numbers(problem)
-        if not np.isfinite(p).all():
-            return failed("not started", 0, "the problem holds numbers that are not finite")
-        cold = np.broadcast_to(_START * problem.machinery.u_max[:, None], problem.power_per_u_W.shape)
+        if unfinished := not_finite(p):
+            return unfinished
         own = np.clip(0.0, model.x_low, model.x_high)[model.own_at]
-        u, solver = np.array(cold if guess is None else guess, dtype=np.float64), Piqp(self._qp)
+        u, solver = model.cold() if guess is None else guess, Piqp(self._qp)
         x = model.start(problem, p, u, own)
-        cost, multipliers, near = self._cost(problem, p, x), None, 0.0
+        cost, multipliers, near = model.evaluate(problem, p, model.levels(x), own).cost, None, 0.0
         for iteration in range(1, self._config.max_iterations + 1):
             programme = model.local(p, x, multipliers)
             answer = solver(self._kept_near(programme, near))
@@ -85,9 +82,6 @@ class SQPSolver:
             multipliers = programme.unit * answer.multipliers
             near = 0.1 * near if length == 1.0 and near > _LEAST else (near if length < 1.0 else 0.0)
         return failed("sqp:iterations", self._config.max_iterations, "sqp: no optimum within its iterations")
-
-    def _cost(self, problem: MPCProblem, p: Array, x: Array) -> float:
-        return self.model.evaluate(problem, p, self.model.levels(x), self.model.own(x)).cost
 
     def _shorter(
         self, problem: MPCProblem, p: Array, x: Array, step: Array, at_most: float

@@ -25,13 +25,14 @@ _MOST = 64
 @dataclass(frozen=True)
 class Check:
     """`function`: (u, own, p) → cost, energy cost (1, N), power (M, N), forced response (Z, N), slack (Z, N), running
-    (M, N), least of each of what is `required`; then the variables called `values`. `n_own`: numbers of the user's own.
+    (M, N), least of each of what is `required`; then the variables called `values`. `own`: how many the user's
+    own are, by name.
     """
 
     function: ca.Function
     required: tuple[str, ...]
     values: tuple[str, ...]
-    n_own: int
+    own: Mapping[str, int]
 
 
 @dataclass(frozen=True)
@@ -105,9 +106,12 @@ def _build_check(s: Structure) -> tuple[dict[str, Any], list[ca.Function]]:
     required = ca.vertcat(*(least for _, least in direct.required))
     outputs = [plan.cost, plan.energy, plan.power, plan.forced, plan.slack, plan.running, required]
     outputs = [ca.densify(value) for value in (*outputs, *direct.values.values())]
-    own = ca.veccat(*direct.own.values())
-    facts = {"required": tuple(what for what, _ in direct.required), "values": tuple(direct.values)}
-    return facts | {"n_own": own.numel()}, [ca.Function("check", [u, own, p], outputs)]
+    facts = {
+        "required": tuple(what for what, _ in direct.required),
+        "values": tuple(direct.values),
+        "own": {name: own.numel() for name, own in direct.own.items()},
+    }
+    return facts, [ca.Function("check", [u, ca.veccat(*direct.own.values()), p], outputs)]
 
 
 def _build_programme(s: Structure) -> tuple[dict[str, Any], list[ca.Function]]:

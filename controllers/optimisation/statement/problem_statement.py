@@ -35,14 +35,17 @@ from controllers.optimisation.problem import POWER_UNIT_W
 from controllers.optimisation.statement.algebra import Direct, Lifted
 from controllers.optimisation.statement.structure import Structure
 from controllers.optimisation.statement.terms import PlanExpressions
+from thermoforce_mpc.model.operator.casadi_export import gain_sizes
 
 Algebra = Lifted | Direct
-Numbers = Mapping[str, ca.SX]
+Parameters = Mapping[str, ca.SX]
 
 
 @dataclass(frozen=True)
 class Stated:
-    """Expressions of a plan: `cost`; over the steps: `energy` (1, N), `power` (M, N), `T` (Z, N), `forced` (Z, N)."""
+    """Expressions of a plan: `cost`; over the steps `energy` cost (1, N), `power` and `running` (M, N), `forced`
+    response and `slack` (Z, N).
+    """
 
     cost: ca.SX
     energy: ca.SX
@@ -55,24 +58,22 @@ class Stated:
 def parameter_sizes(s: Structure) -> dict[str, tuple[int, int]]:
     """Rows and columns of every parameter of the statement, in their order."""
     G, P, E = len(s.groups), len(s.pairs), sum(len(actuators) for _, actuators in s.groups)
-    by_actuator = dict.fromkeys(("drive", "onset", "on_per_v", "worth", "per_u", "heat_cost", "bend", "bend_cost"))
-    by_actuator |= dict.fromkeys(("cold_power", "cold_cost"))
+    heat = ("drive", "onset", "on_per_v", "worth", "per_u", "heat_cost", "bend", "bend_cost")
     sizes = {
         **{"denominator": (G, s.r * len(s.kinds)), "numerator": (s.r * len(s.kinds), E), "begin": (G, s.r)},
         **{"poles": (P, s.r * len(set(s.lengths))), "gains": (P, s.r * len(set(s.lengths))), "forced": (P, s.r)},
-        **dict.fromkeys(by_actuator, (s.A, s.N)),
+        **dict.fromkeys((*heat, "cold_power", "cold_cost"), (s.A, s.N)),
         **dict.fromkeys(("T_free", "lower", "upper"), (s.Z, s.N)),
         **dict.fromkeys(("fixed", "fixed_cost", "capacity"), (s.M, s.N)),
         **dict.fromkeys(("share", "runs_for", "u_max", "u_min", "lowest", "last_u"), (s.A, 1)),
         **{"comfort": (s.Z, 1), "weights": (3, 1), "reached": (1, 1), "kept": (1, 1), "limit": (1, s.N)},
     }
     if s.hidden:
-        H = s.hidden
-        sizes |= {"before": (H, s.N), "slope": (H, 1), "output": (H, 1), "output_bias": (1, 1), "gamma": (1, 1)}
+        sizes |= {"before": (s.hidden, s.N), **gain_sizes(s.hidden)}
     return sizes
 
 
-def state(alg: Algebra, q: Numbers, s: Structure) -> Stated:
+def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
     """State the plan of a structure `s` with parameters `q` in an algebra."""
     heat, cool = alg.levels(s)
     on, acts = alg.acting(q, s, heat, cool)
@@ -107,7 +108,7 @@ def state(alg: Algebra, q: Numbers, s: Structure) -> Stated:
     return Stated(cost, energy, power, forced, slack, runs)
 
 
-def _running(alg: Algebra, q: Numbers, s: Structure, v: ca.SX, on: ca.SX) -> ca.SX:
+def _running(alg: Algebra, q: Parameters, s: Structure, v: ca.SX, on: ca.SX) -> ca.SX:
     """Share of each step that each machine runs, (M, N), within its capacity."""
     rows, part_load = [], {m: (part, split) for m, part, split in s.part_load}
     for m in range(s.M):
@@ -127,7 +128,7 @@ def _running(alg: Algebra, q: Numbers, s: Structure, v: ca.SX, on: ca.SX) -> ca.
     return ca.vertcat(*rows)
 
 
-def _above_part_load(alg: Algebra, q: Numbers, fed: list[int], part: tuple[int, ...], on: ca.SX) -> ca.SX:
+def _above_part_load(alg: Algebra, q: Parameters, fed: list[int], part: tuple[int, ...], on: ca.SX) -> ca.SX:
     """Time that a machine runs for on-times, which it shares among the actuators `part` where they take less."""
     floor = ca.SX.zeros(1, on.shape[1])
     for a in set(fed) - set(part):
@@ -142,7 +143,7 @@ def _above_part_load(alg: Algebra, q: Numbers, fed: list[int], part: tuple[int, 
     return theta + sum(q["runs_for"][a] * alg.at_least("excess", on[a, :] - theta) for a in part)
 
 
-def _exclude(alg: Algebra, q: Numbers, s: Structure, v: ca.SX, cold: ca.SX, acts: ca.SX) -> None:
+def _exclude(alg: Algebra, q: Parameters, s: Structure, v: ca.SX, cold: ca.SX, acts: ca.SX) -> None:
     """Of actuators that exclude one another one acts in a first step; later they share the time."""
     for group in s.exclusive:
         what = f"exclusive {' '.join(str(a) for a in group)}"

@@ -20,7 +20,7 @@ class Structure:
     Attributes:
         lengths: number of control steps of each of the N steps of the plan, (N,).
         pairs: zone and actuator of every pair with an effect.
-        groups: zone and actuators of the pairs that share a response, see `transfer.groups_of`.
+        groups: zone and actuators of the pairs that share a response, see `difference_equations.groups_of`.
         machine_of: machine of each actuator, (A,).
         limited: machines with a capacity.
         part_load: of each shared machine that cycles below a load: its number, the actuators that alone take less, and

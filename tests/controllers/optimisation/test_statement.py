@@ -48,7 +48,7 @@ def test_levels_cost_and_bring_what_numpy_says(case):
     """By control steps, as they are held, and as a plan is solved: later levels are shares of the highest."""
     for operator, problem, shape, programme, rng in drawn(case):
         model = programme.by_steps
-        solved = replace(problem, held_steps=model.held_steps)
+        solved = numpy_problem.solved_as(problem, model.held_steps)
         for _ in range(5):
             u = random_levels(rng, problem, shape)
             found = model.evaluate(problem, model.numbers(problem), u)

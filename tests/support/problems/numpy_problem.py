@@ -1,9 +1,11 @@
 """The objective of the problem a second time, in numpy and mode by mode: what the statement is judged by.
 
-`MPCProblem.held_steps` says for how long levels are held; later they are shares of the highest, as they are solved.
+Levels are held in all steps; of an instance as it is solved (`SolvedAs`), later ones are shares of the highest.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -15,13 +17,29 @@ from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import OUTDOOR
 
 
+@dataclass(frozen=True, eq=False)
+class SolvedAs(MPCProblem):
+    """An instance whose levels are held in the first `held_steps` steps; None: in all."""
+
+    held_steps: int | None = None
+
+
+def solved_as(problem: MPCProblem, held_steps: int | None) -> SolvedAs:
+    """The instance with levels that are held in the first steps only."""
+    return SolvedAs(**{item.name: getattr(problem, item.name) for item in fields(MPCProblem)}, held_steps=held_steps)
+
+
+def _held_steps(p: MPCProblem) -> int | None:
+    return p.held_steps if isinstance(p, SolvedAs) else None
+
+
 def _heating(p: MPCProblem, u: Array) -> Array:
     return np.maximum(u, 0.0) if p.machinery.signed.size else u
 
 
 def on_share(p: MPCProblem, u: Array) -> Array:
     """Share of each step that each actuator is on with a level above 0: `u` (..., A, N) → (..., A, N)."""
-    return np.minimum(_heating(p, u) / p.machinery.switched_at(p.n_steps, p.held_steps), 1.0)
+    return np.minimum(_heating(p, u) / p.machinery.switched_at(p.n_steps, _held_steps(p)), 1.0)
 
 
 def running(p: MPCProblem, u: Array) -> Array:
@@ -57,7 +75,7 @@ def energy_cost(p: MPCProblem, u: Array) -> Array:
 
 def modes_K(p: MPCProblem, operator: BuildingOperator, u: Array) -> Array:
     """Forced state of every pair at the end of each step for levels `u` (..., A, N), K, shape (..., Z, A, N, r)."""
-    if p.held_steps is None or not p.machinery.held.any():
+    if _held_steps(p) is None or not p.machinery.held.any():
         return operator.rollout(p.forced_state_K, u, p.features)
     return _stepped(p, operator, np.stack([_heat(p, operator, u, a) for a in range(u.shape[-2])]))
 
@@ -67,7 +85,7 @@ def _heat(p: MPCProblem, operator: BuildingOperator, u: Array, a: int) -> Array:
     heat_input, T_out_C = operator.of_actuator(a).heat_input, p.features[operator.home[a], :, OUTDOOR]
     highest, held = p.machinery.u_max[a], heat_input(u[..., a, :], T_out_C)
     switched = u[..., a, :] / highest * heat_input(np.full(p.n_steps, highest), T_out_C)
-    return np.where((np.arange(p.n_steps) < p.held_steps) | ~p.machinery.held[a], held, switched)
+    return np.where((np.arange(p.n_steps) < _held_steps(p)) | ~p.machinery.held[a], held, switched)
 
 
 def _stepped(p: MPCProblem, operator: BuildingOperator, heat: Array) -> Array:

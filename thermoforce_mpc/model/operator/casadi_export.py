@@ -148,34 +148,43 @@ def modulation_function(params: OperatorParameters) -> ca.Function:
     return ca.Function("modulation", [x], [modulation_of(params, x)], ["x"], ["m"])
 
 
-def modulation_of(params: OperatorParameters, x: Expression) -> Expression:
+def modulation_of(params: OperatorParameters, x: ca.SX) -> ca.SX:
     """Return m(x) of `x` (4,) in physical units as an expression."""
     normalised = (x - ca.DM(params.feature_mean)) / ca.DM(params.feature_scale)
-    hidden = ca.tanh(ca.mtimes(ca.DM(params.hidden_weight), normalised) + ca.DM(params.hidden_bias))
-    output = ca.mtimes(ca.DM(params.output_weight).T, hidden) + params.output_bias
-    return 1.0 + params.gamma * ca.tanh(output)
+    before = ca.mtimes(ca.DM(params.hidden_weight), normalised) + ca.DM(params.hidden_bias)
+    return gain_from({name: ca.SX(ca.DM(value)) for name, value in gain_weights(params).items()}, before)
+
+
+def advanced(params: OperatorParameters, F: ca.SX, x: ca.SX, v: ca.SX) -> ca.SX:
+    """Return F(t+1) (r,) K (paper eq:operator) of F (r,) K, `x` (4,) with T − F in it and the input `v`."""
+    seen = ca.vertcat(x[ZONE] + ca.sum1(F), x[ZONE + 1 :]) if params.feedback_active else x
+    return ca.DM(params.poles) * F + ca.DM(params.gains) * modulation_of(params, seen) * v
 
 
 def step_function(params: OperatorParameters) -> ca.Function:
     """Return `F(t+1)` (paper eq:operator): F (r,) K, u, x (4,) with T − F in it → F_next (r,) K."""
     F, u, x = ca.SX.sym("F", params.order), ca.SX.sym("u"), ca.SX.sym("x", N_FEATURES)
-    inputs = ca.vertcat(x[ZONE] + ca.sum1(F), x[ZONE + 1 :]) if params.feedback_active else x
-    drive = modulation_function(params)(inputs) * heat_input_expression(params.heat_input, u, x[OUTDOOR])
-    F_next = ca.DM(params.poles) * F + ca.DM(params.gains) * drive
+    F_next = advanced(params, F, x, heat_input_expression(params.heat_input, u, x[OUTDOOR]))
     return ca.Function("forced_step", [F, u, x], [F_next], ["F", "u", "x"], ["F_next"])
 
 
 def rollout_function(params: OperatorParameters, n_steps: int) -> ca.Function:
-    """Return the forced response over `n_steps` steps as one function.
+    """Return the forced response over `n_steps` steps as one function, see `rolled_out`."""
+    return rolled_out(step_function(params), n_steps)
 
-    Inputs F0 (r,) K, u (n_steps,), X (4, n_steps) with x_t of each step in its column; outputs `modes` (r, n_steps) K
-    at the end of each step and `forced` (1, n_steps) K, their sum.
+
+def rolled_out(step: ca.Function, n_steps: int) -> ca.Function:
+    """Return a step as a function of a horizon.
+
+    Inputs F0 (r,) K, the levels of the step (n_steps,) each, X (4, n_steps) with x_t of each step in its column;
+    outputs `modes` (r, n_steps) K at the end of each step and `forced` (1, n_steps) K, their sum.
     """
-    F0, u, X = ca.SX.sym("F0", params.order), ca.SX.sym("u", n_steps), ca.SX.sym("X", N_FEATURES, n_steps)
-    step = step_function(params)
+    names = step.name_in()[1:-1]
+    F0, X = ca.SX.sym("F0", step.size1_in(0)), ca.SX.sym("X", N_FEATURES, n_steps)
+    levels = [ca.SX.sym(name, n_steps) for name in names]
     columns, F = [], F0
     for t in range(n_steps):
-        F = step(F, u[t], X[:, t])
+        F = step(F, *(level[t] for level in levels), X[:, t])
         columns.append(F)
-    modes = ca.horzcat(*columns)
-    return ca.Function("forced_rollout", [F0, u, X], [modes, ca.sum1(modes)], ["F0", "u", "X"], ["modes", "forced"])
+    modes, inputs = ca.horzcat(*columns), ["F0", *names, "X"]
+    return ca.Function("forced_rollout", [F0, *levels, X], [modes, ca.sum1(modes)], inputs, ["modes", "forced"])
