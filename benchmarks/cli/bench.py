@@ -21,6 +21,7 @@ for _command in (
     closed_loop.fallback_command,
     models.operator_command,
     models.probing_command,
+    models.effects_command,
     models.operation_command,
     models.saving_command,
     models.free_response_command,

@@ -8,7 +8,7 @@ import click
 
 from benchmarks.cli.options import FOLDER, JSON, QUICK, say
 from benchmarks.cli.show import show
-from thermoforce_mpc.cli.options import Opening, execution_options
+from thermoforce_mpc.cli.options import FiniteRange, Opening, execution_options
 
 
 @click.command("operator")
@@ -46,6 +46,44 @@ def operation_command(engine: Opening, quick: bool, json_file: Path | None) -> N
 
     with engine(say) as where:
         show(run_operation_bench(engine=where, quick=quick, progress=say), json_file)
+
+
+@click.command("effects")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of the population.")
+@click.option("--houses", type=click.IntRange(1), default=12, show_default=True, help="Number of generated houses.")
+@click.option(
+    "--days",
+    type=FiniteRange(1, 10),
+    multiple=True,
+    default=(3.0, 7.0),
+    show_default=True,
+    help="Days of probing; repeatable.",
+)
+@execution_options()
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for the plot.")
+@QUICK
+@JSON
+def effects_command(
+    seed: int,
+    houses: int,
+    days: tuple[float, ...],
+    engine: Opening,
+    out: Path | None,
+    quick: bool,
+    json_file: Path | None,
+) -> None:
+    """Score what models from probing say of six hours at full level: bias, and whether their bands hold the truth.
+
+    On generated houses, the embedded plant and EnergyPlus (extra [energyplus]). The truth is the difference of two runs
+    of the same building.
+    """
+    from benchmarks.effects.bench import run_effects_bench
+
+    with engine(say) as where:
+        result = run_effects_bench(
+            seed=seed, houses=houses, days=days, engine=where, quick=quick, out=out, progress=say
+        )
+    show(result, json_file)
 
 
 @click.command("saving")

@@ -1,0 +1,1 @@
+"""What a model from probing says of an action, beside what the action does to the same house."""
