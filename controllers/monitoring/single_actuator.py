@@ -36,7 +36,8 @@ def single_actuator_context(context: PredictionContext, a: int) -> SingleActuato
     """The prediction of actuator `a` on its home zone."""
     z = context.operator.home[a]
     free = FreeForecast(context.free.levels, context.free.quantiles_C[:, z], context.free.note)
-    return SingleActuatorContext(context.forced_K[z, a], free, context.features[z], context.boundary)
+    forced_K = context.forced_K[z, a, : context.operator.of_actuator(a).order]
+    return SingleActuatorContext(forced_K, free, context.features[z], context.boundary)
 
 
 def single_actuator_records(model: ThermalModel, history: Record, forced_K: Array | None) -> tuple[Record, ...]:

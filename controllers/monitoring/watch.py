@@ -82,7 +82,7 @@ class Watch:
         self.threshold = 2 * len(self.leads) * per_month / self._share
         self._least_K = config.least_K * np.sqrt(np.array(self.leads) * self.step_s / HOUR_S)
         self._gain_sd = np.array([_relative_gain_sd(model, n * self.step_s / HOUR_S) for n in self.leads])
-        self._adaptation = OnlineAdaptation(model, _SCALES)
+        self._adaptation = OnlineAdaptation(model, _SCALES, n_steps=n_steps)
 
     def due(self, time_s: float) -> bool:
         """Whether a prediction is to be recorded at `time_s`."""

@@ -44,6 +44,7 @@ from thermoforce_mpc.identification.estimation.adaptation import OnlineAdaptatio
 from thermoforce_mpc.model.free_response.substitute import WithSubstitutes
 from thermoforce_mpc.model.machine.part_load import CostAtPartLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
@@ -88,8 +89,9 @@ class ThermoForceMPC(ActuatedController):
             name: name in reports.
 
         Raises:
-            ControllerConfigError: the horizon is shorter than a step, the actuation does not fit the step, an option
-                names a zone, an actuator or a meter that there is not, or a term of the user cannot be stated.
+            ControllerConfigError: the horizon is shorter than a step, the model is not certified at that step and
+                horizon, the actuation does not fit the step, an option names a zone, an actuator or a meter that there
+                is not, or a term of the user cannot be stated.
             BackboneError, ConfigError: the free response cannot be built.
         """
         self.config = c = config or MPCConfig()
@@ -130,7 +132,11 @@ class ThermoForceMPC(ActuatedController):
             watches, self._planners.of, model, enabled=c.watch.enabled and not self._gate.closes_all
         )
         self._readings = ReadingsFilter(c, model, self._planners.base.predictor)
-        adaptations = [OnlineAdaptation(zone, c.adaptation) for zone in zone_models] if c.adaptation.enabled else []
+        adaptations = (
+            [OnlineAdaptation(zone, c.adaptation, n_steps=n_steps) for zone in zone_models]
+            if c.adaptation.enabled
+            else []
+        )
         self._prediction = Prediction(
             self._planners, adaptations, self._readings.sensors, self._watched, n_steps, c.deadline.forecast_s
         )
@@ -333,7 +339,11 @@ class ThermoForceMPC(ActuatedController):
 
 
 def at_step(model: ThermalModel, config: MPCConfig) -> tuple[ThermalModel, int]:
-    """The model at the control step, and the number of steps of the horizon."""
+    """The model at the control step, and the number of steps of the horizon.
+
+    Raises:
+        ControllerConfigError: the horizon is shorter than a step, or the effect is not certified at that step over it.
+    """
     step_s = config.step_s or model.operator.step_s
     n_steps = config.n_steps(step_s)
     if n_steps < 1:
@@ -341,7 +351,15 @@ def at_step(model: ThermalModel, config: MPCConfig) -> tuple[ThermalModel, int]:
             f"controller.options.horizon_h: {config.horizon_h:g} h is shorter than one control step"
             f" ({step_s:g} s); give at least {step_s / HOUR_S:g}"
         )
-    return replace(model, operator=model.operator.resampled(step_s)), n_steps
+    operator = model.operator.resampled(step_s)
+    if operator.of_actuator(0).feedback_active:  # otherwise certified at any
+        proof = certificate(operator.of_actuator(0), n_steps)
+        if not proof.certified:
+            raise ControllerConfigError(
+                "the model's gain sees the predicted temperature, and its effect is not certified at "
+                f"controller.options.step_s {step_s:g} over horizon_h {config.horizon_h:g}: {'; '.join(proof.reasons)}"
+            )
+    return replace(model, operator=operator), n_steps
 
 
 def _check_power(model: ThermalModel) -> None:

@@ -172,7 +172,7 @@ class Formulation:
         return water.expected_C(history.part(z, [a], [m]), held_C)
 
     def _terminal_price(self, operator: BuildingOperator, features: Array, price_W: Array) -> Array:
-        """Terminal value of each mode, (Z, A, r), currency/K; zero except for the slowest, which stores heat longest.
+        """Terminal value of each mode, (Z, A, r), currency/K; zero but for the slowest with a gain.
 
         At `terminal_value` 1 a kelvin of an actuator's home zone is worth its production cost in the last step.
         `features` (Z, 4) and `price_W` (A,), price per kWh times power at the highest level, W, are of that step.
@@ -184,8 +184,9 @@ class Formulation:
         for a, z in enumerate(self._layout.home):
             pair = operator.of_actuator(a)
             drive = float(pair.drive(self.machinery.u_max[a : a + 1], features[z][None])[0])
-            stored = pair.gains[-1] * drive
-            value[z, a, -1] = self._config.objective.terminal_value * cost[a] / stored if stored else 0.0
+            slowest = int(np.flatnonzero(pair.acting)[-1])
+            stored = pair.gains[slowest] * drive
+            value[z, a, slowest] = self._config.objective.terminal_value * cost[a] / stored if stored else 0.0
         return value
 
 

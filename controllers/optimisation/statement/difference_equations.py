@@ -18,13 +18,15 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 
 @dataclass(frozen=True)
 class Group:
     """Pairs of a zone with the same poles.
 
-    `pairs`: their actuators; `actuators`: those of the equation. `poles` (r,); `gains` (actuators, r).
+    `pairs`: their actuators; `actuators`: those of the equation. `poles` (r,), 0 of modes that have no gain in any of
+    them: the equation is of lower order without them. `gains` (actuators, r).
     """
 
     zone: int
@@ -36,13 +38,15 @@ class Group:
 
 def groups_of(operator: BuildingOperator, *, power_couples: bool) -> list[Group]:
     """Return the pairs of each zone by poles; `power_couples`: whether power couples the zones of a step."""
-    by_poles: dict[tuple[int, tuple[float, ...]], list[int]] = {}
+    by_poles: dict[tuple[int, tuple[float, ...]], dict[int, OperatorParameters]] = {}
     for z, a, pair in operator.each():
-        by_poles.setdefault((z, tuple(pair.poles.tolist())), []).append(a)
-    groups, gains = [], operator.gains
-    for (z, key), actuators in by_poles.items():
-        of = np.array(actuators, dtype=np.intp)
-        groups.append(Group(z, of, of, np.array(key), gains[z, actuators]))
+        by_poles.setdefault((z, tuple(pair.poles.tolist())), {})[a] = pair
+    groups = []
+    for (z, key), pairs_of in by_poles.items():
+        of, poles = np.array(list(pairs_of), dtype=np.intp), np.zeros(operator.shape[2])
+        acting = np.any([pair.acting for pair in pairs_of.values()], axis=0)
+        poles[: len(key)] = np.where(acting, key, 0.0)
+        groups.append(Group(z, of, of, poles, operator.gains[z, of]))
     # Minimum degree orders a full pattern by time, and one with a few cross-effects so that it fills up: at 20 zones
     # the factorisation takes up to three times as long. So actuators without an effect get numerators of 0; buildings
     # without cross-effects, and sparse ones in which power couples nothing, are faster as they are.
@@ -66,7 +70,7 @@ def difference_equation(poles: Array, gains: Array, window: Sequence[int]) -> tu
     weights w_j for which Σ_j w_j a_i^L_j = 0 for every mode eliminate G.
 
     Args:
-        poles: a_i, shape (r,).
+        poles: a_i, shape (r,); 0 of modes that are left out.
         gains: g_i of each actuator, shape (actuators, r).
         window: lengths of the steps in control steps, the latest last, (r,).
 
@@ -74,6 +78,11 @@ def difference_equation(poles: Array, gains: Array, window: Sequence[int]) -> tu
         Coefficients of y and its lags, shape (r + 1,), the first of them 1, and of the drives and their lags, shape
         (r, actuators).
     """
+    acts = poles > 0.0
+    if not acts.all():  # the earliest lags do not enter
+        idle = (0, int(np.count_nonzero(~acts)))
+        left, right = difference_equation(poles[acts], gains[:, acts], window[idle[1] :])
+        return np.pad(left, idle), np.pad(right, (idle, (0, 0)))
     r, lengths = poles.size, np.array(window)
     ends = np.concatenate([[0], np.cumsum(lengths)])
     faded = poles[:, None] ** ends

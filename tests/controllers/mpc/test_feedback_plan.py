@@ -11,7 +11,10 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.checks import ControllerConfigError
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
-from thermoforce_mpc.model.operator import certificate
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.estimation.adaptation import OnlineAdaptation
+from thermoforce_mpc.identification.modulation.selection import prove
+from thermoforce_mpc.model.operator import OperatorParameters, certificate, linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
@@ -50,6 +53,38 @@ def test_ipopt_plans_with_it_and_its_prediction_is_the_operators():
         free_response=OutdoorResponse(),
     ).plan(observation)
     assert np.abs(blind.T_forced_K - plan.T_forced_K).max() > 0.01, "what the gain sees must matter"
+
+
+def nearly_reversed(slope: float) -> OperatorParameters:
+    """A gain that falls with the temperature: what heat did fades fast, and what it took from later heat does not."""
+    poles = np.exp(-1.0 / np.array([1.0, 40.0]))
+    linear = linear_operator(poles, 4.0 * (1.0 - poles), step_s=HOUR_S, hidden=1)
+    falls = {"hidden_weight": np.array([[1.0, 0.0, 0.0, 0.0]]), "output_weight": np.array([-slope])}
+    return replace(linear, **falls, feedback=True)
+
+
+def test_it_is_certified_at_the_step_and_horizon_at_which_it_is_used():
+    zone = simple_model().only
+    model = ThermalModel.of_zone(replace(zone, operator=nearly_reversed(0.15)))
+    assert certificate(model.only.operator).certified
+
+    def controller(**options):
+        return ThermoForceMPC(model, MPCConfig(**options), free_response=OutdoorResponse())
+
+    for options in ({"step_s": None}, {"horizon_h": 12.0}):
+        controller(**options)
+    with pytest.raises(ControllerConfigError, match=r"not certified at .*step_s 900 over horizon_h 48: .*per K"):
+        controller()
+    with pytest.raises(DataError, match="at 900 s is not certified"):
+        prove(model.only.operator)
+
+
+def test_an_adapted_operator_is_certified_over_the_horizon():
+    zone = replace(simple_model().only, operator=nearly_reversed(0.11).resampled(900.0))
+    for n_steps, certified in ((48, True), (192, False)):
+        adaptation = OnlineAdaptation(zone, n_steps=n_steps)
+        assert adaptation.rescaled(adaptation.started(), gain=1.0, heat=1.0) is not None
+        assert (adaptation.rescaled(adaptation.started(), gain=1.3, heat=1.0) is not None) == certified
 
 
 def test_the_quadratic_programme_refuses_it():

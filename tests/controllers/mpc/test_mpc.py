@@ -22,6 +22,7 @@ from controllers.rules.thermostat import Thermostat
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.return_water import ReturnWater
+from thermoforce_mpc.model.operator import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
@@ -48,6 +49,21 @@ def test_heat_at_the_end_is_worth_what_the_last_step_at_the_highest_level_costs(
     last_step_K = GAIN_K * level
     cost = seen.boundary.price_per_kWh[0, -2] * (FIXED_W + PER_U_W * level) / 1000.0
     assert problem.terminal_price_per_K[0, 0, 0] * last_step_K == pytest.approx(cost)
+
+
+def test_a_slower_mode_without_gain_stores_nothing():
+    zone = simple_model().only
+    idle = replace(
+        linear_operator([*zone.operator.poles, 0.9999], [*zone.operator.gains, 1e-12], step_s=HOUR_S),
+        heat_input=zone.operator.heat_input,
+    )
+    config = MPCConfig(step_s=None, horizon_h=24.0, objective={"terminal_value": 1.0})
+    seen, prices = observation(), []
+    for operator in (zone.operator, idle):
+        model = ThermalModel.of_zone(replace(zone, operator=operator))
+        mpc = ThermoForceMPC(model, config, free_response=OutdoorResponse())
+        prices.append(mpc.instance(mpc.predictor.context(seen), seen.history).terminal_price_per_K[0, 0])
+    np.testing.assert_allclose(prices[1], [*prices[0], 0.0])
 
 
 @pytest.mark.slow

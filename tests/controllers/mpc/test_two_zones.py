@@ -25,6 +25,7 @@ from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.operator.parameters import bounds_between
 from thermoforce_mpc.model.predictor import PredictorState
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
@@ -84,6 +85,26 @@ def test_in_closed_loop_both_zones_are_warm_and_names_say_which_binds():
     assert (T - lower)[night].mean(axis=0) == pytest.approx([0.2, 0.2], abs=0.2), "no warmer than need be"
     assert any(" in bath" in step.plan.why for step in result.steps)
     assert any(" in hall" in step.plan.why for step in result.steps)
+
+
+@pytest.mark.slow
+def test_zones_of_different_order_are_controlled_as_those_of_one():
+    """A mode of the second zone in two halves: nothing else changes, in no station of a step."""
+
+    def halved(a: int, pair):
+        if a == RADIATOR:
+            return pair
+        (pole,), (gain,) = pair.poles, pair.gains
+        poles = np.array([pole - 1e-9, pole])
+        return replace(pair, poles=poles, gains=0.5 * np.full(2, gain), pole_bounds=bounds_between(poles))
+
+    plain, options = two_model(), {"estimator": {"correct": True}, "watch": {"enabled": True}}
+    other = replace(plain, operator=plain.operator.map_actuators(halved))
+    assert [pair.order for *_, pair in other.operator.each()] == [1, 2]
+    runs = [run_closed_loop(TwoHouses(), mpc(m, **options), SimpleHouse().period("x")) for m in (plain, other)]
+    one, two = (np.array([step.plan.u[:, 0] for step in run.steps]) for run in runs)
+    np.testing.assert_allclose(two, one, atol=2e-3)
+    assert not any("could not be judged" in step.plan.news for step in runs[1].steps)
 
 
 @pytest.mark.parametrize("closed", [RADIATOR, FLOOR])

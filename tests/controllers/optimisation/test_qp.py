@@ -158,6 +158,17 @@ def test_very_fast_very_slow_and_nearly_equal_modes_are_planned_with(time_consta
     piqp_alone_finds_ipopts_optimum(operator, problem)
 
 
+@pytest.mark.parametrize("gain", [0.0, 1e-12])
+def test_slow_modes_without_gain_do_not_fail_the_solver(gain):
+    """As a fit leaves them: two more lags that nearly cancel, over two days at 900 s."""
+    rng = np.random.default_rng(19)
+    poles = np.exp(-0.25 / np.array([40.0, 400.0, 4000.0]))
+    operator = single(linear_operator(poles, np.array([4.0, gain, gain]) * (1.0 - poles), step_s=900.0))
+    forced_K = np.array([[[rng.uniform(0.0, 5.0), 0.0, 0.0]]])
+    problem = replace(random_problem(rng, 3, n=192, curvature=1e-6), step_s=900.0, forced_state_K=forced_K)
+    piqp_alone_finds_ipopts_optimum(operator, problem)
+
+
 @pytest.mark.parametrize("rate", [1e-6, 1e6])
 def test_the_plan_does_not_depend_on_the_currency(rate):
     rng = np.random.default_rng(16)

@@ -16,10 +16,12 @@ from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import PowerCap, ProblemShape, Weights, blocked_moves, every_step
 from controllers.optimisation.solution import checked_solution
 from controllers.optimisation.solvers.candidate_search import CandidateSearch, SearchConfig
+from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.qp_backends import QPConfig
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator, single
+from thermoforce_mpc.model.operator.parameters import linear_operator
 
 SIGNS = (1, 1, 1, -1)
 # Two heating actuators on one heat pump of limited capacity, a third on a boiler, and a chiller.
@@ -104,6 +106,22 @@ def test_zones_that_share_nothing_are_planned_as_if_alone():
         )
         solution = QPSolver(single(pair), ProblemShape(every_step(N)), QPConfig()).solve(alone)
         np.testing.assert_allclose(together.u[z], solution.u[0], atol=1e-4)
+
+
+def test_zones_may_differ_in_order():
+    rng = np.random.default_rng(20)
+    n, hours = 192, ((40.0,), (0.5, 4.0, 40.0))
+    poles = [np.exp(-0.25 / np.array(taus)) for taus in hours]
+    slab, air = (linear_operator(a, 4.0 * (1.0 - a), step_s=900.0) for a in poles)
+    operator = BuildingOperator(("bath", "study"), ("actuator 0", "actuator 1"), ((slab, None), (None, air)), (0, 1))
+    machinery = machinery_of(operator, (0, 1))
+    problem = random_building_problem(rng, operator, machinery, n=n, step_s=900.0)
+    for moves in (every_step(n), blocked_moves(n, 900.0, 12.0, 1.0)):
+        shape = ProblemShape(moves, machinery)
+        ours = QPSolver(operator, shape, QPConfig(backends=("piqp",))).solve(problem)
+        best = IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10)).solve(problem)
+        assert ours.optimal, ours.problem
+        assert ours.cost == pytest.approx(best.cost, rel=1e-6)
 
 
 def test_a_shared_machine_runs_as_long_as_the_longest_and_pays_its_fixed_part_once():

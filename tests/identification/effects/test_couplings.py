@@ -11,8 +11,12 @@ from houses import House, random_levels, record
 from thermoforce_mpc.data import HOUR_S, Layout, Names, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.effects.couplings import assembled
 from thermoforce_mpc.identification.pipeline import identify
+from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.operator import linear_operator
 from thermoforce_mpc.model.thermal_model import load_model
+from thermoforce_mpc.model.zone_model import ZoneModel
 
 pytestmark = pytest.mark.slow
 
@@ -56,6 +60,16 @@ def two_rooms(coupled: bool, days: float = 4.0, same: bool = False) -> Record:
 @pytest.fixture(scope="module")
 def coupled():
     return identify([two_rooms(coupled=True)], config=LINEAR, layout=LAYOUT)
+
+
+def test_every_zone_keeps_its_order():
+    zones = [
+        ZoneModel(linear_operator(poles, [0.1] * len(poles), step_s=HOUR_S), None, None, ModelCard())
+        for poles in ([0.9], [0.3, 0.98])
+    ]
+    building = assembled(LAYOUT, zones, [None, None], [None, None], IdentificationConfig())
+    assert [pair.order for *_, pair in building.operator.each()] == [1, 2]
+    assert building.operator.shape == (2, 2, 2)
 
 
 def effect_K(pair, hours: float = 8.0) -> float:

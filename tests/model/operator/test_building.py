@@ -50,6 +50,18 @@ def test_zone_is_the_sum_of_its_pairs() -> None:
     assert not modes[:2, 2].any()
 
 
+def test_pairs_may_differ_in_order() -> None:
+    rng = np.random.default_rng(6)
+    fast, slow = random_operator(rng, order=1), random_operator(rng, order=3)
+    operator = BuildingOperator(("bath", "study"), ("fan", "floor"), ((fast, None), (None, slow)), (0, 1))
+    F0, u, features = given(rng, operator)
+    modes = operator.rollout(F0, u, features)
+    assert modes.shape == (2, 2, N, 3)
+    np.testing.assert_allclose(modes[0, 0, :, :1], forced_rollout(fast, F0[0, 0, :1], u[0], features[0]), atol=1e-12)
+    np.testing.assert_allclose(modes[1, 1], forced_rollout(slow, F0[1, 1], u[1], features[1]), atol=1e-12)
+    assert not modes[0, 0, :, 1:].any()
+
+
 def test_one_zone_with_one_actuator_is_the_plain_operator() -> None:
     rng = np.random.default_rng(2)
     plain = random_operator(rng, order=2)

@@ -75,13 +75,11 @@ def assembled(
 ) -> ThermalModel:
     """The building from each actuator's model on its home zone (A,), its fit (A,), and the power of machines (M,)."""
     Z, A = len(layout.names.zones), len(layout.names.actuators)
-    order = max(zone.operator.order for zone in zones)
-    heads = [_padded(zone.operator, order) for zone in zones]
     pairs: list[list[OperatorParameters | None]] = [[None] * A for _ in range(Z)]
     free = [zones[(layout.actuators_of(z) or [0])[0]].free for z in range(Z)]
     cards = [zone.card for zone in zones]
     for a, (home, fit) in enumerate(zip(layout.home, fits, strict=True)):
-        pairs[home][a] = heads[a]
+        pairs[home][a] = zones[a].operator
         if fit is None or layout.actuators_of(home)[0] != a:
             continue  # effects of the others on a zone are those of the fit of its first actuator
         uncertainty = dict(cards[a].uncertainty)
@@ -98,7 +96,7 @@ def assembled(
             if (sd[1:] > _UNINFORMATIVE * fit.other_sd[k][1:]).all() and sd.size > 1:
                 notes.append(f"the record does not tell what {name} does to {layout.names.zones[home]}")
             if answer.mean_K[24] >= _LEAST_EFFECT_K:
-                pairs[home][b] = _padded(_pair(fit, k, zones[a].operator, zones[b].operator, layout.signs[b]), order)
+                pairs[home][b] = _pair(fit, k, zones[a].operator, zones[b].operator, layout.signs[b])
         cards[a] = replace(cards[a], uncertainty=uncertainty, notes=tuple(notes))
     operator = BuildingOperator(
         layout.names.zones, layout.names.actuators, tuple(tuple(row) for row in pairs), layout.home
@@ -120,23 +118,6 @@ def _pair(fit: JointFit, k: int, own: OperatorParameters, head: OperatorParamete
     tau, gains = own.time_constants_h, fit.other_gains[k]
     steady = np.concatenate([[tau[0] * (gains[0] - (gains[1:] / tau[1:]).sum())], gains[1:]])
     return replace(head, poles=own.poles, gains=sign * steady * (1.0 - own.poles), pole_bounds=own.pole_bounds)
-
-
-def _padded(operator: OperatorParameters, order: int) -> OperatorParameters:
-    """The operator with slower modes of no gain up to `order`: all pairs of a building have one order."""
-    r = operator.order
-    if r == order:
-        return operator
-    last = operator.poles[-1]
-    slower = 1.0 - (1.0 - last) * 10.0 ** -np.arange(1, order - r + 1)
-    edges = np.concatenate([[operator.pole_bounds[-1, 0]], 0.5 * (np.append(last, slower[:-1]) + slower), [1.0]])
-    bounds = np.concatenate([operator.pole_bounds[:-1], np.stack([edges[:-1], edges[1:]], axis=1)])
-    return replace(
-        operator,
-        poles=np.append(operator.poles, slower),
-        gains=np.append(operator.gains, np.zeros(order - r)),
-        pole_bounds=bounds,
-    )
 
 
 def with_metered_shares(layout: Layout, heat_inputs: Sequence[HeatInput], histories: Sequence[Record]) -> Layout:

@@ -144,6 +144,7 @@ class OnlineAdaptation:
         model: ZoneModel,
         config: AdaptationConfig | None = None,
         identification: IdentificationConfig | None = None,
+        n_steps: int = 48,
     ) -> None:
         """Start from an identified model.
 
@@ -151,8 +152,9 @@ class OnlineAdaptation:
             model: identified model; its free part and power model do not change.
             config: options.
             identification: sizes of disturbances and sensor noise; default: `IdentificationConfig()`.
+            n_steps: steps of the horizon over which an adapted operator must be certified.
         """
-        self.config = config or AdaptationConfig()
+        self.config, self._n_steps = config or AdaptationConfig(), n_steps
         c = self.config
         assumed = identification or IdentificationConfig()
         self._assumed = assumed.model_copy(
@@ -308,7 +310,7 @@ class OnlineAdaptation:
             c0, c1, c2, c3 = (factor * c for c in load.coefficients)
             weaker = replace(load, coefficients=(c0, c1, c2, c3))
             operator = replace(operator, heat_input=base.heat_input.with_law(weaker), gains=operator.gains * factor)
-        if not certificate(operator).certified:
+        if not certificate(operator, self._n_steps).certified:
             return None
         return replace(state, model=replace(self._identified, operator=operator))
 

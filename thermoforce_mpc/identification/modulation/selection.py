@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import Array, Record
+from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.joint import ModeFit
@@ -41,6 +41,8 @@ _PROPORTIONAL = 0.1
 _NEARLY_FULL, _OFTEN = 0.9, 0.25
 # Relative prior standard deviation of gains and time constants while the network is trained on runs.
 _LINEAR_HELD_SD = 0.02
+# Step, s, and horizon, h, of plans by default.
+_PLAN_STEP_S, _PLAN_H = 900.0, 48.0
 
 
 def _features(operator: OperatorParameters, history: Record, feedback: bool) -> Array:
@@ -195,7 +197,11 @@ def _rms(residuals: Array) -> float:
 
 
 def prove(operator: OperatorParameters) -> None:
-    """Raise `DataError` if the operator is not certified (sign of its effect), possible only with `feedback: true`."""
-    proof = certificate(operator)
-    if not proof.certified:
-        raise DataError(f"the identified operator is not certified: {'; '.join(proof.reasons)}")
+    """Raise `DataError` if the sign of the effect is not certified for plans, possible only with `feedback: true`.
+
+    It must be at the operator's own step and at the controllers', over their horizon (the file states 48 steps).
+    """
+    for step_s in dict.fromkeys((operator.step_s, _PLAN_STEP_S)):
+        proof = certificate(operator.resampled(step_s), max(48, round(_PLAN_H * HOUR_S / step_s)))
+        if not proof.certified:
+            raise DataError(f"the identified operator at {step_s:g} s is not certified: {'; '.join(proof.reasons)}")

@@ -35,8 +35,7 @@ class BuildingOperator:
     Attributes:
         zones: names of the zones (Z,).
         actuators: names of the actuators (A,).
-        pairs: `pairs[z][a]`, the operator of actuator a on zone z, or None where it has no effect. All have one step
-            and one order r.
+        pairs: `pairs[z][a]`, the operator of actuator a on zone z, or None where it has no effect. All have one step.
         home: zone whose features enter the modulation of each actuator (A,); the actuator must have an effect there.
 
     Raises:
@@ -57,11 +56,11 @@ class BuildingOperator:
             raise DataError(f"building operator: pairs are not {Z} zones of {A} actuators each")
         if len(self.home) != A or not all(0 <= z < Z for z in self.home):
             raise DataError(f"building operator: home {self.home}: expected a zone's number below {Z} per actuator")
-        first = self._home_pair(0)
+        step_s = self.step_s
         for z, a, pair in self.each():
             where = f"building operator: {self.actuators[a]} on {self.zones[z]}"
-            if pair.order != first.order or pair.step_s != first.step_s:
-                raise DataError(f"{where}: order {pair.order} and step {pair.step_s:g} s differ from the first pair's")
+            if pair.step_s != step_s:
+                raise DataError(f"{where}: step {pair.step_s:g} s differs from the first actuator's")
             home = self._home_pair(a)
             for name in _OF_ACTUATOR:
                 if not np.array_equal(getattr(pair, name), getattr(home, name)):
@@ -90,8 +89,8 @@ class BuildingOperator:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Zones Z, actuators A, order r."""
-        return len(self.zones), len(self.actuators), self.of_actuator(0).order
+        """Zones Z, actuators A, highest order of the pairs r."""
+        return len(self.zones), len(self.actuators), max(pair.order for *_, pair in self.each())
 
     @property
     def step_s(self) -> float:
@@ -110,23 +109,23 @@ class BuildingOperator:
 
     @cached_property
     def gains(self) -> Array:
-        """g (Z, A, r), K per step; 0 where there is no effect."""
-        return self._stacked("gains", 0.0)
+        """g (Z, A, r), K per step; 0 where there is no effect, and beyond a pair's order."""
+        return self._stacked("gains")
 
     @cached_property
     def poles(self) -> Array:
-        """a (Z, A, r); 0 where there is no effect."""
-        return self._stacked("poles", 0.0)
+        """a (Z, A, r); 0 as `gains`."""
+        return self._stacked("poles")
 
     @cached_property
     def steady_gains_K(self) -> Array:
-        """Steady effect of full level (Z, A, r), K; 0 where there is no effect."""
-        return self._stacked("steady_gains_K", 0.0)
+        """Steady effect of full level (Z, A, r), K; 0 as `gains`."""
+        return self._stacked("steady_gains_K")
 
-    def _stacked(self, name: str, otherwise: float) -> Array:
-        out = np.full(self.shape, otherwise)
+    def _stacked(self, name: str) -> Array:
+        out = np.zeros(self.shape)
         for z, a, pair in self.each():
-            out[z, a] = getattr(pair, name)
+            out[z, a, : pair.order] = getattr(pair, name)
         return out
 
     def drive(self, u: Array, features: Array) -> Array:
@@ -169,7 +168,7 @@ class BuildingOperator:
         Z, A, r = self.shape
         out = np.zeros((*drive.shape[:-2], Z, A, drive.shape[-1], r))
         for z, a, pair in self.each():
-            out[..., z, a, :, :] = driven_rollout(pair, F0[z, a], drive[..., a, :])
+            out[..., z, a, :, : pair.order] = driven_rollout(pair, F0[z, a, : pair.order], drive[..., a, :])
         return out
 
     def modulated(self, heat: Array, features: Array, forced_K: Array) -> Array:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import DataError
@@ -27,6 +28,8 @@ GAMMA = 0.75
 _LARGEST = 1e100
 # Tolerance of the initial slope by rounding: a pure delay has slope zero.
 _ROUNDING = 1e-9
+# Share of all gains below which a mode has none.
+_NO_GAIN = 1e-10
 
 
 def initial_weight(poles: Array) -> Array:
@@ -125,6 +128,12 @@ class OperatorParameters:
     def order(self) -> int:
         """Number of modes r."""
         return int(self.poles.size)
+
+    @property
+    def acting(self) -> NDArray[np.bool_]:
+        """Modes with a gain (r,); the others answer nothing."""
+        sizes = np.abs(self.gains)
+        return np.asarray(sizes >= _NO_GAIN * sizes.sum())
 
     @property
     def mode(self) -> str:
