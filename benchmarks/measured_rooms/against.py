@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.measured_rooms.score import DEFAULT, LEADS_H, RC
+from benchmarks.measured_rooms.score import DEFAULT, LEADS_H, PERSISTENCE, RC
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.simulation.comparison.results_json import Target
 
@@ -20,15 +20,21 @@ COMPARED = (DEFAULT, RC)
 _MEDIAN, _WORST = 1.0, 1.10
 
 
+def error_key(method: str, hours: int) -> str:
+    """Column of the RMSE of a method at a lead time, K."""
+    return f"{method}_{hours}h_K"
+
+
 def earlier_rooms(file: Path, bench: str) -> list[dict[str, Any]]:
-    """Rows of the rooms in the JSON of an earlier run.
+    """Rows of the errors of rooms in the JSON of an earlier run.
 
     Raises:
         DataError: the file is not the JSON of this bench.
     """
+    key = error_key(PERSISTENCE, LEADS_H[0])
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
-        rows = [row for row in content["rows"] if "room" in row] if content["bench"] == bench else []
+        rows = [row for row in content["rows"] if key in row] if content["bench"] == bench else []
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DataError(f"--against {file}: it cannot be read as the JSON of this bench ({error})") from error
     if not rows:
@@ -36,26 +42,34 @@ def earlier_rooms(file: Path, bench: str) -> list[dict[str, Any]]:
     return rows
 
 
-def ratio_rows(rooms: Sequence[Row], before: Sequence[Row]) -> list[dict[str, Any]]:
-    """RMSE over that of the earlier run, for the rooms that were scored in it and belong to a record that was run now.
+def ratio_rows(errors: Sequence[Row], before: Sequence[Row]) -> list[dict[str, Any]]:
+    """RMSE over that of the earlier run, for each room that had a model then and whose record was run now.
 
     NaN where there is no model now.
+
+    Raises:
+        DataError: the starts are not those of the earlier run.
     """
-    now = {(row["record"], row["room"]): row for row in rooms}
-    run = {row["record"] for row in rooms}
+    rooms = {(row["record"], row["room"]): row for row in errors}
+    keys = {error_key(method, hours): _ratio_key(method, hours) for method in COMPARED for hours in LEADS_H}
     rows = []
     for old in before:
-        if old["record"] not in run or old[f"{DEFAULT}_{LEADS_H[0]}h_K"] is None:
+        new = rooms.get((old["record"], old["room"]))
+        then = {key: old[key] for key in keys}
+        if new is None or None in then.values():
             continue
-        new = now.get((old["record"], old["room"]), {})
-        row = {"record": old["record"], "compared room": old["room"]}
-        for method in COMPARED:
-            for hours in LEADS_H:
-                key = f"{method}_{hours}h"
-                rmse = new.get(f"{key}_K")
-                row[key] = float("nan") if rmse is None else rmse / old[f"{key}_K"]
-        rows.append(row)
+        if new["starts"] and new["starts"] != old["starts"]:
+            raise DataError(
+                f"--against: {old['record']} had {old['starts']} starts, now {new['starts']}: run both with --quick or "
+                "both without, on the same records"
+            )
+        ratios = {ratio: float("nan") if new[key] is None else new[key] / then[key] for key, ratio in keys.items()}
+        rows.append({"record": old["record"], "room": old["room"], **ratios})
     return rows
+
+
+def _ratio_key(method: str, hours: int) -> str:
+    return f"{method}_{hours}h_ratio"
 
 
 def targets(ratios: Sequence[Row]) -> list[Target]:
@@ -63,13 +77,13 @@ def targets(ratios: Sequence[Row]) -> list[Target]:
     out = []
     for method in COMPARED:
         for hours in LEADS_H:
-            found = np.array([row[f"{method}_{hours}h"] for row in ratios])
+            found = np.array([row[_ratio_key(method, hours)] for row in ratios])
             label = f"{method}, {hours} h: RMSE over that of the earlier run"
             if not found.size:
                 out.append(Target(f"{label}, median of no room", float("nan"), _MEDIAN))
                 continue
             worst = ratios[int(np.argmax(np.where(np.isnan(found), np.inf, found)))]
             out.append(Target(f"{label}, median of {found.size} rooms", float(np.median(found)), _MEDIAN))
-            who = f"{worst['record']} {worst['compared room']}"
+            who = f"{worst['record']} {worst['room']}"
             out.append(Target(f"{label}, worst room ({who})", float(np.max(found)), _WORST))
     return out

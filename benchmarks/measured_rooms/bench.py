@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -10,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import run_all
-from benchmarks.measured_rooms.against import earlier_rooms, ratio_rows, targets
-from benchmarks.measured_rooms.records import MeasuredRecord, found_records
+from benchmarks.measured_rooms.against import earlier_rooms, error_key, ratio_rows, targets
+from benchmarks.measured_rooms.records import KNOWN, MeasuredRecord, found_records
 from benchmarks.measured_rooms.score import EVERY_H, LEADS_H, METHODS, STEP_RESPONSE_H, identified, score
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
@@ -21,6 +22,7 @@ Row = dict[str, Any]
 Case = tuple[MeasuredRecord, Path, float]
 
 BENCH = "rooms"
+_RESPONSES = (f"full_{STEP_RESPONSE_H}h_K", f"all_full_{STEP_RESPONSE_H}h_K")
 _QUICK, _QUICK_EVERY_H = ("one19", "box"), 12.0
 
 
@@ -51,45 +53,58 @@ def run_rooms_bench(
     cases: list[Case] = [(record, folder, _QUICK_EVERY_H if quick else EVERY_H) for record, folder in found]
     names = [record.name for record, _ in found]
     progress(f"records: {', '.join(names)}")
+    absent = [] if only or quick else [record.name for record in KNOWN if record.name not in names]
+    if absent:
+        progress(f"not found in --records, left out: {', '.join(absent)}")
 
-    def told(done: int, rows: list[Row]) -> None:
-        progress(f"{done} of {len(cases)}: {rows[0]['record']}, {rows[0]['seconds']:.0f} s")
+    def told(done: int, rooms: list[Room]) -> None:
+        model = rooms[0].model
+        progress(f"{done} of {len(cases)}: {model['record']}, {model['seconds']:.0f} s")
 
-    rooms = [row for rows in run_all(run_record, cases, engine, told) for row in rows]
-    ratios = ratio_rows(rooms, before)
-    return results_json(BENCH, [*rooms, *summary(rooms), *ratios], targets(ratios) if against else [])
+    scored = [one for rooms in run_all(run_record, cases, engine, told) for one in rooms]
+    errors, models = [one.errors for one in scored], [one.model for one in scored]
+    ratios = ratio_rows(errors, before)
+    return results_json(BENCH, [*errors, *models, *summary(errors), *ratios], targets(ratios) if against else [])
 
 
-def run_record(case: Case) -> list[Row]:
-    """A row for each room of one record; without a model its scores are None and `says` has the reason."""
+@dataclass(frozen=True)
+class Room:
+    """Rows of one room: `errors` of each method at each lead, None without a model, and what the `model` says."""
+
+    errors: Row
+    model: Row
+
+
+def run_record(case: Case) -> list[Room]:
+    """Identify from the first part of one record and score its rooms."""
     record, folder, every_h = case
     began = perf_counter()
     measured = record.read(folder)
-    columns = [f"{method}_{hours}h_K" for method in METHODS for hours in LEADS_H]
-    own, together = f"full_{STEP_RESPONSE_H}h_K", f"all_full_{STEP_RESPONSE_H}h_K"
     rooms = measured.layout.names.zones
+    columns = [error_key(method, hours) for method in METHODS for hours in LEADS_H]
     try:
         model = identified(measured.record, measured.layout)
     except DataError as error:
-        unknown = dict.fromkeys((*columns, own, together))
-        says, seconds = f"refused: {error}", perf_counter() - began
-        return [
-            {"record": record.name, "room": room, "starts": 0, **unknown, "says": says, "seconds": seconds}
-            for room in rooms
-        ]
+        lead: list[Row] = [{"record": record.name, "room": room} for room in rooms]
+        answer = {**dict.fromkeys(_RESPONSES), "says": f"refused: {error}", "seconds": perf_counter() - began}
+        return [Room({**one, "starts": 0, **dict.fromkeys(columns)}, {**one, **answer}) for one in lead]
     scores = score(model, measured.record, every_h)
-    rows = []
+    seconds = perf_counter() - began
+    found = []
     for z, room in enumerate(rooms):
-        errors = [scores.rmse_K[method][z] for method in METHODS]
-        row: Row = {"record": record.name, "room": room, "starts": scores.starts}
-        row |= dict(zip(columns, np.concatenate(errors).tolist(), strict=True))
-        row |= {own: float(scores.own_K[z]), together: float(scores.all_K[z])}
+        one: Row = {"record": record.name, "room": room}
+        values = np.concatenate([scores.rmse_K[method][z] for method in METHODS]).tolist()
+        responses = (float(scores.own_K[z]), float(scores.all_K[z]))
         verdicts = [model.cards[a].competence for a in measured.layout.actuators_of(z)]
-        competent = all(verdict is not None and verdict.competent for verdict in verdicts)
-        rows.append(row | {"says": "competent" if competent else "not competent", "seconds": 0.0})
-    for row in rows:
-        row["seconds"] = perf_counter() - began
-    return rows
+        missed = [reason for verdict in verdicts if verdict is not None for reason in verdict.reasons]
+        answer = {
+            **dict(zip(_RESPONSES, responses, strict=True)),
+            "says": missed[0].split(";")[0] if missed else "competent",
+            "seconds": seconds,
+        }
+        errors = {"starts": scores.starts, **dict(zip(columns, values, strict=True))}
+        found.append(Room({**one, **errors}, {**one, **answer}))
+    return found
 
 
 def summary(rooms: Sequence[Row]) -> list[Row]:
@@ -99,7 +114,7 @@ def summary(rooms: Sequence[Row]) -> list[Row]:
         for method in METHODS:
             line: Row = {"record": record, "method": method}
             for hours in LEADS_H:
-                values = [row[f"{method}_{hours}h_K"] for row in rooms if row["record"] == record]
+                values = [row[error_key(method, hours)] for row in rooms if row["record"] == record]
                 known = np.array([value for value in values if value is not None])
                 for what, of in (("median", np.median), ("least", np.min), ("most", np.max)):
                     line[f"{what}_{hours}h_K"] = float(of(known)) if known.size else None

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Layout, Observation, Record
 from thermoforce_mpc.errors import DataError
@@ -65,7 +66,7 @@ def identified(record: Record, layout: Layout) -> ThermalModel:
 def starts_of(record: Record, every_h: float = EVERY_H) -> list[int]:
     """Steps of the second part after which all levels of the longest lead are known, one in `every_h`."""
     ahead = _steps(record, LEADS_H[-1])
-    known = np.isfinite(record.u).all(axis=0)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(record.u).all(axis=0))
     every = max(1, _steps(record, every_h))
     return [t for t in range(split(record), record.n_steps - ahead + 1, every) if known[t : t + ahead].all()]
 
