@@ -24,6 +24,7 @@ for _command in (
     models.effects_command,
     models.operation_command,
     models.saving_command,
+    models.rooms_command,
     models.free_response_command,
     models.backbones_command,
     speed.plant_command,

@@ -104,6 +104,49 @@ def saving_command(cases: int, seed: int, engine: Opening, quick: bool, json_fil
         show(run_saving_bench(n=cases, seed=seed, engine=where, quick=quick, progress=say), json_file)
 
 
+@click.command("rooms")
+@click.option(
+    "--records",
+    type=FOLDER,
+    multiple=True,
+    required=True,
+    help="Folder with measured records: ehbe/ with its maps, armadillo_H2_30min.csv, mons_house_30min.csv.gz. "
+    "Repeatable.",
+)
+@click.option("--only", multiple=True, metavar="NAME", help="Only the record of this name; repeatable.")
+@click.option(
+    "--against",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="JSON of an earlier run: compare with it.",
+)
+@execution_options()
+@QUICK
+@JSON
+def rooms_command(
+    records: tuple[Path, ...],
+    only: tuple[str, ...],
+    against: Path | None,
+    engine: Opening,
+    quick: bool,
+    json_file: Path | None,
+) -> None:
+    """Predict measured rooms 6 h and 24 h ahead by models from the first 60 % of their records.
+
+    From a start every 3 h of the rest, with measured weather and levels. RMSE in K of the model with the controllers'
+    free response (default) and with its own linear one (rc), of the linear weather model alone, and of persistence;
+    and what 48 h at full level change. With --against: no worse in the median, no room by more than 10 %.
+
+    \b
+    Example:
+      tf-mpc bench rooms --records ../shared/measured_buildings --records ../shared/real_house --json rooms.json
+    """
+    from benchmarks.measured_rooms.bench import run_rooms_bench
+
+    with engine(say) as where:
+        found = run_rooms_bench(records, engine=where, only=only, against=against, quick=quick, progress=say)
+    show(found, json_file)
+
+
 @click.command("free-response")
 @click.option("--reference", type=FOLDER, help="Folder with records of the real test case.")
 @click.option("--houses", type=FOLDER, help="Folder with measured houses.")

@@ -1,0 +1,1 @@
+"""Temperatures of measured buildings, predicted by the package's models under what acted there. Read `score`."""
