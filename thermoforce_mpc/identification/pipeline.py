@@ -38,7 +38,8 @@ from thermoforce_mpc.identification.estimation.records import (
     prepared_runs,
 )
 from thermoforce_mpc.identification.validation.held_out import identified_heat_input, named, power_of_machine
-from thermoforce_mpc.identification.zone import ZoneTask, identify_zone
+from thermoforce_mpc.identification.zone import ZoneData, ZoneTask, identify_zone
+from thermoforce_mpc.identification.zone_effects import without_sun, zone_effects
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.screening import Limits
@@ -135,6 +136,7 @@ def identify(
         notes[a] += [advice[a]] if advice[a] else []
         level_sd[a] = np.linalg.norm(unknown)
     layout = with_metered_shares(layout, heat_inputs, histories)
+    runs, sun = without_sun(runs, layout, heat_inputs, config)
     power, unfitted = _powers(histories, config, layout)
     for a, m in enumerate(layout.machine_of):
         law = power[m]
@@ -142,8 +144,7 @@ def identify(
             notes[a].append(unfitted[m])
         if law is not None and law.cooling is not None and len(layout.fed_by(m)) > 1:
             notes[a].append(f"power of {layout.names.machines[m]}: {law.source}")
-    zones: list[ZoneModel] = []
-    fits: list[JointFit | None] = []
+    data_of = []
     for a, home in enumerate(layout.home):
         order = [a, *others_of(layout, a, config)]
         task = ZoneTask(
@@ -157,14 +158,21 @@ def identify(
             step_s,
             source,
             data,
-            notes[a],
+            [*notes[a], *([sun[home].in_words()] if home in sun else [])],
             power[layout.machine_of[a]] if len(layout.fed_by(layout.machine_of[a])) == 1 else None,
             alone=len(layout.home) == 1,
             level_sd=float(level_sd[a]),
+            sun=sun.get(home),
         )
+        data_of.append(ZoneData.of(task, config))
+    effects = zone_effects(runs, pairs, layout, heat_inputs, data_of, config, say)
+    zones: list[ZoneModel] = []
+    fits: list[JointFit | None] = []
+    for a, zone_data in enumerate(data_of):
         prefix = _message_prefix(layout, a)
+        told = lambda text, prefix=prefix: say(prefix + text)  # noqa: E731
         try:
-            zone, fit = identify_zone(task, config, lambda text, prefix=prefix: say(prefix + text))  # type: ignore[misc]
+            zone, fit = identify_zone(zone_data, effects[a], told)  # type: ignore[arg-type]
         except DataError as error:
             raise DataError(f"{prefix}{error}") from error
         zones.append(_with_advice(zone, advice[a]))

@@ -17,9 +17,9 @@ from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.part_load import level_shape
-from thermoforce_mpc.identification.effects.sun_on_sensor import sun_on_sensor
 from thermoforce_mpc.identification.estimation.joint import JointFit, ModeFit, fit_joint
-from thermoforce_mpc.identification.estimation.modes import DIRECT_SLOPES_K_PER_H, mode_priors, to_operator
+from thermoforce_mpc.identification.estimation.likelihood import Split
+from thermoforce_mpc.identification.estimation.modes import ModePriors, centred_priors, to_operator
 from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
 from thermoforce_mpc.identification.estimation.regression import (
     OtherActuator,
@@ -28,15 +28,15 @@ from thermoforce_mpc.identification.estimation.regression import (
 )
 from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
 from thermoforce_mpc.identification.modulation.selection import by_level, modulate, prove
+from thermoforce_mpc.identification.network.projection import Modes
 from thermoforce_mpc.identification.two_stage import two_stage_model
-from thermoforce_mpc.identification.validation.competence import Fold, held_out_h, held_out_rmse_K, judge
+from thermoforce_mpc.identification.validation.competence import Fold, judge
 from thermoforce_mpc.identification.validation.held_out import Case, held_out, normalisation, ranges
 from thermoforce_mpc.identification.validation.order import (
-    Fitted,
-    choose_order,
     earlier_fold,
     explained_share,
     fit_and_judge,
+    split_before,
     training_data,
 )
 from thermoforce_mpc.model.card import ModelCard
@@ -44,14 +44,14 @@ from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 from thermoforce_mpc.model.zone_model import ZoneModel
 
 # Least share of the whitened variance that the forced response must explain to be accepted.
 _LEAST_EXPLAINED = 0.1
-# Held-out hours from which priors of the initial slope are compared: fewer decide by chance.
-_LEAST_HELD_OUT_H = 9.0
-# Share of the held-out error that another prior of the initial slope must undercut to be taken.
-_CLEARLY_BETTER = 0.9
+# Relative standard deviation of what the network says of effects while the free part is fitted beside them, and the
+# least of a gain, K or K/h.
+_HELD, _LEAST_GAIN = 0.5, 1e-3
 # Relative standard deviation of the answer after a day from which a model is called uncertain.
 _UNCERTAIN = 0.15
 
@@ -90,46 +90,98 @@ class ZoneTask:
     power: PowerModel | None = None
     alone: bool = True
     level_sd: float = 0.0
+    sun: SunOnSensor | None = None
+
+
+@dataclass(frozen=True)
+class ZoneData:
+    """A task with its records as regressions: `cases`, which rows of each are held out, and the resolution of the
+    sensor, K.
+    """
+
+    task: ZoneTask
+    config: IdentificationConfig
+    cases: Sequence[Case]
+    splits: Sequence[Split]
+    grid_K: float
+    notes: Sequence[str]
+
+    @classmethod
+    def of(cls, task: ZoneTask, config: IdentificationConfig) -> ZoneData:
+        """The data of a task; of a sensor that reads in steps, their rounding counts as its noise."""
+        grid_K, notes = resolution_K(task.runs), list(task.notes)
+        if grid_K:
+            # Rounding errors are uniform: their standard deviation is a twelfth's root of the resolution.
+            sensor_sd_K = float(np.hypot(config.sensor_sd_K, grid_K / np.sqrt(12.0)))
+            config = config.model_copy(update={"sensor_sd_K": sensor_sd_K})
+            notes.append(f"the zone sensor reads in steps of {grid_K:.2g} K: noise of {sensor_sd_K:.2g} K assumed")
+        runs = [
+            Case(run_regression(h, task.heat_input, config, task.others), (h,), float(h.time_s[0])) for h in task.runs
+        ]
+        pairs = [
+            Case(pair_regression(p, task.heat_input, task.others), (p.a, p.b), float(p.a.time_s[0]))
+            for p in task.pairs
+        ]
+        cases = [*runs, *pairs]
+        return cls(task, config, cases, held_out(cases, config), grid_K, notes)
+
+    @property
+    def histories(self) -> list[Record]:
+        """The records of all cases."""
+        return [h for case in self.cases for h in case.histories]
+
+    def last_steps(self, fold: str) -> list[int]:
+        """How many steps of each case a fold may see, 0 for none: all of the `whole`, those before the held-out rows of
+        `training`, and of these, runs only, those before as many held out again of `earlier`.
+        """
+        seen = []
+        for case, split in zip(self.cases, self.splits, strict=True):
+            rows, n = case.regression.rows, case.regression.n_steps
+            if fold == "whole":
+                seen.append(n)
+                continue
+            train = split.train
+            if fold == "earlier" and train.size:
+                train = (
+                    train[:0]
+                    if case.regression.is_pair or not split.judged.size
+                    else train[: split_before(case, split, self.config).train.size]
+                )
+            seen.append(int(rows[train[-1]]) if train.size else 0)
+        return seen
+
+
+@dataclass(frozen=True)
+class ZoneEffects:
+    """What the network of the building says of a zone's actuators, from all rows, from those before the held-out ones,
+    and from those before an earlier part.
+    """
+
+    whole: Modes
+    training: Modes
+    earlier: Modes
 
 
 def identify_zone(
-    task: ZoneTask, config: IdentificationConfig, say: Callable[[str], None]
+    data: ZoneData, effects: ZoneEffects | None, say: Callable[[str], None]
 ) -> tuple[ZoneModel, JointFit | None]:
-    """Return the zone's model and its linear fit, None with method two_stage.
+    """Return the zone's model and its linear fit, None with method two_stage, which needs no `effects`.
 
     Raises:
         DataError: the action explains too little (where it is alone), or its effect has no proven sign.
     """
-    runs, pairs, sign, notes = task.runs, task.pairs, task.sign, list(task.notes)
-    grid_K = resolution_K(runs)
-    sun = None
-    if runs and config.sun_on_sensor:
-        likeliest = sun_on_sensor(runs, task.heat_input, config, grid_K, task.others)
-        sun = likeliest if likeliest is not None and likeliest.likely else None
-    if sun is not None:
-        runs = [replace(h, T_zone_C=h.T_zone_C - sun.part_K(h.time_s, h.solar_W_m2)) for h in runs]
-        notes.append(sun.in_words())
-    histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
-    if grid_K:
-        # Rounding errors are uniform: their standard deviation is a twelfth's root of the resolution.
-        sensor_sd_K = float(np.hypot(config.sensor_sd_K, grid_K / np.sqrt(12.0)))
-        config = config.model_copy(update={"sensor_sd_K": sensor_sd_K})
-        notes.append(f"the zone sensor reads in steps of {grid_K:.2g} K: noise of {sensor_sd_K:.2g} K assumed")
-    days = sum(h.n_steps * h.step_s for h in histories) / DAY_S
-    say(f"fitting the forced response to {days:.3g} days at {histories[0].step_s:g} s")
-    cases = [Case(run_regression(h, task.heat_input, config, task.others), (h,), float(h.time_s[0])) for h in runs] + [
-        Case(pair_regression(p, task.heat_input, task.others), (p.a, p.b), float(p.a.time_s[0])) for p in pairs
-    ]
+    task, config = data.task, data.config
+    days = sum(h.n_steps * h.step_s for h in data.histories) / DAY_S
+    say(f"fitting the forced response to {days:.3g} days at {data.histories[0].step_s:g} s")
     fit = None
-    if config.method == "two_stage":
-        model = two_stage_model(runs, pairs, task.data, config, task.heat_input, sign, task.step_s, task.source, notes)
+    if effects is None:
+        model = two_stage_model(
+            task.runs, task.pairs, task.data, config, task.heat_input, task.sign, task.step_s, task.source, data.notes
+        )
     else:
-        model, fit = _joint_model(
-            runs, task.data, cases, config, task.heat_input, task.floor_area_m2, task.share, sign, task.step_s,
-            task.source, notes, say, task.power, task.level_sd, grid_K,
-        )  # fmt: skip
-    model = _accepted(model, cases, sign, task.alone)
-    model = replace(model, card=replace(model.card, sun_on_sensor=sun))
+        model, fit = _joint_model(data, effects, say)
+    model = _accepted(model, data.cases, task.sign, task.alone)
+    model = replace(model, card=replace(model.card, sun_on_sensor=task.sun))
     say(f"identified an operator of order {model.operator.order}")
     return model, fit
 
@@ -166,52 +218,18 @@ def _unexplained(explained: float, cases: Sequence[Case], sign: int) -> str:
 
 
 def _joint_model(
-    runs: Sequence[Record],
-    data: Mapping[str, str],
-    cases: Sequence[Case],
-    config: IdentificationConfig,
-    heat_input: HeatInput,
-    floor_area_m2: float | None,
-    share: float,
-    sign: int,
-    step_s: float | None,
-    source: str,
-    notes: Sequence[str],
-    say: Callable[[str], None],
-    power: PowerModel | None,
-    level_sd: float,
-    grid_K: float,
+    data: ZoneData, effects: ZoneEffects, say: Callable[[str], None]
 ) -> tuple[ZoneModel, JointFit]:
-    """The joint estimator as a zone's model, and its fit: order and input of the modulation by held-out data."""
-    histories = [h for case in cases for h in case.histories]
-    splits = held_out(cases, config)
-    training = {order: training_data(cases, splits, order, sign) for order in config.orders()}
-
-    def fit_orders(chosen: IdentificationConfig) -> dict[int, Fitted]:
-        priors = (mode_priors(order, chosen, heat_input, floor_area_m2, share) for order in chosen.orders())
-        return {
-            order_priors.order: fit_and_judge(cases, splits, training[order_priors.order], order_priors, config)
-            for order_priors in priors
-        }
-
-    def error_K(fits: dict[int, Fitted]) -> float:
-        best = fits[choose_order(fits)]
-        return held_out_rmse_K(cases, splits, best.fit, sign)
-
-    candidates = fit_orders(config)
-    if config.start_slope_K_per_h is None and held_out_h(cases, splits) >= _LEAST_HELD_OUT_H:
-        # Heat that reaches the air at once is not that of a slab; which it is shows in the held-out predictions.
-        most_K = _CLEARLY_BETTER * error_K(candidates)
-        for slope in DIRECT_SLOPES_K_PER_H:
-            direct = fit_orders(config.model_copy(update={"start_slope_K_per_h": slope}))
-            direct_K = error_K(direct)
-            if direct_K < most_K:
-                candidates, most_K = direct, direct_K
-                slope_note = f"the zone responds at once: initial slope from a prior of {slope[0]:g} ± {slope[1]:g} K/h"
-                notes = [*(note for note in notes if not note.startswith("the zone responds")), slope_note]
-    order = choose_order(candidates)
-    priors = candidates[order].priors
-    final = fit_joint([c.regression for c in cases], priors, config, sign)
+    """The joint estimator as a zone's model, and its fit: effects from the network, input of the modulation by
+    held-out data.
+    """
+    task, config, splits = data.task, data.config, data.splits
+    sign, heat_input, power = task.sign, task.heat_input, task.power
+    cases, priors = with_effects(data.cases, effects.whole)
+    seen_cases, seen_priors = with_effects(data.cases, effects.training)
+    training = fit_and_judge(seen_cases, splits, training_data(seen_cases, splits, seen_priors.order, sign), seen_priors, config)
+    final = known_effects(fit_joint([c.regression for c in cases], priors, config, sign), effects.whole)
+    histories, step_s = data.histories, task.step_s
     base_step = histories[0].step_s
     mean, scale = normalisation(histories)
 
@@ -229,16 +247,15 @@ def _joint_model(
             feature_scale=scale,
         )
 
-    operator = replace(linear(final), feedback=config.feedback)
-    scores = {f"held_out_order_{k}": c.score for k, c in candidates.items()}
-    scores["held_out_rollout_rmse_K"] = candidates[order].rollout_rmse_K
+    operator, notes = replace(linear(final), feedback=config.feedback), list(data.notes)
+    scores = {"held_out": training.score, "held_out_rollout_rmse_K": training.rollout_rmse_K}
     scores["residual_scale"] = final.residual_scale
     if config.modulation != "linear":
-        say(f"order {order} is best on held-out data; training the modulation of the gain")
-        operator, neural, said = modulate(cases, splits, linear, candidates[order].fit, final, priors, config, power)
+        say("training the modulation of the gain")
+        operator, neural, said = modulate(cases, splits, linear, training.fit, final, priors, config, power)
         scores, notes = scores | neural, [*notes, *said]
     operator = operator.resampled(step_s or base_step)
-    certainty = uncertainty(final, operator.step_s, level_sd) | {"sensor_resolution_K": grid_K}
+    certainty = uncertainty(final, operator.step_s, task.level_sd) | {"sensor_resolution_K": data.grid_K}
     shape: dict[str, float] = {}
     if power is not None and heat_input.heat is None and heat_input.lowest == 0.0:
         regressions = [by_level(case, heat_input) for case in cases]
@@ -246,17 +263,18 @@ def _joint_model(
         notes = [*notes, *shape_notes]
     explained = explained_share(cases, operator)
     verdict = None
-    if runs:
-        fold = Fold(cases, splits, candidates[order].fit)
-        earlier = earlier_fold(cases, splits, priors, config, sign)
-        verdict = judge(fold, earlier, priors, certainty, explained, sign, own_loops=heat_input.lowest < 0.0)
+    if task.runs:
+        fold = Fold(seen_cases, splits, training.fit)
+        before_cases, before_priors = with_effects(data.cases, effects.earlier)
+        earlier = earlier_fold(before_cases, splits, before_priors, config, sign)
+        verdict = judge(fold, earlier, seen_priors, certainty, explained, sign, own_loops=heat_input.lowest < 0.0)
     model = ZoneModel(
         operator=operator,
         power=power,
-        free=final.free_model(step_s or base_step, config) if runs else None,
+        free=final.free_model(step_s or base_step, config) if task.runs else None,
         card=ModelCard(
-            source=source,
-            data=data,
+            source=task.source,
+            data=task.data,
             ranges=ranges(histories),
             scores=scores,
             uncertainty=certainty | shape,
@@ -266,6 +284,19 @@ def _joint_model(
         ),
     )
     return model, final
+
+
+def with_effects(cases: Sequence[Case], modes: Modes) -> tuple[list[Case], ModePriors]:
+    """The cases with what the network says of the other actuators as their prior, and the prior of the own one."""
+    sd = np.maximum(_HELD * modes.gains[1:], _LEAST_GAIN)
+    others = np.stack([modes.gains[1:], sd], axis=1)
+    known = [replace(case, regression=replace(case.regression, other_gains=others, weather_gains=modes.weather)) for case in cases]
+    return known, centred_priors(modes.log_tau, modes.gains[0], _HELD)
+
+
+def known_effects(fit: JointFit, modes: Modes) -> JointFit:
+    """The fit, as sure of its effects as the network is: the joint fit takes what the loop did for what the room does."""
+    return replace(fit, covariance=modes.covariance[0], other_covariance=modes.covariance[1:])
 
 
 def _warnings(certainty: Mapping[str, float]) -> list[str]:

@@ -22,6 +22,8 @@ _GROUND_H = 400.0
 _DEFAULT_FASTEST_LOG_TAU = np.log(DEFAULT_TIME_CONSTANTS_H[3][:1])
 # Order of the operator whose slow modes are those of the free part.
 _SHARED = 3
+# Of the gains that the network says: to outdoors, K/K, and to 100 W/m², K, and as a share of them.
+_WEATHER_SD, _WEATHER_SHARE = np.array([0.05, 0.1]), 0.2
 _NEVER = np.array([np.inf])
 _DEFAULT_FREE_LOG_TAU = np.log([*DEFAULT_TIME_CONSTANTS_H[3][1:], _GROUND_H])
 N_FREE = _DEFAULT_FREE_LOG_TAU.size
@@ -44,6 +46,8 @@ def other_prior(regression: RegressionData, log_tau: Array) -> tuple[Array, Arra
     K, r = regression.others.shape[0], log_tau.size
     if not K:
         return np.empty(0), np.empty(0)
+    if regression.other_gains is not None:
+        return regression.other_gains[:, 0].ravel(), regression.other_gains[:, 1].ravel()
     slope, gain, rate, rate_sd = regression.other_priors.T
     mean, sd = np.zeros((K, r)), np.repeat(gain[:, None], r, axis=1)
     sd[:, 0] = slope
@@ -137,6 +141,17 @@ def free_prior(n_free: int) -> tuple[Array, Array, Array]:
     prior = np.array(entries).T
     prior.setflags(write=False)  # shared by all callers
     return prior[0], prior[1], prior[2]
+
+
+def free_prior_of(regression: RegressionData, n_free: int) -> tuple[Array, Array, Array]:
+    """`free_prior`, with what the network says of outdoors and sun where it is known."""
+    mean, sd, low = free_prior(n_free)
+    if regression.weather_gains is None:
+        return mean, sd, low
+    mean, sd, n = mean.copy(), sd.copy(), 2 * n_free
+    mean[:n] = regression.weather_gains.ravel()
+    sd[:n] = np.repeat(_WEATHER_SD, n_free) + _WEATHER_SHARE * np.abs(mean[:n])
+    return mean, sd, low
 
 
 def start_sd(n_modes: int) -> Array:

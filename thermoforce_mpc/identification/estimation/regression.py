@@ -44,7 +44,7 @@ class RegressionData:
     `target` (rows,) K; `rows` (rows,) indices of the boundaries used; `disturbance` of these rows; `inputs` (n, 8)
     weather of the steps, empty for a pair; `drives`: sign and drive v (n,) of each run. `others` (K, n): drives of the
     other actuators, signed by their sign, of a pair their difference; `other_priors` (K, 4): of their gains, see
-    `OtherActuator`.
+    `OtherActuator`, in whose place `other_gains` (K, 2, r), mean and standard deviation of [slope, G_2 … G_r], stand.
     """
 
     target: Array
@@ -55,6 +55,8 @@ class RegressionData:
     inputs: Array
     others: Array = field(default_factory=lambda: np.empty((0, 0)))
     other_priors: Array = field(default_factory=lambda: np.empty((0, 4)))
+    other_gains: Array | None = None
+    weather_gains: Array | None = None
 
     @property
     def n_steps(self) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.identification.estimation.columns import N_FREE, free_prior, other_prior, start_sd
+from thermoforce_mpc.identification.estimation.columns import N_FREE, free_prior_of, other_prior, start_sd
 from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.estimation.optimisers import (
     BoundedLeastSquares,
@@ -64,7 +64,7 @@ class System:
         mean, sd = np.empty(0), np.empty(0)
         self._positive = np.ones(self._acting, dtype=bool)
         if n_runs := sum(not regression.is_pair for regression in regressions):
-            mean, sd, low = free_prior(N_FREE)
+            mean, sd, low = free_prior_of(next(e for e in regressions if not e.is_pair), N_FREE)
             starts = np.tile(start_sd(N_FREE + 1), n_runs)
             mean, sd = np.append(mean, np.zeros(starts.size)), np.append(sd, starts)
             self._positive = np.concatenate([self._positive, np.isfinite(low), np.zeros(starts.size, dtype=bool)])

@@ -72,9 +72,14 @@ def earlier_fold(
     """Return the runs as they were before their held-out rows, as many of the last rows held out anew, and the fit."""
     runs = [(c, s) for c, s in zip(cases, splits, strict=True) if not c.regression.is_pair and s.judged.size]
     before = [replace(case, regression=_part(case.regression, split.train)) for case, split in runs]
-    share = config.validation_share / (1.0 - config.validation_share)
-    anew = [split_run(case.regression, share, config.horizon_h) for case in before]
+    anew = [split_before(case, split, config) for case, split in runs]
     return Fold(before, anew, fit_modes(training_data(before, anew, priors.order, sign), priors, config))
+
+
+def split_before(case: Case, split: Split, config: IdentificationConfig) -> Split:
+    """The training rows of a run, with as many of the last ones held out as `split` has."""
+    share = config.validation_share / (1.0 - config.validation_share)
+    return split_run(_part(case.regression, split.train), share, config.horizon_h)
 
 
 def fit_and_judge(
@@ -120,19 +125,3 @@ def explained_share(cases: Sequence[Case], operator: OperatorParameters) -> floa
         squares = rest.squares(np.stack([residual, residual - forced], axis=1))
         before, after = before + float(squares[0]), after + float(squares[1])
     return 1.0 - after / before if before > 0.0 else 0.0
-
-
-def choose_order(candidates: dict[int, Fitted]) -> int:
-    """Return the highest order, unless a lower one predicts the held-out rows significantly and by 20 % better."""
-    chosen = max(candidates)
-    for order in sorted(candidates, reverse=True):
-        if _better(candidates[order], candidates[chosen]):
-            chosen = order
-    return chosen
-
-
-def _better(lower: Fitted, higher: Fitted) -> bool:
-    """Return whether the lower order is better on the held-out rows by 20 % and significantly."""
-    if not higher.judged.size or higher.score**2 - lower.score**2 <= _CLEARLY * higher.score**2:
-        return False
-    return is_significant(*standard_errors_saved(higher.judged, lower.judged, higher.blocks), _SIGNIFICANT)

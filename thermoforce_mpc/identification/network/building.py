@@ -1,0 +1,127 @@
+"""Rooms joined to one network of the building: what each actuator does to each zone, and how sure that is.
+
+Each room is estimated with its neighbours' measured temperatures as inputs. Joined, a wall has the conductance that both
+of its rooms saw. With C the capacities and L the conductances, C dx/dt = −L x + b v, and L is symmetric: C^{-1/2} L
+C^{-1/2} has real positive eigenvalues λ_k, so that step responses are sums of 1 − exp(−λ_k t).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from thermoforce_mpc.data import Array, Layout
+from thermoforce_mpc.identification.network.estimate import RoomFit
+from thermoforce_mpc.identification.network.room import neighbours_of
+
+RESPONSE_H = np.array([0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 36.0, 48.0, 72.0, 96.0])
+"""Times after a step to full level at which responses are compared, h."""
+WEATHER_H = np.append(RESPONSE_H, [192.0, 384.0])
+"""The same of responses to the weather, whose steady part counts, h."""
+# Irradiance whose response is meant, W/m².
+SUN_W_M2 = 100.0
+# Relative standard deviation of any effect by what three nodes are not: surfaces, layers, a lag of the sensor, water.
+_STRUCTURE_SD = 0.05
+_DIFFERENCE = 1e-4
+
+
+@dataclass(frozen=True)
+class Responses:
+    """Step responses of one zone to full level (v = 1) of each actuator: `mean` (A, T) K at `RESPONSE_H`, with the
+    covariance (A, T, T) K² of each; `weather` (2, T') K at `WEATHER_H`: to 1 K outdoors and to `SUN_W_M2`.
+    """
+
+    mean: Array
+    covariance: Array
+    weather: Array
+
+
+@dataclass(frozen=True)
+class BuildingFit:
+    """Fits of the rooms of a building (Z,)."""
+
+    layout: Layout
+    rooms: tuple[RoomFit, ...]
+
+    @cached_property
+    def responses(self) -> tuple[Responses, ...]:
+        """What the actuators do to each zone (Z,)."""
+        thetas = [fit.theta for fit in self.rooms]
+        mean, weather = self._steps(thetas, RESPONSE_H)[:, :-2], self._steps(thetas, WEATHER_H)[:, -2:]
+        covariance = np.einsum("zat,zas->zats", mean, mean) * _STRUCTURE_SD**2
+        for z, fit in enumerate(self.rooms):
+            known = len(fit.room.names)
+            slopes = []
+            for step in np.eye(known, fit.theta.size) * _DIFFERENCE:
+                up, down = (
+                    self._steps([*thetas[:z], fit.theta + s * step, *thetas[z + 1 :]], RESPONSE_H) for s in (1, -1)
+                )
+                slopes.append((up - down)[:, :-2] / (2.0 * _DIFFERENCE))
+            by_theta = np.array(slopes)
+            covariance += np.einsum("izat,ij,jzas->zats", by_theta, fit.covariance[:known, :known], by_theta)
+        return tuple(Responses(*of_zone) for of_zone in zip(mean, covariance, weather, strict=True))
+
+    def _steps(self, thetas: Sequence[Array], hours: Array) -> Array:
+        """Step responses (Z, A + 2, T) K at `hours` (T,), at θ of each room; the last two to outdoors and sun."""
+        C, L, heat, places = self._network(thetas)
+        root = 1.0 / np.sqrt(C)
+        rates, modes = np.linalg.eigh(L * np.outer(root, root))
+        rates = np.maximum(rates, 1e-9)
+        weights = (modes.T @ (heat * root[:, None])) / rates[:, None]
+        rising = -np.expm1(-np.outer(rates, hours))
+        at = modes[places] * root[places, None]
+        return np.asarray(np.einsum("zm,ma,mt->zat", at, weights, rising))
+
+    def _network(self, thetas: Sequence[Array]) -> tuple[Array, Array, Array, list[int]]:
+        """Capacities (s,) Wh/K, conductances (s, s) W/K, heat by each actuator, K outdoors and `SUN_W_M2` (s, A + 2) W, and
+        the rooms' states."""
+        Z, A = len(self.rooms), len(self.layout.home)
+        area = np.asarray(self.layout.floor_area_m2, dtype=np.float64)
+        area = np.where(np.isfinite(area), area, np.nanmean(area) if np.isfinite(area).any() else 1.0)
+        at_home = [self.layout.actuators_of(z) for z in range(Z)]
+        begins = np.concatenate([[0], np.cumsum([3 + len(home) for home in at_home])]).astype(int)
+        C, L, heat = np.zeros(begins[-1]), np.zeros((begins[-1], begins[-1])), np.zeros((begins[-1], A + 2))
+
+        def joined(i: int, j: int, conductance: float) -> None:
+            L[i, i] += conductance
+            L[j, j] += conductance
+            L[i, j] -= conductance
+            L[j, i] -= conductance
+
+        for z, (fit, theta) in enumerate(zip(self.rooms, thetas, strict=True)):
+            p = {name: area[z] * fit.room.value(theta, name) for name in fit.room.names}
+            room, structure, envelope = range(begins[z], begins[z] + 3)
+            C[room], C[structure] = p["C_room"], p["C_structure"]
+            joined(room, structure, p["H_structure"])
+            L[room, room] += p["H_outdoors"] + p["H_neighbours"]
+            C[envelope] = p["C_envelope"]
+            joined(structure, envelope, p["H_envelope"])
+            L[envelope, envelope] += p["H_envelope_outdoors"]
+            heat[[room, envelope], A] = p["H_outdoors"], p["H_envelope_outdoors"]
+            heat[[room, structure], A + 1] = SUN_W_M2 * p["sun"], SUN_W_M2 * p["sun_structure"]
+            for k, a in enumerate(at_home[z]):
+                emitter = envelope + 1 + k
+                C[emitter] = p[f"C_emitter_{k}"]
+                joined(room, emitter, p[f"H_emitter_{k}"])
+                power = self.layout.signs[a] * p[f"heat_{k}"]
+                heat[emitter, a] = power
+                heat[structure, a] = power * p[f"heat_structure_{k}"] / area[z]
+        for z in range(Z):
+            for other in range(z):
+                joined(begins[z], begins[other], self._wall(z, other, thetas, area))
+        return C, L, heat, begins[:-1].tolist()
+
+    def _wall(self, z: int, other: int, thetas: Sequence[Array], area: Array) -> float:
+        """Conductance between two rooms, W/K: the mean of the logarithms that both saw, weighted by their precision."""
+        Z, total, weights = len(self.rooms), 0.0, 0.0
+        for here, there in ((z, other), (other, z)):
+            fit = self.rooms[here]
+            place = fit.room.place[f"wall_{list(neighbours_of(here, Z)).index(there)}"]
+            weight = 1.0 / fit.covariance[place, place]
+            total += weight * (thetas[here][place] + np.log(area[here]))
+            weights += weight
+        return float(np.exp(total / weights))
+

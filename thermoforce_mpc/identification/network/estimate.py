@@ -1,0 +1,126 @@
+"""Largest posterior of a room's network given its records, and its curvature.
+
+Half the negative log posterior is that of the one-step prediction errors of all runs (`filtering`) and of the priors
+(`room`). Prediction errors of a model in which a disturbance is heat in the state are free of what a control loop did
+with the disturbance; a disturbance added to the output is not (Ljung 1999, chapter 13).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm, expm_frechet
+from scipy.optimize import minimize
+
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.identification.network.filtering import likelihood
+from thermoforce_mpc.identification.network.room import ENVELOPE, ROOM, STRUCTURE, Room
+
+# Before the first reading, K: the room is about what it reads, its structure and emitters may be elsewhere.
+_START_SD_K = {ROOM: 1.0, STRUCTURE: 2.0, ENVELOPE: 5.0}
+_EMITTER_START_SD_K = 5.0
+# Search: bounds in prior standard deviations, most iterations, and starts in prior standard deviations of a parameter.
+_REACH, _MOST_STEPS, _MEMORY = 4.0, 400, 30
+_STARTS: tuple[dict[str, float], ...] = ({}, {"heat_0": 1.0}, {"C_structure": 0.7})
+# Step of differences of the gradient, in prior standard deviations.
+_DIFFERENCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a room read and what acted on it, at one step.
+
+    Attributes:
+        inputs: of each step, those of `Room`, the last one repeated (N, m).
+        readings: °C (N,); NaN is a gap.
+        step_h: h.
+        rounding_K2: variance of the rounding of a reading, K².
+        pair: whether it is the difference of two runs in the same weather, in which disturbances cancel but for a
+            small share.
+    """
+
+    inputs: Array
+    readings: Array
+    step_h: float
+    rounding_K2: float = 0.0
+    pair: bool = False
+
+
+# Share of the disturbances that is left in the difference of two runs.
+_PAIR_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class RoomFit:
+    """A room's network with its most likely parameters θ (p,) and their posterior covariance (p, p) (Laplace)."""
+
+    room: Room
+    theta: Array
+    covariance: Array
+    value: float
+
+    def parameters(self) -> dict[str, float]:
+        """The positive parameters by name."""
+        return {name: self.room.value(self.theta, name) for name in self.room.names}
+
+
+def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Array]:
+    """Half the negative log posterior at θ (p,) up to a constant, and its gradient (p,)."""
+    equations, n = room.equations(theta), room.n_states
+    away = (theta - room.mean) / room.sd
+    value, gradient = 0.5 * float(away @ away), away / room.sd
+    size = n + room.n_inputs
+    for step_h in dict.fromkeys(run.step_h for run in runs):
+        whole = np.zeros((size, size))
+        whole[:n] = equations.matrix * step_h
+        transition = expm(whole)
+        A, B = np.ascontiguousarray(transition[:n, :n]), np.ascontiguousarray(transition[:n, n:])
+        by_transition = np.zeros((size, size))
+        for run in (run for run in runs if run.step_h == step_h):
+            Q, stationary, reading = room.noise(theta, step_h)
+            share = _PAIR_SHARE**2 if run.pair else 1.0
+            first = float(run.readings[np.isfinite(run.readings)][0])
+            x0, P0 = np.zeros(n), np.zeros(n)
+            if not run.pair:
+                x0[: room.disturbances.start] = first
+                P0[: room.disturbances.start] = _EMITTER_START_SD_K**2
+                for state, sd in _START_SD_K.items():
+                    P0[state] = sd**2
+            P0[room.disturbances] = share * stationary
+            half, slopes = likelihood(A, B, share * Q, reading + run.rounding_K2, x0, P0, run.inputs, run.readings)
+            value += half
+            by_transition[:n, :n] += slopes.A
+            by_transition[:n, n:] += slopes.B
+            by_stationary = share * stationary * slopes.P0[room.disturbances]
+            gradient = gradient + room.noise_slopes(Q, share * slopes.Q, by_stationary, reading * slopes.R)
+        by_matrix = expm_frechet(whole.T, by_transition * step_h, compute_expm=False)[:n]
+        gradient = gradient + room.slopes(theta, equations, by_matrix)
+    return value, gradient
+
+
+def estimate_room(room: Room, runs: Sequence[Run]) -> RoomFit:
+    """The largest posterior of a room's parameters, searched from several starts, and its curvature there."""
+    scale = room.sd
+
+    def scaled(z: Array) -> tuple[float, Array]:
+        value, gradient = posterior(room, room.mean + scale * z, runs)
+        return value, gradient * scale
+
+    bounds = [(-_REACH, _REACH)] * scale.size
+    found = []
+    for start in _STARTS:
+        z = np.zeros(scale.size)
+        for name, shift in start.items():
+            z[room.place[name]] = shift
+        options = {"maxiter": _MOST_STEPS, "maxcor": _MEMORY}
+        found.append(minimize(scaled, z, jac=True, method="L-BFGS-B", bounds=bounds, options=options))
+    best = min(found, key=lambda result: result.fun)
+    curvature = np.empty((scale.size, scale.size))
+    for i, unit in enumerate(np.eye(scale.size) * _DIFFERENCE):
+        curvature[i] = (scaled(best.x + unit)[1] - scaled(best.x - unit)[1]) / (2.0 * _DIFFERENCE)
+    # What the record does not know stays at its prior: no direction is surer than the data, nor less than the prior.
+    sizes, directions = np.linalg.eigh(0.5 * (curvature + curvature.T))
+    covariance = (directions / np.maximum(sizes, 1.0)) @ directions.T
+    return RoomFit(room, room.mean + scale * best.x, covariance * np.outer(scale, scale), float(best.fun))

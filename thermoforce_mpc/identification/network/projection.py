@@ -1,0 +1,100 @@
+"""Step responses as a few parallel modes, the operator's form: least squares over time constants and gains.
+
+The room, its structure and one emitter have three modes, which the operator's form holds exactly where the two slower
+ones have gains of one sign. What more rooms and emitters add is fitted to the nearest response of that form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares, nnls
+
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.identification.estimation.columns import free_time_constants
+from thermoforce_mpc.identification.network.building import RESPONSE_H, WEATHER_H, Responses
+
+# Time constants, h: shortest, longest, least ratio of neighbours.
+_SHORTEST_H, _LONGEST_H, _APART = 0.05, 1000.0, 1.5
+# Range of the logarithm of how far ln τ is above its least, and most steps of the search.
+_RANGE, _MOST_STEPS = (-4.0, 2.2), 200
+# Time constants of the starts of the search, h, by order.
+_STARTS_H: dict[int, tuple[tuple[float, ...], ...]] = {
+    1: ((10.0,), (50.0,)),
+    2: ((1.0, 30.0), (5.0, 80.0)),
+    3: ((0.3, 3.0, 60.0), (1.0, 8.0, 100.0), (0.1, 0.5, 30.0)),
+}
+# Standard deviation of log time constants and relative gains before the responses are seen.
+_LOG_TAU_SD, _GAIN_SD = 0.5, 1.0
+# Least standard deviations: of a response, as a share of the largest, and of a gain, K or K/h.
+_LEAST_SHARE, _LEAST_GAIN = 0.01, 1e-3
+_DIFFERENCE = 1e-4
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Responses of a zone to its actuators as r modes of common time constants.
+
+    `log_tau` (r,): ln(τ/h), rising; `gains` (A, r): [slope K/h, G_2 … G_r K] of each actuator in the direction of its
+    sign; `covariance` (A, 2r, 2r): of [ln τ, gains]; `misfit` (A,): root mean square error over that of the response.
+    `weather` (2, q): steady gains of the free modes to 1 K outdoors and to `SUN_W_M2`, K.
+    """
+
+    log_tau: Array
+    gains: Array
+    covariance: Array
+    misfit: Array
+    weather: Array
+
+
+def unit_steps(log_tau: Array, hours: Array = RESPONSE_H) -> Array:
+    """Step responses (T, r) K per unit of [slope K/h, G_2 … G_r K] at `hours` (T,)."""
+    tau = np.exp(log_tau)
+    rising = -np.expm1(-np.asarray(hours)[:, None] / tau)
+    rising[:, 1:] -= tau[0] / tau[1:] * rising[:, :1]
+    rising[:, 0] *= tau[0]
+    return np.asarray(rising)
+
+
+def projected(responses: Responses, own: int, signs: Array, order: int) -> Modes:
+    """The responses (A,) of a zone as `order` modes; the time constants are those that suit actuator `own`."""
+    means = responses.mean * np.asarray(signs)[:, None]
+    target = means[own] / np.abs(means[own]).max()
+
+    def tau_of(x: Array) -> Array:
+        """ln τ from unconstrained x: each is at least `_APART` times the one before."""
+        return np.asarray(np.log(_SHORTEST_H) + np.cumsum(np.exp(x)) + np.log(_APART) * np.arange(order))
+
+    def misfit(x: Array) -> Array:
+        units = unit_steps(tau_of(x))
+        return np.asarray(units @ nnls(units, target)[0] - target)
+
+    found = []
+    for hours in _STARTS_H[order]:
+        steps = np.diff(np.log(hours), prepend=np.log(_SHORTEST_H)) - np.log(_APART) * (np.arange(order) > 0)
+        start = np.clip(np.log(np.maximum(steps, 0.0) + 1e-9), *_RANGE)
+        found.append(least_squares(misfit, start, bounds=_RANGE, max_nfev=_MOST_STEPS))
+    log_tau = np.minimum(tau_of(min(found, key=lambda result: result.cost).x), np.log(_LONGEST_H))
+    units = unit_steps(log_tau)
+    gains = np.array([nnls(units, mean)[0] for mean in means])
+    covariance = np.array([_covariance(log_tau, g, c) for g, c in zip(gains, responses.covariance, strict=True)])
+    errors = np.sqrt(np.mean((gains @ units.T - means) ** 2, axis=1) / np.maximum(np.mean(means**2, axis=1), 1e-12))
+    free = -np.expm1(-WEATHER_H[:, None] / np.exp(free_time_constants(log_tau)))
+    weather = np.array([nnls(free, response)[0] for response in responses.weather])
+    return Modes(log_tau, gains, covariance, errors, weather)
+
+
+def _covariance(log_tau: Array, gains: Array, of_response: Array) -> Array:
+    """Covariance (2r, 2r) of [ln τ, gains] that gives the response its covariance (T, T)."""
+    r = log_tau.size
+
+    def steps(p: Array) -> Array:
+        return np.asarray(unit_steps(p[:r]) @ p[r:])
+
+    p = np.concatenate([log_tau, gains])
+    slopes = np.array([(steps(p + e) - steps(p - e)) / (2.0 * _DIFFERENCE) for e in np.eye(2 * r) * _DIFFERENCE]).T
+    size = max(float(gains.sum()), _LEAST_GAIN)
+    prior = np.concatenate([np.full(r, _LOG_TAU_SD), np.full(r, _GAIN_SD * size)]) ** -2.0
+    noise = of_response + np.diag(np.full(len(of_response), (_LEAST_SHARE * size) ** 2))
+    return np.asarray(np.linalg.inv(slopes.T @ np.linalg.solve(noise, slopes) + np.diag(prior)))

@@ -1,0 +1,108 @@
+"""The network of a building from its records, fold by fold, as what each zone's fit begins from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from thermoforce_mpc.data import Layout, Record
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.effects.couplings import other_actuator, others_of
+from thermoforce_mpc.identification.effects.sun_on_sensor import sun_on_sensor
+from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
+from thermoforce_mpc.identification.network.building import BuildingFit, Responses
+from thermoforce_mpc.identification.network.effects import building_fit, room_pair, room_run
+from thermoforce_mpc.identification.network.estimate import Run
+from thermoforce_mpc.identification.network.projection import Modes, projected
+from thermoforce_mpc.identification.zone import ZoneData, ZoneEffects
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
+
+
+def without_sun(
+    runs: Sequence[Record], layout: Layout, heat_inputs: Sequence[HeatInput], config: IdentificationConfig
+) -> tuple[list[Record], dict[int, SunOnSensor]]:
+    """The runs without the sun on their zone sensors, and what was found of it by zone."""
+    found: dict[int, SunOnSensor] = {}
+    if not runs or not config.sun_on_sensor:
+        return list(runs), found
+    for zone in range(len(layout.floor_area_m2)):
+        for a in layout.actuators_of(zone)[:1]:
+            order = [a, *others_of(layout, a, config)]
+            parts = [run.part(zone, order, [layout.machine_of[a]]) for run in runs]
+            others = [other_actuator(layout, heat_inputs, config, a, b) for b in order[1:]]
+            likeliest = sun_on_sensor(parts, heat_inputs[a], config, resolution_K(parts), others)
+            if likeliest is not None and likeliest.likely:
+                found[zone] = likeliest
+    corrected = []
+    for run in runs:
+        T_zone_C = np.array(run.T_zone_C)
+        for zone, sun in found.items():
+            T_zone_C[zone] -= sun.part_K(run.time_s, run.solar_W_m2)
+        corrected.append(replace(run, T_zone_C=T_zone_C))
+    return corrected, found
+
+
+def zone_effects(
+    runs: Sequence[Record],
+    pairs: Sequence[Pair],
+    layout: Layout,
+    heat_inputs: Sequence[HeatInput],
+    data: Sequence[ZoneData],
+    config: IdentificationConfig,
+    say: Callable[[str], None],
+) -> list[ZoneEffects | None]:
+    """What the network says of each actuator's home zone (A,), fold by fold; None with method two_stage.
+
+    Without cross effects the neighbours are not part of the network.
+    """
+    if config.method == "two_stage":
+        return [None] * len(data)
+    say("fitting the building as a network of heat capacities and conductances")
+    joined = config.cross_effects and len(layout.floor_area_m2) > 1
+    folds = ("whole", "training", "earlier") if runs else ("whole", "training")
+    by_fold = {}
+    for fold in folds:
+        rooms = []
+        for zone in range(len(layout.floor_area_m2)):
+            first = layout.actuators_of(zone)[:1]
+            of_zone = data[first[0]] if first else data[0]
+            rooms.append(_seen(runs, pairs, zone, layout, heat_inputs, of_zone, fold, joined))
+        by_fold[fold] = building_fit(layout, heat_inputs, rooms, joined=joined)
+    effects: list[ZoneEffects | None] = []
+    for a in range(len(data)):
+        modes = {fold: _modes(fit, layout, a, config) for fold, fit in by_fold.items()}
+        effects.append(ZoneEffects(modes["whole"], modes["training"], modes.get("earlier", modes["training"])))
+    return effects
+
+
+def _seen(
+    runs: Sequence[Record],
+    pairs: Sequence[Pair],
+    zone: int,
+    layout: Layout,
+    heat_inputs: Sequence[HeatInput],
+    data: ZoneData,
+    fold: str,
+    joined: bool,
+) -> list[Run]:
+    """What a fold may see of a zone."""
+    found, steps = [], data.last_steps(fold)
+    for run, n in zip(runs, steps, strict=False):
+        if n > 1:
+            found.append(room_run(run.slice(0, n), zone, layout, heat_inputs, data.grid_K, joined=joined))
+    for pair, n in zip(pairs, steps[len(runs) :], strict=True):
+        if n > 1:
+            found.append(room_pair(pair, zone, layout, heat_inputs, data.grid_K, joined=joined))
+    return found
+
+
+def _modes(fit: BuildingFit, layout: Layout, a: int, config: IdentificationConfig) -> Modes:
+    """The responses of the home zone of `a` to it and to the others of its fit, as modes."""
+    responses = fit.responses[layout.home[a]]
+    order = [a, *others_of(layout, a, config)]
+    signs = np.array([layout.signs[b] for b in order])
+    part = Responses(responses.mean[order], responses.covariance[order], responses.weather)
+    return projected(part, 0, signs, config.orders()[-1])
