@@ -73,7 +73,15 @@ def _run(inputs: Array, readings: Array, step_s: float, grid_K: float, *, pair: 
 
 
 def _drives(record: Record, zone: int, layout: Layout, heat_inputs: Sequence[HeatInput]) -> list[Array]:
-    return [heat_inputs[a](record.u[a], record.T_out_C[:-1]) for a in layout.actuators_of(zone)]
+    """v of the actuators of a zone: of the heat that was measured, else of the level."""
+    drives, T_out_C = [], record.T_out_C[:-1]
+    for a in layout.actuators_of(zone):
+        heat_input, heat_W = heat_inputs[a], layout.signs[a] * record.heat_W[a]
+        by_level = heat_input(record.u[a], T_out_C)
+        measured = np.isfinite(heat_W) & (heat_input.law is not None)
+        metered = heat_input.of_meter(heat_W, T_out_C) if heat_input.law is not None else by_level
+        drives.append(np.where(measured, metered, by_level))
+    return drives
 
 
 def _mean_of_step(values: Array) -> Array:
