@@ -193,7 +193,9 @@ def two_stage_model(
             source=source,
             data=data,
             ranges=ranges(histories),
-            scores={"one_step_rmse_K": fit.rmse_K, "off_steps": fit.n_off, "on_steps": fit.n_on} | scores,
+            scores={"one_step_rmse_K": fit.rmse_K, "off_steps": fit.n_off, "on_steps": fit.n_on}
+            | {"acts_log_odds": 0.5 * (fit.g / fit.g_sd) ** 2}
+            | scores,
             uncertainty={"pole_sd": fit.a_sd, "gain_sd_K": fit.g_sd},
             config=config.model_dump(mode="json"),
             notes=(*notes, *said),

@@ -63,18 +63,23 @@ def zone_effects(
     say("fitting the building as a network of heat capacities and conductances")
     joined = config.cross_effects and len(layout.floor_area_m2) > 1
     folds = ("whole", "training", "earlier") if runs else ("whole", "training")
-    by_fold = {}
+    by_fold, log_odds = {}, {}
     for fold in folds:
         rooms = []
         for zone in range(len(layout.floor_area_m2)):
             first = layout.actuators_of(zone)[:1]
             of_zone = data[first[0]] if first else data[0]
             rooms.append(_seen(runs, pairs, zone, layout, heat_inputs, of_zone, fold, joined))
-        by_fold[fold] = building_fit(layout, heat_inputs, rooms, joined=joined)
+        by_fold[fold] = fit = building_fit(layout, heat_inputs, rooms, joined=joined)
+        if fold == "whole":
+            for zone, (room, seen) in enumerate(zip(fit.rooms, rooms, strict=True)):
+                log_odds |= {a: room.gained(seen, k) for k, a in enumerate(layout.actuators_of(zone))}
     effects: list[ZoneEffects | None] = []
     for a in range(len(data)):
         modes = {fold: _modes(fit, layout, a, config) for fold, fit in by_fold.items()}
-        effects.append(ZoneEffects(modes["whole"], modes["training"], modes.get("earlier", modes["training"])))
+        effects.append(
+            ZoneEffects(modes["whole"], modes["training"], modes.get("earlier", modes["training"]), log_odds[a])
+        )
     return effects
 
 

@@ -34,7 +34,8 @@ class Competence:
     `competent`: whether a controller may act on it. `reasons`: each criterion that it misses, in words. `advice`: what
     to do about them. `horizons`: held-out errors by lead time. `effect_K` and `effect_sd_K`: change of the zone after
     8 h at full level and its standard deviation, K. `sign_probability`: probability that the effect has the sign of
-    the mode. `explained`: share of the variation beyond weather and drift that the action explains. `held_out_h`:
+    the mode. `log_odds`: that the
+    actuator acts at all (NaN where an older file does not say). `held_out_h`:
     held-out hours.
     """
 
@@ -45,7 +46,7 @@ class Competence:
     effect_K: float = float("nan")
     effect_sd_K: float = float("nan")
     sign_probability: float = float("nan")
-    explained: float = float("nan")
+    log_odds: float = float("nan")
     held_out_h: float = float("nan")
 
     @property

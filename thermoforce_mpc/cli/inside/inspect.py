@@ -24,7 +24,7 @@ _LAGS_H = (1, 2, 4, 8, 12, 24, 48)
 _CERTIFIED_H = 48
 # Meaning of the scores of a model card, in printing order.
 _MEANING = {
-    "explained_by_actuation": "share of the temperature variation, beyond weather and drift, explained by the action",
+    "acts_log_odds": "log odds that the actuator acts on the zone at all",
     "held_out_rollout_rmse_K": "RMSE on held-out data, predicted up to 24 h ahead with known weather, K",
     "held_out_order_1": "held-out error with one mode, in standard deviations of the assumed disturbances",
     "held_out_order_2": "the same with two modes",
@@ -230,8 +230,7 @@ def _show_competence(verdict: Competence | None, console: Console) -> None:
     _titled(f"Errors on the {verdict.held_out_h:.0f} h held out, RMSE in K (weather known)", table, console)
     console.print(
         f"Effect of 8 h at full level: {verdict.effect_K:+.1f} ± {verdict.effect_sd_K:.1f} K, of the expected sign "
-        f"with probability {verdict.sign_probability:.3f}; it explains {100 * verdict.explained:.0f} % of what the "
-        "weather does not"
+        f"with probability {verdict.sign_probability:.3f}; log odds that it acts at all {verdict.log_odds:.0f}"
     )
     console.print(
         "Competence: " + ("COMPETENT" if verdict.competent else "BELOW THE BAR, controllers do not act on it")

@@ -1,8 +1,8 @@
 """Rooms joined to one network of the building: what each actuator does to each zone, and how sure that is.
 
-Each room is estimated with its neighbours' measured temperatures as inputs. Joined, a wall has the conductance that both
-of its rooms saw. With C the capacities and L the conductances, C dx/dt = −L x + b v, and L is symmetric: C^{-1/2} L
-C^{-1/2} has real positive eigenvalues λ_k, so that step responses are sums of 1 − exp(−λ_k t).
+Each room is estimated with its neighbours' measured temperatures as inputs. Joined, a wall has the conductance that
+both of its rooms saw. With C the capacities and L the conductances, C dx/dt = −L x + b v, and L is symmetric:
+C^{-1/2} L C^{-1/2} has real positive eigenvalues λ_k, so that step responses are sums of 1 − exp(−λ_k t).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ WEATHER_H = np.append(RESPONSE_H, [192.0, 384.0])
 """The same of responses to the weather, whose steady part counts, h."""
 # Irradiance whose response is meant, W/m².
 SUN_W_M2 = 100.0
-# Relative standard deviation of any effect by what three nodes are not: surfaces, layers, a lag of the sensor, water.
+# Relative standard deviation of any effect by what a few nodes are not: surfaces, layers, a lag of the sensor, water.
 _STRUCTURE_SD = 0.05
 _DIFFERENCE = 1e-4
 
@@ -76,8 +76,10 @@ class BuildingFit:
         return np.asarray(np.einsum("zm,ma,mt->zat", at, weights, rising))
 
     def _network(self, thetas: Sequence[Array]) -> tuple[Array, Array, Array, list[int]]:
-        """Capacities (s,) Wh/K, conductances (s, s) W/K, heat by each actuator, K outdoors and `SUN_W_M2` (s, A + 2) W, and
-        the rooms' states."""
+        """Capacities (s,) Wh/K, conductances (s, s) W/K, heat (s, A + 2) W, and the rooms' states.
+
+        Heat is that of each actuator, of 1 K outdoors and of `SUN_W_M2`.
+        """
         Z, A = len(self.rooms), len(self.layout.home)
         area = np.asarray(self.layout.floor_area_m2, dtype=np.float64)
         area = np.where(np.isfinite(area), area, np.nanmean(area) if np.isfinite(area).any() else 1.0)
@@ -124,4 +126,3 @@ class BuildingFit:
             total += weight * (thetas[here][place] + np.log(area[here]))
             weights += weight
         return float(np.exp(total / weights))
-

@@ -1,4 +1,4 @@
-"""What the actuators of a building do, from its records: rooms estimated one by one, joined, as modes of the operator."""
+"""The network of a building from its records: each room with its neighbours as inputs, then all of them joined."""
 
 from __future__ import annotations
 
@@ -59,10 +59,7 @@ def room_pair(
     difference = a.T_zone_C - b.T_zone_C
     others = [_mean_of_step(difference[j]) for j in neighbours_of(zone, len(difference))] if joined else []
     drives = [
-        x - y
-        for x, y in zip(
-            _drives(a, zone, layout, heat_inputs), _drives(b, zone, layout, heat_inputs), strict=True
-        )
+        x - y for x, y in zip(_drives(a, zone, layout, heat_inputs), _drives(b, zone, layout, heat_inputs), strict=True)
     ]
     return _run(np.column_stack([weather, *others, *drives]), difference[zone], a.step_s, grid_K, pair=True)
 

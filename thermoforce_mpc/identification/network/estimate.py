@@ -8,11 +8,11 @@ with the disturbance; a disturbance added to the output is not (Ljung 1999, chap
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import expm, expm_frechet
-from scipy.optimize import minimize
+from scipy.optimize import OptimizeResult, minimize
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.network.filtering import likelihood
@@ -61,6 +61,12 @@ class RoomFit:
     covariance: Array
     value: float
 
+    def gained(self, runs: Sequence[Run], actuator: int) -> float:
+        """Log posterior odds that `actuator` acts on the room: that of this fit over that of the best without it."""
+        drive = self.room.drive(actuator)
+        without = [replace(run, inputs=_without(run.inputs, drive)) for run in runs]
+        return float(_search(self.room, without, (self.theta - self.room.mean) / self.room.sd).fun - self.value)
+
     def parameters(self) -> dict[str, float]:
         """The positive parameters by name."""
         return {name: self.room.value(self.theta, name) for name in self.room.names}
@@ -102,25 +108,43 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
 
 def estimate_room(room: Room, runs: Sequence[Run]) -> RoomFit:
     """The largest posterior of a room's parameters, searched from several starts, and its curvature there."""
-    scale = room.sd
-
-    def scaled(z: Array) -> tuple[float, Array]:
-        value, gradient = posterior(room, room.mean + scale * z, runs)
-        return value, gradient * scale
-
-    bounds = [(-_REACH, _REACH)] * scale.size
-    found = []
+    scale, found = room.sd, []
     for start in _STARTS:
         z = np.zeros(scale.size)
         for name, shift in start.items():
-            z[room.place[name]] = shift
-        options = {"maxiter": _MOST_STEPS, "maxcor": _MEMORY}
-        found.append(minimize(scaled, z, jac=True, method="L-BFGS-B", bounds=bounds, options=options))
+            if name in room.place:
+                z[room.place[name]] = shift
+        found.append(_search(room, runs, z))
     best = min(found, key=lambda result: result.fun)
     curvature = np.empty((scale.size, scale.size))
     for i, unit in enumerate(np.eye(scale.size) * _DIFFERENCE):
-        curvature[i] = (scaled(best.x + unit)[1] - scaled(best.x - unit)[1]) / (2.0 * _DIFFERENCE)
+        up, down = (_scaled(room, runs, best.x + sign * unit)[1] for sign in (1.0, -1.0))
+        curvature[i] = (up - down) / (2.0 * _DIFFERENCE)
     # What the record does not know stays at its prior: no direction is surer than the data, nor less than the prior.
     sizes, directions = np.linalg.eigh(0.5 * (curvature + curvature.T))
     covariance = (directions / np.maximum(sizes, 1.0)) @ directions.T
     return RoomFit(room, room.mean + scale * best.x, covariance * np.outer(scale, scale), float(best.fun))
+
+
+def _scaled(room: Room, runs: Sequence[Run], z: Array) -> tuple[float, Array]:
+    """`posterior` at z (p,), θ in prior standard deviations from its mean, and its gradient by z."""
+    value, gradient = posterior(room, room.mean + room.sd * z, runs)
+    return value, gradient * room.sd
+
+
+def _search(room: Room, runs: Sequence[Run], start: Array) -> OptimizeResult:
+    """The largest posterior from a start, in prior standard deviations."""
+    return minimize(
+        lambda z: _scaled(room, runs, z),
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(-_REACH, _REACH)] * start.size,
+        options={"maxiter": _MOST_STEPS, "maxcor": _MEMORY},
+    )
+
+
+def _without(inputs: Array, drive: int) -> Array:
+    inputs = inputs.copy()
+    inputs[:, drive] = 0.0
+    return inputs

@@ -1,13 +1,14 @@
 """A room as a thermal network: what its parameters mean, their priors, and its equations.
 
-The room's air and furniture, its structure, and the emitter of each of its actuators are nodes with a heat capacity;
-conductances join them, the outdoor air and the neighbours. What is not measured is heat that enters the room, an
-Ornstein-Uhlenbeck process on each of two time scales. Everything is per m² of floor, so that the priors suit any size:
+The room's air and furniture (T), the structure inside (s), the envelope (w), and the emitter (e) of each of its
+actuators are nodes with a heat capacity C; conductances H join them, the outdoor air (o) and the neighbours (j). What is
+not measured is heat that enters the room, an Ornstein-Uhlenbeck process on each of three time scales (Bacher and Madsen
+2011 have one). Everything is per m² of floor, so that the priors suit any size:
 
-    C_room   dT/dt   = H_structure (T_structure − T) + H_outdoors (T_out − T) + Σ H_j (T_j − T) + H_emitter (T_emitter − T)
-                       + sun, gains, daily wave + disturbances
-    C_struct dT_s/dt = H_structure (T − T_s) + H_structure_outdoors (T_out − T_s) + sun + share of the heat
-    C_emit   dT_e/dt = H_emitter (T − T_e) + heat v
+    C_room dT/dt = H_s (T_s − T) + H_o (T_o − T) + Σ H_j (T_j − T) + H_e (T_e − T) + sun, gains, daily wave, disturbances
+    C_s  dT_s/dt = H_s (T − T_s) + H_w (T_w − T_s) + sun + a share of the heat
+    C_w  dT_w/dt = H_w (T_s − T_w) + H_wo (T_o − T_w)
+    C_e  dT_e/dt = H_e (T − T_e) + heat v
 
 Heat that reaches a node warms no other at once and cools none, at any values: the matrix is Metzler. Every rate is a
 product of powers of positive parameters, so that it is linear in their logarithms.
@@ -27,7 +28,7 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.free_response.rc import INPUTS
 
 ROOM, STRUCTURE, ENVELOPE, EMITTER = 0, 1, 2, 3
-"""States: room, structure, then the emitters, then the disturbances."""
+"""States: room, structure, envelope, then the emitters, then the disturbances."""
 DISTURBANCE_H = (1.0, 6.0, 48.0)
 """Time constants of the disturbances, h."""
 # Temperature of neighbours that were not measured, and of the ground, °C.
@@ -42,9 +43,10 @@ class Prior(NamedTuple):
 
 
 # Per m² of floor. Capacities Wh/K: air, furniture and the first centimetre of surfaces; EN ISO 13790 table 12 has 22
-# (very light) to 103 (very heavy) for the structure; an emitter holds from 1 (convector) to 30 (screed). Conductances
-# W/K: EN ISO 13790 has 9.1 W/m²K to about 3 m² of structure, in series with the surfaces' 3.45; windows, air change
-# and walls lose 0.5 to 4 in all. Heat of an actuator at full level, W; sun, m² of aperture; gains, W.
+# (very light) to 103 (very heavy) for the structure, to which the envelope's outer half adds; an emitter holds from 1
+# (convector) to 30 (screed). Conductances W/K: EN ISO 13790 has 9.1 W/m²K to about 3 m² of structure, in series with
+# the surfaces' 3.45; windows, air change and walls lose 0.5 to 4 in all. Heat of an actuator at full level, W; sun, m²
+# of aperture; gains, W.
 _ROOM: dict[str, Prior] = {
     "C_room": Prior(18.0, 0.5),
     "C_structure": Prior(60.0, 0.6),
@@ -82,7 +84,7 @@ _OUTDOOR, _SUN, _ONE = (INPUTS.index(name) for name in ("outdoor", "solar", "con
 
 @dataclass(frozen=True)
 class Equations:
-    """dx/dt = F x + G inputs at some parameters: the matrix (F, G) (n, n + m), 1/h, and the size of each of its rates."""
+    """dx/dt = F x + G inputs at some parameters: the matrix (F, G) (n, n + m), 1/h, and each of its rates (t,)."""
 
     matrix: Array
     rates: Array
@@ -242,7 +244,9 @@ class Room:
         out = np.zeros(self.mean.size)
         of_Q = 2.0 * by_Q * Q
         out[self.place["room_noise"]], out[self.place["structure_noise"]] = of_Q[ROOM], of_Q[STRUCTURE]
-        out[[self.place[f"disturbance_{hours:g}h"] for hours in DISTURBANCE_H]] = of_Q[self.disturbances] + 2.0 * by_stationary
+        out[[self.place[f"disturbance_{hours:g}h"] for hours in DISTURBANCE_H]] = (
+            of_Q[self.disturbances] + 2.0 * by_stationary
+        )
         out[self.place["reading"]] = 2.0 * by_reading
         return out
 

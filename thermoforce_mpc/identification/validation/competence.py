@@ -41,8 +41,8 @@ MOST_ERROR_K = {1.0: 0.5, 6.0: 1.0}
 # this probability): a quiet day held out makes persistence good.
 MOST_OVER_PERSISTENCE, WORSE_PROBABILITY = 1.1, 0.95
 # The same for being better than the weather alone at one of the judged lead times. Below, what the action does was not
-# seen. Of actuators that do nothing, hardly one comes to this test (`python -m benchmarks.zones.placebo`): explained
-# share and standard deviation of the effect stop them. At 95 % it would stop rooms that need little heat.
+# seen. Of actuators that do nothing, hardly one comes to this test (`python -m benchmarks.zones.placebo`): the odds
+# that they act stop them. At 95 % it would stop rooms that need little heat.
 BETTER_PROBABILITY = 0.9
 # Largest relative standard deviation of the effect of eight hours at full level, the length of a pre-heating; plans of
 # later steps correct what comes later. At 0.43 the sign is certain to 99 %; at 0.4 the 90 % interval is a third to five
@@ -146,7 +146,7 @@ def judge(
     earlier: Fold,
     priors: ModePriors,
     uncertainty: dict[str, float],
-    explained: float,
+    log_odds: float,
     sign: int,
     *,
     own_loops: bool = False,
@@ -158,7 +158,7 @@ def judge(
         earlier: fit to a part of these rows, tested on the rest of them (`order.earlier_fold`).
         priors: priors of that order.
         uncertainty: standard deviations of the final fit, see `identification.uncertainty`.
-        explained: share that the action explains, see `explained_share`.
+        log_odds: that the actuator acts, see `network.estimate.RoomFit.gained`.
         sign: +1 heating, −1 cooling.
         own_loops: whether the plant's own loops keep the comfort band, so that a wrong prediction costs energy only.
     """
@@ -175,7 +175,7 @@ def judge(
         effect_K=sign * effect,
         effect_sd_K=sd,
         sign_probability=float(norm.cdf(effect / sd)) if sd > 0 else 1.0,
-        explained=explained,
+        log_odds=log_odds,
         held_out_h=hours_held_out,
     )
     most_K = dict.fromkeys(JUDGED_H, math.inf) if own_loops else MOST_ERROR_K

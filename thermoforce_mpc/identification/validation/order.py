@@ -16,10 +16,9 @@ from thermoforce_mpc.identification.estimation.likelihood import Split, residual
 from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.estimation.regression import RegressionData, follows_action
 from thermoforce_mpc.identification.estimation.system import System
-from thermoforce_mpc.identification.validation.blocks import block_numbers, is_significant, standard_errors_saved
+from thermoforce_mpc.identification.validation.blocks import block_numbers
 from thermoforce_mpc.identification.validation.competence import Fold
 from thermoforce_mpc.identification.validation.held_out import Case
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 # A lower order is chosen only if it is better on held-out rows with this probability (Student's t) and by this share of
 # the squared residual: with priors a superfluous mode does no harm, a missing delay does.
@@ -107,21 +106,3 @@ def fit_and_judge(
         errors += [factor[np.ix_(ahead, ahead)] @ white[ahead] for ahead in later]
     rollout_rmse_K = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
     return Fitted(fit, priors, np.concatenate(whitened), np.concatenate(blocks), rollout_rmse_K)
-
-
-def explained_share(cases: Sequence[Case], operator: OperatorParameters) -> float:
-    """Return the share of the whitened residual variance, after weather and drift, that the forced response explains.
-
-    The forced response is that of the linear part, m = 1, to the actions of each case. 0 where nothing varies: the
-    zone of a pair of which another zone's actuator acted.
-    """
-    log_tau, steady = np.log(operator.time_constants_h), operator.sign * operator.steady_gains_K
-    gains = np.concatenate([[(steady / operator.time_constants_h).sum()], steady[1:]])
-    before, after = 0.0, 0.0
-    for case in cases:
-        rest = residuals(case.regression, log_tau)
-        residual = case.regression.target - rest.mean
-        forced = forced_columns(case.regression, log_tau, operator.sign) @ gains
-        squares = rest.squares(np.stack([residual, residual - forced], axis=1))
-        before, after = before + float(squares[0]), after + float(squares[1])
-    return 1.0 - after / before if before > 0.0 else 0.0

@@ -30,7 +30,7 @@ _OPERATOR_ARRAYS = (
     "pole_bounds",
 )
 _HORIZON_NUMBERS = ("hours", "model_K", "persistence_K", "weather_K", "better_t", "persistence_t")
-_COMPETENCE_NUMBERS = ("effect_K", "effect_sd_K", "sign_probability", "explained", "held_out_h")
+_COMPETENCE_NUMBERS = ("effect_K", "effect_sd_K", "sign_probability", "log_odds", "held_out_h")
 _FREE_ARRAYS = ("poles", "weights", "process_sd_K")
 
 
@@ -205,7 +205,7 @@ def _competence(data: Mapping[str, Any] | None) -> Competence | None:
             )
             for score in listed(data["horizons"])
         ),
-        **{key: number_or_nan(data[key]) for key in _COMPETENCE_NUMBERS},
+        **{key: number_or_nan(data.get(key)) for key in _COMPETENCE_NUMBERS},
     )
 
 

@@ -30,7 +30,7 @@ SCHEMA = pa.schema(
         pa.field("seed", pa.int64()),
         pa.field("competent", pa.bool_()),
         pa.field("verdict", pa.string(), nullable=False),
-        *(pa.field(name, pa.float64()) for name in ("effect_K", "effect_sd_K", "sign_probability", "explained")),
+        *(pa.field(name, pa.float64()) for name in ("effect_K", "effect_sd_K", "sign_probability", "log_odds")),
         *(pa.field(f"{what}_{h}h_K", pa.float64()) for h in _LEAD_H for what in ("model", "persistence", "weather")),
     ]
 )
@@ -152,7 +152,7 @@ def _rows(path: Path, place: Mapping[str, Any]) -> list[dict[str, Any]]:
         row = {**place, "actuator": actuator, "competent": None, "verdict": "not judged"}
         if competence is not None:
             row |= {"competent": competence.competent, "verdict": competence.in_words()}
-            figures = ("effect_K", "effect_sd_K", "sign_probability", "explained")
+            figures = ("effect_K", "effect_sd_K", "sign_probability", "log_odds")
             row |= {name: getattr(competence, name) for name in figures}
             for score in competence.horizons:
                 row |= {
