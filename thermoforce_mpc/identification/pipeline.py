@@ -172,7 +172,7 @@ def identify(
         prefix = _message_prefix(layout, a)
         told = lambda text, prefix=prefix: say(prefix + text)  # noqa: E731
         try:
-            zone, fit = identify_zone(zone_data, effects[a], told)  # type: ignore[arg-type]
+            zone, fit = identify_zone(zone_data, effects[a], told)
         except DataError as error:
             raise DataError(f"{prefix}{error}") from error
         zones.append(_with_advice(zone, advice[a]))

@@ -63,7 +63,8 @@ def zone_effects(
     say("fitting the building as a network of heat capacities and conductances")
     joined = config.cross_effects and len(layout.floor_area_m2) > 1
     folds = ("whole", "training", "earlier") if runs else ("whole", "training")
-    by_fold, log_odds = {}, {}
+    by_fold: dict[str, BuildingFit] = {}
+    log_odds: dict[int, float] = {}
     for fold in folds:
         rooms = []
         for zone in range(len(layout.floor_area_m2)):

@@ -1,11 +1,11 @@
 """A room as a thermal network: what its parameters mean, their priors, and its equations.
 
 The room's air and furniture (T), the structure inside (s), the envelope (w), and the emitter (e) of each of its
-actuators are nodes with a heat capacity C; conductances H join them, the outdoor air (o) and the neighbours (j). What is
-not measured is heat that enters the room, an Ornstein-Uhlenbeck process on each of three time scales (Bacher and Madsen
-2011 have one). Everything is per m² of floor, so that the priors suit any size:
+actuators are nodes with a heat capacity C; conductances H join them, the outdoor air (o) and the neighbours (j). What
+is not measured is heat that enters the room, an Ornstein-Uhlenbeck process on each of three time scales (Bacher and
+Madsen 2011 have one). Everything is per m² of floor, so that the priors suit any size:
 
-    C_room dT/dt = H_s (T_s − T) + H_o (T_o − T) + Σ H_j (T_j − T) + H_e (T_e − T) + sun, gains, daily wave, disturbances
+    C_room dT/dt = H_s (T_s − T) + H_o (T_o − T) + Σ H_j (T_j − T) + H_e (T_e − T) + sun + gains + disturbances
     C_s  dT_s/dt = H_s (T − T_s) + H_w (T_w − T_s) + sun + a share of the heat
     C_w  dT_w/dt = H_w (T_s − T_w) + H_wo (T_o − T_w)
     C_e  dT_e/dt = H_e (T − T_e) + heat v
