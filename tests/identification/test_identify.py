@@ -12,7 +12,6 @@ from houses import House, effect_rmse, make_pair, record
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig, Pair, identify
-from thermoforce_mpc.identification.validation.order import Fitted, choose_order
 from thermoforce_mpc.model.operator import certificate
 from thermoforce_mpc.scenario.settings import validate
 
