@@ -45,7 +45,9 @@ def difference(a: Run, b: Run) -> Run:
 def sd_of_effect(fit, hours):
     """Standard deviation of the logarithm of the effect."""
     steps = np.eye(fit.theta.size) * 1e-4
-    slopes = [np.log(effect_K(fit.room, fit.theta + s, hours) / effect_K(fit.room, fit.theta - s, hours)) for s in steps]
+    slopes = [
+        np.log(effect_K(fit.room, fit.theta + s, hours) / effect_K(fit.room, fit.theta - s, hours)) for s in steps
+    ]
     return float(np.sqrt(np.array(slopes) @ fit.covariance @ np.array(slopes)) / 2e-4)
 
 
@@ -96,7 +98,9 @@ def test_a_loop_that_answers_disturbances_does_not_hide_the_effect():
     for seed in range(4):
         run = simulated(METERED, truth, (thermostat,), 10.0, seed, 0.5)
         for room, found in errors.items():
-            found.append(effect_K(METERED, estimate_room(room, [run]).theta, 48.0) / effect_K(METERED, truth, 48.0) - 1.0)
+            found.append(
+                effect_K(METERED, estimate_room(room, [run]).theta, 48.0) / effect_K(METERED, truth, 48.0) - 1.0
+            )
     inside, at_output = (np.mean(found) for found in errors.values())
     assert abs(inside) < 0.08
     assert at_output < -0.4

@@ -41,7 +41,9 @@ def effect_K(room: Room, theta: np.ndarray, hours: float, actuator: int = 0) -> 
     return float(transition(room, theta, hours)[1][0, room.drive(actuator)])
 
 
-def simulated(room: Room, theta: np.ndarray, rules: tuple[Rule, ...], days: float, seed: int, step_h: float = 0.25) -> Run:
+def simulated(
+    room: Room, theta: np.ndarray, rules: tuple[Rule, ...], days: float, seed: int, step_h: float = 0.25
+) -> Run:
     """A run of the room from a steady state, with its disturbances, while `rules` answer what its sensor reads."""
     rng = np.random.default_rng(seed)
     time_s, T_out_C, solar = weather(days, 3600.0 * step_h, seed)
