@@ -1,13 +1,14 @@
 """A room as a thermal network: what its parameters mean, their priors, and its equations.
 
-The room's air and furniture, its structure, and the emitter of each of its actuators are nodes with a heat capacity;
-conductances join them, the outdoor air and the neighbours. What is not measured is heat that enters the room, an
-Ornstein-Uhlenbeck process on each of two time scales. Everything is per m² of floor, so that the priors suit any size:
+The room's air and furniture, its structure, its envelope, and the emitter of each of its actuators are nodes with a heat
+capacity; conductances join them, the outdoor air and the neighbours. What is not measured is heat that enters the room, an
+Ornstein-Uhlenbeck process on each of three time scales. Everything is per m² of floor, so that the priors suit any size:
 
-    C_room   dT/dt   = H_structure (T_structure − T) + H_outdoors (T_out − T) + Σ H_j (T_j − T) + H_emitter (T_emitter − T)
-                       + sun, gains, daily wave + disturbances
-    C_struct dT_s/dt = H_structure (T − T_s) + H_structure_outdoors (T_out − T_s) + sun + share of the heat
-    C_emit   dT_e/dt = H_emitter (T − T_e) + heat v
+    C_room   dT/dt   = H_structure (T_structure − T) + H_outdoors (T_out − T) + H_neighbours (20 − T) + Σ wall_j (T_j − T)
+                       + Σ H_emitter (T_emitter − T) + sun, gains, daily wave + disturbances
+    C_struct dT_s/dt = H_structure (T − T_s) + H_envelope (T_e − T_s) + sun + share of the heat
+    C_envel  dT_e/dt = H_envelope (T_s − T_e) + H_envelope_outdoors (T_out − T_e)
+    C_emit   dT_m/dt = H_emitter (T − T_m) + heat v
 
 Heat that reaches a node warms no other at once and cools none, at any values: the matrix is Metzler. Every rate is a
 product of powers of positive parameters, so that it is linear in their logarithms.
@@ -27,7 +28,7 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.free_response.rc import INPUTS
 
 ROOM, STRUCTURE, ENVELOPE, EMITTER = 0, 1, 2, 3
-"""States: room, structure, then the emitters, then the disturbances."""
+"""States: room, structure, envelope, then the emitters, then the disturbances."""
 DISTURBANCE_H = (1.0, 6.0, 48.0)
 """Time constants of the disturbances, h."""
 # Temperature of neighbours that were not measured, and of the ground, °C.
