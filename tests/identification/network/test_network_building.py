@@ -62,8 +62,8 @@ def test_responses_are_those_of_the_joined_equations():
         expected = expm(hours * whole)[begins, F.shape[0] :]
         for z in (0, 1):
             if hours in RESPONSE_H:
-                np.testing.assert_allclose(responses[z].mean[:, RESPONSE_H == hours][:, 0], expected[z, :3], rtol=1e-6)
-            found = responses[z].weather[:, WEATHER_H == hours][:, 0]
+                np.testing.assert_allclose(responses[z].mean[:, hours == RESPONSE_H][:, 0], expected[z, :3], rtol=1e-6)
+            found = responses[z].weather[:, hours == WEATHER_H][:, 0]
             np.testing.assert_allclose(found, expected[z, 3:], rtol=1e-6)
 
 

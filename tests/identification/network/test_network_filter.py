@@ -1,4 +1,4 @@
-"""The filter's likelihood against the normal distribution of all readings, and its derivatives against complex steps."""
+"""The filter's likelihood against the normal distribution of all readings, its derivatives against complex steps."""
 
 from __future__ import annotations
 
