@@ -1,11 +1,12 @@
 """A room as a thermal network: what its parameters mean, their priors, and its equations.
 
-The room's air and furniture, its structure, its envelope, and the emitter of each of its actuators are nodes with a heat
-capacity; conductances join them, the outdoor air and the neighbours. What is not measured is heat that enters the room, an
-Ornstein-Uhlenbeck process on each of three time scales. Everything is per m² of floor, so that the priors suit any size:
+The room's air and furniture, its structure, its envelope, and the emitter of each of its actuators are nodes with a
+heat capacity; conductances join them, the outdoor air and the neighbours. What is not measured is heat that enters the
+room, an Ornstein-Uhlenbeck process on each of three time scales. Everything is per m² of floor, so that the priors suit
+any size:
 
-    C_room   dT/dt   = H_structure (T_structure − T) + H_outdoors (T_out − T) + H_neighbours (20 − T) + Σ wall_j (T_j − T)
-                       + Σ H_emitter (T_emitter − T) + sun, gains, daily wave + disturbances
+    C_room   dT/dt   = H_structure (T_structure − T) + H_outdoors (T_out − T) + H_neighbours (20 − T)
+                       + Σ wall_j (T_j − T) + Σ H_emitter (T_emitter − T) + sun, gains, daily wave + disturbances
     C_struct dT_s/dt = H_structure (T − T_s) + H_envelope (T_e − T_s) + sun + share of the heat
     C_envel  dT_e/dt = H_envelope (T_s − T_e) + H_envelope_outdoors (T_out − T_e)
     C_emit   dT_m/dt = H_emitter (T − T_m) + heat v
