@@ -1,7 +1,7 @@
 """Step responses as a few parallel modes, the operator's form: least squares over time constants and gains.
 
-The room, its structure and one emitter have three modes, which the operator's form holds exactly where the two slower
-ones have gains of one sign. What more rooms and emitters add is fitted to the nearest response of that form.
+A room with its structure, its envelope and one emitter has four modes, of which three are enough to within a per cent
+or so. What more rooms and emitters add is fitted to the nearest response of that form, too.
 """
 
 from __future__ import annotations

@@ -1,0 +1,132 @@
+"""Rooms joined to a building answer as their own equations do, and are less sure where their parameters are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from thermal_networks import effect_K, theta_of
+
+from thermoforce_mpc.data import Layout, Names
+from thermoforce_mpc.identification.network.building import RESPONSE_H, SUN_W_M2, WEATHER_H, BuildingFit
+from thermoforce_mpc.identification.network.estimate import RoomFit
+from thermoforce_mpc.identification.network.room import Room
+from thermoforce_mpc.model.free_response.rc import INPUTS
+
+AREA_M2 = (20.0, 30.0)
+LAYOUT = Layout(
+    Names(("bath", "hall"), ("radiator", "floor", "fan"), ("boiler", "chiller")),
+    signs=(1, 1, -1),
+    home=(0, 1, 1),
+    machine_of=(0, 0, 1),
+    lowest=(0.0, 0.0, 0.0),
+    shares=(0.5, 0.5, 0.0),
+    floor_area_m2=AREA_M2,
+)
+ROOMS = (Room(neighbours=1), Room((1, -1), (float("nan"),) * 2, neighbours=1))
+# One wall of 12 W/K, of which each room has its share per m² of its floor.
+THETAS = (
+    theta_of(ROOMS[0], wall_0=12.0 / AREA_M2[0], heat_0=80.0, C_structure=40.0, sun=0.08),
+    theta_of(ROOMS[1], wall_0=12.0 / AREA_M2[1], heat_0=40.0, C_emitter_0=20.0, heat_structure_0=0.4, H_envelope=1.0),
+)
+
+
+def fit_of(thetas=THETAS, variances=(1e-4, 1e-4), rooms=ROOMS, layout=LAYOUT):
+    """Rooms at θ, all of whose parameters have a variance."""
+    fits = zip(rooms, thetas, variances, strict=True)
+    return BuildingFit(layout, tuple(RoomFit(room, t, v * np.eye(t.size), 0.0) for room, t, v in fits))
+
+
+def joined():
+    """Both rooms' equations with each other's temperature in the place of the input, (n, n) 1/h, and their inputs."""
+    sizes = [room.disturbances.start for room in ROOMS]
+    F, drives = np.zeros((sum(sizes),) * 2), np.zeros((sum(sizes), 5))
+    begins = [0, sizes[0]]
+    for z, (room, theta) in enumerate(zip(ROOMS, THETAS, strict=True)):
+        matrix, here = room.equations(theta).matrix, slice(begins[z], begins[z] + sizes[z])
+        inputs = matrix[: sizes[z], room.n_states :]
+        F[here, here] = matrix[: sizes[z], : sizes[z]]
+        F[here, begins[1 - z]] = inputs[:, len(INPUTS)]
+        for k, a in enumerate(LAYOUT.actuators_of(z)):
+            drives[here, a] = inputs[:, room.drive(k)]
+        drives[here, 3] = inputs[:, INPUTS.index("outdoor")]
+        drives[here, 4] = SUN_W_M2 * inputs[:, INPUTS.index("solar")]
+    return F, drives, begins
+
+
+def test_responses_are_those_of_the_joined_equations():
+    F, drives, begins = joined()
+    responses = fit_of().responses
+    whole = np.vstack([np.hstack([F, drives]), np.zeros((5, F.shape[0] + 5))])
+    for hours in WEATHER_H:
+        expected = expm(hours * whole)[begins, F.shape[0] :]
+        for z in (0, 1):
+            if hours in RESPONSE_H:
+                np.testing.assert_allclose(responses[z].mean[:, hours == RESPONSE_H][:, 0], expected[z, :3], rtol=1e-6)
+            found = responses[z].weather[:, hours == WEATHER_H][:, 0]
+            np.testing.assert_allclose(found, expected[z, 3:], rtol=1e-6)
+
+
+def test_a_room_alone_answers_as_its_equations():
+    room = Room()
+    (responses,) = fit_of([room.mean], (1e-4,), (room,), Layout.single()).responses
+    np.testing.assert_allclose(responses.mean[0], [effect_K(room, room.mean, h) for h in RESPONSE_H], rtol=1e-8)
+
+
+def test_heat_of_one_room_reaches_the_other_later_and_less():
+    responses = fit_of().responses
+    own, across = responses[0].mean[0], responses[1].mean[0]
+    assert (across > 0.0).all()
+    assert (across < own).all()
+    assert across[0] / across[-1] < 0.1 * own[0] / own[-1]
+    assert (responses[0].mean[2] < 0.0).all(), "cooling"
+
+
+def test_a_wall_is_the_one_that_the_surer_room_saw():
+    """Both rooms saw it: where they differ, between the two, nearer to the surer one."""
+    other = (THETAS[0].copy(), THETAS[1])
+    other[0][ROOMS[0].place["wall_0"]] += np.log(4.0)
+
+    def across(thetas, variances):
+        return float(fit_of(thetas, variances).responses[1].mean[0, -1])
+
+    low, high = across(THETAS, (1e-4, 1e-4)), across(other, (1e-6, 1.0))
+    middle = across(other, (1e-4, 1e-4))
+    assert low < middle < high
+    assert across(other, (1.0, 1e-6)) == pytest.approx(low, rel=1e-3)
+    both = [theta.copy() for theta in THETAS]
+    for theta, room in zip(both, ROOMS, strict=True):
+        theta[room.place["wall_0"]] += np.log(2.0)
+    assert middle == pytest.approx(across(both, (1e-4, 1e-4)), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_bands_are_those_of_the_parameters():
+    """Against responses at parameters drawn from their covariance; what the nodes are not adds 5 %."""
+    rng, sd = np.random.default_rng(0), 0.1
+    found = fit_of(variances=(sd**2, sd**2)).responses
+    drawn = [fit_of([t + sd * rng.normal(size=t.size) for t in THETAS]) for _ in range(150)]
+    for z in (0, 1):
+        sample = np.array([one.responses[z].mean for one in drawn])
+        for a in range(3):
+            expected = np.hypot(sample[:, a].std(axis=0), 0.05 * np.abs(found[z].mean[a]))
+            np.testing.assert_allclose(np.sqrt(np.diag(found[z].covariance[a])), expected, rtol=0.25)
+
+
+def test_less_certain_parameters_make_wider_bands():
+    sds = [np.sqrt(np.diag(fit_of(variances=(v, v)).responses[0].covariance[0])) for v in (0.0025, 0.01, 0.04)]
+    assert (sds[0] < sds[1]).all()
+    assert (sds[1] < sds[2]).all()
+    least = np.abs(fit_of(variances=(1e-12, 1e-12)).responses[0].mean[0]) * 0.05
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(fit_of(variances=(1e-12,) * 2).responses[0].covariance[0])), least, rtol=1e-3
+    )
+
+
+def test_a_building_without_floor_areas_answers_the_same():
+    """Everything is per m² of a room: with one room its area does not matter."""
+    room = Room()
+    found = [
+        fit_of([room.mean], (0.01,), (room,), Layout.single(floor_area_m2=area)).responses[0] for area in (None, 80.0)
+    ]
+    np.testing.assert_allclose(found[0].mean, found[1].mean, rtol=1e-9)

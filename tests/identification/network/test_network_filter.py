@@ -1,0 +1,71 @@
+"""The filter's likelihood against the normal distribution of all readings, its derivatives against complex steps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from thermoforce_mpc.identification.network.filtering import likelihood
+
+READINGS, STATES, INPUTS = 14, 4, 3
+
+
+def plain(A, B, Q, R, x0, P0, inputs, readings):
+    """Half the negative log density of the readings, up to a constant, from their joint mean and covariance."""
+    N, n = readings.size, x0.size
+    means, covariance = [x0], np.diag(P0)
+    states = np.zeros((N, n, N, n), dtype=A.dtype)
+    for k in range(N):
+        if k:
+            means.append(A @ means[-1] + B @ inputs[k - 1])
+            covariance = A @ covariance @ A.T + np.diag(Q)
+        across = covariance
+        for later in range(k, N):
+            states[later, :, k], states[k, :, later] = across, across.T
+            across = A @ across
+    known = np.isfinite(readings.real)
+    errors = (readings - np.array(means)[:, 0])[known]
+    joint = states[:, 0, :, 0][np.ix_(known, known)] + R * np.eye(known.sum())
+    return 0.5 * (np.log(np.linalg.det(joint)) + errors @ np.linalg.solve(joint, errors))
+
+
+def problem(seed):
+    """A random system with gaps: at the start, in the middle, at the end."""
+    rng = np.random.default_rng(seed)
+    A = 0.9 * np.eye(STATES) + 0.08 * rng.random((STATES, STATES))
+    B, Q, R = rng.normal(size=(STATES, INPUTS)), 0.1 + rng.random(STATES), 0.3
+    x0, P0 = rng.normal(size=STATES), rng.random(STATES)
+    inputs, readings = rng.normal(size=(READINGS, INPUTS)), 3.0 * rng.normal(size=READINGS)
+    readings[[0, 5, 6, 7, READINGS - 1]] = np.nan
+    return A, B, Q, R, x0, P0, inputs, readings
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_value_is_that_of_the_joint_distribution(seed):
+    parts = problem(seed)
+    assert likelihood(*parts)[0] == pytest.approx(plain(*parts), rel=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_derivatives_are_those_of_complex_steps(seed):
+    parts = problem(seed)
+    _, slopes = likelihood(*parts)
+    places = {"A": 0, "B": 1, "Q": 2, "R": 3, "P0": 5}
+    for name, place in places.items():
+        found = np.atleast_1d(getattr(slopes, name))
+        for index in np.ndindex(found.shape):
+            shifted = [np.array(part, dtype=complex) for part in parts]
+            if name == "R":
+                shifted[place] = parts[place] + 1e-30j
+            else:
+                shifted[place][index] += 1e-30j
+            assert found[index] == pytest.approx(plain(*shifted).imag / 1e-30, rel=1e-7, abs=1e-9), (name, index)
+
+
+def test_a_run_without_readings_says_nothing():
+    parts = list(problem(0))
+    parts[-1] = np.full(READINGS, np.nan)
+    value, slopes = likelihood(*parts)
+    assert value == 0.0
+    assert not np.any(slopes.A)
+    assert slopes.R == 0.0

@@ -1,0 +1,76 @@
+"""Each fold of an identification sees its own part of the records only."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from houses import House, make_pair, record
+
+from thermoforce_mpc.data import DAY_S, Layout
+from thermoforce_mpc.identification import IdentificationConfig, Pair
+from thermoforce_mpc.identification.zone import ZoneData, ZoneTask
+from thermoforce_mpc.identification.zone_effects import zone_effects
+from thermoforce_mpc.model.operator.heat_input import IDENTITY
+
+LAYOUT, CONFIG = Layout.single(floor_area_m2=190.0), IdentificationConfig(modulation="linear")
+
+
+def folds_of(run, pairs=(), config=CONFIG):
+    """What the network says of a house from a run and pairs, fold by fold."""
+    data = ZoneData.of(ZoneTask([run], pairs, IDENTITY, 1, floor_area_m2=190.0), config)
+    (effects,) = zone_effects([run], pairs, LAYOUT, [IDENTITY], [data], config, lambda said: None)
+    return data, effects
+
+
+def changed_from(run, step):
+    """The run, 3 K warmer and at full level from a step on."""
+    T_zone_C, u = np.array(run.T_zone_C), np.array(run.u)
+    T_zone_C[:, step + 1 :] += 3.0
+    u[:, step:] = 1.0
+    return replace(run, T_zone_C=T_zone_C, u=u)
+
+
+def later(pair, days):
+    """The pair, some days later."""
+    runs = [replace(run, time_s=run.time_s + days * DAY_S) for run in (pair.a, pair.b)]
+    return Pair(*runs, label=pair.label)
+
+
+def same(a, b):
+    """Whether two folds say the same, bit for bit."""
+    names = ("log_tau", "gains", "covariance", "misfit", "weather")
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
+
+
+@pytest.mark.slow
+def test_held_out_rows_are_not_seen():
+    run = record(House(), 4.0, 3600.0, noise_K=0.01)
+    data, before = folds_of(run)
+    seen = {fold: data.last_steps(fold)[0] for fold in ("whole", "training", "earlier")}
+    assert seen["whole"] == run.n_steps
+    assert seen["training"] == pytest.approx(0.75 * run.n_steps, abs=1)
+    assert seen["earlier"] == pytest.approx(0.5 * run.n_steps, abs=1)
+    _, late = folds_of(changed_from(run, seen["training"]))
+    assert same(late.training, before.training)
+    assert same(late.earlier, before.earlier)
+    assert not same(late.whole, before.whole)
+    _, middle = folds_of(changed_from(run, seen["earlier"]))
+    assert same(middle.earlier, before.earlier)
+    assert not same(middle.training, before.training)
+
+
+def test_held_out_pairs_are_not_seen():
+    pairs = [later(make_pair(House(), seed, 1.0), seed) for seed in range(4)]
+    data = ZoneData.of(ZoneTask([], pairs, IDENTITY, 1, floor_area_m2=190.0), CONFIG)
+    assert data.last_steps("whole") == [24] * 4
+    assert sorted(data.last_steps("training")) == [0, 24, 24, 24]
+    assert data.last_steps("earlier") == [0] * 4
+
+
+def test_the_two_stages_need_no_network():
+    config = CONFIG.model_copy(update={"method": "two_stage", "order": 1})
+    run = record(House(), 2.0, 3600.0)
+    data = ZoneData.of(ZoneTask([run], [], IDENTITY, 1), config)
+    assert zone_effects([run], [], LAYOUT, [IDENTITY], [data], config, lambda said: None) == [None]

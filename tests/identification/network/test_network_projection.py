@@ -1,0 +1,106 @@
+"""Responses of a network as the operator's modes: exact where they have that form, near where they have not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from thermal_networks import effect_K, random_theta, theta_of
+
+from thermoforce_mpc.data import Layout, Names
+from thermoforce_mpc.identification.network.building import RESPONSE_H, WEATHER_H, BuildingFit, Responses
+from thermoforce_mpc.identification.network.estimate import RoomFit
+from thermoforce_mpc.identification.network.projection import projected, unit_steps
+from thermoforce_mpc.identification.network.room import Room
+
+ONE, SIGNS = Room(), np.array([1])
+
+
+def responses_of(theta, variance=0.01, room=ONE):
+    """Responses of a room alone."""
+    return BuildingFit(Layout.single(), (RoomFit(room, theta, variance * np.eye(theta.size), 0.0),)).responses[0]
+
+
+def response_at(modes, actuator=0, hours=RESPONSE_H):
+    """What the modes say, K."""
+    return unit_steps(modes.log_tau, hours) @ modes.gains[actuator]
+
+
+@pytest.mark.parametrize("tau_h", [(0.5, 3.0, 50.0), (0.2, 6.0, 200.0)])
+def test_what_has_the_operators_form_is_met_exactly(tau_h):
+    mean = unit_steps(np.log(tau_h)) @ np.array([0.3, 1.5, 12.0])
+    given = Responses(mean[None], np.diag(mean * 0.1)[None] ** 2, np.ones((2, WEATHER_H.size)))
+    modes = projected(given, 0, SIGNS, 3)
+    np.testing.assert_allclose(np.exp(modes.log_tau), tau_h, rtol=0.02)
+    np.testing.assert_allclose(modes.gains[0], [0.3, 1.5, 12.0], rtol=0.02, atol=1e-3)
+    assert modes.misfit[0] < 1e-4
+
+
+def test_a_room_of_the_priors_is_met():
+    """Four modes, of which the operator's form takes three: the response in its place errs by less than 1 %."""
+    modes = projected(responses_of(ONE.mean), 0, SIGNS, 3)
+    expected = [effect_K(ONE, ONE.mean, hours) for hours in RESPONSE_H]
+    np.testing.assert_allclose(response_at(modes), expected, rtol=0.01, atol=0.01 * max(expected))
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_modes_rise_and_gains_are_not_negative(order):
+    rng = np.random.default_rng(order)
+    for _ in range(5):
+        modes = projected(responses_of(random_theta(ONE, rng)), 0, SIGNS, order)
+        assert modes.log_tau.shape == (order,)
+        assert (np.diff(modes.log_tau) >= 0.0).all()
+        assert (modes.gains >= 0.0).all()
+        assert (modes.weather >= 0.0).all()
+        assert (np.diff(response_at(modes)) > 0.0).all()
+
+
+def test_rooms_of_all_kinds_are_met_within_a_few_per_cent():
+    rng = np.random.default_rng(7)
+    misfits = [projected(responses_of(random_theta(ONE, rng)), 0, SIGNS, 3).misfit[0] for _ in range(12)]
+    assert np.median(misfits) < 0.01
+    assert max(misfits) < 0.05
+
+
+def test_more_modes_meet_a_slow_floor_better():
+    theta = theta_of(ONE, C_emitter_0=30.0, heat_structure_0=0.4)
+    misfits = [projected(responses_of(theta), 0, SIGNS, order).misfit[0] for order in (1, 2, 3)]
+    assert misfits[0] > misfits[1] > misfits[2]
+
+
+def test_another_actuator_shares_the_time_constants():
+    room = Room((1, -1), (float("nan"),) * 2)
+    theta = theta_of(room, C_emitter_0=20.0, C_emitter_1=2.0)
+    layout = Layout(
+        names=Names(("zone",), ("floor", "fan"), ("boiler", "chiller")),
+        signs=(1, -1),
+        home=(0, 0),
+        machine_of=(0, 1),
+        lowest=(0.0, 0.0),
+        shares=(0.0, 0.0),
+    )
+    found = BuildingFit(layout, (RoomFit(room, theta, 0.01 * np.eye(theta.size), 0.0),)).responses[0]
+    modes = projected(found, 0, np.array([1, -1]), 3)
+    assert modes.gains.shape == (2, 3)
+    assert modes.misfit[0] < 0.01
+    late = RESPONSE_H >= 2.0
+    np.testing.assert_allclose(response_at(modes, 1)[late], -found.mean[1][late], rtol=0.1)
+
+
+def test_steady_gains_to_the_weather_are_those_of_the_network():
+    found = responses_of(ONE.mean)
+    modes = projected(found, 0, SIGNS, 3)
+    np.testing.assert_allclose(modes.weather.sum(axis=1), found.weather[:, -1], rtol=0.05)
+
+
+@pytest.mark.parametrize("variance", [0.005, 0.02])
+def test_the_covariance_gives_the_response_its_band(variance):
+    found = responses_of(ONE.mean, variance)
+    modes = projected(found, 0, SIGNS, 3)
+    slopes = []
+    for step in np.eye(6) * 1e-5:
+        up, down = (unit_steps(modes.log_tau + s * step[:3]) @ (modes.gains[0] + s * step[3:]) for s in (1.0, -1.0))
+        slopes.append((up - down) / 2e-5)
+    again = np.sqrt(np.einsum("it,ij,jt->t", slopes, modes.covariance[0], slopes))
+    expected = np.sqrt(np.diag(found.covariance[0]))
+    later = (RESPONSE_H >= 3.0) & (RESPONSE_H <= 48.0)
+    np.testing.assert_allclose(again[later], expected[later], rtol=0.2)
