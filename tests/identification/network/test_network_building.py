@@ -123,6 +123,15 @@ def test_less_certain_parameters_make_wider_bands():
     )
 
 
+def test_rooms_that_were_not_joined_do_nothing_to_each_other():
+    """Without cross effects their networks know no neighbours."""
+    rooms = (Room(), Room((1, -1), (float("nan"),) * 2))
+    responses = fit_of([room.mean for room in rooms], rooms=rooms).responses
+    assert not np.any(responses[0].mean[1:])
+    assert not np.any(responses[1].mean[0])
+    np.testing.assert_allclose(responses[0].mean[0], [effect_K(rooms[0], rooms[0].mean, h) for h in RESPONSE_H])
+
+
 def test_a_building_without_floor_areas_answers_the_same():
     """Everything is per m² of a room: with one room its area does not matter."""
     room = Room()

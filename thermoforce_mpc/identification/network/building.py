@@ -111,8 +111,8 @@ class BuildingFit:
                 power = self.layout.signs[a] * p[f"heat_{k}"]
                 heat[emitter, a] = power
                 heat[structure, a] = power * p[f"heat_structure_{k}"] / area[z]
-        for z in range(Z):
-            for other in range(z):
+        for z, fit in enumerate(self.rooms):
+            for other in range(z if fit.room.neighbours else 0):
                 joined(begins[z], begins[other], self._wall(z, other, thetas, area))
         return C, L, heat, begins[:-1].tolist()
 
