@@ -47,7 +47,7 @@ def test_bands_hold_the_truth(models):
 
 @pytest.mark.parametrize("area_m2", [150.0, 235.0])
 def test_bands_allow_for_a_building_that_is_not_what_the_priors_expect(area_m2):
-    """A floor area that is a quarter off puts all priors per m² off, metered heat by more than its standard deviation."""
+    """A floor area that is a quarter off puts the priors per m² off, metered heat by more than its deviation."""
     errors, deviations = [], []
     for seed in range(3):
         run = record(HOUSE, 3.0, seed=seed, noise_K=0.01)
