@@ -48,6 +48,7 @@ def test_pairs_find_time_constants_and_gains():
     assert model.only.free is None
 
 
+@pytest.mark.slow
 def test_by_itself_an_operator_has_three_modes():
     """A house with fewer has the same effect, with modes that are not needed."""
     pairs = [make_pair(HOUSE, seed) for seed in range(3)]

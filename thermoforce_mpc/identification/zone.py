@@ -236,7 +236,7 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
             fit.log_tau,
             fit.gains,
             step_s=base_step,
-            bounds_h=priors.bounds_h(),
+            bounds_h=centred_priors(fit.log_tau, fit.gains, _HELD).bounds_h(),
             sign=sign,
             gamma=config.gamma,
             hidden=config.hidden,
