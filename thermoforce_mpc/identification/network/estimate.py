@@ -21,6 +21,9 @@ from thermoforce_mpc.identification.network.room import ENVELOPE, ROOM, STRUCTUR
 # Before the first reading, K: the room is about what it reads, its structure and emitters may be elsewhere.
 _START_SD_K = {ROOM: 1.0, STRUCTURE: 2.0, ENVELOPE: 5.0}
 _EMITTER_START_SD_K = 5.0
+# What a few nodes do not follow from one reading to the next, K: without it, readings of a simulator without noise make
+# a level that answers within its step be taken for an effect at once.
+_MODEL_SD_K = 0.02
 # Search: bounds in prior standard deviations, most iterations, and starts in prior standard deviations of a parameter.
 _REACH, _MOST_STEPS, _MEMORY = 4.0, 400, 30
 _STARTS: tuple[dict[str, float], ...] = ({}, {"heat_0": 1.0}, {"C_structure": 0.7})
@@ -75,8 +78,7 @@ class RoomFit:
 def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Array]:
     """Half the negative log posterior at θ (p,) up to a constant, and its gradient (p,)."""
     equations, n = room.equations(theta), room.n_states
-    away = (theta - room.mean) / room.sd
-    value, gradient = 0.5 * float(away @ away), away / room.sd
+    value, gradient = room.prior(theta)
     size = n + room.n_inputs
     for step_h in dict.fromkeys(run.step_h for run in runs):
         whole = np.zeros((size, size))
@@ -95,7 +97,7 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
                 for state, sd in _START_SD_K.items():
                     P0[state] = sd**2
             P0[room.disturbances] = share * stationary
-            half, slopes = likelihood(A, B, share * Q, reading + run.rounding_K2, x0, P0, run.inputs, run.readings)
+            half, slopes = likelihood(A, B, share * Q, reading + run.rounding_K2 + _MODEL_SD_K**2, x0, P0, run.inputs, run.readings)
             value += half
             by_transition[:n, :n] += slopes.A
             by_transition[:n, n:] += slopes.B

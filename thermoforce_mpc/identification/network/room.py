@@ -138,6 +138,21 @@ class Room:
         """Prior standard deviation of θ (p,)."""
         return np.append([prior.log_sd for prior in self.priors.values()], list(_WAVES.values()))
 
+    def prior(self, theta: Array) -> tuple[float, Array]:
+        """Half the negative log prior at θ (p,) up to a constant, and its gradient.
+
+        That of heat is on what an actuator gives in all, to its emitter and to the structure.
+        """
+        away, shares = (theta - self.mean) / self.sd, {}
+        for a in range(len(self.signs)):
+            heat, structure = self.place[f"heat_{a}"], self.place[f"heat_structure_{a}"]
+            away[heat] += np.log1p(np.exp(theta[structure])) / self.sd[heat]
+            shares[heat, structure] = 1.0 / (1.0 + np.exp(-theta[structure]))
+        gradient = away / self.sd
+        for (heat, structure), share in shares.items():
+            gradient[structure] += away[heat] / self.sd[heat] * share
+        return 0.5 * float(away @ away), gradient
+
     @property
     def n_states(self) -> int:
         """Number of states n."""
