@@ -12,7 +12,6 @@ from houses import House, effect_rmse, make_pair, record
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig, Pair, identify
-from thermoforce_mpc.identification.validation.order import Fitted, choose_order
 from thermoforce_mpc.model.operator import certificate
 from thermoforce_mpc.scenario.settings import validate
 
@@ -371,20 +370,3 @@ def test_impossible_data_sheets_are_refused():
     rising = {"coefficients": [0, 0, 5000, 0], "T_out_range_C": [-20, 15]}
     with pytest.raises(ConfigError, match="heat_input is identity"):
         validate(IdentificationConfig, {"heat_capacity": rising, "heat_input": "identity"}, "options")
-
-
-def test_one_odd_afternoon_does_not_choose_the_order():
-    """What is off for some hours is one observation, however many rows it has."""
-    rng = np.random.default_rng(0)
-    blocks = np.repeat(np.arange(6), 12)
-    usual = 0.08 * rng.normal(size=72)
-    odd = np.where(blocks == 2, 0.3, usual)
-
-    def fitted(judged):
-        return Fitted(None, None, judged, blocks, 0.1)
-
-    assert choose_order({1: fitted(usual), 3: fitted(odd)}) == 3
-    assert choose_order({1: fitted(usual), 3: fitted(3.0 * usual)}) == 1
-    few = np.zeros(72, dtype=int)
-    few[36:] = 1
-    assert choose_order({1: Fitted(None, None, usual, few, 0.1), 3: Fitted(None, None, 3.0 * usual, few, 0.1)}) == 3

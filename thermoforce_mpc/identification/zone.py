@@ -32,7 +32,7 @@ from thermoforce_mpc.identification.network.projection import Modes
 from thermoforce_mpc.identification.two_stage import two_stage_model
 from thermoforce_mpc.identification.validation.competence import Fold, judge
 from thermoforce_mpc.identification.validation.held_out import Case, held_out, normalisation, ranges
-from thermoforce_mpc.identification.validation.order import (
+from thermoforce_mpc.identification.validation.held_out_fit import (
     earlier_fold,
     explained_share,
     fit_and_judge,

@@ -21,7 +21,7 @@ from thermoforce_mpc.identification.validation.competence import (
     missed_criteria,
 )
 from thermoforce_mpc.identification.validation.held_out import Case, held_out
-from thermoforce_mpc.identification.validation.order import earlier_fold
+from thermoforce_mpc.identification.validation.held_out_fit import earlier_fold
 from thermoforce_mpc.model.competence import Competence, HorizonScore
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
