@@ -48,19 +48,6 @@ def test_pairs_find_time_constants_and_gains():
     assert model.only.free is None
 
 
-def test_order_is_chosen_on_held_out_data():
-    pairs = [make_pair(HOUSE, seed) for seed in range(6)]
-    model = identify(pairs=pairs, config=IdentificationConfig(modulation="linear"), floor_area_m2=190.0)
-    scores = model.only.card.scores
-    assert model.only.operator.order == 3
-    assert scores["held_out_order_3"] < 0.5 * scores["held_out_order_1"]
-    simple = House(tau_h=(0.001, 3.0, 25.0), gain_K=(0.0, 15.0))
-    pairs = [make_pair(simple, seed) for seed in range(6)]
-    model = identify(pairs=pairs, config=IdentificationConfig(modulation="linear"))
-    assert model.only.operator.order == 1, model.only.card.scores
-    np.testing.assert_allclose(model.only.operator.time_constants_h, [25.0], rtol=0.05)
-
-
 def test_feedback_does_not_turn_the_effect_around():
     """A thermostat heats when it is cold: the naive regression of eq:arx on all data sees little or nothing."""
     step_s, days = 900.0, 4.0
