@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import product
 from time import perf_counter
 from typing import TypeVar
 
@@ -19,10 +18,10 @@ from scipy.optimize import lsq_linear, minimize
 from scipy.signal import lfilter
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
-from thermoforce_mpc.identification.config import DEFAULT_TIME_CONSTANTS_H, IdentificationConfig
+from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.columns import free_prior, free_time_constants, start_sd
 from thermoforce_mpc.identification.estimation.joint import fit_modes
-from thermoforce_mpc.identification.estimation.modes import DIRECT_SLOPES_K_PER_H, ModePriors, mode_priors, poles
+from thermoforce_mpc.identification.estimation.modes import TIME_CONSTANTS_H, ModePriors, poles, wide_priors
 from thermoforce_mpc.identification.estimation.regression import FREE_PRIOR, RegressionData, run_regression
 from thermoforce_mpc.identification.estimation.system import System
 from thermoforce_mpc.identification.pipeline import BuildingRecords, Identified, identify_many
@@ -46,7 +45,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class JointTimes:
-    """Joint estimation of `houses`, each with all orders and priors of the initial slope on its record.
+    """Joint estimation of `houses`, each with all orders on its record.
 
     `package_s` a house; of the first `plain_houses`, `plain_s` with the plain formulation's search ended where ln τ
     moves by 0.01, `settled_s` by 1e-8. `difference`: largest of ln(τ/h) and, relative to the largest gain of a fit, of
@@ -137,15 +136,11 @@ def compare_joint(records: Sequence[Record], plain_houses: int) -> JointTimes:
     """Joint estimation of records of one heated zone each, the first `plain_houses` by the plain formulation too."""
     config = IdentificationConfig()
     regressions = [run_regression(record, IDENTITY, config) for record in records]
-    slopes = (None, *DIRECT_SLOPES_K_PER_H)
-    priors = [
-        mode_priors(order, config.model_copy(update={"start_slope_K_per_h": slope}), IDENTITY, None)
-        for order, slope in product(config.orders(), slopes)
-    ]
+    priors = [wide_priors(order) for order in (1, 2, 3)]
 
     def package(regression: RegressionData) -> list[tuple[Array, Array]]:
-        systems = {order: System([regression], order, 1) for order in config.orders()}
-        return [(fit.log_tau, fit.gains) for fit in (fit_modes(systems[of.order], of, config) for of in priors)]
+        fits = [fit_modes(System([regression], of.order, 1), of, config) for of in priors]
+        return [(fit.log_tau, fit.gains) for fit in fits]
 
     def plain(tolerance: float) -> list[list[tuple[Array, Array]]]:
         return [[plain_fit(e, of, config, tolerance) for of in priors] for e in regressions[:plain_houses]]
@@ -223,7 +218,7 @@ def _plain_columns(regression: RegressionData, log_tau: Array, priors: ModePrior
     for name, (unit, *_) in FREE_PRIOR.items():
         columns += [lagged(regression.inputs[:, INPUTS.index(name)] * unit, mode) for mode in free]
     columns.append(np.ones(regression.n_steps + 1))
-    fastest = log_tau[0] if log_tau.size > 1 else np.log(DEFAULT_TIME_CONSTANTS_H[3][0])
+    fastest = log_tau[0] if log_tau.size > 1 else np.log(TIME_CONSTANTS_H[3][0])
     hours = np.arange(regression.n_steps + 1) * step_s / HOUR_S
     columns += [np.exp(-hours / np.exp(mode)) for mode in (fastest, *free)]
     gain_mean, gain_sd = priors.gains_at(log_tau)

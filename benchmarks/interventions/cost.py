@@ -31,7 +31,6 @@ from thermoforce_mpc.simulation.comparison.results_json import Target
 Row = dict[str, Any]
 Say = Callable[[str], None]
 
-_TIME_CONSTANT_H = 6.0
 _HORIZON_H = 48.0
 REPEATS = 20
 
@@ -47,10 +46,9 @@ def efficiency(
     climate = next(iter(data.climates.values()))
     training = training_of(climate, days, seed)
     free = build_free_response("chronos", backbone=backbone, resolutions="one")
-    centre = (_TIME_CONSTANT_H,)
-    linear_ms = _milliseconds(lambda: identified(training, centre, modulation="linear"), 3)
-    neural_ms = _milliseconds(lambda: identified(training, centre), 1, warm=False)
-    model = identified(training, centre, modulation="linear")
+    linear_ms = _milliseconds(lambda: identified(training, 1, modulation="linear"), 3)
+    neural_ms = _milliseconds(lambda: identified(training, 1), 1, warm=False)
+    model = identified(training, 1, modulation="linear")
     window = climate.part("test")[0]
     history, boundary = window.history.last(512), window.boundary
     features = np.tile([20.0, 0.0, 100.0, 0.0], (24, 1))

@@ -1,8 +1,8 @@
-"""`tf-mpc bench probing`: informative probing, wrong priors, and online adaptation, all on the embedded plant.
+"""`tf-mpc bench probing`: informative probing and online adaptation, all on the embedded plant.
 
 The first part identifies from days of random or informative probing and scores the effect on pairs of probed runs. The
-second gives the identification a wrong floor area. The third runs the plant for weeks under an on/off thermostat; after
-the first third the heat pump has the output of a compressor speed that is one fifth lower.
+second runs the plant for weeks under an on/off thermostat; after the first third the heat pump has the output of a
+compressor speed that is one fifth lower.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import numpy as np
 
 from benchmarks.operator.data import FLOOR_AREA_M2, ReferencePair
 from benchmarks.operator.score import score_pairs
-from benchmarks.probing.misleading_priors import run_misleading_priors
 from benchmarks.probing.pair_probing import probe_pair
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Measurement, Record
@@ -30,7 +29,7 @@ from thermoforce_mpc.simulation.comparison.results_json import Target, results_j
 _LEVELS = (0.0, 0.4, 0.7, 1.0)
 _PAIR_DAYS, _START_DAYS = (12, 25, 40, 60, 75, 90, 300, 330), (18, 33, 50, 68, 83, 310)
 _LINEAR = IdentificationConfig(modulation="linear")
-# Thermostat of the third part: 21 °C ± 0.5 K, by night 1 K lower for excitation.
+# Thermostat of the second part: 21 °C ± 0.5 K, by night 1 K lower for excitation.
 _SET_C, _BAND_K, _NIGHT_K = 21.0, 0.5, 1.0
 _WEAKENED = 0.8
 _WEEKS, _LATE_DAYS, _FOUND_WITHIN = 4, 7, 0.1
@@ -48,13 +47,9 @@ def run_probing_bench(*, quick: bool = False, progress: Callable[[str], None] | 
     say = progress or (lambda text: None)
     plant = EmbeddedPlant(synthetic_weather())
     pairs = _pairs(plant, quick, say)
-    rows, targets, records = _designs(plant, pairs, quick, say)
-    for more_rows, more_targets in (
-        run_misleading_priors({d: r[:1] if quick else r for d, r in records.items()}, pairs, FLOOR_AREA_M2, say),
-        _adaptation(plant, say),
-    ):
-        rows, targets = [*rows, *more_rows], [*targets, *more_targets]
-    return results_json("probing", rows, targets)
+    rows, targets = _designs(plant, pairs, quick, say)
+    more_rows, more_targets = _adaptation(plant, say)
+    return results_json("probing", [*rows, *more_rows], [*targets, *more_targets])
 
 
 def _pairs(plant: EmbeddedPlant, quick: bool, say: Callable[[str], None]) -> list[ReferencePair]:
@@ -69,9 +64,7 @@ def _pairs(plant: EmbeddedPlant, quick: bool, say: Callable[[str], None]) -> lis
 
 def _designs(
     plant: EmbeddedPlant, pairs: list[ReferencePair], quick: bool, say: Callable[[str], None]
-) -> tuple[list[Row], list[Target], dict[int, list[Record]]]:
-    """Rows, targets, and the records of informative probing by number of days."""
-    records: dict[int, list[Record]] = {1: [], 3: []}
+) -> tuple[list[Row], list[Target]]:
     rows: list[Row] = []
     found: dict[tuple[int, str], list[float]] = {}
     designs: tuple[Literal["random", "informative"], ...] = ("random", "informative")
@@ -83,8 +76,6 @@ def _designs(
                 for seed in (1,) if quick else (1, 2):
                     probing = ProbingConfig(design=design, levels=_LEVELS, warmup_days=3.0)
                     record = probe(plant, day * DAY_S, days, seed=seed, config=probing)
-                    if design == "informative":
-                        records[days].append(record)
                     extremes += [float(record.T_zone_C.min()), float(record.T_zone_C.max())]
                     information.append(Designer().information(record))
                     try:
@@ -115,7 +106,7 @@ def _designs(
         )
         for days in (1, 3)
     ]
-    return rows, targets, records
+    return rows, targets
 
 
 def _adaptation(plant: EmbeddedPlant, say: Callable[[str], None]) -> tuple[list[Row], list[Target]]:

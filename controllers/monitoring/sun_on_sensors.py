@@ -13,7 +13,7 @@ from controllers.checks import message_of
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.effects.couplings import other_actuator, others_of
+from thermoforce_mpc.identification.effects.couplings import other_actuators, others_of
 from thermoforce_mpc.identification.effects.sun_on_sensor import sun_on_sensor
 from thermoforce_mpc.identification.estimation.records import prepared_runs, resolution_K
 from thermoforce_mpc.model.screening import Limits
@@ -114,5 +114,5 @@ class SunOnSensors:
         except DataError:  # too little was measured, or nothing acted
             return None
         heat_inputs = [self._model.operator.of_actuator(a).heat_input for a in range(len(layout.home))]
-        others = [other_actuator(layout, heat_inputs, self._config, own, b) for b in order[1:]]
+        others = other_actuators(layout, heat_inputs, own, self._config)
         return sun_on_sensor(runs, heat_inputs[own], self._config, resolution_K(runs), others)

@@ -287,8 +287,8 @@ def test_pairs_must_be_pairs():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"time_constants_h": [3, 1]}, "increasing"),
-        ({"time_constants_h": [1, 3], "order": 3}, "has 2 values, but order is 3"),
+        ({"method": "two_stage", "order": 2}, "is of order 1, but order is 2"),
+        ({"time_constants_h": [1.0, 3.0]}, "time_constants_h"),
         ({"disturbance_sd_K": [0.1]}, "same number"),
         ({"gama": 0.5}, "gamma"),
     ],
@@ -298,10 +298,10 @@ def test_options_are_checked(options, words):
         validate(IdentificationConfig, options, "options")
 
 
-def test_time_constants_given_set_order_and_prior():
-    config = IdentificationConfig(time_constants_h=(2.0, 80.0), modulation="linear")
-    assert config.orders() == (2,)
-    model = identify([record(HOUSE, 2.0)], config=config)
+def test_the_operator_has_the_modes_that_were_asked_for():
+    assert [IdentificationConfig(order=order).modes for order in ("auto", 1, 2, 3)] == [3, 1, 2, 3]
+    assert IdentificationConfig(method="two_stage").modes == 1
+    model = identify([record(HOUSE, 2.0)], config=IdentificationConfig(order=2, modulation="linear"))
     assert model.only.operator.order == 2
 
 

@@ -1,8 +1,7 @@
-"""Options of the identification, including all priors."""
+"""Options of the identification."""
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Literal
 
 from pydantic import Field, model_validator
@@ -11,9 +10,8 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.scenario.settings import StrictModel
 
-DEFAULT_TIME_CONSTANTS_H: dict[int, tuple[float, ...]] = {1: (25.0,), 2: (6.0, 60.0), 3: (0.6, 3.5, 50.0)}
-"""Prior means by order, h. Three modes of a floor-heated house: water loop and screed (0.5 to 1 h), room against
-structure (2 to 6 h), structure against outdoors (1 to 4 days)."""
+# Modes of the operator: an emitter, the room and its structure.
+_MODES = 3
 
 
 class HeatCapacityConfig(StrictModel):
@@ -43,7 +41,9 @@ class IdentificationConfig(StrictModel):
         "joint",
         description="joint fit of free and forced part, or the paper's two stages (order 1; pairs train it further)",
     )
-    order: Literal["auto", 1, 2, 3] = Field("auto", description="modes of the operator; auto: chosen on held-out data")
+    order: Literal["auto", 1, 2, 3] = Field(
+        "auto", description="modes of the operator; auto: 3, with method two_stage 1"
+    )
     heat_input: Literal["auto", "identity", "heat"] = Field(
         "auto",
         description="input of the modes: u, or heat from the heat capacity of (u, T_out); auto: u, or measured heat "
@@ -102,26 +102,6 @@ class IdentificationConfig(StrictModel):
     u_off: float = Field(0.02, ge=0, lt=1, description="levels up to this count as off (paper's first stage)")
     seed: int = Field(1, ge=0, description="seed of the network's initial weights and of splits")
 
-    time_constants_h: tuple[float, ...] | None = Field(
-        None, description="prior means of the time constants, h, increasing; their number sets the order"
-    )
-    time_constant_log_sd: float = Field(0.25, gt=0, description="prior standard deviation of ln τ")
-    heat_capacity_Wh_m2K: float = Field(
-        120.0, gt=0, description="prior: capacity of the slowest mode, Wh/m²K of floor (EN ISO 13790 'very heavy': 103)"
-    )
-    heat_capacity_sd: float = Field(0.25, gt=0, description="relative standard deviation of heat_capacity_Wh_m2K")
-    room_coupling_W_m2K: float = Field(
-        27.0,
-        gt=0,
-        description="prior: room to structure, W/K per m² of floor (EN ISO 13790: 9.1 W/m²K times 3 m² per m²)",
-    )
-    room_coupling_sd: float = Field(0.35, gt=0, description="relative standard deviation of room_coupling_W_m2K")
-    start_slope_K_per_h: tuple[float, float] | None = Field(
-        None,
-        description="prior: mean and standard deviation of the initial slope at full level, K/h; default: that of "
-        "heat through a slab or a radiator; air heating is about ten times as fast",
-    )
-
     sensor_sd_K: float = Field(0.01, gt=0, description="noise of the temperature sensor, K")
     disturbance_sd_K: tuple[float, ...] = Field(
         (0.02, 0.2, 2.0), description="standard deviation of disturbances, by time constant, K"
@@ -141,24 +121,11 @@ class IdentificationConfig(StrictModel):
             raise ValueError("heat_capacity is given, but heat_input is identity: drop one of them")
         if self.method == "two_stage" and self.order not in ("auto", 1):
             raise ValueError(f"method two_stage is of order 1, but order is {self.order}")
-        if self.start_slope_K_per_h is not None and self.start_slope_K_per_h[1] <= 0:
-            raise ValueError(f"start_slope_K_per_h has standard deviation {self.start_slope_K_per_h[1]:g}: above 0")
-        taus = self.time_constants_h
-        if taus is not None:
-            if not 1 <= len(taus) <= 3 or min(taus) <= 0 or any(b <= a for a, b in pairwise(taus)):
-                raise ValueError(f"time_constants_h must be one to three increasing positive hours, got {taus}")
-            if self.order not in ("auto", len(taus)):
-                raise ValueError(f"time_constants_h has {len(taus)} values, but order is {self.order}")
         return self
 
-    def orders(self) -> tuple[int, ...]:
-        """Return the orders to fit."""
-        if self.time_constants_h is not None:
-            return (len(self.time_constants_h),)
-        return (1, 2, 3) if self.order == "auto" else (self.order,)
-
-    def time_constants(self, order: int) -> tuple[float, ...]:
-        """Return the prior means of the time constants, h, shape (order,)."""
-        if self.time_constants_h is not None and len(self.time_constants_h) == order:
-            return self.time_constants_h
-        return DEFAULT_TIME_CONSTANTS_H[order]
+    @property
+    def modes(self) -> int:
+        """Number of modes of the operator."""
+        if self.order == "auto":
+            return 1 if self.method == "two_stage" else _MODES
+        return self.order

@@ -20,11 +20,9 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.confounding import confounding, shared_sd
 from thermoforce_mpc.identification.effects.couplings import (
-    area_of,
     assembled,
-    other_actuator,
+    other_actuators,
     others_of,
-    share_of,
     with_metered_shares,
 )
 from thermoforce_mpc.identification.effects.outdoor_factor import levels_only, outdoor_factor
@@ -69,8 +67,8 @@ def identify(
         layout: what acts where; by default one zone with one actuator, described by the next three.
         mode: sign of what the actuator does to the zone; both: levels are signed, cooling below 0.
         lowest: lowest level, below 0 with mode both.
-        floor_area_m2: heated floor area, m²; with measured heat it turns the physical priors on. Readings of heat and
-            power that no building of this area gives are left out.
+        floor_area_m2: heated floor area, m²; with measured heat the network expects a building of this area. Readings
+            of heat and power that no building of this area gives are left out.
         step_s: step of the returned operator, s; by default the step of the data.
         source: what the model card says the data are; by default the times of the records.
         progress: called with each stage in a few words, for example `print`.
@@ -125,7 +123,7 @@ def identify(
     for a, heat_input in enumerate(heat_inputs):
         if not levels_only(heat_input, layout, a, config):
             continue
-        beside = confounding(runs, layout, heat_inputs, a, config)
+        beside = confounding(runs, layout, a, config)
         factor = outdoor_factor(runs, layout, a, config)
         advice[a] = beside.in_words()
         unknown = [beside.relative_sd, shared_sd(layout, a)]
@@ -152,9 +150,7 @@ def identify(
             [p.part(home, order, [layout.machine_of[a]]) for p in pairs],
             heat_inputs[a],
             layout.signs[a],
-            [other_actuator(layout, heat_inputs, config, a, b) for b in order[1:]],
-            area_of(layout, home),
-            share_of(layout, home),
+            other_actuators(layout, heat_inputs, a, config),
             step_s,
             source,
             data,

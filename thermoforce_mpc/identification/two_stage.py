@@ -18,7 +18,7 @@ from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.joint import ModeFit
-from thermoforce_mpc.identification.estimation.modes import centred_priors, mode_priors, to_operator
+from thermoforce_mpc.identification.estimation.modes import centred_priors, to_operator, wide_priors
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression
 from thermoforce_mpc.identification.modulation.selection import modulate
@@ -213,7 +213,6 @@ def _trained(
     first = fit.operator()
     log_tau, slope = np.log(first.time_constants_h), np.abs(first.steady_gains_K) / first.time_constants_h
     start = ModeFit(log_tau, slope, residual_scale=1.0)
-    weak = mode_priors(1, config.model_copy(update={"time_constants_h": None}), fit.heat_input, None)
     priors = centred_priors(log_tau, slope, _TWO_STAGE_SD)
     cases = [Case(pair_regression(p, fit.heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs] or [
         Case(run_regression(h, fit.heat_input, config), (h,), float(h.time_s[0])) for h in runs
@@ -225,7 +224,7 @@ def _trained(
             mode_fit.log_tau,
             mode_fit.gains,
             step_s=fit.step_s,
-            bounds_h=weak.bounds_h(),
+            bounds_h=wide_priors(1).bounds_h(),
             sign=fit.sign,
             # Without modulation only pole and gain are trained.
             gamma=0.0 if config.modulation == "linear" else config.gamma,

@@ -32,7 +32,7 @@ from thermoforce_mpc.identification.network.projection import Modes
 from thermoforce_mpc.identification.two_stage import two_stage_model
 from thermoforce_mpc.identification.validation.competence import Fold, judge
 from thermoforce_mpc.identification.validation.held_out import Case, held_out, normalisation, ranges
-from thermoforce_mpc.identification.validation.order import (
+from thermoforce_mpc.identification.validation.held_out_fit import (
     earlier_fold,
     fit_and_judge,
     split_before,
@@ -66,8 +66,6 @@ class ZoneTask:
         heat_input: what the own actuator delivers.
         sign: +1 if it heats, −1 if it cools.
         others: the other actuators of the building.
-        floor_area_m2: of the zone; with measured heat it turns the physical priors on.
-        share: of the zone in the floor area of all zones.
         step_s: step of the operator, s; None: that of the data.
         source, data, notes: for the model card.
         power: of the machine, where it feeds this actuator alone.
@@ -81,8 +79,6 @@ class ZoneTask:
     heat_input: HeatInput
     sign: int
     others: Sequence[OtherActuator] = ()
-    floor_area_m2: float | None = None
-    share: float = 1.0
     step_s: float | None = None
     source: str = "identified"
     data: Mapping[str, str] = field(default_factory=dict)

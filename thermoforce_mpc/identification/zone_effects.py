@@ -9,7 +9,7 @@ import numpy as np
 
 from thermoforce_mpc.data import Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.effects.couplings import other_actuator, others_of
+from thermoforce_mpc.identification.effects.couplings import other_actuators, others_of
 from thermoforce_mpc.identification.effects.sun_on_sensor import sun_on_sensor
 from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
 from thermoforce_mpc.identification.network.building import BuildingFit, Responses
@@ -32,7 +32,7 @@ def without_sun(
         for a in layout.actuators_of(zone)[:1]:
             order = [a, *others_of(layout, a, config)]
             parts = [run.part(zone, order, [layout.machine_of[a]]) for run in runs]
-            others = [other_actuator(layout, heat_inputs, config, a, b) for b in order[1:]]
+            others = other_actuators(layout, heat_inputs, a, config)
             likeliest = sun_on_sensor(parts, heat_inputs[a], config, resolution_K(parts), others)
             if likeliest is not None and likeliest.likely:
                 found[zone] = likeliest
@@ -111,4 +111,4 @@ def _modes(fit: BuildingFit, layout: Layout, a: int, config: IdentificationConfi
     order = [a, *others_of(layout, a, config)]
     signs = np.array([layout.signs[b] for b in order])
     part = Responses(responses.mean[order], responses.covariance[order], responses.weather)
-    return projected(part, 0, signs, config.orders()[-1])
+    return projected(part, 0, signs, config.modes)

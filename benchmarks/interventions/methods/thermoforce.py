@@ -20,18 +20,6 @@ from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
-# Candidate centres of the priors, h: an air-heated zone responds within hours, its structure within a day.
-_TIME_CONSTANTS_H: dict[int, tuple[tuple[float, ...], ...]] = {
-    1: ((0.3,), (0.6,), (1.0,), (1.5,), (1.8,), (2.1,), (2.4,), (2.8,), (3.5,), (5.0,), (10.0,), (20.0,)),
-    2: ((1.2, 20.0), (0.8, 6.0)),
-    3: ((0.5, 2.0, 20.0), (1.0, 5.0, 30.0)),
-}
-# A single mode fitted freely gets a time constant between those of room air and structure. So it is fixed at each
-# centre and chosen on the validation windows. With several modes the time constants are estimated.
-_LOG_SD: dict[int, float] = {1: 0.02, 2: 1.0, 3: 1.0}
-# Wide prior (mean, sd): full power into the air changes its temperature by kelvins per hour.
-_START_SLOPE_K_PER_H = (5.0, 10.0)
-
 
 class SuperpositionPredictor:
     """`Predictor`: thermal model plus free response (paper eq:compose); the input of the model is v(u)."""
@@ -71,20 +59,16 @@ class LinearEffect:
 
 def identified(
     training: Training,
-    time_constants_h: tuple[float, ...],
+    order: int,
     *,
     modulation: Literal["auto", "linear"] = "auto",
     gamma: float = 0.75,
     exponent: float = 1.0,
-    **options: Any,
 ) -> ThermalModel:
-    """Identify from the probe pair with the given prior centres and input v(u) with the given exponent."""
+    """Identify so many modes from the probe pair, with input v(u) of the given exponent."""
     pair = training.probe.pair
     settings: dict[str, Any] = {
-        "order": len(time_constants_h),
-        "time_constants_h": time_constants_h,
-        "time_constant_log_sd": _LOG_SD[len(time_constants_h)],
-        "start_slope_K_per_h": _START_SLOPE_K_PER_H,
+        "order": order,
         "heat_input": "identity",
         "modulation": modulation,
         "gamma": gamma,
@@ -92,7 +76,7 @@ def identified(
     }
     return identify(
         pairs=[Pair(with_curve(pair.a, exponent), with_curve(pair.b, exponent), label=pair.label)],
-        config=IdentificationConfig(**(settings | options)),
+        config=IdentificationConfig(**settings),
         mode=training.climate.spec.mode,
         floor_area_m2=training.climate.spec.floor_area_m2,
         source=f"{training.days} probe days on EnergyPlus {training.climate.name}",
@@ -109,17 +93,17 @@ def build_thermoforce(
     exponents: tuple[float, ...] = (1.0,),
     doubt_network: bool = True,
 ) -> SuperpositionPredictor:
-    """Identify with each order, prior centre and exponent, and keep the best on the validation windows.
+    """Identify with each order and exponent, and keep the best on the validation windows.
 
     The choice is made with m = 1. If requested, a neural m(x) is then trained at the chosen setting. It is kept only if
     it is also clearly better on the validation windows; without `doubt_network` this check is skipped.
     """
     candidates = {}
     settings = {}
-    for taus, exponent in product([taus for order in orders for taus in _TIME_CONSTANTS_H[order]], exponents):
-        name = f"{taus}, exponent {exponent:g}"
-        model = identified(training, taus, modulation="linear", gamma=gamma, exponent=exponent)
-        candidates[name], settings[name] = LinearEffect(model, name, exponent), taus
+    for order, exponent in product(orders, exponents):
+        name = f"order {order}, exponent {exponent:g}"
+        model = identified(training, order, modulation="linear", gamma=gamma, exponent=exponent)
+        candidates[name], settings[name] = LinearEffect(model, name, exponent), order
     name = best(candidates, training.validation)
     linear, exponent = candidates[name], candidates[name].exponent
     model = linear.model

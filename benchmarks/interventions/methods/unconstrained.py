@@ -24,7 +24,6 @@ from thermoforce_mpc.protocols import FreeResponse
 
 _DECAY = (100.0, 10.0, 1.0, 1e-1, 1e-2)
 _EPOCHS = 300
-_START_H = 6.0
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,7 @@ def build_unconstrained(training: Training, free_response: FreeResponse) -> Free
 
 def _fit(training: Training, decay: float) -> FreeGain:
     pair = training.probe.pair
-    linear = identified(training, (_START_H,), modulation="linear", time_constant_log_sd=1.0).only.operator
+    linear = identified(training, 1, modulation="linear").only.operator
     features = []
     for run in (pair.a, pair.b):
         free = run.T_zone_C[0] - forced_history(single(linear), run)[0, 0].sum(axis=1)

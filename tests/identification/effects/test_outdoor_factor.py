@@ -19,7 +19,7 @@ from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 from thermoforce_mpc.model.thermal_model import load_model
 
-CONFIG = IdentificationConfig(order=3, modulation="linear", start_slope_K_per_h=(0.0, 0.1))
+CONFIG = IdentificationConfig(order=3, modulation="linear")
 DAYS = 12.0
 
 
@@ -105,8 +105,8 @@ def test_rooms_that_are_heated_together_cannot_be_told_apart():
     n = run.n_steps
     together = replace(run, **two, u=np.stack([curve(DAYS)] * 2), names=names)
     apart = replace(together, u=np.stack([random_levels(n, 1, hold=12), random_levels(n, 2, hold=12)]))
-    one, other = (confounding([r], layout, [IDENTITY] * 2, 0, CONFIG) for r in (together, apart))
-    assert one.relative_sd > 0.3 > 0.1 > other.relative_sd
+    one, other = (confounding([r], layout, 0, CONFIG) for r in (together, apart))
+    assert one.relative_sd > 0.25 > 0.1 > other.relative_sd
     assert one.neighbours == ("b",)
     assert "levels went together with those of b" in one.in_words()
     assert other.in_words() == ""

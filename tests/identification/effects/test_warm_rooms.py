@@ -1,4 +1,4 @@
-"""Rooms that others keep warm are excited too, what a room loses warms the others, and what a shared machine can."""
+"""Rooms that others keep warm are excited too, and what a shared machine can."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ import pytest
 
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.estimation.modes import mode_priors, neighbour_rate
 from thermoforce_mpc.identification.probing.probe import probe
-from thermoforce_mpc.model.operator.heat_input import IDENTITY
 from thermoforce_mpc.plants.rooms import house_of_rooms
 
 pytestmark = pytest.mark.slow
@@ -44,18 +42,3 @@ def test_a_machines_capacity_and_power_are_those_of_the_record(record):
     lowest = house_of_rooms("house:5rooms").house.heat_pump.lowest_level
     assert power.load.lowest_level == pytest.approx(lowest, abs=0.1)
     assert power.r2 > 0.98
-
-
-def test_what_a_zone_loses_warms_the_others():
-    config = IdentificationConfig()
-    alone = mode_priors(3, config, IDENTITY, None).slowest_rate[0]
-    share = 0.2
-    own = mode_priors(3, config, IDENTITY, None, share).slowest_rate[0]
-    others = neighbour_rate(config, IDENTITY, None, share)[0]
-    # Equal zones: five times the area of one, and the heat of one.
-    assert own + 4 * others == pytest.approx(alone)
-    assert 0.0 < others < own < alone
-    assert mode_priors(3, config, IDENTITY, None, 1.0).slowest_rate[0] == alone
-    np.testing.assert_array_equal(
-        mode_priors(3, config, IDENTITY, None, 1.0).gain_sd, mode_priors(3, config, IDENTITY, None).gain_sd
-    )

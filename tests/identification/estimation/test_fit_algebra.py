@@ -15,7 +15,7 @@ from thermoforce_mpc.identification import IdentificationConfig, Pair
 from thermoforce_mpc.identification.estimation.columns import forced_columns, free_columns, other_columns
 from thermoforce_mpc.identification.estimation.disturbance import Disturbance
 from thermoforce_mpc.identification.estimation.likelihood import residuals
-from thermoforce_mpc.identification.estimation.modes import mode_priors
+from thermoforce_mpc.identification.estimation.modes import wide_priors
 from thermoforce_mpc.identification.estimation.optimisers import BoundedLeastSquares, FreeFirst
 from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression, scaled
 from thermoforce_mpc.identification.estimation.system import System
@@ -103,7 +103,7 @@ def plain_rows(regression, log_tau, sign):
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_the_rows_of_a_system_are_those_of_its_runs_and_pairs(regression, pair, order):
-    priors = mode_priors(order, CONFIG, IDENTITY, None)
+    priors = wide_priors(order)
     run = run_regression(record(House(), 1.0, seed=2, noise_K=0.01), IDENTITY, CONFIG)
     log_tau = priors.log_tau + 0.1
     data = [scaled([e], 0.2)[0] for e in (regression, pair, run)]
@@ -124,7 +124,7 @@ def test_the_rows_of_a_system_are_those_of_its_runs_and_pairs(regression, pair, 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_slopes_are_derivatives_of_the_rows(regression, pair, order):
-    priors = mode_priors(order, CONFIG, IDENTITY, None)
+    priors = wide_priors(order)
     system = System([with_other(regression), with_other(pair)], order, -1)
     log_tau, step = priors.log_tau - 0.1, 1e-5
     values = np.append(RNG.normal(size=system.variables.order.size), -1.0)
@@ -139,12 +139,12 @@ def test_slopes_are_derivatives_of_the_rows(regression, pair, order):
 def with_other(regression):
     """Beside an actuator that cools it."""
     others = -RNG.random((1, regression.n_steps))
-    return replace(regression, others=others, other_priors=np.array([[1.0, 2.0, 0.3, 0.2]]))
+    return replace(regression, others=others)
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_the_search_ends_at_the_best_time_constants(regression, pair, order):
-    priors = mode_priors(order, CONFIG, IDENTITY, None)
+    priors = wide_priors(order)
     run = run_regression(record(House(), 1.0, seed=2, noise_K=0.01), IDENTITY, CONFIG)
     low, high = np.log(priors.bounds_h()).T
     for data in ([regression], [regression, run, pair], [with_other(pair)], [with_other(run)]):

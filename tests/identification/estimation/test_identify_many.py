@@ -11,7 +11,7 @@ from houses import House, record
 from benchmarks.fleet.identify_many import plain_fit
 from thermoforce_mpc.data import Layout
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.estimation.modes import mode_priors
+from thermoforce_mpc.identification.estimation.modes import wide_priors
 from thermoforce_mpc.identification.estimation.regression import run_regression
 from thermoforce_mpc.identification.estimation.system import System
 from thermoforce_mpc.identification.pipeline import BuildingRecords, identify_many
@@ -86,7 +86,7 @@ def test_joint_estimation_is_that_of_the_plain_formulation(order):
     from thermoforce_mpc.identification.estimation.joint import fit_modes
 
     config = IdentificationConfig()
-    priors = mode_priors(order, config, IDENTITY, None)
+    priors = wide_priors(order)
     for seed in (5, 6):
         regression = run_regression(record(House(), 1.5, seed=seed, noise_K=0.01), IDENTITY, config)
         fit = fit_modes(System([regression], order, 1), priors, config)

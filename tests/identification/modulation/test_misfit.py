@@ -11,7 +11,7 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification import IdentificationConfig, Pair
 from thermoforce_mpc.identification.estimation.likelihood import Split, residuals
-from thermoforce_mpc.identification.estimation.modes import mode_priors, to_operator
+from thermoforce_mpc.identification.estimation.modes import to_operator, wide_priors
 from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression
 from thermoforce_mpc.identification.modulation.misfit import Misfit, TrainingData
 from thermoforce_mpc.model.operator.features import feature_matrix
@@ -52,7 +52,7 @@ def by_torch(operator, data, priors):
 @pytest.mark.parametrize("sign", [1, -1])
 def test_value_and_gradient_are_those_of_the_definition(order, sign):
     config = IdentificationConfig()
-    priors = mode_priors(order, config, IDENTITY, None)
+    priors = wide_priors(order)
     data = []
     for seed, days in ((1, 1.0), (2, 1.25)):
         run = record(House(), days, seed=seed, noise_K=0.01)

@@ -11,7 +11,7 @@ from houses import House, make_pair, record, weather
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.estimation.modes import mode_priors
+from thermoforce_mpc.identification.estimation.modes import wide_priors
 from thermoforce_mpc.identification.estimation.regression import run_regression
 from thermoforce_mpc.identification.validation.competence import (
     MOST_ERROR_K,
@@ -21,7 +21,7 @@ from thermoforce_mpc.identification.validation.competence import (
     missed_criteria,
 )
 from thermoforce_mpc.identification.validation.held_out import Case, held_out
-from thermoforce_mpc.identification.validation.order import earlier_fold
+from thermoforce_mpc.identification.validation.held_out_fit import earlier_fold
 from thermoforce_mpc.model.competence import Competence, HorizonScore
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
@@ -97,7 +97,7 @@ def test_tests_count_an_earlier_part_that_its_fit_has_not_seen():
     assert one.blocks == 10  # two parts of 18 h in blocks of 4 h, the last of each shorter
 
     case = Case(run_regression(run, HeatInput(), LINEAR), (run,), float(run.time_s[0]))
-    regression, priors = case.regression, mode_priors(2, LINEAR, HeatInput(), None)
+    regression, priors = case.regression, wide_priors(2)
     fold = earlier_fold([case], held_out([case], LINEAR), priors, LINEAR, 1)
     ((_, split),) = fold.runs
     # Half of the rows are fitted to, the quarter after them is held out.

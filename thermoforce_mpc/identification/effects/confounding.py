@@ -15,11 +15,12 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.effects.couplings import area_of, others_of, share_of
-from thermoforce_mpc.identification.estimation.modes import mode_priors, neighbour_rate, unit_responses
+from thermoforce_mpc.identification.effects.couplings import others_of
 from thermoforce_mpc.identification.validation.competence import EFFECT_H
-from thermoforce_mpc.model.operator.heat_input import HeatInput
 
+# What a neighbour at full level may do to a zone, as a share of what the zone's own actuator does, times the number of
+# zones over which its heat spreads.
+_THEIRS = 0.6
 # From this relative standard deviation of the effect on, a neighbour is named.
 _NAMED = 0.1
 
@@ -41,9 +42,7 @@ class Confounding:
         )
 
 
-def confounding(
-    runs: Sequence[Record], layout: Layout, heat_inputs: Sequence[HeatInput], a: int, config: IdentificationConfig
-) -> Confounding:
+def confounding(runs: Sequence[Record], layout: Layout, a: int, config: IdentificationConfig) -> Confounding:
     """What the neighbours of actuator `a` may have done to its zone, as a share of its effect after `EFFECT_H`."""
     home = layout.home[a]
     neighbours = [b for b in others_of(layout, a, config) if layout.home[b] != home]
@@ -55,17 +54,8 @@ def confounding(
     power = float(own @ own)
     if not power > 0.0:
         return Confounding(0.0, ())
-    # Neighbours warm a zone through the structure, by an amount that is hardly known before a record is seen.
-    prior = mode_priors(3, config, heat_inputs[a], area_of(layout, home), share_of(layout, home))
-    answers = unit_responses(prior.log_tau, runs[0].step_s, np.ones(n))[-1]
-    effect = float(answers @ prior.gains_at(prior.log_tau)[0])
-    tau = float(np.exp(prior.log_tau[-1]))
-    shares = []
-    for b, level in zip(neighbours, others, strict=True):
-        zone = layout.home[b]
-        mean, sd = neighbour_rate(config, heat_inputs[b], area_of(layout, zone), share_of(layout, zone))
-        theirs = float(np.hypot(mean, sd)) * tau * float(answers[-1])
-        shares.append(max(float(own @ level) / power, 0.0) * theirs / effect)
+    theirs = _THEIRS / len(layout.floor_area_m2)
+    shares = [theirs * max(float(own @ level) / power, 0.0) for level in others]
     named = tuple(layout.names.actuators[b] for b, share in zip(neighbours, shares, strict=True) if share > _NAMED)
     # They are heated for one reason, so their shares add up.
     return Confounding(float(sum(shares)), named)

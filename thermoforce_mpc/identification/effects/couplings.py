@@ -1,4 +1,4 @@
-"""Assembly of a building's operator from the fits of its zones, and the priors of effects between zones."""
+"""Assembly of a building's operator from the fits of its zones, and which actuators act on a zone."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.joint import JointFit
-from thermoforce_mpc.identification.estimation.modes import mode_priors, neighbour_rate
 from thermoforce_mpc.identification.estimation.regression import OtherActuator
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H, step_response
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -20,11 +19,6 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.model.zone_model import ZoneModel
 
-# Prior standard deviation of a neighbour's initial slope and steady gains, as shares of the own actuator's prior mean
-# plus standard deviation: heat through walls and doors comes late, and a third of the own effect is much.
-_NEIGHBOUR_SLOPE, _NEIGHBOUR_GAIN = 0.05, 0.3
-# Prior standard deviation of the initial slope of a second actuator of the same zone, K/h: any, see `modes`.
-_SAME_ZONE_SLOPE_K_PER_H = 60.0
 # A neighbour's effect below this after a day at full level, K, is none.
 _LEAST_EFFECT_K = 0.02
 # Share of the prior standard deviation that must be left for a pair to count as unknown from the record.
@@ -37,33 +31,11 @@ def others_of(layout: Layout, a: int, config: IdentificationConfig) -> list[int]
     return [b for b in range(len(home)) if b != a and (config.cross_effects or home[b] == home[a])]
 
 
-def other_actuator(
-    layout: Layout, heat_inputs: Sequence[HeatInput], config: IdentificationConfig, own: int, other: int
-) -> OtherActuator:
-    """What actuator `other` may do to the home zone of `own`, before the data are seen."""
-    home, zone = layout.home[own], layout.home[other]
-    prior = mode_priors(3, config, heat_inputs[own], area_of(layout, home), share_of(layout, home))
-    mean, sd = prior.gains_at(prior.log_tau)
-    gain = float((mean[1:] + sd[1:]).sum())
-    heat_input, sign = heat_inputs[other], layout.signs[other]
-    if zone == home:
-        rate = float(prior.slowest_rate[0] + prior.slowest_rate[1])
-        return OtherActuator(heat_input, sign, _SAME_ZONE_SLOPE_K_PER_H, gain, (0.0, rate))
-    slope = float(mean[0] + sd[0])
-    slowest = neighbour_rate(config, heat_input, area_of(layout, zone), share_of(layout, zone))
-    return OtherActuator(heat_input, sign, _NEIGHBOUR_SLOPE * slope, _NEIGHBOUR_GAIN * gain, slowest)
-
-
-def area_of(layout: Layout, zone: int) -> float | None:
-    """Floor area of a zone, m², None where it is unknown."""
-    area = layout.floor_area_m2[zone]
-    return float(area) if np.isfinite(area) else None
-
-
-def share_of(layout: Layout, zone: int) -> float:
-    """Share of a zone in the floor area of all zones; equal shares where areas are unknown."""
-    areas = np.asarray(layout.floor_area_m2, dtype=np.float64)
-    return float(areas[zone] / areas.sum()) if np.isfinite(areas).all() else 1.0 / areas.size
+def other_actuators(
+    layout: Layout, heat_inputs: Sequence[HeatInput], a: int, config: IdentificationConfig
+) -> list[OtherActuator]:
+    """What `others_of` actuator `a` deliver."""
+    return [OtherActuator(heat_inputs[b], layout.signs[b]) for b in others_of(layout, a, config)]
 
 
 def assembled(

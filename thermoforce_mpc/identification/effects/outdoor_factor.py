@@ -19,8 +19,8 @@ from scipy.stats import norm
 
 from thermoforce_mpc.data import Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.effects.couplings import area_of, other_actuator, others_of, share_of
-from thermoforce_mpc.identification.estimation.modes import DIRECT_SLOPES_K_PER_H, ModePriors, mode_priors
+from thermoforce_mpc.identification.effects.couplings import other_actuators, others_of
+from thermoforce_mpc.identification.estimation.modes import ModePriors, wide_priors
 from thermoforce_mpc.identification.estimation.optimisers import BoundedLeastSquares
 from thermoforce_mpc.identification.estimation.regression import RegressionData, calibrated, run_regression
 from thermoforce_mpc.identification.estimation.system import System
@@ -31,6 +31,8 @@ from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 _MOST_PER_K, _SOLVED, _FINE = 0.08, 9, 401
 # Least heat of a level anywhere in the record, as a share of that at the mean.
 _LEAST_FACTOR = 0.2
+# Modes of the fit.
+_ORDER = 3
 
 
 @dataclass(frozen=True)
@@ -105,22 +107,14 @@ def _log_evidence(
     home = layout.home[a]
     order = [a, *others_of(layout, a, config)]
     parts = [run.part(home, order, [layout.machine_of[a]]) for run in runs]
-    sign, used = layout.signs[a], config.orders()[-1]
+    sign, priors = layout.signs[a], wide_priors(_ORDER)
+    others = other_actuators(layout, [IDENTITY] * len(layout.home), a, config)
 
     def regressions(heat_input: HeatInput) -> list[RegressionData]:
-        others = [other_actuator(layout, [IDENTITY] * len(layout.home), config, a, b) for b in order[1:]]
         return [run_regression(part, heat_input, config, others) for part in parts]
 
-    def priors(slope: tuple[float, float] | None) -> ModePriors:
-        chosen = config.model_copy(update={"start_slope_K_per_h": slope})
-        return mode_priors(used, chosen, IDENTITY, area_of(layout, home), share_of(layout, home))
-
-    # The initial slope is that of a slab, a radiator or an air heater, as in `zone`; noise is that of the likeliest.
-    slopes = (config.start_slope_K_per_h,) if config.start_slope_K_per_h else (None, *DIRECT_SLOPES_K_PER_H)
-    plain = regressions(IDENTITY)
-    solutions = [(_evidence_and_rms(plain, choice, sign), choice) for choice in map(priors, slopes)]
-    (_, rms), likeliest = max(solutions, key=lambda item: item[0][0])
-    return np.array([_evidence_and_rms(calibrated(regressions(i), rms), likeliest, sign)[0] for i in inputs])
+    _, rms = _evidence_and_rms(regressions(IDENTITY), priors, sign)
+    return np.array([_evidence_and_rms(calibrated(regressions(i), rms), priors, sign)[0] for i in inputs])
 
 
 def _evidence_and_rms(regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> tuple[float, float]:

@@ -22,6 +22,7 @@ from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.columns import free_prior, free_time_constants, other_prior, start_sd
 from thermoforce_mpc.identification.estimation.disturbance import Disturbance
+from thermoforce_mpc.identification.estimation.modes import wide_priors
 from thermoforce_mpc.identification.estimation.regression import OtherActuator, RegressionData, run_regression
 from thermoforce_mpc.identification.estimation.whitened import Blocks, blocks_of, whitened_columns
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -33,6 +34,7 @@ _AZIMUTHS_DEG = (90.0, 135.0, 180.0, 225.0, 270.0)
 _LATITUDES_DEG = (40.0, 50.0, 60.0)
 _LAGS_S = (120.0, 540.0, 1080.0)
 _TIME_CONSTANTS_H = tuple(product((0.1, 0.25, 0.6), (2.0, 4.0), (50.0,)))
+_ORDER = 3
 _SCALES = (0.1, 0.3, 1.0)
 # Prior standard deviation of the reading in full sun, and the most that a sensor shows, K.
 _FULL_SD_K, _MOST_K = 3.0, 8.0
@@ -40,8 +42,6 @@ _FULL_SD_K, _MOST_K = 3.0, 8.0
 # what they do to the room in full sun, K.
 _SURFACES_S, _SURFACES_LATITUDE_DEG, _SURFACES_SD_K = 1800.0, 50.0, 0.5
 _SURFACES = 3
-# Priors of the forced response at full level, initial slope in K/h and gains in K: from a slab to a fan coil.
-_GAINS_SD = (20.0, 5.0, 25.0)
 # Share of the largest irradiance from which it is day: clouds move the middle of the light, not that of the day.
 _DAYLIGHT = 0.02
 # Least noise of readings, K: a sensor without any would make every explanation certain.
@@ -105,7 +105,7 @@ def sun_on_sensor(
         disturbed = [_with_disturbance(e, scale, noise_K) for e in regressions]
         white = np.concatenate([e.disturbance.whitened(s) for e, s in zip(disturbed, signals, strict=True)])
         size = -sum(e.disturbance.log_determinant for e in disturbed)
-        blocks = blocks_of(disturbed, len(_GAINS_SD), 1)
+        blocks = blocks_of(disturbed, _ORDER, 1)
         explanations += [_explain(regressions, blocks, white, np.log(hours), size) for hours in _TIME_CONSTANTS_H]
     best = max(explanations, key=lambda explanation: explanation.evidence)
     place = int(np.argmax(best.gained))
@@ -178,9 +178,8 @@ def _priors(regressions: Sequence[RegressionData], log_tau: Array) -> tuple[Arra
     """Prior mean and standard deviation of all columns but those of the sensor."""
     modes = free_time_constants(log_tau).size
     free_mean, free_sd, _ = free_prior(modes)
+    own_mean, own_sd = wide_priors(_ORDER).gains_at(log_tau)
     other_mean, other_sd = other_prior(regressions[0], log_tau)
     starts = np.tile(start_sd(modes + 1), len(regressions))
-    mean = [np.zeros(len(_GAINS_SD)), other_mean, free_mean, np.zeros(starts.size + _SURFACES)]
-    return np.concatenate(mean), np.concatenate(
-        [_GAINS_SD, other_sd, free_sd, starts, np.full(_SURFACES, _SURFACES_SD_K)]
-    )
+    mean = [own_mean, other_mean, free_mean, np.zeros(starts.size + _SURFACES)]
+    return np.concatenate(mean), np.concatenate([own_sd, other_sd, free_sd, starts, np.full(_SURFACES, _SURFACES_SD_K)])

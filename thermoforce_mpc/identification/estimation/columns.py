@@ -9,8 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.identification.config import DEFAULT_TIME_CONSTANTS_H
-from thermoforce_mpc.identification.estimation.modes import lags_of_gains, poles, unit_responses
+from thermoforce_mpc.identification.estimation.modes import (
+    TIME_CONSTANTS_H,
+    lags_of_gains,
+    poles,
+    unit_responses,
+    wide_priors,
+)
 from thermoforce_mpc.identification.estimation.recursions import filtered
 from thermoforce_mpc.identification.estimation.regression import FREE_PRIOR, RegressionData
 
@@ -19,13 +24,13 @@ _LEVEL_SD_K = 50.0
 _START_SD_K = (3.0, 20.0, 50.0, 50.0)
 # Fixed time constant of soil and neighbouring rooms, h: too slow to identify, but not negligible.
 _GROUND_H = 400.0
-_DEFAULT_FASTEST_LOG_TAU = np.log(DEFAULT_TIME_CONSTANTS_H[3][:1])
+_DEFAULT_FASTEST_LOG_TAU = np.log(TIME_CONSTANTS_H[3][:1])
 # Order of the operator whose slow modes are those of the free part.
 _SHARED = 3
 # Of the gains that the network says: to outdoors, K/K, and to 100 W/m², K, and as a share of them.
 _WEATHER_SD, _WEATHER_SHARE = np.array([0.05, 0.1]), 0.2
 _NEVER = np.array([np.inf])
-_DEFAULT_FREE_LOG_TAU = np.log([*DEFAULT_TIME_CONSTANTS_H[3][1:], _GROUND_H])
+_DEFAULT_FREE_LOG_TAU = np.log([*TIME_CONSTANTS_H[3][1:], _GROUND_H])
 N_FREE = _DEFAULT_FREE_LOG_TAU.size
 """Number of free modes, the ground's last."""
 
@@ -42,19 +47,17 @@ def other_columns(regression: RegressionData, log_tau: Array) -> Array:
 
 
 def other_prior(regression: RegressionData, log_tau: Array) -> tuple[Array, Array]:
-    """Return prior mean and standard deviation of the columns of `other_columns`, shape (K r,) each."""
+    """Return prior mean and standard deviation of the columns of `other_columns`, shape (K r,) each.
+
+    That of `wide_priors` where nothing else is known of their effects.
+    """
     K, r = regression.others.shape[0], log_tau.size
     if not K:
         return np.empty(0), np.empty(0)
     if regression.other_gains is not None:
         return regression.other_gains[:, 0].ravel(), regression.other_gains[:, 1].ravel()
-    slope, gain, rate, rate_sd = regression.other_priors.T
-    mean, sd = np.zeros((K, r)), np.repeat(gain[:, None], r, axis=1)
-    sd[:, 0] = slope
-    if r > 1:
-        tau = float(np.exp(log_tau[-1]))
-        mean[:, -1], sd[:, -1] = rate * tau, rate_sd * tau
-    return mean.ravel(), sd.ravel()
+    mean, sd = wide_priors(r).gains_at(log_tau)
+    return np.tile(mean, K), np.tile(sd, K)
 
 
 def free_columns(regression: RegressionData, log_tau: Array) -> tuple[Array, Array]:

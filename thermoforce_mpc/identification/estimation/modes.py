@@ -12,28 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.recursions import filtered
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
+TIME_CONSTANTS_H: dict[int, tuple[float, ...]] = {1: (25.0,), 2: (6.0, 60.0), 3: (0.6, 3.5, 50.0)}
+"""Likely time constants by order, h. Three modes of a heated house: emitter (0.5 to 1 h), room against structure (2 to
+6 h), structure against outdoors (1 to 4 days)."""
+
 # Largest factor between the outermost time constants and their prior means.
 _REACH = 10.0
-# Priors for a heater of unknown heat: a heater sized for its house heats the structure by about 0.5 K/h.
-_WEAK_RATE_K_PER_H = (0.5, 0.5)
-_WEAK_GAIN_K = (2.0, 2.0)
-# Share of a zone's heat, mean and standard deviation, that spreads over the whole building within days instead of
-# staying in the zone's own structure.
-_SPREAD = (0.5, 0.35)
-# Relative standard deviation of the coupling of room and structure of a zone that is a small part of its building:
-# walls to its neighbours take heat as its own structure does.
-_NEIGHBOURS_COUPLING_SD = 1.0
-# Initial slope: near zero behind a delay mode (slab), else that of the first mode.
-_DELAYED_SLOPE_K_PER_H = (0.0, 0.1)
-_DIRECT_SLOPE_K_PER_H = (0.5, 0.7)
-# Initial slopes of direct heat, by which the default is replaced where they predict better: a radiator or convector
-# sized for its room, and a fan coil of 1 to 10 kW on the air and furniture of a room.
-DIRECT_SLOPES_K_PER_H = ((5.0, 7.0), (50.0, 40.0))
+# Prior standard deviations of the initial slope at full level, K/h, of a steady gain, K, of the rate of the slowest
+# mode, K/h, and of ln τ: those of a fan coil on a light room hold those of a slab too.
+_SLOPE_SD_K_PER_H, _GAIN_SD_K, _RATE_SD_K_PER_H = 20.0, 5.0, 0.5
+_LOG_TAU_SD = 0.7
 # Least standard deviation of a gain, K or K/h, also if the fit gives zero.
 _LEAST_GAIN_SD = 1e-3
 
@@ -73,49 +65,15 @@ class ModePriors:
         return mean, sd
 
 
-def mode_priors(
-    order: int,
-    config: IdentificationConfig,
-    heat_input: HeatInput,
-    floor_area_m2: float | None,
-    share: float = 1.0,
-) -> ModePriors:
-    """Return priors from floor area (m²) and heat input, or weak ones if either is unknown.
-
-    `share`: the zone's floor area over that of all zones, with which it exchanges heat.
-    """
-    rate, gain = _WEAK_RATE_K_PER_H, _WEAK_GAIN_K
-    if heat_input.heat is not None and floor_area_m2 is not None:
-        watts = heat_input.reference_W / floor_area_m2
-        per_hour = watts / config.heat_capacity_Wh_m2K
-        above_structure = watts / config.room_coupling_W_m2K
-        rate = (per_hour, per_hour * config.heat_capacity_sd)
-        coupling_sd = np.hypot(config.room_coupling_sd, _NEIGHBOURS_COUPLING_SD * (1.0 - share))
-        gain = (above_structure, above_structure * float(coupling_sd))
-    lost = _SPREAD[0] * (1.0 - share), _SPREAD[1] * (1.0 - share)
-    rate = (rate[0] * (1.0 - lost[0]), float(np.hypot(rate[1] * (1.0 - lost[0]), rate[0] * lost[1])))
-    slope = config.start_slope_K_per_h or (_DELAYED_SLOPE_K_PER_H if order == 3 else _DIRECT_SLOPE_K_PER_H)
-    middle = [gain] * (order - 2)
-    gain_priors = [slope, *middle, (0.0, 0.0)][:order] if order > 1 else [slope]
+def wide_priors(order: int) -> ModePriors:
+    """Return priors of an actuator of which nothing is known but its sign, from a slab to a fan coil."""
     return ModePriors(
-        log_tau=np.log(config.time_constants(order)),
-        log_tau_sd=config.time_constant_log_sd,
-        gain_mean=np.array([mean for mean, _ in gain_priors]),
-        gain_sd=np.array([sd for _, sd in gain_priors]),
-        slowest_rate=rate,
+        log_tau=np.log(TIME_CONSTANTS_H[order]),
+        log_tau_sd=_LOG_TAU_SD,
+        gain_mean=np.zeros(order),
+        gain_sd=np.array([_SLOPE_SD_K_PER_H, *[_GAIN_SD_K] * (order - 1)]),
+        slowest_rate=(0.0, _RATE_SD_K_PER_H),
     )
-
-
-def neighbour_rate(
-    config: IdentificationConfig, heat_input: HeatInput, floor_area_m2: float | None, share: float
-) -> tuple[float, float]:
-    """Prior (mean, sd), K/h, of the slowest mode's rate in other zones; arguments as for `mode_priors`.
-
-    What leaves the zone warms the whole building; how it divides among the others is as uncertain as its amount.
-    """
-    alone, _ = mode_priors(3, config, heat_input, floor_area_m2).slowest_rate
-    spread = _SPREAD[0] * alone * share
-    return spread, spread
 
 
 def centred_priors(log_tau: Array, gains: Array, relative_sd: float) -> ModePriors:

@@ -43,8 +43,8 @@ class RegressionData:
 
     `target` (rows,) K; `rows` (rows,) indices of the boundaries used; `disturbance` of these rows; `inputs` (n, 8)
     weather of the steps, empty for a pair; `drives`: sign and drive v (n,) of each run. `others` (K, n): drives of the
-    other actuators, signed by their sign, of a pair their difference; `other_priors` (K, 4): of their gains, see
-    `OtherActuator`, in whose place `other_gains` (K, 2, r), mean and standard deviation of [slope, G_2 … G_r], stand.
+    other actuators, signed by their sign, of a pair their difference; `other_gains` (K, 2, r): mean and standard
+    deviation of their [slope, G_2 … G_r], None where nothing is known of them.
     """
 
     target: Array
@@ -54,7 +54,6 @@ class RegressionData:
     drives: tuple[tuple[int, Array], ...]
     inputs: Array
     others: Array = field(default_factory=lambda: np.empty((0, 0)))
-    other_priors: Array = field(default_factory=lambda: np.empty((0, 4)))
     other_gains: Array | None = None
     weather_gains: Array | None = None
 
@@ -88,18 +87,10 @@ class RegressionData:
 
 @dataclass(frozen=True)
 class OtherActuator:
-    """An actuator besides the zone's own: what it delivers, and its sign.
-
-    Priors of its effect on the zone: standard deviations around zero, `slope_sd` of the initial slope, K/h, and
-    `gain_sd` of the steady gains of the modes between, K; `slowest_rate` (mean, sd), K/h, of G_r/τ_r of the slowest of
-    several modes.
-    """
+    """An actuator besides the zone's own: what it delivers, and its sign."""
 
     heat_input: HeatInput
     sign: int
-    slope_sd: float
-    gain_sd: float
-    slowest_rate: tuple[float, float]
 
 
 def run_regression(
@@ -128,7 +119,6 @@ def run_regression(
         drives=((1, heat_input(history.u[0], history.T_out_C[:-1])),),
         inputs=weather_inputs(history.time_s, history.T_out_C, history.solar_W_m2),
         others=_other_drives(history, others),
-        other_priors=_other_priors(others),
     )
 
 
@@ -140,10 +130,6 @@ def _stride(n_steps: int, hour: float) -> int:
     """
     stride, closer = max(1, -(-n_steps // MOST_ROWS)), max(1, int(0.5 * LEAD_REACH * hour))
     return closer if closer < stride < hour else stride
-
-
-def _other_priors(others: Sequence[OtherActuator]) -> Array:
-    return np.array([[o.slope_sd, o.gain_sd, *o.slowest_rate] for o in others]).reshape(len(others), 4)
 
 
 def _other_drives(history: Record, others: Sequence[OtherActuator]) -> Array:
@@ -168,7 +154,6 @@ def pair_regression(pair: Pair, heat_input: HeatInput, others: Sequence[OtherAct
         drives=drives,
         inputs=np.empty((0, len(INPUTS))),
         others=_other_drives(pair.a, others) - _other_drives(pair.b, others),
-        other_priors=_other_priors(others),
     )
 
 

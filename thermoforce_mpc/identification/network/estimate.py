@@ -97,7 +97,8 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
                 for state, sd in _START_SD_K.items():
                     P0[state] = sd**2
             P0[room.disturbances] = share * stationary
-            half, slopes = likelihood(A, B, share * Q, reading + run.rounding_K2 + _MODEL_SD_K**2, x0, P0, run.inputs, run.readings)
+            R = reading + run.rounding_K2 + _MODEL_SD_K**2
+            half, slopes = likelihood(A, B, share * Q, R, x0, P0, run.inputs, run.readings)
             value += half
             by_transition[:n, :n] += slopes.A
             by_transition[:n, n:] += slopes.B

@@ -18,7 +18,7 @@ from scipy.linalg import cholesky, solve_triangular
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.likelihood import residuals
-from thermoforce_mpc.identification.estimation.modes import ModePriors, mode_priors, unit_responses
+from thermoforce_mpc.identification.estimation.modes import TIME_CONSTANTS_H, ModePriors, unit_responses
 from thermoforce_mpc.identification.estimation.regression import run_regression
 from thermoforce_mpc.identification.probing.excitation import Excitation, Law
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
@@ -31,6 +31,14 @@ _HOLDING_SHARE = 0.3
 _KNOWN_FROM = 48
 # Distance of the rows, h: the response to an action takes hours.
 _ROW_H = 1.0
+# The house that probing expects: one heated through its floor, where effects are the last to show.
+_HOUSE = ModePriors(
+    log_tau=np.log(TIME_CONSTANTS_H[3]),
+    log_tau_sd=0.25,
+    gain_mean=np.array([0.0, 2.0, 0.0]),
+    gain_sd=np.array([0.1, 2.0, 0.0]),
+    slowest_rate=(0.5, 0.5),
+)
 
 
 @dataclass(frozen=True)
@@ -45,13 +53,12 @@ class Designer:
     """Evaluates candidate excitations by their information gain.
 
     Args:
-        config: options of the identification that will use the record; gives priors and disturbances.
+        config: options of the identification that will use the record; gives the disturbances.
     """
 
     def __init__(self, config: IdentificationConfig | None = None) -> None:
         self._config = config or IdentificationConfig()
-        order = max(self._config.orders())
-        self._priors = mode_priors(order, self._config, IDENTITY, None)
+        self._priors = _HOUSE
 
     def choose(
         self,
@@ -156,7 +163,7 @@ class Designer:
 
     def _sensitivities(self, u: Array, step_s: float) -> Array:
         """Return dF/d(gains, ln τ) times the priors' standard deviations, shape (n + 1, 2r), K."""
-        p: ModePriors = self._priors
+        p = self._priors
         sd = p.gains_at(p.log_tau)[1]
         gains = unit_responses(p.log_tau, step_s, u) * sd
         slower = []

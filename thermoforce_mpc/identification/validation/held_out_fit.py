@@ -1,4 +1,4 @@
-"""Choice of the number of modes on held-out rows."""
+"""Fits to the rows before the held-out ones, and their errors on these."""
 
 from __future__ import annotations
 
@@ -16,15 +16,10 @@ from thermoforce_mpc.identification.estimation.likelihood import Split, residual
 from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.estimation.regression import RegressionData, follows_action
 from thermoforce_mpc.identification.estimation.system import System
-from thermoforce_mpc.identification.validation.blocks import block_numbers
 from thermoforce_mpc.identification.validation.competence import Fold
 from thermoforce_mpc.identification.validation.held_out import Case
 
-# A lower order is chosen only if it is better on held-out rows with this probability (Student's t) and by this share of
-# the squared residual: with priors a superfluous mode does no harm, a missing delay does.
-_SIGNIFICANT = 0.975
-_CLEARLY = 0.2
-# Only rows within these hours after an action discriminate orders; the others mainly reflect weather errors.
+# Errors are judged in rows within these hours after an action; the others mainly reflect the weather.
 _AFTER_ACTION_H = 6.0
 
 
@@ -32,14 +27,12 @@ _AFTER_ACTION_H = 6.0
 class Fitted:
     """Fit to the training rows and its held-out errors.
 
-    `judged` (rows,): whitened residuals of the held-out rows that follow an action; `blocks` (rows,): their block
-    numbers; `rollout_rmse_K`: RMSE of the held-out rollouts, K.
+    `judged` (rows,): whitened residuals of the held-out rows that follow an action; `rollout_rmse_K`: RMSE of the
+    held-out rollouts, K.
     """
 
     fit: ModeFit
-    priors: ModePriors
     judged: Array
-    blocks: NDArray[np.intp]
     rollout_rmse_K: float
 
     @property
@@ -90,8 +83,8 @@ def fit_and_judge(
 ) -> Fitted:
     """Fit to the `training_data` and evaluate on the held-out rows and rollouts."""
     fit, sign = fit_modes(training, priors, config), training.sign
-    whitened, blocks, errors = [], [], []
-    for index, (case, split) in enumerate(zip(cases, splits, strict=True)):
+    whitened, errors = [], []
+    for case, split in zip(cases, splits, strict=True):
         if not split.judged.size:
             continue
         rest = residuals(case.regression, fit.log_tau)
@@ -100,9 +93,8 @@ def fit_and_judge(
         first = int(split.judged[0])
         white, factor = rest.later(residual, first)
         whitened.append(white[after_action - first])
-        blocks.append(block_numbers(index, case.regression.rows[after_action], case.regression.step_s))
         # What the rows before a rollout do not predict of it.
         later = [ahead - first for ahead in split.rollouts]
         errors += [factor[np.ix_(ahead, ahead)] @ white[ahead] for ahead in later]
     rollout_rmse_K = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
-    return Fitted(fit, priors, np.concatenate(whitened), np.concatenate(blocks), rollout_rmse_K)
+    return Fitted(fit, np.concatenate(whitened), rollout_rmse_K)
