@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from time import perf_counter
 from typing import Literal
 
@@ -26,6 +27,7 @@ from thermoforce_mpc.identification.effects.couplings import (
     with_metered_shares,
 )
 from thermoforce_mpc.identification.effects.outdoor_factor import levels_only, outdoor_factor
+from thermoforce_mpc.identification.effects.sun_on_sensor import without_sun
 from thermoforce_mpc.identification.estimation.joint import JointFit
 from thermoforce_mpc.identification.estimation.records import (
     Pair,
@@ -35,14 +37,18 @@ from thermoforce_mpc.identification.estimation.records import (
     prepared_pairs,
     prepared_runs,
 )
+from thermoforce_mpc.identification.network.folds import zone_effects
 from thermoforce_mpc.identification.validation.held_out import identified_heat_input, named, power_of_machine
 from thermoforce_mpc.identification.zone import ZoneData, ZoneTask, identify_zone
-from thermoforce_mpc.identification.zone_effects import without_sun, zone_effects
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.screening import Limits
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.model.zone_model import ZoneModel
+
+# Relative standard deviation of the heat of full level where nothing near it was seen and no heat metered: what a level
+# gives may sag, or be switched by a machine that cycles.
+_UNSEEN_LEVEL_SD = 0.6
 
 
 def identify(
@@ -132,6 +138,8 @@ def identify(
             unknown.append(factor.level_sd)
             notes[a].append(factor.in_words())
         notes[a] += [advice[a]] if advice[a] else []
+        highest = max((float(np.max(h.u[a])) for h in histories), default=1.0)
+        unknown.append(_UNSEEN_LEVEL_SD * max(1.0 - highest, 0.0))
         level_sd[a] = np.linalg.norm(unknown)
     layout = with_metered_shares(layout, heat_inputs, histories)
     runs, sun = without_sun(runs, layout, heat_inputs, config)
@@ -166,14 +174,17 @@ def identify(
     fits: list[JointFit | None] = []
     for a, zone_data in enumerate(data_of):
         prefix = _message_prefix(layout, a)
-        told = lambda text, prefix=prefix: say(prefix + text)  # noqa: E731
         try:
-            zone, fit = identify_zone(zone_data, effects[a], told)
+            zone, fit = identify_zone(zone_data, effects[a], partial(_say, say, prefix))
         except DataError as error:
             raise DataError(f"{prefix}{error}") from error
         zones.append(_with_advice(zone, advice[a]))
         fits.append(fit)
     return assembled(layout, zones, fits, power, config)
+
+
+def _say(say: Callable[[str], None], prefix: str, text: str) -> None:
+    say(prefix + text)
 
 
 def _message_prefix(layout: Layout, a: int) -> str:

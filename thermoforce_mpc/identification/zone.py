@@ -28,6 +28,7 @@ from thermoforce_mpc.identification.estimation.regression import (
 )
 from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
 from thermoforce_mpc.identification.modulation.selection import by_level, modulate, prove
+from thermoforce_mpc.identification.network.folds import ZoneEffects
 from thermoforce_mpc.identification.network.projection import Modes
 from thermoforce_mpc.identification.two_stage import two_stage_model
 from thermoforce_mpc.identification.validation.competence import Fold, judge
@@ -144,18 +145,6 @@ class ZoneData:
                 )
             seen.append(int(rows[train[-1]]) if train.size else 0)
         return seen
-
-
-@dataclass(frozen=True)
-class ZoneEffects:
-    """What the network of the building says of a zone's actuators, from all rows, from those before the held-out ones,
-    and from those before an earlier part; `log_odds` that its own actuator acts on it at all.
-    """
-
-    whole: Modes
-    training: Modes
-    earlier: Modes
-    log_odds: float
 
 
 def identify_zone(

@@ -10,8 +10,8 @@ from houses import House, make_pair, record
 
 from thermoforce_mpc.data import DAY_S, Layout
 from thermoforce_mpc.identification import IdentificationConfig, Pair
+from thermoforce_mpc.identification.network.folds import zone_effects
 from thermoforce_mpc.identification.zone import ZoneData, ZoneTask
-from thermoforce_mpc.identification.zone_effects import zone_effects
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 LAYOUT, CONFIG = Layout.single(floor_area_m2=190.0), IdentificationConfig(modulation="linear")

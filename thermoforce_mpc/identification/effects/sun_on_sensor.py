@@ -18,11 +18,13 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import expit, log_ndtr
 
-from thermoforce_mpc.data import DAY_S, Array, Record
+from thermoforce_mpc.data import DAY_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.effects.couplings import other_actuators, others_of
 from thermoforce_mpc.identification.estimation.columns import free_prior, free_time_constants, other_prior, start_sd
 from thermoforce_mpc.identification.estimation.disturbance import Disturbance
 from thermoforce_mpc.identification.estimation.modes import wide_priors
+from thermoforce_mpc.identification.estimation.records import resolution_K
 from thermoforce_mpc.identification.estimation.regression import OtherActuator, RegressionData, run_regression
 from thermoforce_mpc.identification.estimation.whitened import Blocks, blocks_of, whitened_columns
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -183,3 +185,27 @@ def _priors(regressions: Sequence[RegressionData], log_tau: Array) -> tuple[Arra
     starts = np.tile(start_sd(modes + 1), len(regressions))
     mean = [own_mean, other_mean, free_mean, np.zeros(starts.size + _SURFACES)]
     return np.concatenate(mean), np.concatenate([own_sd, other_sd, free_sd, starts, np.full(_SURFACES, _SURFACES_SD_K)])
+
+
+def without_sun(
+    runs: Sequence[Record], layout: Layout, heat_inputs: Sequence[HeatInput], config: IdentificationConfig
+) -> tuple[list[Record], dict[int, SunOnSensor]]:
+    """The runs without the sun on their zone sensors, and what was found of it by zone."""
+    found: dict[int, SunOnSensor] = {}
+    if not runs or not config.sun_on_sensor:
+        return list(runs), found
+    for zone in range(len(layout.floor_area_m2)):
+        for a in layout.actuators_of(zone)[:1]:
+            order = [a, *others_of(layout, a, config)]
+            parts = [run.part(zone, order, [layout.machine_of[a]]) for run in runs]
+            others = other_actuators(layout, heat_inputs, a, config)
+            likeliest = sun_on_sensor(parts, heat_inputs[a], config, resolution_K(parts), others)
+            if likeliest is not None and likeliest.likely:
+                found[zone] = likeliest
+    corrected = []
+    for run in runs:
+        T_zone_C = np.array(run.T_zone_C)
+        for zone, sun in found.items():
+            T_zone_C[zone] -= sun.part_K(run.time_s, run.solar_W_m2)
+        corrected.append(replace(run, T_zone_C=T_zone_C))
+    return corrected, found

@@ -3,46 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from thermoforce_mpc.data import Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.effects.couplings import other_actuators, others_of
-from thermoforce_mpc.identification.effects.sun_on_sensor import sun_on_sensor
-from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
+from thermoforce_mpc.identification.effects.couplings import others_of
+from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.network.building import BuildingFit, Responses
 from thermoforce_mpc.identification.network.effects import building_fit, room_pair, room_run
 from thermoforce_mpc.identification.network.estimate import Run
 from thermoforce_mpc.identification.network.projection import Modes, projected
-from thermoforce_mpc.identification.zone import ZoneData, ZoneEffects
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 
 
-def without_sun(
-    runs: Sequence[Record], layout: Layout, heat_inputs: Sequence[HeatInput], config: IdentificationConfig
-) -> tuple[list[Record], dict[int, SunOnSensor]]:
-    """The runs without the sun on their zone sensors, and what was found of it by zone."""
-    found: dict[int, SunOnSensor] = {}
-    if not runs or not config.sun_on_sensor:
-        return list(runs), found
-    for zone in range(len(layout.floor_area_m2)):
-        for a in layout.actuators_of(zone)[:1]:
-            order = [a, *others_of(layout, a, config)]
-            parts = [run.part(zone, order, [layout.machine_of[a]]) for run in runs]
-            others = other_actuators(layout, heat_inputs, a, config)
-            likeliest = sun_on_sensor(parts, heat_inputs[a], config, resolution_K(parts), others)
-            if likeliest is not None and likeliest.likely:
-                found[zone] = likeliest
-    corrected = []
-    for run in runs:
-        T_zone_C = np.array(run.T_zone_C)
-        for zone, sun in found.items():
-            T_zone_C[zone] -= sun.part_K(run.time_s, run.solar_W_m2)
-        corrected.append(replace(run, T_zone_C=T_zone_C))
-    return corrected, found
+class ZoneRows(Protocol):
+    """Which rows of a zone a fold may see (`zone.ZoneData`), and the resolution `grid_K` of its sensor, K."""
+
+    @property
+    def grid_K(self) -> float: ...  # noqa: D102
+
+    def last_steps(self, fold: str) -> list[int]: ...  # noqa: D102
+
+
+@dataclass(frozen=True)
+class ZoneEffects:
+    """What the network of the building says of a zone's actuators, from all rows, from those before the held-out ones,
+    and from those before an earlier part; `log_odds` that its own actuator acts on it at all.
+    """
+
+    whole: Modes
+    training: Modes
+    earlier: Modes
+    log_odds: float
 
 
 def zone_effects(
@@ -50,7 +45,7 @@ def zone_effects(
     pairs: Sequence[Pair],
     layout: Layout,
     heat_inputs: Sequence[HeatInput],
-    data: Sequence[ZoneData],
+    data: Sequence[ZoneRows],
     config: IdentificationConfig,
     say: Callable[[str], None],
 ) -> list[ZoneEffects | None]:
@@ -90,7 +85,7 @@ def _seen(
     zone: int,
     layout: Layout,
     heat_inputs: Sequence[HeatInput],
-    data: ZoneData,
+    data: ZoneRows,
     fold: str,
     joined: bool,
 ) -> list[Run]:
