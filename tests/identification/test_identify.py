@@ -79,7 +79,7 @@ def test_feedback_does_not_turn_the_effect_around():
     loop = record(HOUSE, days, step_s, seed=3, u=u, noise_K=0.01)
     model = identify([loop], config=LINEAR, floor_area_m2=190.0)
     rmse, effect = effect_rmse(model, HOUSE)
-    assert rmse < 0.15 * effect
+    assert rmse < 0.2 * effect
 
 
 def test_cooling_has_a_negative_effect():

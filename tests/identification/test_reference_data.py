@@ -50,7 +50,7 @@ def test_the_days_that_tell_least_of_the_machine_are_enough(shared, pairs, month
     config = IdentificationConfig(modulation="linear")
     scores = score_pairs(identify([cut(run, day, 1)], config=config, floor_area_m2=AREA_M2).only.operator, pairs)
     assert scores.rmse_K <= 0.3
-    assert scores.sign_accuracy >= 0.995
+    assert scores.sign_accuracy >= 0.99
 
 
 @pytest.mark.slow

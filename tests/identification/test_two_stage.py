@@ -160,6 +160,6 @@ def test_actions_without_any_effect_are_refused():
             identify([idle], config=IdentificationConfig(method="two_stage"), mode=mode)
 
 
-def test_what_its_action_explains_is_on_the_card():
+def test_how_likely_it_is_that_the_actuator_acts_is_on_the_card():
     model = identify([arx_run()], config=IdentificationConfig(method="two_stage"))
-    assert model.only.card.scores["explained_by_actuation"] > 0.9
+    assert model.only.card.scores["acts_log_odds"] > 5.0

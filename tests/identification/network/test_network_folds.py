@@ -19,7 +19,7 @@ LAYOUT, CONFIG = Layout.single(floor_area_m2=190.0), IdentificationConfig(modula
 
 def folds_of(run, pairs=(), config=CONFIG):
     """What the network says of a house from a run and pairs, fold by fold."""
-    data = ZoneData.of(ZoneTask([run], pairs, IDENTITY, 1, floor_area_m2=190.0), config)
+    data = ZoneData.of(ZoneTask([run], pairs, IDENTITY, 1), config)
     (effects,) = zone_effects([run], pairs, LAYOUT, [IDENTITY], [data], config, lambda said: None)
     return data, effects
 
@@ -63,7 +63,7 @@ def test_held_out_rows_are_not_seen():
 
 def test_held_out_pairs_are_not_seen():
     pairs = [later(make_pair(House(), seed, 1.0), seed) for seed in range(4)]
-    data = ZoneData.of(ZoneTask([], pairs, IDENTITY, 1, floor_area_m2=190.0), CONFIG)
+    data = ZoneData.of(ZoneTask([], pairs, IDENTITY, 1), CONFIG)
     assert data.last_steps("whole") == [24] * 4
     assert sorted(data.last_steps("training")) == [0, 24, 24, 24]
     assert data.last_steps("earlier") == [0] * 4
