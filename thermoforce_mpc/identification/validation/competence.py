@@ -49,7 +49,7 @@ BETTER_PROBABILITY = 0.9
 # thirds of what was planned, which re-planning still corrects.
 MOST_RELATIVE_SD = 0.4
 EFFECT_H = 8
-# Probing ends early at this relative standard deviation, of which 0.05 are what a few nodes are not. It is stricter than
+# Probing ends early at this relative standard deviation, of which 0.05 are what a few nodes are not. It is less than
 # what three days of probing give on the heat pump test case (0.07), so that they stay three days there.
 WELL_KNOWN_SD = 0.06
 # Probing goes on beyond the configured days while it is larger than this: a model that may act is still a poor
