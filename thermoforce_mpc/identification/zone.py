@@ -1,9 +1,8 @@
-"""Model of one zone from its records: order, linear fit, monotone-neural gain, verdict.
+"""Model of one zone from its records: free part beside the network's effects, monotone-neural gain, verdict.
 
-Fit every order to the first part of the data and keep the one whose rollouts are best on the rest; fit it to
-everything; train the modulation the same way, and keep it unless it is worse; refuse an operator that explains next to
-nothing or whose sign is not proven, whatever the method. The zone's own actuator is the first of its records; the
-others' effects are estimated with it.
+Fit with the effects that the network has of the first part of the data, for the verdict; fit with those of everything;
+train the modulation the same way, and keep it unless it is worse; refuse an operator whose actuator is not shown to act
+or whose sign is not proven, whatever the method. The zone's own actuator is the first of its records.
 """
 
 from __future__ import annotations
@@ -211,7 +210,7 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
     training = fit_and_judge(
         seen_cases, splits, training_data(seen_cases, splits, seen_priors.order, sign), seen_priors, config
     )
-    final = known_effects(fit_joint([c.regression for c in cases], priors, config, sign), effects.whole)
+    final = fit_joint([c.regression for c in cases], priors, config, sign, effects.whole.covariance)
     histories, step_s = data.histories, task.step_s
     base_step = histories[0].step_s
     mean, scale = normalisation(histories)
@@ -279,11 +278,6 @@ def with_effects(cases: Sequence[Case], modes: Modes) -> tuple[list[Case], ModeP
         for case in cases
     ]
     return known, centred_priors(modes.log_tau, modes.gains[0], _HELD)
-
-
-def known_effects(fit: JointFit, modes: Modes) -> JointFit:
-    """The fit, as sure of its effects as the network is, whose likelihood the loop does not bias."""
-    return replace(fit, covariance=modes.covariance[0], other_covariance=modes.covariance[1:])
 
 
 def _warnings(certainty: Mapping[str, float]) -> list[str]:

@@ -23,7 +23,6 @@ from thermoforce_mpc.identification.estimation.regression import (
     FREE_PRIOR,
     REFERENCE_C,
     RegressionData,
-    likely_scale,
     scaled,
 )
 from thermoforce_mpc.identification.estimation.system import System
@@ -90,29 +89,34 @@ def fit_modes(system: System, priors: ModePriors, config: IdentificationConfig) 
 
 
 def fit_joint(
-    regressions: Sequence[RegressionData], priors: ModePriors, config: IdentificationConfig, sign: int
+    regressions: Sequence[RegressionData],
+    priors: ModePriors,
+    config: IdentificationConfig,
+    sign: int,
+    covariance: Array,
 ) -> JointFit:
-    """Fit time constants, gains and free part to all regressions jointly; `sign` +1 heating, −1 cooling."""
+    """Fit time constants, gains and free part to all regressions jointly.
+
+    `sign` +1 heating, −1 cooling; `covariance` (1 + K, 2r, 2r) of the effects as the network knows them: the loop does
+    not bias its likelihood, which here it does.
+    """
     maximum = _posterior_maximum(System(regressions, priors.order, sign), priors, config)
     log_tau = maximum.fit.log_tau
     rows = maximum.system.rows(log_tau, priors)
     values = BoundedLeastSquares(rows, maximum.system.variables).values
     r, K = priors.order, regressions[0].others.shape[0]
     free_log_tau = free_time_constants(log_tau)
-    covariance = _joint_covariance(maximum, priors, rows, values)
-    of_tau = np.arange(r)
-    of_others = [np.concatenate([of_tau, r + (1 + k) * r + of_tau]) for k in range(K)]
     return JointFit(
         log_tau=log_tau,
         gains=maximum.fit.gains,
         residual_scale=maximum.fit.residual_scale,
-        covariance=covariance[: 2 * r, : 2 * r],
+        covariance=covariance[0],
         free_log_tau=free_log_tau,
         free_gains=_free_gains(
             values[r + K * r :], free_log_tau.size, with_free=any(not b.is_pair for b in regressions)
         ),
         other_gains=values[r : r + K * r].reshape(K, r),
-        other_covariance=np.array([covariance[np.ix_(i, i)] for i in of_others]).reshape(K, 2 * r, 2 * r),
+        other_covariance=covariance[1:],
         other_sd=other_prior(regressions[0], log_tau)[1].reshape(K, r),
     )
 
@@ -159,23 +163,3 @@ def _free_gains(values: Array, n_free: int, *, with_free: bool) -> Array:
     # The constant level cannot be attributed to a mode; it is assigned to the slowest.
     gains[-1, INPUTS.index("constant")] = values[len(FREE_PRIOR) * n_free] + REFERENCE_C
     return gains
-
-
-def _joint_covariance(maximum: _Maximum, priors: ModePriors, rows: Array, values: Array) -> Array:
-    """Return the error covariance of [ln τ, gains of the own and the other actuators], marginalised over the rest.
-
-    Laplace approximation: H = P + D is the Gauss-Newton Hessian of the negative log posterior at its maximum, with P
-    the precision of the priors and D that of the data. If the disturbances of runs are only s times those of the
-    regression, the error covariance is H⁻¹ (P + s² D) H⁻¹: the data were under-weighted, so errors of the prior remain
-    in the estimate. It is H⁻¹ for s = 1. `rows` and `values` are those of the system at the maximum.
-    """
-    system, r = maximum.system, priors.order
-    n, acting = system.n_data, (2 + system.regressions[0].others.shape[0]) * r
-    jacobian = np.concatenate([system.slopes(maximum.fit.log_tau, priors, values), rows[:, :-1]], axis=1)
-    smaller = min(1.0, likely_scale(maximum.fit.residual_scale) / maximum.scale)
-    prior = jacobian[n:].T @ jacobian[n:]
-    prior[:r, :r] += np.eye(r) / priors.log_tau_sd**2
-    data = jacobian[:n]
-    inverse = np.linalg.inv(data.T @ data + prior)
-    scaled_data = data * _of_each_row(system.regressions, smaller)[:, None]
-    return np.asarray(inverse @ (scaled_data.T @ scaled_data + prior) @ inverse)[:acting, :acting]

@@ -46,8 +46,6 @@ def uncertainty(fit: JointFit, step_s: float, level_sd: float = 0.0) -> dict[str
     """Return estimates of the linear fit and their posterior standard deviations by name; poles and gains at `step_s`.
 
     `level_sd` is the relative standard deviation of the heat of a level; it adds to that of the step response.
-
-    Disturbances are of about the size found by the fit, see `regression_data.likely_scale`.
     """
     r = fit.log_tau.size
     parameters = np.concatenate([fit.log_tau, fit.gains])
