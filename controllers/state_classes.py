@@ -55,6 +55,11 @@ def _with_margins(fields: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _without_share(fields: dict[str, Any]) -> dict[str, Any]:
+    """Fields of today's `Competence` from those of the last release, which had an explained share in place of odds."""
+    return {name: value for name, value in fields.items() if name != "explained"}
+
+
 STATE_CLASSES = {
     # States of controllers.
     "mpc": Stored(MPCState, "controllers.planner:MPCState", _with_margins),
@@ -94,7 +99,7 @@ STATE_CLASSES = {
     "return_water": Stored(ReturnWater, "thermoforce_mpc.model.machine.return_water:ReturnWater"),
     "rc": Stored(RcParameters, "thermoforce_mpc.model.free_response.rc:RcParameters"),
     "card": Stored(ModelCard, "thermoforce_mpc.model.card:ModelCard"),
-    "competence": Stored(Competence, "thermoforce_mpc.model.competence:Competence"),
+    "competence": Stored(Competence, "thermoforce_mpc.model.competence:Competence", _without_share),
     "horizon_score": Stored(HorizonScore, "thermoforce_mpc.model.competence:HorizonScore"),
     "sun_on_sensor": Stored(SunOnSensor, "thermoforce_mpc.model.sun_on_sensor:SunOnSensor"),
 }

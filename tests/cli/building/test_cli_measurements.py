@@ -17,6 +17,7 @@ from thermoforce_mpc.cli.building.plan import draw_plan, plan_table
 from thermoforce_mpc.data import DAY_S, Boundary, Names, Plan, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
 from thermoforce_mpc.identification.probing.probe import probe
+from thermoforce_mpc.identification.validation import competence
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
 MAP = """\
@@ -95,7 +96,8 @@ def test_check_prints_and_draws_what_it_understood(folder):
 
 
 @pytest.mark.slow
-def test_what_a_record_of_operation_cannot_tell_is_said_and_a_probing_is_proposed(folder):
+def test_what_a_record_of_operation_cannot_tell_is_said_and_a_probing_is_proposed(folder, monkeypatch):
+    monkeypatch.setattr(competence, "MOST_RELATIVE_SD", 0.05)
     done = tf_mpc(folder, "data", "check", "operated.csv", "--map", "map.yaml", "--plot", "operated.png")
     assert done.exit_code == 0, done.output
     assert "not competent" in done.output
@@ -142,7 +144,8 @@ def test_a_record_that_tells_needs_no_probing(folder):
 
 
 @pytest.mark.slow
-def test_identify_below_the_bar_exits_with_4_and_says_what_to_do(folder):
+def test_identify_below_the_bar_exits_with_4_and_says_what_to_do(folder, monkeypatch):
+    monkeypatch.setattr(competence, "MOST_RELATIVE_SD", 0.05)
     words = ("--data", "operated.csv", "--map", "map.yaml", "--out", str(folder / "weak"), *LINEAR)
     done = tf_mpc(folder, "identify", *words)
     assert done.exit_code == 4, done.output
