@@ -70,6 +70,7 @@ class ZoneTask:
         source, data, notes: for the model card.
         power: of the machine, where it feeds this actuator alone.
         level_sd: relative standard deviation of the effect that comes from heat that was not measured.
+        sun: what shone on the zone sensor, already taken off the records.
         alone: whether the building has no other actuator. Of several, one without an effect must not refuse the rest:
             its model is returned, not competent.
     """
@@ -152,7 +153,7 @@ def identify_zone(
     """Return the zone's model and its linear fit, None with method two_stage, which needs no `effects`.
 
     Raises:
-        DataError: the action explains too little (where it is alone), or its effect has no proven sign.
+        DataError: nothing shows that the actuator acts (where it is alone), or its effect has no proven sign.
     """
     task, config = data.task, data.config
     days = sum(h.n_steps * h.step_s for h in data.histories) / DAY_S

@@ -50,7 +50,8 @@ class BuildingFit:
     def responses(self) -> tuple[Responses, ...]:
         """What the actuators do to each zone (Z,)."""
         thetas = [fit.theta for fit in self.rooms]
-        mean, weather = self._steps(thetas, RESPONSE_H)[:, :-2], self._steps(thetas, WEATHER_H)[:, -2:]
+        steps = self._steps(thetas, WEATHER_H)
+        mean, weather = steps[:, :-2, : RESPONSE_H.size], steps[:, -2:]
         covariance = np.einsum("zat,zas->zats", mean, mean) * _STRUCTURE_SD**2
         for z, fit in enumerate(self.rooms):
             known = len(fit.room.names)

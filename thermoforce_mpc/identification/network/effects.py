@@ -74,10 +74,10 @@ def _drives(record: Record, zone: int, layout: Layout, heat_inputs: Sequence[Hea
     drives, T_out_C = [], record.T_out_C[:-1]
     for a in layout.actuators_of(zone):
         heat_input, heat_W = heat_inputs[a], layout.signs[a] * record.heat_W[a]
-        by_level = heat_input(record.u[a], T_out_C)
-        measured = np.isfinite(heat_W) & (heat_input.law is not None)
-        metered = heat_input.of_meter(heat_W, T_out_C) if heat_input.law is not None else by_level
-        drives.append(np.where(measured, metered, by_level))
+        drive = heat_input(record.u[a], T_out_C)
+        if heat_input.law is not None:
+            drive = np.where(np.isfinite(heat_W), heat_input.of_meter(heat_W, T_out_C), drive)
+        drives.append(drive)
     return drives
 
 

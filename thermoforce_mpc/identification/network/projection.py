@@ -13,6 +13,7 @@ from scipy.optimize import least_squares, nnls
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.estimation.columns import free_time_constants
+from thermoforce_mpc.identification.estimation.modes import lags_of_gains
 from thermoforce_mpc.identification.network.building import RESPONSE_H, WEATHER_H, Responses
 
 # Time constants, h: shortest, longest, least ratio of neighbours.
@@ -50,11 +51,9 @@ class Modes:
 
 def unit_steps(log_tau: Array, hours: Array = RESPONSE_H) -> Array:
     """Step responses (T, r) K per unit of [slope K/h, G_2 … G_r K] at `hours` (T,)."""
-    tau = np.exp(log_tau)
-    rising = -np.expm1(-np.asarray(hours)[:, None] / tau)
-    rising[:, 1:] -= tau[0] / tau[1:] * rising[:, :1]
-    rising[:, 0] *= tau[0]
-    return np.asarray(rising)
+    rising = -np.expm1(-np.asarray(hours)[:, None] / np.exp(log_tau))
+    own, lead = lags_of_gains(log_tau)
+    return np.asarray(own * rising + lead * rising[:, :1])
 
 
 def projected(responses: Responses, own: int, signs: Array, order: int) -> Modes:
@@ -63,7 +62,7 @@ def projected(responses: Responses, own: int, signs: Array, order: int) -> Modes
     target = means[own] / np.abs(means[own]).max()
 
     def tau_of(x: Array) -> Array:
-        """ln τ from unconstrained x: each is at least `_APART` times the one before."""
+        """ln τ from x in `_RANGE`: each is at least `_APART` times the one before."""
         return np.asarray(np.log(_SHORTEST_H) + np.cumsum(np.exp(x)) + np.log(_APART) * np.arange(order))
 
     def misfit(x: Array) -> Array:

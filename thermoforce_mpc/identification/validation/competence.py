@@ -116,30 +116,9 @@ def held_out_h(cases: Sequence[Case], splits: Sequence[Split]) -> float:
     )
 
 
-def held_out_rmse_K(cases: Sequence[Case], splits: Sequence[Split], fit: ModeFit, sign: int) -> float:
-    """Return the mean of the held-out RMSE at the judged lead times, K; NaN where no run is held out."""
-    runs = _held_out_runs(cases, splits)
-    if not runs:
-        return float("nan")
-    errors_by_lead = _model_errors(runs, fit, sign)
-    return float(np.mean([np.sqrt(np.mean(errors**2)) for errors in errors_by_lead.values() if errors.size]))
-
-
 def _held_out_runs(cases: Sequence[Case], splits: Sequence[Split]) -> list[tuple[Case, Split]]:
     """Runs with held-out rows."""
     return [(c, s) for c, s in zip(cases, splits, strict=True) if not c.regression.is_pair and s.judged.size]
-
-
-def _model_errors(runs: Sequence[tuple[Case, Split]], fit: ModeFit, sign: int) -> dict[float, Array]:
-    """Held-out errors of `fit` at the judged lead times, K."""
-    regressions = [c.regression for c, _ in runs]
-    first = [int(s.judged[0]) for _, s in runs]
-    effects = [forced_columns(e, fit.log_tau, sign) @ fit.gains for e in regressions]
-    model = _innovations(runs, effects, [fit.log_tau], JUDGED_H)
-    return {
-        hours: np.concatenate([model[i].ahead(*_held_out(case, first[i], hours)) for i, (case, _) in enumerate(runs)])
-        for hours in JUDGED_H
-    }
 
 
 def judge(
@@ -155,9 +134,9 @@ def judge(
     """Return the verdict on a model, None where there is no run to judge it on (pairs only).
 
     Args:
-        fold: fit of the chosen order to all but the last rows, which give the errors in K.
-        earlier: fit to a part of these rows, tested on the rest of them (`order.earlier_fold`).
-        priors: priors of that order.
+        fold: fit to all but the last rows, which give the errors in K.
+        earlier: fit to a part of these rows, tested on the rest of them (`held_out_fit.earlier_fold`).
+        priors: those of that fit.
         uncertainty: standard deviations of the final fit, see `identification.uncertainty`.
         log_odds: that the actuator acts, see `network.estimate.RoomFit.gained`.
         sign: +1 heating, −1 cooling.
