@@ -167,6 +167,7 @@ def identify(
             alone=len(layout.home) == 1,
             level_sd=float(level_sd[a]),
             sun=sun.get(home),
+            area_m2=float(layout.floor_area_m2[home]),
         )
         data_of.append(ZoneData.of(task, config))
     effects = zone_effects(runs, pairs, layout, heat_inputs, data_of, config, say)

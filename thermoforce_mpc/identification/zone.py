@@ -26,11 +26,13 @@ from thermoforce_mpc.identification.estimation.regression import (
     run_regression,
 )
 from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
-from thermoforce_mpc.identification.modulation.selection import by_level, modulate, prove
+from thermoforce_mpc.identification.modulation.candidates import by_level
+from thermoforce_mpc.identification.modulation.selection import modulate, prove
 from thermoforce_mpc.identification.network.folds import ZoneEffects
 from thermoforce_mpc.identification.network.projection import Modes
 from thermoforce_mpc.identification.two_stage import two_stage_model
-from thermoforce_mpc.identification.validation.competence import Fold, judge
+from thermoforce_mpc.identification.validation.competence import Trial, judge
+from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.validation.held_out import Case, held_out, normalisation, ranges
 from thermoforce_mpc.identification.validation.held_out_fit import (
     earlier_fold,
@@ -73,6 +75,7 @@ class ZoneTask:
         sun: what shone on the zone sensor, already taken off the records.
         alone: whether the building has no other actuator. Of several, one without an effect must not refuse the rest:
             its model is returned, not competent.
+        area_m2: floor area of the zone, m², NaN where it is not known.
     """
 
     runs: Sequence[Record]
@@ -88,6 +91,12 @@ class ZoneTask:
     alone: bool = True
     level_sd: float = 0.0
     sun: SunOnSensor | None = None
+    area_m2: float = float("nan")
+
+    @property
+    def heat_W_m2(self) -> float:
+        """Metered heat of full level per m² of floor; NaN where it or the area is not known."""
+        return self.heat_input.reference_W / self.area_m2 if self.heat_input.law is not None else float("nan")
 
 
 @dataclass(frozen=True)
@@ -233,10 +242,16 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
     operator, notes = replace(linear(final), feedback=config.feedback), list(data.notes)
     scores = {"held_out": training.score, "held_out_rollout_rmse_K": training.rollout_rmse_K}
     scores |= {"residual_scale": final.residual_scale, "acts_log_odds": effects.log_odds}
-    if config.modulation != "linear":
+    last = Fold(seen_cases, splits, training.fit, seen_priors)
+    before_cases, before_priors = with_effects(data.cases, effects.earlier)
+    before = earlier_fold(before_cases, splits, before_priors, config, sign)
+    if config.modulation == "linear":
+        trials = Trial(last, last.linear_effects(sign)), before and Trial(before, before.linear_effects(sign))
+    else:
         say("training the modulation of the gain")
-        operator, neural, said = modulate(cases, splits, linear, training.fit, final, priors, config, power)
-        scores, notes = scores | neural, [*notes, *said]
+        modulated = modulate(cases, last, before, linear, final, config, power)
+        operator, trials = modulated.operator, (modulated.last, modulated.before)
+        scores, notes = scores | modulated.scores, [*notes, *modulated.notes]
     operator = operator.resampled(step_s or base_step)
     certainty = uncertainty(final, operator.step_s, task.level_sd) | {"sensor_resolution_K": data.grid_K}
     shape: dict[str, float] = {}
@@ -244,14 +259,7 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
         regressions = [by_level(case, heat_input) for case in cases]
         shape, shape_notes = level_shape(histories, regressions, final, priors, config, power, sign)
         notes = [*notes, *shape_notes]
-    verdict = None
-    if task.runs:
-        fold = Fold(seen_cases, splits, training.fit)
-        before_cases, before_priors = with_effects(data.cases, effects.earlier)
-        earlier = earlier_fold(before_cases, splits, before_priors, config, sign)
-        verdict = judge(
-            fold, earlier, seen_priors, certainty, effects.log_odds, sign, own_loops=heat_input.lowest < 0.0
-        )
+    verdict = judge(*trials, operator, certainty, effects.log_odds, task.heat_W_m2)
     model = ZoneModel(
         operator=operator,
         power=power,

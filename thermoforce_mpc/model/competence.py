@@ -34,9 +34,8 @@ class Competence:
     `competent`: whether a controller may act on it. `reasons`: each criterion that it misses, in words. `advice`: what
     to do about them. `horizons`: held-out errors by lead time. `effect_K` and `effect_sd_K`: change of the zone after
     8 h at full level and its standard deviation, K. `sign_probability`: probability that the effect has the sign of
-    the mode. `log_odds`: that the
-    actuator acts at all (NaN where an older file does not say). `held_out_h`:
-    held-out hours.
+    the mode. `log_odds`: that the actuator acts at all (NaN where an older file does not say). `held_out_h`: held-out
+    hours. `plainly`: the first reason in words for the owner of the building; empty where an older file has none.
     """
 
     competent: bool
@@ -48,6 +47,7 @@ class Competence:
     sign_probability: float = float("nan")
     log_odds: float = float("nan")
     held_out_h: float = float("nan")
+    plainly: str = ""
 
     @property
     def relative_sd(self) -> float:
@@ -55,7 +55,18 @@ class Competence:
         return self.effect_sd_K / abs(self.effect_K) if self.effect_K else float("inf")
 
     def in_words(self) -> str:
-        """One line: the verdict, and what it rests on."""
+        """One line for an engineer: the verdict, and what it rests on."""
         if self.competent:
             return f"competent: the effect of 8 h at full level is known to ± {100 * self.relative_sd:.0f} %"
         return f"not competent: {'; '.join(self.reasons)}"
+
+    def sentence(self) -> str:
+        """For the owner of the building: whether the model may control, why not, and what to do next."""
+        if self.competent:
+            return (
+                "This model may control the building: its predictions held on data that it had not seen, and what full "
+                f"level does in 8 h is known to ± {100 * self.relative_sd:.0f} %."
+            )
+        why = f", since {self.plainly}" if self.plainly else ""
+        to_do = f" Next: {self.advice[0]}." if self.advice else ""
+        return f"This model may not control the building{why}; the building's own control stays.{to_do}"

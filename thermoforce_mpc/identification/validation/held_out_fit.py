@@ -16,8 +16,8 @@ from thermoforce_mpc.identification.estimation.likelihood import Split, residual
 from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.estimation.regression import RegressionData, follows_action
 from thermoforce_mpc.identification.estimation.system import System
-from thermoforce_mpc.identification.validation.competence import Fold
-from thermoforce_mpc.identification.validation.held_out import Case
+from thermoforce_mpc.identification.validation.errors_ahead import Fold
+from thermoforce_mpc.identification.validation.held_out import Case, held_out
 
 # Errors are judged in rows within these hours after an action; the others mainly reflect the weather.
 _AFTER_ACTION_H = 6.0
@@ -60,12 +60,32 @@ def training_data(cases: Sequence[Case], splits: Sequence[Split], order: int, si
 
 def earlier_fold(
     cases: Sequence[Case], splits: Sequence[Split], priors: ModePriors, config: IdentificationConfig, sign: int
-) -> Fold:
-    """Return the runs as they were before their held-out rows, as many of the last rows held out anew, and the fit."""
-    runs = [(c, s) for c, s in zip(cases, splits, strict=True) if not c.regression.is_pair and s.judged.size]
-    before = [replace(case, regression=_part(case.regression, split.train)) for case, split in runs]
-    anew = [split_before(case, split, config) for case, split in runs]
-    return Fold(before, anew, fit_modes(training_data(before, anew, priors.order, sign), priors, config))
+) -> Fold | None:
+    """Return the cases without their held-out rows, as many of the rest held out anew, and the fit to the others.
+
+    None where nothing can be held out anew.
+    """
+    before, anew = before_held_out(cases, splits, config)
+    if not before:
+        return None
+    return Fold(before, anew, fit_modes(training_data(before, anew, priors.order, sign), priors, config), priors)
+
+
+def before_held_out(
+    cases: Sequence[Case], splits: Sequence[Split], config: IdentificationConfig
+) -> tuple[list[Case], list[Split]]:
+    """Return the cases as they were before their held-out rows, and as many of the last rows held out anew.
+
+    Of runs, those with held-out rows; where there are none, of pairs: those that are not held out are divided as
+    `held_out` divides all.
+    """
+    some = [(case, split) for case, split in zip(cases, splits, strict=True) if split.train.size]
+    runs = [(case, split) for case, split in some if not case.regression.is_pair and split.judged.size]
+    if runs:
+        before = [replace(case, regression=_part(case.regression, split.train)) for case, split in runs]
+        return before, [split_before(case, split, config) for case, split in runs]
+    pairs = [replace(case, regression=_part(case.regression, split.train)) for case, split in some]
+    return pairs, held_out(pairs, config)
 
 
 def split_before(case: Case, split: Split, config: IdentificationConfig) -> Split:
