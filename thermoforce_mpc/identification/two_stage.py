@@ -8,7 +8,7 @@ the drive, and the gain clipped to its physical sign. The model is of order 1; t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,18 +16,9 @@ from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.joint import ModeFit
-from thermoforce_mpc.identification.estimation.modes import centred_priors, to_operator, wide_priors
-from thermoforce_mpc.identification.estimation.records import Pair
-from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression
-from thermoforce_mpc.identification.modulation.selection import modulate
-from thermoforce_mpc.identification.validation.held_out import Case, held_out, normalisation, ranges
-from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
-from thermoforce_mpc.model.zone_model import ZoneModel
 
 # Least steps of each stage, for its four and one parameters.
 MIN_OFF_STEPS = 24
@@ -158,80 +149,3 @@ def _columns(run: Record) -> tuple[Array, Array, Array, Array, Array]:
     kept = np.isfinite(T[:-1]) & np.isfinite(T[1:])
     T_out, solar = (0.5 * (x[:-1] + x[1:]) for x in (run.T_out_C, run.solar_W_m2))
     return T[:-1][kept], np.diff(T)[kept], T_out[kept], solar[kept], run.u[0, kept]
-
-
-# Relative prior standard deviation of pole and gain around the two-stage fit in paired training.
-_TWO_STAGE_SD = 0.3
-
-
-def two_stage_model(
-    runs: Sequence[Record],
-    pairs: Sequence[Pair],
-    data: Mapping[str, str],
-    config: IdentificationConfig,
-    heat_input: HeatInput,
-    sign: int,
-    step_s: float | None,
-    source: str,
-    notes: Sequence[str],
-) -> ZoneModel:
-    """Return the thermal model, order 1; training of the network, on pairs if any, starts from the two-stage fit."""
-    if not runs:
-        raise DataError("method two_stage needs single runs, none were given; for pairs only use method joint")
-    fit = fit_two_stage(runs, heat_input=heat_input, sign=sign, u_off=config.u_off)
-    step_s = step_s or fit.step_s
-    operator = fit.operator()
-    scores: dict[str, float] = {}
-    said: list[str] = []
-    histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
-    if pairs or config.modulation != "linear":
-        operator, scores, said = _trained(fit, runs, pairs, config)
-    return ZoneModel(
-        operator=operator.resampled(step_s),
-        free=fit.free_model().resampled(step_s),
-        card=ModelCard(
-            source=source,
-            data=data,
-            ranges=ranges(histories),
-            scores={"one_step_rmse_K": fit.rmse_K, "off_steps": fit.n_off, "on_steps": fit.n_on}
-            | {"acts_log_odds": 0.5 * (fit.g / fit.g_sd) ** 2}
-            | scores,
-            uncertainty={"pole_sd": fit.a_sd, "gain_sd_K": fit.g_sd},
-            config=config.model_dump(mode="json"),
-            notes=(*notes, *said),
-        ),
-    )
-
-
-def _trained(
-    fit: TwoStageFit, runs: Sequence[Record], pairs: Sequence[Pair], config: IdentificationConfig
-) -> tuple[OperatorParameters, dict[str, float], list[str]]:
-    """Train pole, gain and modulation, priors centred on the two-stage fit; see `modulate`.
-
-    On pairs (eq:paired), which correct the fit; without, on the runs, which leave it as it is but for the modulation.
-    """
-    first = fit.operator()
-    log_tau, slope = np.log(first.time_constants_h), np.abs(first.steady_gains_K) / first.time_constants_h
-    start = ModeFit(log_tau, slope, residual_scale=1.0)
-    priors = centred_priors(log_tau, slope, _TWO_STAGE_SD)
-    cases = [Case(pair_regression(p, fit.heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs] or [
-        Case(run_regression(h, fit.heat_input, config), (h,), float(h.time_s[0])) for h in runs
-    ]
-    mean, scale = normalisation([*runs, *(h for p in pairs for h in (p.a, p.b))])
-
-    def linear(mode_fit: ModeFit) -> OperatorParameters:
-        return to_operator(
-            mode_fit.log_tau,
-            mode_fit.gains,
-            step_s=fit.step_s,
-            bounds_h=wide_priors(1).bounds_h(),
-            sign=fit.sign,
-            # Without modulation only pole and gain are trained.
-            gamma=0.0 if config.modulation == "linear" else config.gamma,
-            hidden=config.hidden,
-            heat_input=fit.heat_input,
-            feature_mean=mean,
-            feature_scale=scale,
-        )
-
-    return modulate(cases, held_out(cases, config), linear, start, start, priors, config)

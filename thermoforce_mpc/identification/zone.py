@@ -30,7 +30,7 @@ from thermoforce_mpc.identification.modulation.candidates import by_level
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
 from thermoforce_mpc.identification.network.folds import ZoneEffects
 from thermoforce_mpc.identification.network.projection import Modes
-from thermoforce_mpc.identification.two_stage import two_stage_model
+from thermoforce_mpc.identification.two_stage_model import two_stage_model
 from thermoforce_mpc.identification.validation.competence import Trial, judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.validation.held_out import Case, held_out, normalisation, ranges
@@ -51,6 +51,7 @@ from thermoforce_mpc.model.zone_model import ZoneModel
 # Least log odds that the actuator acts: of 84 random houses with the levels of another one, 2 had more
 # (`python -m benchmarks.zones.placebo` for houses of rooms).
 _LEAST_LOG_ODDS = 5.0
+_ACTS_NOT = "nothing in the record shows that the actuator does anything to the room"
 # Relative standard deviation of what the network says of effects while the free part is fitted beside them, and the
 # least of a gain, K or K/h.
 _HELD, _LEAST_GAIN = 0.5, 1e-3
@@ -170,7 +171,16 @@ def identify_zone(
     fit = None
     if effects is None:
         model = two_stage_model(
-            task.runs, task.pairs, task.data, config, task.heat_input, task.sign, task.step_s, task.source, data.notes
+            task.runs,
+            task.pairs,
+            task.data,
+            config,
+            task.heat_input,
+            task.sign,
+            task.step_s,
+            task.source,
+            data.notes,
+            task.heat_W_m2,
         )
     else:
         model, fit = _joint_model(data, effects, say)
@@ -192,7 +202,9 @@ def _accepted(model: ZoneModel, data: ZoneData) -> ZoneModel:
     prove(model.operator)
     if not missing:
         return model
-    verdict = replace(model.card.competence or Competence(False), competent=False, reasons=(missing,))
+    verdict = replace(
+        model.card.competence or Competence(False), competent=False, reasons=(missing,), plainly=_ACTS_NOT
+    )
     return replace(model, card=replace(model.card, competence=verdict))
 
 
@@ -246,7 +258,7 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
     before_cases, before_priors = with_effects(data.cases, effects.earlier)
     before = earlier_fold(before_cases, splits, before_priors, config, sign)
     if config.modulation == "linear":
-        trials = Trial(last, last.linear_effects(sign)), before and Trial(before, before.linear_effects(sign))
+        trials = Trial.linear(last, sign), None if before is None else Trial.linear(before, sign)
     else:
         say("training the modulation of the gain")
         modulated = modulate(cases, last, before, linear, final, config, power)

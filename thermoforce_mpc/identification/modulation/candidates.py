@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -83,9 +83,7 @@ class Candidates:
 
     def driven(self, level: bool) -> list[RegressionData]:
         """The regressions with the level or measured heat as drives."""
-        return [
-            by_level(case, self.untrained.heat_input) if level else case.regression for case in self.fold.cases
-        ]
+        return [by_level(case, self.untrained.heat_input) if level else case.regression for case in self.fold.cases]
 
     def trained(self, level: bool) -> TrainingResult:
         """The network trained on the training rows."""
@@ -143,7 +141,9 @@ class Candidates:
             return self.fold.linear_effects(self.untrained.sign)
         operator, effects = self.trained(choice.level).operator, []
         for e, xs in zip(self.driven(choice.level), self.features, strict=True):
-            drive = np.sum([sign * v * operator.modulation(x) for (sign, v), x in zip(e.drives, xs, strict=True)], axis=0)
+            drive = np.sum(
+                [sign * v * operator.modulation(x) for (sign, v), x in zip(e.drives, xs, strict=True)], axis=0
+            )
             modes, _ = responses(drive[None], operator.poles)
             effects.append((modes[0] @ operator.gains)[e.rows])
         return effects

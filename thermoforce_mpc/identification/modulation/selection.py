@@ -73,7 +73,9 @@ def modulate(
         # With feedback, training uses measured temperatures, so there is no recursion; prediction uses predicted ones.
         operator = of_all.trained(level=choice.level).operator
     else:
-        hidden = {name: getattr(of_last.trained(choice.level).operator, name) for name in ("hidden_weight", "hidden_bias")}
+        hidden = {
+            name: getattr(of_last.trained(choice.level).operator, name) for name in ("hidden_weight", "hidden_bias")
+        }
         operator = replace(of_all.untrained, **hidden)
     judged = Choice(of_last.level, True) if of_before is None else of_before.choice
     return Modulated(

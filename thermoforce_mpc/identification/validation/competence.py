@@ -64,6 +64,11 @@ class Trial:
     fold: Fold
     effects: Sequence[Array]
 
+    @classmethod
+    def linear(cls, fold: Fold, sign: int) -> Trial:
+        """The linear fit of a fold."""
+        return cls(fold, fold.linear_effects(sign))
+
 
 def judge(
     last: Trial,

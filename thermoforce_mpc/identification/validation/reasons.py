@@ -25,8 +25,8 @@ _NO_EFFECT = (
 _DARK = "the record has no irradiance: name a signal for the sun"
 _OFTENER = "measure the zone temperature without long gaps, in steps that divide an hour"
 _NEIGHBOURS = (
-    "name every actuator that heats or cools this room or its neighbours, and their temperatures: what they do was taken "
-    "for the weather or for this actuator"
+    "name every actuator that heats or cools this room or its neighbours, and their temperatures: what they do was "
+    "taken for the weather or for this actuator"
 )
 _AREA = "check the floor area and the unit of the heat meter (W, not kW or Wh), and that the meter has no other load"
 # Level from which full actuation counts as seen.
@@ -35,8 +35,10 @@ _NEARLY_FULL = 0.9
 _SUN_CORRELATION = 0.5
 
 Kind = Literal["unjudged", "effect", "error", "unchanged", "weather", "no gain", "implausible"]
+UNJUDGED = "its record is too short or has too many gaps to check its predictions"
+"""Why a model cannot be judged, in words for the owner of the building."""
 _PLAINLY: dict[Kind, str] = {
-    "unjudged": "its record is too short or has too many gaps to check its predictions",
+    "unjudged": UNJUDGED,
     "effect": "it does not know well enough what the actuator does to the room",
     "error": "its predictions are too far off",
     "unchanged": "to expect that the temperature stays as it is would be better than its predictions",
@@ -104,9 +106,7 @@ def plainly(missed: Sequence[Missed]) -> str:
     return _PLAINLY[missed[0].kind] if missed else ""
 
 
-def advice(
-    missed: Sequence[Missed], errors: dict[float, HeldOutErrors], records: Sequence[Record]
-) -> tuple[str, ...]:
+def advice(missed: Sequence[Missed], errors: dict[float, HeldOutErrors], records: Sequence[Record]) -> tuple[str, ...]:
     """What to do about the criteria that are missed."""
     found: list[str] = []
     longer = 1.0  # factor on the length of the record

@@ -205,6 +205,7 @@ def _competence(data: Mapping[str, Any] | None) -> Competence | None:
             )
             for score in listed(data["horizons"])
         ),
+        plainly=text(data.get("plainly", "")),
         **{key: number_or_nan(data.get(key)) for key in _COMPETENCE_NUMBERS},
     )
 

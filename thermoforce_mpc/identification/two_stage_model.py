@@ -1,0 +1,169 @@
+"""Thermal model of a zone by the paper's two stages: their fit, its modulation, and the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from thermoforce_mpc.data import HOUR_S, Record
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.estimation.joint import ModeFit
+from thermoforce_mpc.identification.estimation.likelihood import Split
+from thermoforce_mpc.identification.estimation.modes import centred_priors, to_operator, wide_priors
+from thermoforce_mpc.identification.estimation.records import Pair
+from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression
+from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
+from thermoforce_mpc.identification.modulation.selection import modulate
+from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
+from thermoforce_mpc.identification.validation.competence import Trial, judge
+from thermoforce_mpc.identification.validation.errors_ahead import Fold
+from thermoforce_mpc.identification.validation.held_out import Case, held_out, normalisation, ranges
+from thermoforce_mpc.identification.validation.held_out_fit import before_held_out
+from thermoforce_mpc.identification.validation.reasons import UNJUDGED
+from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.zone_model import ZoneModel
+
+# Relative prior standard deviation of pole and gain around the two-stage fit while the network is trained.
+_TWO_STAGE_SD = 0.3
+
+
+def two_stage_model(
+    runs: Sequence[Record],
+    pairs: Sequence[Pair],
+    data: Mapping[str, str],
+    config: IdentificationConfig,
+    heat_input: HeatInput,
+    sign: int,
+    step_s: float | None,
+    source: str,
+    notes: Sequence[str],
+    heat_W_m2: float = float("nan"),
+) -> ZoneModel:
+    """Return the thermal model, order 1; training of the network, on pairs if any, starts from the two-stage fit.
+
+    It is judged on held-out rows, in which the stages had no part either: of pairs if there are any, else of the runs.
+    `heat_W_m2`: metered heat of full level per m² of floor, NaN where it is not known.
+    """
+    if not runs:
+        raise DataError("method two_stage needs single runs, none were given; for pairs only use method joint")
+    fit = fit_two_stage(runs, heat_input=heat_input, sign=sign, u_off=config.u_off)
+    step_s = step_s or fit.step_s
+    operator = fit.operator()
+    scores = {
+        "one_step_rmse_K": fit.rmse_K,
+        "off_steps": fit.n_off,
+        "on_steps": fit.n_on,
+        "acts_log_odds": 0.5 * (fit.g / fit.g_sd) ** 2,
+    }
+    cases = [Case(pair_regression(p, fit.heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs] or [
+        Case(run_regression(h, fit.heat_input, config), (h,), float(h.time_s[0])) for h in runs
+    ]
+    splits, unjudged = held_out(cases, config), ""
+    try:
+        last = _fold(cases, splits, fit, config)
+    except DataError as error:
+        last, unjudged = _of_fit(cases, splits, fit), f"without its held-out rows: {error}"
+    before = None
+    if not unjudged:
+        with suppress(DataError):  # there is no earlier part then
+            before = _fold(*before_held_out(cases, splits, config), fit, config)
+    trials = Trial.linear(last, sign), None if before is None else Trial.linear(before, sign)
+    said: list[str] = []
+    if pairs or config.modulation != "linear":
+        histories = [h for case in cases for h in case.histories]
+        modulated = modulate(cases, last, before, _linear(fit, histories, config), _as_modes(fit), config)
+        operator, said, trials = modulated.operator, modulated.notes, (modulated.last, modulated.before)
+        scores |= modulated.scores
+    known = _step_response(fit, operator)
+    verdict = judge(*trials, operator, known, scores["acts_log_odds"], heat_W_m2)
+    if unjudged:
+        verdict = Competence(False, (f"it cannot be judged {unjudged}",), plainly=UNJUDGED)
+    return ZoneModel(
+        operator=operator.resampled(step_s),
+        free=fit.free_model().resampled(step_s),
+        card=ModelCard(
+            source=source,
+            data=data,
+            ranges=ranges([*runs, *(h for p in pairs for h in (p.a, p.b))]),
+            scores=scores,
+            uncertainty={"pole_sd": fit.a_sd, "gain_sd_K": fit.g_sd} | known,
+            config=config.model_dump(mode="json"),
+            notes=(*notes, *said),
+            competence=verdict,
+        ),
+    )
+
+
+def _fold(cases: Sequence[Case], splits: Sequence[Split], fit: TwoStageFit, config: IdentificationConfig) -> Fold:
+    """The two stages without the held-out rows of runs; held-out pairs have no part in them anyway.
+
+    Raises:
+        DataError: too few steps are left.
+    """
+    seen = [
+        case.histories[0].slice(0, int(case.regression.rows[split.train[-1]]))
+        for case, split in zip(cases, splits, strict=True)
+        if not case.regression.is_pair and split.train.size
+    ]
+    if seen:
+        fit = fit_two_stage(seen, heat_input=fit.heat_input, sign=fit.sign, u_off=config.u_off)
+    return _of_fit(cases, splits, fit)
+
+
+def _of_fit(cases: Sequence[Case], splits: Sequence[Split], fit: TwoStageFit) -> Fold:
+    modes = _as_modes(fit)
+    return Fold(cases, splits, modes, centred_priors(modes.log_tau, modes.gains, _TWO_STAGE_SD))
+
+
+def _as_modes(fit: TwoStageFit) -> ModeFit:
+    operator = fit.operator()
+    slope = np.abs(operator.steady_gains_K) / operator.time_constants_h
+    return ModeFit(np.log(operator.time_constants_h), slope, residual_scale=1.0)
+
+
+def _linear(
+    fit: TwoStageFit, histories: Sequence[Record], config: IdentificationConfig
+) -> Callable[[ModeFit], OperatorParameters]:
+    """The operator, m = 1, of a fit of one mode."""
+    mean, scale = normalisation(histories)
+
+    def linear(mode_fit: ModeFit) -> OperatorParameters:
+        return to_operator(
+            mode_fit.log_tau,
+            mode_fit.gains,
+            step_s=fit.step_s,
+            bounds_h=wide_priors(1).bounds_h(),
+            sign=fit.sign,
+            # Without modulation only pole and gain are trained.
+            gamma=0.0 if config.modulation == "linear" else config.gamma,
+            hidden=config.hidden,
+            heat_input=fit.heat_input,
+            feature_mean=mean,
+            feature_scale=scale,
+        )
+
+    return linear
+
+
+def _step_response(fit: TwoStageFit, operator: OperatorParameters) -> dict[str, float]:
+    """Step response of `operator` to full level by name, K, known as well, in relation to it, as that of the fit.
+
+    Standard deviations are a first-order propagation of the standard errors of a and g, which are those of different
+    steps.
+    """
+    typical, out = float(operator.modulation(operator.feature_mean)), dict[str, float]()
+    for hours in STEP_RESPONSE_H:
+        n = np.arange(max(1, round(hours * HOUR_S / fit.step_s)))
+        by_g = float(np.sum(fit.a**n))
+        by_a = fit.g * float(np.sum(n[1:] * fit.a ** (n[1:] - 1.0)))
+        sd, response = float(np.hypot(by_a * fit.a_sd, by_g * fit.g_sd)), abs(fit.g) * by_g
+        said = typical * abs(float(operator.impulse(n.size).sum()))
+        out[f"step_response_{hours}h_K"] = said
+        out[f"step_response_{hours}h_sd_K"] = sd / response * said if response else sd
+    return out
