@@ -18,14 +18,14 @@ from controllers.monitoring.watch_state import WatchState
 from controllers.monitoring.zone_sensors import Zones
 from controllers.safety.fallback_policy import FallbackPolicy
 from thermoforce_mpc.data import Layout, Observation, PlanStatus
-from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.scenario.settings import StrictModel
 
 
 class GateConfig(StrictModel):
     """Options of the competence gate."""
 
-    enabled: bool = Field(True, description="do not act on a model whose held-out data condemn it")
+    enabled: bool = Field(True, description="do not act on a model that is below the bar or was not judged")
 
 
 class GuardConfig(StrictModel):
@@ -89,20 +89,17 @@ class WatchAlarm:
 
 
 class CompetenceGate:
-    """A model that is below the bar does not act.
+    """A model that is below the bar, or was identified but not judged, does not act.
 
     Args:
         config: options.
-        competences: verdict of each actuator's model (A,); None: not judged.
+        cards: that of each actuator's model (A,).
         fallbacks: what acts instead (A,).
     """
 
-    def __init__(
-        self, config: GateConfig, competences: Sequence[Competence | None], fallbacks: Sequence[FallbackPolicy]
-    ) -> None:
+    def __init__(self, config: GateConfig, cards: Sequence[ModelCard], fallbacks: Sequence[FallbackPolicy]) -> None:
         self._fallbacks = tuple(fallbacks)
-        judged = {a: one for a, one in enumerate(competences) if one is not None and config.enabled}
-        self._reasons = {a: f"gate: the model is {one.in_words()}" for a, one in judged.items() if not one.competent}
+        self._reasons = {a: f"gate: {card.unfit}" for a, card in enumerate(cards) if config.enabled and card.unfit}
 
     @property
     def closes_all(self) -> bool:

@@ -61,12 +61,12 @@ class Competence:
         return f"not competent: {'; '.join(self.reasons)}"
 
     def sentence(self) -> str:
-        """For the owner of the building: whether the model may control, why not, and what to do next."""
+        """For the owner of the building: whether the model may act, why not, and what to do next."""
         if self.competent:
             return (
-                "This model may control the building: its predictions held on data that it had not seen, and what full "
-                f"level does in 8 h is known to ± {100 * self.relative_sd:.0f} %."
+                "This model may act: its predictions held on data that it had not seen, and what full level does in 8 h "
+                f"is known to ± {100 * self.relative_sd:.0f} %."
             )
         why = f", since {self.plainly}" if self.plainly else ""
         to_do = f" Next: {self.advice[0]}." if self.advice else ""
-        return f"This model may not control the building{why}; the building's own control stays.{to_do}"
+        return f"This model may not act{why}; the building is controlled without it.{to_do}"

@@ -115,7 +115,7 @@ def test_a_condemned_model_of_one_leaves_the_other_to_the_plan(closed):
     other = 1 - closed
     assert plan.status is PlanStatus.GATE
     assert (plan.acting[closed], plan.acting[other]) == (PlanStatus.GATE, PlanStatus.SOLVED)
-    assert plan.why.startswith(f"{TWO.actuators[closed]}: gate: the model is ")
+    assert plan.why.startswith(f"{TWO.actuators[closed]}: gate: This model may not act")
     assert ": native control; " in plan.why
     assert level(plan, closed) is None
     assert level(plan, other) == level(free, other)

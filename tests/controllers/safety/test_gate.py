@@ -57,6 +57,18 @@ def test_the_gate_costs_nothing_where_the_model_passes():
     np.testing.assert_array_equal([s.u_applied for s in runs[0].samples], [s.u_applied for s in runs[1].samples])
 
 
+def test_a_model_that_was_identified_but_not_judged_does_not_act_unless_the_user_says_so():
+    """Of an older file, say; a model that was given by hand is its author's affair."""
+    model = judged(None)
+    identified = replace(model, cards=(replace(model.only.card, source="3 days of probing"),))
+    for options, held in (({}, 48), ({"gate": {"enabled": False}}, 0)):
+        house = SimpleHouse()
+        controller = ThermoForceMPC(identified, MPCConfig(**HOURLY, **options), free_response=OutdoorResponse())
+        ours = run_closed_loop(house, controller, house.period("x"))
+        assert ours.fallback_levels()["gate"] == held
+        assert ("identify it again" in ours.steps[0].plan.why) == (held > 0)
+
+
 def test_the_gate_can_be_turned_off_and_is_in_the_papers_configurations():
     house = SimpleHouse()
     ours = run_closed_loop(house, mpc(CONDEMNED, gate={"enabled": False}), house.period("x"))

@@ -252,13 +252,13 @@ def test_more_than_the_heat_can_do_is_not_competent():
 
 def test_the_owner_reads_whether_it_may_control_why_not_and_what_to_do():
     good = Competence(True, effect_K=10.0, effect_sd_K=1.2)
-    assert "may control the building" in good.sentence()
+    assert "This model may act" in good.sentence()
     assert "± 12 %" in good.sentence()
     poor = Competence(
         False, ("6 h ahead it errs by 1.20 K, need 1 K",), ("probe about 24 hours more",), plainly="it is too far off"
     )
     assert poor.sentence() == (
-        "This model may not control the building, since it is too far off; the building's own control stays. "
+        "This model may not act, since it is too far off; the building is controlled without it. "
         "Next: probe about 24 hours more."
     )
 

@@ -31,7 +31,7 @@ _RUNGS = {
     "thermostat": "fallback: the thermostat rule",
     "native": "fallback: the plant's own control, where nothing is known to act on",
     "guard": "the comfort guard, which overrode the plan",
-    "gate": "the building's own control: the model is not competent",
+    "gate": "the building's own control or the rule: the model may not control",
     "watch": "the building's own control or the rule: the model did not hold",
     "rule": "a rule, no plan",
 }

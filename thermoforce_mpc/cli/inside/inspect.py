@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from thermoforce_mpc.model.card import ModelCard
-    from thermoforce_mpc.model.competence import Competence
     from thermoforce_mpc.model.machine.power import PowerModel
     from thermoforce_mpc.model.operator.parameters import OperatorParameters
     from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -196,7 +195,7 @@ def _show_card(card: ModelCard, console: Console, notes_shown: Set[str]) -> None
         say(f"  note: {note}")
     if notes_shown & set(card.notes):
         say("  and the notes above that are of the same measurements")
-    _show_competence(card.competence, console)
+    _show_competence(card, console)
 
 
 def _collapsed(notes: Sequence[str]) -> list[str]:
@@ -214,17 +213,18 @@ def _titled(title: str, table: Table, console: Console) -> None:
     console.print(table)
 
 
-def _show_competence(verdict: Competence | None, console: Console) -> None:
+def _show_competence(card: ModelCard, console: Console) -> None:
     """Print the verdict: held-out errors by lead time, the effect's certainty, what is missed, and what to do."""
+    verdict = card.competence
     if verdict is None:
-        console.print("Competence: not judged")
+        console.print("Competence: not judged" + (f". {card.unfit}" if card.unfit else ""), soft_wrap=True)
         return
     table = Table()
-    for heading in ("hours ahead", "model", "unchanged", "weather alone", "better by, t"):
+    for heading in ("hours ahead", "model", "unchanged", "weather alone", "better by, t", "than unchanged, t"):
         table.add_column(heading, justify="right")
     for score in verdict.horizons:
         numbers = (f"{value:.2f}" for value in (score.model_K, score.persistence_K, score.weather_K))
-        table.add_row(f"{score.hours:g}", *numbers, f"{score.better_t:.1f}")
+        table.add_row(f"{score.hours:g}", *numbers, f"{score.better_t:.1f}", f"{-score.persistence_t:.1f}")
     _titled(f"Errors on the {verdict.held_out_h:.0f} h held out, RMSE in K (weather known)", table, console)
     console.print(
         f"Effect of 8 h at full level: {verdict.effect_K:+.1f} ± {verdict.effect_sd_K:.1f} K, of the expected sign "
@@ -233,6 +233,7 @@ def _show_competence(verdict: Competence | None, console: Console) -> None:
     console.print(
         "Competence: " + ("COMPETENT" if verdict.competent else "BELOW THE BAR, controllers do not act on it")
     )
+    console.print(f"  {verdict.sentence()}", soft_wrap=True)
     for reason in verdict.reasons:
         console.print(f"  missed: {reason}", soft_wrap=True)
     for advice in verdict.advice:

@@ -38,7 +38,7 @@ class ProbingProgress:
 
     `days` probed of `planned_days`; `information_nats` of the record, and `expected_sd`: relative standard deviation of
     the effect of a day at full level that the design expects from it, see `Designer.known`; `verdict`: what was found
-    when the data were last judged, in words.
+    when the data were last judged and after how many days that was, in words.
     """
 
     days: float
@@ -159,9 +159,9 @@ def identify_on(
                 f"{plant.info.kind} {plant.info.testcase}, {plant.info.weather}",
             )
         except DataError as error:
-            progress.verdict = "not to be fitted"
+            progress.verdict = f"not to be fitted (after {run.days:.2g} days)"
             return None, str(error)
-        progress.verdict = _in_short(model)
+        progress.verdict = f"{_in_short(model)} (after {run.days:.2g} days)"
         return model, ""
 
     def enough(record: Record) -> bool:
@@ -196,8 +196,8 @@ def identify_on(
 
 
 def may_act(model: ThermalModel) -> bool:
-    """Whether a controller may act on a model: no actuator's card is below the bar."""
-    return all(card.competence is None or card.competence.competent for card in model.cards)
+    """Whether a controller may act on a model: no actuator's card is below the bar, or without a verdict."""
+    return not any(card.unfit for card in model.cards)
 
 
 def _in_short(model: ThermalModel) -> str:

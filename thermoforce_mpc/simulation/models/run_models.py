@@ -89,7 +89,9 @@ def _identify(
         verdict = zone.card.competence
         if verdict is not None:
             advice = [f"  {advice}" for advice in verdict.advice]
-            display.say("\n".join([f"The model{of} is {verdict.in_words()}", *advice]))
+            display.say("\n".join([verdict.sentence(), f"The model{of} is {verdict.in_words()}", *advice]))
+        elif zone.card.unfit:
+            display.say(zone.card.unfit)
     return IdentifiedModel(model, {"model": spec.model, "source": model.cards[0].source} | origin(model))
 
 

@@ -135,7 +135,7 @@ class ProbingDisplay:
         line = (
             f"probing: day {progress.days:5.2f}/{progress.planned_days:g}  information {progress.information_nats:.1f} "
             f"nats, effect of a day expected to ± {100 * progress.expected_sd:.0f} %"
-            + (f"  so far {progress.verdict}" if progress.verdict else "")
+            + (f"  judged {progress.verdict}" if progress.verdict else "")
         )
         if self._live:
             self._live.update(Text(line))
