@@ -22,6 +22,7 @@ for _command in (
     models.operator_command,
     models.probing_command,
     models.effects_command,
+    models.verdicts_command,
     models.operation_command,
     models.saving_command,
     models.rooms_command,

@@ -86,6 +86,52 @@ def effects_command(
     show(result, json_file)
 
 
+@click.command("verdicts")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of the population.")
+@click.option("--houses", type=click.IntRange(1), default=60, show_default=True, help="Number of generated houses.")
+@click.option(
+    "--closed-loop", type=click.IntRange(0), default=60, show_default=True, help="So many also run a week each."
+)
+@click.option(
+    "--days",
+    type=FiniteRange(1, 10),
+    multiple=True,
+    default=(1.5, 3.0),
+    show_default=True,
+    help="Days of probing; repeatable.",
+)
+@execution_options()
+@QUICK
+@JSON
+def verdicts_command(
+    seed: int,
+    houses: int,
+    closed_loop: int,
+    days: tuple[float, ...],
+    engine: Opening,
+    quick: bool,
+    json_file: Path | None,
+) -> None:
+    """Set the verdict on models of generated houses beside what they are worth.
+
+    That is how far the effect of an action is off, and what a week costs beside the thermostat, with the gate off.
+    Targets: no model that passes costs more at equal comfort, at most 10 % of the good ones are held back.
+    """
+    from benchmarks.verdicts.bench import run_verdicts_bench
+
+    with engine(say) as where:
+        result = run_verdicts_bench(
+            seed=seed,
+            houses=houses,
+            closed_loop=closed_loop,
+            days=days,
+            engine=where,
+            quick=quick,
+            progress=say,
+        )
+    show(result, json_file)
+
+
 @click.command("saving")
 @click.option("--cases", type=click.IntRange(1), default=40, show_default=True, help="Number of cases.")
 @click.option("--seed", type=int, default=7, show_default=True, help="Seed of houses, start days and set-points.")

@@ -38,9 +38,9 @@ CONTROLLER, THERMOSTAT, NATIVE = "thermoforce_mpc", "thermostat", "native"
 PROBED_DAYS, SCORED_DAYS = 3.0, 7.0
 # A thermostat on the wall reacts within minutes. At the package's default step of 15 min it overshoots in light houses,
 # costs more and is less comfortable: too easy a baseline.
-_THERMOSTAT_STEP_S = 300.0
+THERMOSTAT_STEP_S = 300.0
 # Windows in which the thermostat uses less than this are left out of the cost targets, kWh/m² a week.
-_LEAST_HEATING_KWH_M2 = 0.05
+LEAST_HEATING_KWH_M2 = 0.05
 # Targets: discomfort above the thermostat's, K·h a week; share of windows that are cheaper; median saving.
 _MORE_DISCOMFORT_KH, _CHEAPER_SHARE, _MEDIAN_SAVING = 0.5, 0.90, 0.05
 _QUICK_HOUSES = 4
@@ -85,7 +85,7 @@ class Outcome:
     @property
     def saving(self) -> float:
         """Cost saved relative to the thermostat; NaN where the thermostat hardly heats or the case failed."""
-        if not self.kpis or self.kpis[THERMOSTAT]["ener_tot"] * 7.0 / self.case.scored_days < _LEAST_HEATING_KWH_M2:
+        if not self.kpis or self.kpis[THERMOSTAT]["ener_tot"] * 7.0 / self.case.scored_days < LEAST_HEATING_KWH_M2:
             return float("nan")
         return 1.0 - self.kpis[CONTROLLER]["cost_tot"] / self.kpis[THERMOSTAT]["cost_tot"]
 
@@ -193,7 +193,7 @@ def run_case(
         traces: dict[str, dict[str, Any]] = {}
 
         def follow(name: str, model: Any = None) -> RunResult:
-            options = {"step_s": _THERMOSTAT_STEP_S} if name == THERMOSTAT else {}
+            options = {"step_s": THERMOSTAT_STEP_S} if name == THERMOSTAT else {}
             controller = build_controller(name, options, plant.testcase, model)
             allowed = limits_of(controller, house.floor_area_m2)
             result = run_closed_loop(plant, controller, period, allowed=allowed)

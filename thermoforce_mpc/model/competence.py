@@ -64,8 +64,8 @@ class Competence:
         """For the owner of the building: whether the model may act, why not, and what to do next."""
         if self.competent:
             return (
-                "This model may act: its predictions held on data that it had not seen, and what full level does in 8 h "
-                f"is known to ± {100 * self.relative_sd:.0f} %."
+                "This model may act: its predictions held on data that it had not seen, and what full level does in "
+                f"8 h is known to ± {100 * self.relative_sd:.0f} %."
             )
         why = f", since {self.plainly}" if self.plainly else ""
         to_do = f" Next: {self.advice[0]}." if self.advice else ""

@@ -1,0 +1,1 @@
+"""Verdicts on models beside what the models are worth. Read `house`."""
