@@ -39,6 +39,7 @@ from thermoforce_mpc.identification.estimation.records import (
 )
 from thermoforce_mpc.identification.network.folds import zone_effects
 from thermoforce_mpc.identification.validation.held_out import identified_heat_input, named, power_of_machine
+from thermoforce_mpc.identification.validation.warnings import unexplained
 from thermoforce_mpc.identification.zone import ZoneData, ZoneTask, identify_zone
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -148,6 +149,7 @@ def identify(
         law = power[m]
         if m in unfitted:
             notes[a].append(unfitted[m])
+        notes[a] += unexplained(law, layout.names.machines[m])
         if law is not None and law.cooling is not None and len(layout.fed_by(m)) > 1:
             notes[a].append(f"power of {layout.names.machines[m]}: {law.source}")
     data_of = []

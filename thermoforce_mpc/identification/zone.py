@@ -40,6 +40,7 @@ from thermoforce_mpc.identification.validation.held_out_fit import (
     split_before,
     training_data,
 )
+from thermoforce_mpc.identification.validation.warnings import uncertain
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -55,8 +56,6 @@ _ACTS_NOT = "nothing in the record shows that the actuator does anything to the 
 # Relative standard deviation of what the network says of effects while the free part is fitted beside them, and the
 # least of a gain, K or K/h.
 _HELD, _LEAST_GAIN = 0.5, 1e-3
-# Relative standard deviation of the answer after a day from which a model is called uncertain.
-_UNCERTAIN = 0.15
 
 
 @dataclass(frozen=True)
@@ -283,7 +282,7 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
             scores=scores,
             uncertainty=certainty | shape,
             config=config.model_dump(mode="json"),
-            notes=(*notes, *_warnings(certainty)),
+            notes=(*notes, *uncertain(certainty)),
             competence=verdict,
         ),
     )
@@ -299,11 +298,3 @@ def with_effects(cases: Sequence[Case], modes: Modes) -> tuple[list[Case], ModeP
         for case in cases
     ]
     return known, centred_priors(modes.log_tau, modes.gains[0], _HELD)
-
-
-def _warnings(certainty: Mapping[str, float]) -> list[str]:
-    """What a user should know before trusting the model."""
-    share = certainty["step_response_24h_sd_K"] / max(certainty["step_response_24h_K"], 1e-9)
-    if share <= _UNCERTAIN:
-        return []
-    return [f"uncertain: the effect of a day of action is known to ± {100 * share:.0f} % only; probe longer or harder"]

@@ -21,6 +21,8 @@ from thermoforce_mpc.files import written
 from thermoforce_mpc.model.predictor import Prediction
 
 _ROWS, _BACK_DAYS = 25, 28.0
+# The band promises 80 %: what it held of so many steps at least is said as a warning below this.
+_HELD, _JUDGED_STEPS = 0.5, 12
 
 
 @click.command(short_help="Forecast the temperature, with its band, under levels that you give.")
@@ -146,6 +148,11 @@ def _show(prediction: Prediction, truth: Array, console: Console) -> None:
                 f"{zone}: RMSE {np.sqrt(np.nanmean(error**2)):.2f} K, {100 * inside[measured].mean():.0f} % of what "
                 "was measured inside the 80 % band"
             )
+            if measured.sum() >= _JUDGED_STEPS and inside[measured].mean() < _HELD:
+                console.print(
+                    f"warning: the band of {zone} promises 80 % and held far less: do not rely on it; identify again from "
+                    "more days, and look for heat that the record does not hold"
+                )
 
 
 def _draw(prediction: Prediction, truth: Array, path: Path) -> None:
