@@ -211,7 +211,7 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
     training = fit_and_judge(
         seen_cases, splits, training_data(seen_cases, splits, seen_priors.order, sign), seen_priors, config
     )
-    final = fit_joint([c.regression for c in cases], priors, config, sign, effects.whole.covariance)
+    final = fit_joint([c.regression for c in cases], priors, config, sign, effects.covariance)
     histories, step_s = data.histories, task.step_s
     base_step = histories[0].step_s
     mean, scale = normalisation(histories)

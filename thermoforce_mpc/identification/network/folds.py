@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from thermoforce_mpc.data import Layout, Record
+from thermoforce_mpc.data import Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.couplings import others_of
 from thermoforce_mpc.identification.estimation.records import Pair
@@ -31,12 +31,15 @@ class ZoneRows(Protocol):
 @dataclass(frozen=True)
 class ZoneEffects:
     """What the network of the building says of a zone's actuators, from all rows, from those before the held-out ones,
-    and from those before an earlier part; `log_odds` that its own actuator acts on it at all.
+    and from those before an earlier part.
+
+    `covariance` (A, 2r, 2r): of the effects of the `whole`; `log_odds` that its own actuator acts on it at all.
     """
 
     whole: Modes
     training: Modes
     earlier: Modes
+    covariance: Array
     log_odds: float
 
 
@@ -59,23 +62,26 @@ def zone_effects(
     joined = config.cross_effects and len(layout.floor_area_m2) > 1
     folds = ("whole", "training", "earlier") if runs else ("whole", "training")
     by_fold: dict[str, BuildingFit] = {}
-    log_odds: dict[int, float] = {}
     for fold in folds:
         rooms = []
         for zone in range(len(layout.floor_area_m2)):
             first = layout.actuators_of(zone)[:1]
             of_zone = data[first[0]] if first else data[0]
             rooms.append(_seen(runs, pairs, zone, layout, heat_inputs, of_zone, fold, joined))
-        by_fold[fold] = fit = building_fit(layout, heat_inputs, rooms, joined=joined)
-        if fold == "whole":
-            for zone, (room, seen) in enumerate(zip(fit.rooms, rooms, strict=True)):
-                log_odds |= {a: room.gained(seen, k) for k, a in enumerate(layout.actuators_of(zone))}
+        by_fold[fold] = building_fit(layout, heat_inputs, rooms, joined=joined)
+    whole = by_fold["whole"]
     effects: list[ZoneEffects | None] = []
-    for a in range(len(data)):
-        modes = {fold: _modes(fit, layout, a, config) for fold, fit in by_fold.items()}
-        effects.append(
-            ZoneEffects(modes["whole"], modes["training"], modes.get("earlier", modes["training"]), log_odds[a])
-        )
+    for a, home in enumerate(layout.home):
+        order = [a, *others_of(layout, a, config)]
+        signs = np.array([layout.signs[b] for b in order])
+        modes = {}
+        for fold, fit in by_fold.items():
+            found = fit.responses[home]
+            modes[fold] = projected(Responses(found.mean[order], found.weather), 0, signs, config.modes)
+        covariance = modes["whole"].covariance(whole.covariance[home, order])
+        log_odds = whole.rooms[home].gained(layout.actuators_of(home).index(a))
+        earlier = modes.get("earlier", modes["training"])
+        effects.append(ZoneEffects(modes["whole"], modes["training"], earlier, covariance, log_odds))
     return effects
 
 
@@ -98,12 +104,3 @@ def _seen(
         if n > 1:
             found.append(room_pair(pair, zone, layout, heat_inputs, data.grid_K, joined=joined))
     return found
-
-
-def _modes(fit: BuildingFit, layout: Layout, a: int, config: IdentificationConfig) -> Modes:
-    """The responses of the home zone of `a` to it and to the others of its fit, as modes."""
-    responses = fit.responses[layout.home[a]]
-    order = [a, *others_of(layout, a, config)]
-    signs = np.array([layout.signs[b] for b in order])
-    part = Responses(responses.mean[order], responses.covariance[order], responses.weather)
-    return projected(part, 0, signs, config.modes)
