@@ -36,7 +36,6 @@ from thermoforce_mpc.identification.validation.held_out_fit import (
     earlier_fold,
     fit_and_judge,
     split_before,
-    training_data,
 )
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
@@ -208,9 +207,7 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
     sign, heat_input, power = task.sign, task.heat_input, task.power
     cases, priors = with_effects(data.cases, effects.whole)
     seen_cases, seen_priors = with_effects(data.cases, effects.training)
-    training = fit_and_judge(
-        seen_cases, splits, training_data(seen_cases, splits, seen_priors.order, sign), seen_priors, config
-    )
+    training = fit_and_judge(seen_cases, splits, seen_priors, config, sign)
     final = fit_joint([c.regression for c in cases], priors, config, sign, effects.covariance)
     histories, step_s = data.histories, task.step_s
     base_step = histories[0].step_s
