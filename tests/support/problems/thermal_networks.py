@@ -55,7 +55,7 @@ def simulated(
     """A run of the room from a steady state, with its disturbances, while `rules` answer what its sensor reads."""
     rng = np.random.default_rng(seed)
     time_s, T_out_C, solar = weather(days, 3600.0 * step_h, seed)
-    N, n, drives = time_s.size, room.n_states, slice(room.drive(0), room.n_inputs)
+    N, n, drives = time_s.size, room.n_states, slice(room.drive(0), room.drive(len(room.signs)))
     inputs = np.zeros((N, room.n_inputs))
     inputs[:-1, : len(INPUTS)] = weather_inputs(time_s, T_out_C, solar)
     hours = time_s[:, None] / 3600.0
