@@ -71,20 +71,22 @@ def zone_effects(
         return [None] * len(data)
     say("fitting the building as a network of heat capacities and conductances")
     joined = config.cross_effects and len(layout.floor_area_m2) > 1
-    laws = [laws_of(runs, layout, a, heat_input, config) for a, heat_input in enumerate(heat_inputs)]
-    weather = [weather_of(runs, a) for a in range(len(heat_inputs))]
-    actuators = Actuators(layout, heat_inputs, laws)
     by_fold: dict[str, BuildingFit] = {}
+    inputs: dict[str, list[HeatInput]] = {}
     for fold in ("whole", "training", "earlier") if runs else ("whole", "training"):
-        rooms = []
+        # Weather and levels of held-out rows are not seen either.
+        seen = [run.slice(0, n) for run, n in zip(runs, data[0].last_steps(fold), strict=False) if n > 1]
+        laws = [laws_of(seen, layout, a, heat_input, config) for a, heat_input in enumerate(heat_inputs)]
+        actuators, rooms = Actuators(layout, heat_inputs, laws), []
         for zone in range(len(layout.floor_area_m2)):
             first = layout.actuators_of(zone)[:1]
             rooms.append(_seen(runs, pairs, zone, actuators, data[first[0]] if first else data[0], fold, joined))
-        by_fold[fold] = building_fit(actuators, rooms, joined=joined)
-    inputs = {
-        fold: [with_outdoors(v, _found(fit, a, laws[a])[0], weather[a]) for a, v in enumerate(heat_inputs)]
-        for fold, fit in by_fold.items()
-    }
+        by_fold[fold] = fit = building_fit(actuators, rooms, joined=joined)
+        inputs[fold] = [
+            with_outdoors(v, _found(fit, a, laws[a])[0], weather_of(seen, a)) for a, v in enumerate(heat_inputs)
+        ]
+        if fold == "whole":
+            estimates = [_estimates(fit, a, laws[a]) for a in range(len(heat_inputs))]
     whole = by_fold["whole"]
     effects: list[ZoneEffects | None] = []
     for a, home in enumerate(layout.home):
@@ -101,7 +103,7 @@ def zone_effects(
                 folds["training"],
                 folds.get("earlier", folds["training"]),
                 folds["whole"].modes.covariance(whole.covariance[home, order]),
-                _estimates(whole, a, laws[a]),
+                estimates[a],
                 whole.rooms[home].gained(layout.actuators_of(home).index(a)),
             )
         )
