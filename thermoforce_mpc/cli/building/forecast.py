@@ -150,8 +150,8 @@ def _show(prediction: Prediction, truth: Array, console: Console) -> None:
             )
             if measured.sum() >= _JUDGED_STEPS and inside[measured].mean() < _HELD:
                 console.print(
-                    f"warning: the band of {zone} promises 80 % and held far less: do not rely on it; identify again from "
-                    "more days, and look for heat that the record does not hold"
+                    f"warning: the band of {zone} promises 80 % and held far less: do not rely on it; identify again "
+                    "from more days, and look for heat that the record does not hold"
                 )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import expm, expm_frechet
@@ -57,22 +58,36 @@ _PAIR_SHARE = 0.1
 
 @dataclass(frozen=True)
 class RoomFit:
-    """A room's network with its most likely parameters θ (p,) and their posterior covariance (p, p) (Laplace)."""
+    """A room's network with its most likely parameters θ (p,) given `runs`; `value`: half the negative log posterior
+    there, up to a constant.
+    """
 
     room: Room
     theta: Array
-    covariance: Array
     value: float
+    runs: Sequence[Run]
 
-    def gained(self, runs: Sequence[Run], actuator: int) -> float:
+    @cached_property
+    def covariance(self) -> Array:
+        """Posterior covariance of θ (p, p) by the curvature (Laplace)."""
+        scale = self.room.sd
+        at, curvature = self._scaled, np.empty((scale.size, scale.size))
+        for i, unit in enumerate(np.eye(scale.size) * _DIFFERENCE):
+            up, down = (_scaled(self.room, self.runs, at + sign * unit)[1] for sign in (1.0, -1.0))
+            curvature[i] = (up - down) / (2.0 * _DIFFERENCE)
+        # What the record does not know stays at its prior: no direction is surer than the data or less than the prior.
+        sizes, directions = np.linalg.eigh(0.5 * (curvature + curvature.T))
+        return np.asarray((directions / np.maximum(sizes, 1.0)) @ directions.T * np.outer(scale, scale))
+
+    def gained(self, actuator: int) -> float:
         """Log posterior odds that `actuator` acts on the room: that of this fit over that of the best without it."""
-        drive = self.room.drive(actuator)
-        without = [replace(run, inputs=_without(run.inputs, drive)) for run in runs]
-        return float(_search(self.room, without, (self.theta - self.room.mean) / self.room.sd).fun - self.value)
+        without = [replace(run, inputs=_without(run.inputs, self.room.drives(actuator))) for run in self.runs]
+        return float(_search(self.room, without, self._scaled).fun - self.value)
 
-    def parameters(self) -> dict[str, float]:
-        """The positive parameters by name."""
-        return {name: self.room.value(self.theta, name) for name in self.room.names}
+    @property
+    def _scaled(self) -> Array:
+        """θ in prior standard deviations from its mean (p,)."""
+        return np.asarray((self.theta - self.room.mean) / self.room.sd)
 
 
 def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Array]:
@@ -110,23 +125,16 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
 
 
 def estimate_room(room: Room, runs: Sequence[Run]) -> RoomFit:
-    """The largest posterior of a room's parameters, searched from several starts, and its curvature there."""
-    scale, found = room.sd, []
+    """The largest posterior of a room's parameters, searched from several starts."""
+    found = []
     for start in _STARTS:
-        z = np.zeros(scale.size)
+        z = np.zeros(room.sd.size)
         for name, shift in start.items():
             if name in room.place:
                 z[room.place[name]] = shift
         found.append(_search(room, runs, z))
     best = min(found, key=lambda result: result.fun)
-    curvature = np.empty((scale.size, scale.size))
-    for i, unit in enumerate(np.eye(scale.size) * _DIFFERENCE):
-        up, down = (_scaled(room, runs, best.x + sign * unit)[1] for sign in (1.0, -1.0))
-        curvature[i] = (up - down) / (2.0 * _DIFFERENCE)
-    # What the record does not know stays at its prior: no direction is surer than the data, nor less than the prior.
-    sizes, directions = np.linalg.eigh(0.5 * (curvature + curvature.T))
-    covariance = (directions / np.maximum(sizes, 1.0)) @ directions.T
-    return RoomFit(room, room.mean + scale * best.x, covariance * np.outer(scale, scale), float(best.fun))
+    return RoomFit(room, room.mean + room.sd * best.x, float(best.fun), runs)
 
 
 def _scaled(room: Room, runs: Sequence[Run], z: Array) -> tuple[float, Array]:
@@ -147,7 +155,7 @@ def _search(room: Room, runs: Sequence[Run], start: Array) -> OptimizeResult:
     )
 
 
-def _without(inputs: Array, drive: int) -> Array:
+def _without(inputs: Array, drives: list[int]) -> Array:
     inputs = inputs.copy()
-    inputs[:, drive] = 0.0
+    inputs[:, drives] = 0.0
     return inputs

@@ -8,8 +8,8 @@ from thermoforce_mpc.model.machine.power import PowerModel
 
 # Relative standard deviation of the answer after a day from which a model is called uncertain.
 _UNCERTAIN = 0.15
-# Share of the variance of measured power that level and weather explain at least where a meter has no other load: 0.9 to
-# 1 on generated houses and metered heaters, 0.44 with hot water on the meter.
+# Share of the variance of measured power that level and weather explain at least where a meter has no other load; 0.44
+# was seen with hot water on the meter.
 _LEAST_EXPLAINED = 0.7
 
 
@@ -26,7 +26,7 @@ def unexplained(power: PowerModel | None, machine: str) -> list[str]:
     if power is None or not power.r2 < _LEAST_EXPLAINED:
         return []
     return [
-        f"warning: level and weather explain {100 * max(power.r2, 0.0):.0f} % of what was measured as power of {machine} "
-        f"(R² {power.r2:.2f}), so that costs are planned with a poor law: check that the meter has no other load, such "
-        "as hot water"
+        f"warning: level and weather explain {100 * max(power.r2, 0.0):.0f} % of what was measured as power of "
+        f"{machine} (R² {power.r2:.2f}), so that costs are planned with a poor law: check that the meter has no other "
+        "load, such as hot water"
     ]
