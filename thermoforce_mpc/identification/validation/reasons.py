@@ -50,26 +50,17 @@ _PLAINLY: dict[Kind, str] = {
 
 @dataclass(frozen=True)
 class Missed:
-    """A criterion that is missed: `value` where `need` was needed, of a lead time or after `hours`.
-
-    `scores`: those concerned; `needs`: the t statistics that they needed.
-    """
+    """A criterion that is missed: `value` where `need` was needed, of a lead time or after `hours`; its `score`."""
 
     kind: Kind
     value: float = float("nan")
     need: float = float("nan")
     hours: float = float("nan")
-    scores: tuple[HorizonScore, ...] = ()
-    needs: tuple[float, ...] = ()
-
-    @property
-    def share(self) -> float:
-        """Largest share of the t statistic needed."""
-        return max(np.nan_to_num(s.better_t) / need for s, need in zip(self.scores, self.needs, strict=True))
+    score: HorizonScore | None = None
 
     def reason(self) -> str:
         """The criterion for an engineer."""
-        hours = self.hours
+        value, need, hours, score = self.value, self.need, self.hours, self.score
         if self.kind == "unjudged":
             reach = LEAD_REACH * hours
             return (
@@ -77,28 +68,24 @@ class Missed:
                 "before it"
             )
         if self.kind == "effect":
-            percent, need = _above(100 * self.need, 100 * self.value, 0), f"{100 * self.need:.0f} %"
-            return f"the effect of {hours:g} h at full level is known to ± {percent} % only, need {need}"
+            known = _above(100 * need, 100 * value, 0)
+            return f"the effect of {hours:g} h at full level is known to ± {known} % only, need {100 * need:.0f} %"
         if self.kind == "error":
-            return f"{hours:g} h ahead it errs by {_above(self.need, self.value, 2)} K, need {self.need:g} K"
-        if self.kind == "implausible":
-            return (
-                f"it says {self.value:.1f} K after {hours:g} h at full level, the heat can do {self.need:.1f} K at most"
-            )
+            return f"{hours:g} h ahead it errs by {_above(need, value, 2)} K, need {need:g} K"
+        if score is None:  # implausible
+            return f"it says {value:.1f} K after {hours:g} h at full level, the heat can do {need:.1f} K at most"
         if self.kind == "no gain":
-            each = " and ".join(
-                f"{s.hours:g} h ahead {s.model_K:.2f} K against {s.weather_K:.2f} K, t = {s.better_t:.1f}, "
+            return (
+                "it is not shown to predict better than the weather alone at any lead time: at best "
+                f"{hours:g} h ahead {score.model_K:.2f} K against {score.weather_K:.2f} K, t = {value:.1f}, "
                 f"need {need:.1f}"
-                for s, need in zip(self.scores, self.needs, strict=True)
             )
-            return f"it is not shown to predict better than the weather alone: {each}"
-        score = self.scores[0]
         beside, K, t = (
             ("an unchanged temperature", score.persistence_K, -score.persistence_t)
             if self.kind == "unchanged"
             else ("the weather alone", score.weather_K, score.better_t)
         )
-        return f"{score.hours:g} h ahead it errs by {score.model_K:.2f} K, {beside} by {K:.2f} K, t = {t:.1f}"
+        return f"{hours:g} h ahead it errs by {score.model_K:.2f} K, {beside} by {K:.2f} K, t = {t:.1f}"
 
 
 def plainly(missed: Sequence[Missed]) -> str:
@@ -118,10 +105,10 @@ def advice(missed: Sequence[Missed], errors: dict[float, HeldOutErrors], records
             found += [_levels(records), *([_DARK] if _dark(records) else [])]
         elif one.kind == "implausible":
             found.append(_AREA)
-        elif one.kind == "no gain" and one.share < _HOPELESS:
+        elif one.kind == "no gain" and not one.value >= _HOPELESS * one.need:
             found.append(_NO_EFFECT)
         elif one.kind == "no gain":
-            longer = max(longer, one.share**-2.0)
+            longer = max(longer, (one.need / one.value) ** 2)
         elif one.kind == "weather":
             found.append(_DARK if _dark(records) else _NEIGHBOURS)
         else:
