@@ -40,7 +40,8 @@ from thermoforce_mpc.identification.estimation.records import (
 from thermoforce_mpc.identification.network.folds import ZoneEffects, zone_effects
 from thermoforce_mpc.identification.validation.held_out import identified_heat_input, named, power_of_machine
 from thermoforce_mpc.identification.validation.warnings import unexplained
-from thermoforce_mpc.identification.zone import ZoneData, ZoneTask, identify_zone
+from thermoforce_mpc.identification.zone import identify_zone
+from thermoforce_mpc.identification.zone_data import ZoneData, ZoneTask
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.screening import Limits
@@ -155,7 +156,7 @@ def identify(
             area_m2=float(layout.floor_area_m2[home]),
         )
         data_of.append(ZoneData.of(task, config))
-    effects = zone_effects(runs, pairs, layout, heat_inputs, data_of, config, say)
+    effects = zone_effects(runs, pairs, layout, data_of, config, say)
     zones: list[ZoneModel] = []
     fits: list[JointFit | None] = []
     for a, zone_data in enumerate(data_of):

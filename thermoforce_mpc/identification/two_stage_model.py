@@ -11,7 +11,7 @@ from thermoforce_mpc.data import HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.joint import ModeFit
-from thermoforce_mpc.identification.estimation.likelihood import Split
+from thermoforce_mpc.identification.estimation.likelihood import Split, whole
 from thermoforce_mpc.identification.estimation.modes import centred_priors, to_operator, wide_priors
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression
@@ -38,7 +38,7 @@ def two_stage_model(
     pairs: Sequence[Pair],
     data: Mapping[str, str],
     config: IdentificationConfig,
-    heat_input: HeatInput,
+    heat_inputs: Mapping[str, HeatInput],
     sign: int,
     step_s: float | None,
     source: str,
@@ -52,6 +52,7 @@ def two_stage_model(
     """
     if not runs:
         raise DataError("method two_stage needs single runs, none were given; for pairs only use method joint")
+    heat_input = heat_inputs["whole"]
     fit = fit_two_stage(runs, heat_input=heat_input, sign=sign, u_off=config.u_off)
     step_s = step_s or fit.step_s
     operator = fit.operator()
@@ -61,23 +62,24 @@ def two_stage_model(
         "on_steps": fit.n_on,
         "acts_log_odds": 0.5 * (fit.g / fit.g_sd) ** 2,
     }
-    cases = [Case(pair_regression(p, fit.heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs] or [
-        Case(run_regression(h, fit.heat_input, config), (h,), float(h.time_s[0])) for h in runs
-    ]
+    cases = _cases(runs, pairs, heat_input, config)
     splits, unjudged = held_out(cases, config), ""
+    seen = _cases(runs, pairs, heat_inputs["training"], config)
     try:
-        last = _fold(cases, splits, fit, config)
+        last = _fold(seen, splits, fit, heat_inputs["training"], config)
     except DataError as error:
         last, unjudged = _of_fit(cases, splits, fit), f"without its held-out rows: {error}"
     before = None
     if not unjudged:
+        earlier = before_held_out(_cases(runs, pairs, heat_inputs["earlier"], config), splits, config)
         with suppress(DataError):  # there is no earlier part then
-            before = _fold(*before_held_out(cases, splits, config), fit, config)
+            before = _fold(*earlier, fit, heat_inputs["earlier"], config)
     trials = Trial.linear(last, sign), None if before is None else Trial.linear(before, sign)
     said: list[str] = []
     if pairs or config.modulation != "linear":
         histories = [h for case in cases for h in case.histories]
-        modulated = modulate(cases, last, before, _linear(fit, histories, config), _as_modes(fit), config)
+        everything = _of_fit(cases, [whole(case.regression) for case in cases], fit)
+        modulated = modulate(everything, last, before, _linear(fit, histories, config), config)
         operator, said, trials = modulated.operator, modulated.notes, (modulated.last, modulated.before)
         scores |= modulated.scores
     known = _step_response(fit, operator)
@@ -100,7 +102,22 @@ def two_stage_model(
     )
 
 
-def _fold(cases: Sequence[Case], splits: Sequence[Split], fit: TwoStageFit, config: IdentificationConfig) -> Fold:
+def _cases(
+    runs: Sequence[Record], pairs: Sequence[Pair], heat_input: HeatInput, config: IdentificationConfig
+) -> list[Case]:
+    """What the network is trained and everything judged on: the pairs if there are any, else the runs."""
+    if pairs:
+        return [Case(pair_regression(p, heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
+    return [Case(run_regression(h, heat_input, config), (h,), float(h.time_s[0])) for h in runs]
+
+
+def _fold(
+    cases: Sequence[Case],
+    splits: Sequence[Split],
+    fit: TwoStageFit,
+    heat_input: HeatInput,
+    config: IdentificationConfig,
+) -> Fold:
     """The two stages without the held-out rows of runs; held-out pairs have no part in them anyway.
 
     Raises:
@@ -112,13 +129,14 @@ def _fold(cases: Sequence[Case], splits: Sequence[Split], fit: TwoStageFit, conf
         if not case.regression.is_pair and split.train.size
     ]
     if seen:
-        fit = fit_two_stage(seen, heat_input=fit.heat_input, sign=fit.sign, u_off=config.u_off)
+        fit = fit_two_stage(seen, heat_input=heat_input, sign=fit.sign, u_off=config.u_off)
     return _of_fit(cases, splits, fit)
 
 
 def _of_fit(cases: Sequence[Case], splits: Sequence[Split], fit: TwoStageFit) -> Fold:
     modes = _as_modes(fit)
-    return Fold(cases, splits, modes, centred_priors(modes.log_tau, modes.gains, _TWO_STAGE_SD))
+    priors = centred_priors(modes.log_tau, modes.gains, _TWO_STAGE_SD)
+    return Fold(cases, splits, modes, priors, fit.heat_input)
 
 
 def _as_modes(fit: TwoStageFit) -> ModeFit:
@@ -129,11 +147,11 @@ def _as_modes(fit: TwoStageFit) -> ModeFit:
 
 def _linear(
     fit: TwoStageFit, histories: Sequence[Record], config: IdentificationConfig
-) -> Callable[[ModeFit], OperatorParameters]:
+) -> Callable[[ModeFit, HeatInput], OperatorParameters]:
     """The operator, m = 1, of a fit of one mode."""
     mean, scale = normalisation(histories)
 
-    def linear(mode_fit: ModeFit) -> OperatorParameters:
+    def linear(mode_fit: ModeFit, heat_input: HeatInput) -> OperatorParameters:
         return to_operator(
             mode_fit.log_tau,
             mode_fit.gains,
@@ -143,7 +161,7 @@ def _linear(
             # Without modulation only pole and gain are trained.
             gamma=0.0 if config.modulation == "linear" else config.gamma,
             hidden=config.hidden,
-            heat_input=fit.heat_input,
+            heat_input=heat_input,
             feature_mean=mean,
             feature_scale=scale,
         )

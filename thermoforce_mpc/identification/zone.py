@@ -7,168 +7,46 @@ or whose sign is not proven, whatever the method. The zone's own actuator is the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, Record
+from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.level_laws import level_shape
 from thermoforce_mpc.identification.estimation.joint import JointFit, ModeFit, fit_joint
-from thermoforce_mpc.identification.estimation.likelihood import Split
-from thermoforce_mpc.identification.estimation.modes import ModePriors, centred_priors, to_operator
-from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
-from thermoforce_mpc.identification.estimation.regression import (
-    OtherActuator,
-    pair_regression,
-    run_regression,
-)
+from thermoforce_mpc.identification.estimation.likelihood import whole
+from thermoforce_mpc.identification.estimation.modes import centred_priors, to_operator
 from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
-from thermoforce_mpc.identification.network.folds import Effects, ZoneEffects
+from thermoforce_mpc.identification.network.folds import ZoneEffects
 from thermoforce_mpc.identification.two_stage_model import two_stage_model
 from thermoforce_mpc.identification.validation.competence import Trial, judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
-from thermoforce_mpc.identification.validation.held_out import Case, held_out, normalisation, ranges
+from thermoforce_mpc.identification.validation.held_out import (
+    normalisation,
+    ranges,
+)
 from thermoforce_mpc.identification.validation.held_out_fit import (
     earlier_fold,
     fit_and_judge,
-    split_before,
 )
 from thermoforce_mpc.identification.validation.warnings import uncertain
+from thermoforce_mpc.identification.zone_data import HELD, ZoneData
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
-from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 from thermoforce_mpc.model.zone_model import ZoneModel
 
 # Least log odds that the actuator acts: of 84 random houses with the levels of another one, 2 had more
 # (`python -m benchmarks.zones.placebo` for houses of rooms).
 _LEAST_LOG_ODDS = 5.0
 _ACTS_NOT = "nothing in the record shows that the actuator does anything to the room"
-# Relative standard deviation of what the network says of effects while the free part is fitted beside them, and the
-# least of a gain, K or K/h.
-_HELD, _LEAST_GAIN = 0.5, 1e-3
-
-
-@dataclass(frozen=True)
-class ZoneTask:
-    """What one zone is identified from.
-
-    Attributes:
-        runs, pairs: records of the zone, prepared (`identification.records`); the first level is that of its own
-            actuator, the rest are those of `others`.
-        heat_input: what the own actuator delivers.
-        sign: +1 if it heats, −1 if it cools.
-        others: the other actuators of the building.
-        step_s: step of the operator, s; None: that of the data.
-        source, data, notes: for the model card.
-        power: of the machine, where it feeds this actuator alone.
-        level_sd: relative standard deviation of the effect that comes from heat that was not measured.
-        sun: what shone on the zone sensor, already taken off the records.
-        alone: whether the building has no other actuator. Of several, one without an effect must not refuse the rest:
-            its model is returned, not competent.
-        area_m2: floor area of the zone, m², NaN where it is not known.
-    """
-
-    runs: Sequence[Record]
-    pairs: Sequence[Pair]
-    heat_input: HeatInput
-    sign: int
-    others: Sequence[OtherActuator] = ()
-    step_s: float | None = None
-    source: str = "identified"
-    data: Mapping[str, str] = field(default_factory=dict)
-    notes: Sequence[str] = ()
-    power: PowerModel | None = None
-    alone: bool = True
-    level_sd: float = 0.0
-    sun: SunOnSensor | None = None
-    area_m2: float = float("nan")
-
-    @property
-    def heat_W_m2(self) -> float:
-        """Metered heat of full level per m² of floor; NaN where it or the area is not known."""
-        return self.heat_input.reference_W / self.area_m2 if self.heat_input.law is not None else float("nan")
-
-
-@dataclass(frozen=True)
-class ZoneData:
-    """A task with its records as regressions: `cases`, which rows of each are held out, and the resolution of the
-    sensor, K.
-    """
-
-    task: ZoneTask
-    config: IdentificationConfig
-    cases: Sequence[Case]
-    splits: Sequence[Split]
-    grid_K: float
-    notes: Sequence[str]
-
-    @classmethod
-    def of(cls, task: ZoneTask, config: IdentificationConfig) -> ZoneData:
-        """The data of a task; of a sensor that reads in steps, their rounding counts as its noise."""
-        grid_K, notes = resolution_K(task.runs), list(task.notes)
-        if grid_K:
-            # Rounding errors are uniform: their standard deviation is a twelfth's root of the resolution.
-            sensor_sd_K = float(np.hypot(config.sensor_sd_K, grid_K / np.sqrt(12.0)))
-            config = config.model_copy(update={"sensor_sd_K": sensor_sd_K})
-            notes.append(f"the zone sensor reads in steps of {grid_K:.2g} K: noise of {sensor_sd_K:.2g} K assumed")
-        cases = cases_of(task, config)
-        return cls(task, config, cases, held_out(cases, config), grid_K, notes)
-
-    def knowing(self, effects: Effects) -> tuple[list[Case], ModePriors]:
-        """The cases with what the network says of levels and, as their prior, of the effects of the other actuators;
-        and the prior of that of the own one.
-        """
-        own, *others = effects.heat_inputs
-        acting = [replace(other, heat_input=v) for other, v in zip(self.task.others, others, strict=True)]
-        cases = cases_of(replace(self.task, heat_input=own, others=acting), self.config)
-        modes = effects.modes
-        sd = np.maximum(_HELD * modes.gains[1:], _LEAST_GAIN)
-        prior = np.stack([modes.gains[1:], sd], axis=1)
-        known = [
-            replace(case, regression=replace(case.regression, other_gains=prior, weather_gains=modes.weather))
-            for case in cases
-        ]
-        return known, centred_priors(modes.log_tau, modes.gains[0], _HELD)
-
-    @property
-    def histories(self) -> list[Record]:
-        """The records of all cases."""
-        return [h for case in self.cases for h in case.histories]
-
-    def last_steps(self, fold: str) -> list[int]:
-        """How many steps of each case a fold may see, 0 for none: all of the `whole`, those before the held-out rows of
-        `training`, and of these, runs only, those before as many held out again of `earlier`.
-        """
-        seen = []
-        for case, split in zip(self.cases, self.splits, strict=True):
-            rows, n = case.regression.rows, case.regression.n_steps
-            if fold == "whole":
-                seen.append(n)
-                continue
-            train = split.train
-            if fold == "earlier" and train.size:
-                train = (
-                    train[:0]
-                    if case.regression.is_pair or not split.judged.size
-                    else train[: split_before(case, split, self.config).train.size]
-                )
-            seen.append(int(rows[train[-1]]) if train.size else 0)
-        return seen
-
-
-def cases_of(task: ZoneTask, config: IdentificationConfig) -> list[Case]:
-    """The records of a task as regressions."""
-    heat_input, others = task.heat_input, task.others
-    runs = [Case(run_regression(h, heat_input, config, others), (h,), float(h.time_s[0])) for h in task.runs]
-    pairs = [Case(pair_regression(p, heat_input, others), (p.a, p.b), float(p.a.time_s[0])) for p in task.pairs]
-    return [*runs, *pairs]
+_LEVEL_FOR_HEAT = (
+    "without the held-out rows too little heat was metered for a law of it: the verdict takes the level for heat there"
+)
 
 
 def identify_zone(
@@ -189,7 +67,7 @@ def identify_zone(
             task.pairs,
             task.data,
             config,
-            task.heat_input,
+            {fold: data.heat_input(fold) for fold in ("whole", "training", "earlier")},
             task.sign,
             task.step_s,
             task.source,
@@ -249,12 +127,12 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
     base_step = histories[0].step_s
     mean, scale = normalisation(histories)
 
-    def linear(fit: ModeFit) -> OperatorParameters:
+    def linear(fit: ModeFit, heat_input: HeatInput) -> OperatorParameters:
         return to_operator(
             fit.log_tau,
             fit.gains,
             step_s=base_step,
-            bounds_h=centred_priors(fit.log_tau, fit.gains, _HELD).bounds_h(),
+            bounds_h=centred_priors(fit.log_tau, fit.gains, HELD).bounds_h(),
             sign=sign,
             gamma=config.gamma,
             hidden=config.hidden,
@@ -263,17 +141,20 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
             feature_scale=scale,
         )
 
-    operator, notes = replace(linear(final), feedback=config.feedback), list(data.notes)
+    operator, notes = replace(linear(final, heat_input), feedback=config.feedback), list(data.notes)
     scores = {"held_out": training.score, "held_out_rollout_rmse_K": training.rollout_rmse_K}
     scores |= {"residual_scale": final.residual_scale, "acts_log_odds": effects.log_odds}
-    last = Fold(seen_cases, splits, training.fit, seen_priors)
+    last = Fold(seen_cases, splits, training.fit, seen_priors, effects.training.heat_inputs[0])
     before_cases, before_priors = data.knowing(effects.earlier)
-    before = earlier_fold(before_cases, splits, before_priors, config, sign)
+    before = earlier_fold(before_cases, splits, before_priors, effects.earlier.heat_inputs[0], config, sign)
+    if heat_input.law is not None and last.heat_input.law is None:
+        notes.append(_LEVEL_FOR_HEAT)
     if config.modulation == "linear":
         trials = Trial.linear(last, sign), None if before is None else Trial.linear(before, sign)
     else:
         say("training the modulation of the gain")
-        modulated = modulate(cases, last, before, linear, final, config, power)
+        everything = Fold(cases, [whole(case.regression) for case in cases], final, priors, heat_input)
+        modulated = modulate(everything, last, before, linear, config, power)
         operator, trials = modulated.operator, (modulated.last, modulated.before)
         scores, notes = scores | modulated.scores, [*notes, *modulated.notes]
     operator = operator.resampled(step_s or base_step)

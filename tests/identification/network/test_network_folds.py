@@ -11,7 +11,7 @@ from houses import House, make_pair, record
 from thermoforce_mpc.data import DAY_S, Layout
 from thermoforce_mpc.identification import IdentificationConfig, Pair
 from thermoforce_mpc.identification.network.folds import zone_effects
-from thermoforce_mpc.identification.zone import ZoneData, ZoneTask
+from thermoforce_mpc.identification.zone_data import ZoneData, ZoneTask
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 LAYOUT, CONFIG = Layout.single(floor_area_m2=190.0), IdentificationConfig(modulation="linear")
@@ -20,7 +20,7 @@ LAYOUT, CONFIG = Layout.single(floor_area_m2=190.0), IdentificationConfig(modula
 def folds_of(run, pairs=(), config=CONFIG):
     """What the network says of a house from a run and pairs, fold by fold."""
     data = ZoneData.of(ZoneTask([run], pairs, IDENTITY, 1), config)
-    (effects,) = zone_effects([run], pairs, LAYOUT, [IDENTITY], [data], config, lambda said: None)
+    (effects,) = zone_effects([run], pairs, LAYOUT, [data], config, lambda said: None)
     return data, effects
 
 
@@ -73,4 +73,4 @@ def test_the_two_stages_need_no_network():
     config = CONFIG.model_copy(update={"method": "two_stage", "order": 1})
     run = record(House(), 2.0, 3600.0)
     data = ZoneData.of(ZoneTask([run], [], IDENTITY, 1), config)
-    assert zone_effects([run], [], LAYOUT, [IDENTITY], [data], config, lambda said: None) == [None]
+    assert zone_effects([run], [], LAYOUT, [data], config, lambda said: None) == [None]

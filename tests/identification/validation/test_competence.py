@@ -100,14 +100,14 @@ def test_tests_count_an_earlier_part_that_its_fit_has_not_seen():
 
     case = Case(run_regression(run, HeatInput(), LINEAR), (run,), float(run.time_s[0]))
     regression, priors = case.regression, wide_priors(2)
-    fold = earlier_fold([case], held_out([case], LINEAR), priors, LINEAR, 1)
+    fold = earlier_fold([case], held_out([case], LINEAR), priors, HeatInput(), LINEAR, 1)
     (split,) = fold.splits
     # Half of the rows are fitted to, the quarter after them is held out.
     assert split.train.size == pytest.approx(regression.rows.size / 2, abs=1)
     assert split.judged.size == pytest.approx(regression.rows.size / 4, abs=1)
     later = np.arange(regression.rows.size) >= split.judged[0]
     changed = replace(case, regression=replace(regression, target=regression.target + 3.0 * later))
-    again = earlier_fold([changed], held_out([changed], LINEAR), priors, LINEAR, 1)
+    again = earlier_fold([changed], held_out([changed], LINEAR), priors, HeatInput(), LINEAR, 1)
     assert again.fit.gains == pytest.approx(fold.fit.gains, rel=1e-12)
 
 

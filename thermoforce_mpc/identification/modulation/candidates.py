@@ -54,14 +54,14 @@ class Candidates:
     """
 
     fold: Fold
-    linear: Callable[[ModeFit], OperatorParameters]
+    linear: Callable[[ModeFit, HeatInput], OperatorParameters]
     config: IdentificationConfig
     held_levels: str
 
     @cached_property
     def features(self) -> list[tuple[Array, ...]]:
         """x_t (n, 4) of each run; control-free temperatures are those of the linear fit."""
-        base = self.linear(self.fold.fit)
+        base = self.linear(self.fold.fit, self.fold.heat_input)
         return [tuple(_features(base, h, self.config.feedback) for h in case.histories) for case in self.fold.cases]
 
     @cached_property
@@ -74,7 +74,9 @@ class Candidates:
                 seen += [x[:n] for x in xs]
         stacked = np.concatenate(seen)
         scale = np.maximum(stacked.std(axis=0), LEAST_SCALE)
-        return replace(self.linear(self.fold.fit), feature_mean=stacked.mean(axis=0), feature_scale=scale)
+        return replace(
+            self.linear(self.fold.fit, self.fold.heat_input), feature_mean=stacked.mean(axis=0), feature_scale=scale
+        )
 
     @property
     def level(self) -> bool:

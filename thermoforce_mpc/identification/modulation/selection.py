@@ -11,7 +11,6 @@ from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.joint import ModeFit
-from thermoforce_mpc.identification.estimation.likelihood import whole
 from thermoforce_mpc.identification.modulation.candidates import Candidates, Choice, may_be_level
 from thermoforce_mpc.identification.validation.competence import Trial
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
@@ -47,36 +46,33 @@ class Modulated:
 
 
 def modulate(
-    cases: Sequence[Case],
+    everything: Fold,
     last: Fold,
     before: Fold | None,
-    linear: Callable[[ModeFit], OperatorParameters],
-    final: ModeFit,
+    linear: Callable[[ModeFit, HeatInput], OperatorParameters],
     config: IdentificationConfig,
     power: PowerModel | None = None,
 ) -> Modulated:
-    """Train m(x) on the training rows, choose its input on the held-out ones, and train it on all `cases`.
+    """Train m(x) on the training rows, choose its input on the held-out ones, and train it on `everything`.
 
     With heat input auto, v = u unless held-out data or held levels ask for measured heat. The operator is that with
     m = 1 where the network is significantly worse than that and is not kept `always`. What is judged on the rows that
     `last` holds out is chosen on those of `before`: rows may not judge what they chose.
     """
     held_levels = ""
-    if may_be_level(linear(final).heat_input, config):
-        held_levels = _held_levels(linear(final).heat_input, cases, power)
-    of_last = Candidates(last, linear, config, held_levels)
+    if may_be_level(everything.heat_input, config):
+        held_levels = _held_levels(everything.heat_input, everything.cases, power)
+    of_all, of_last = (Candidates(fold, linear, config, held_levels) for fold in (everything, last))
     of_before = None if before is None else Candidates(before, linear, config, held_levels)
     choice = of_last.choice
-    everything = Fold(cases, [whole(case.regression) for case in cases], final, last.priors)
-    of_all = Candidates(everything, linear, config, held_levels)
     if choice.kept:
+        # Without a law of heat in the training rows there was nothing to choose.
+        level = choice.level if may_be_level(last.heat_input, config) else of_all.level
         # With feedback, training uses measured temperatures, so there is no recursion; prediction uses predicted ones.
-        operator = of_all.trained(level=choice.level).operator
+        operator = of_all.trained(level).operator
     else:
-        hidden = {
-            name: getattr(of_last.trained(choice.level).operator, name) for name in ("hidden_weight", "hidden_bias")
-        }
-        operator = replace(of_all.untrained, **hidden)
+        dropped = of_last.trained(choice.level).operator
+        operator = replace(of_all.untrained, hidden_weight=dropped.hidden_weight, hidden_bias=dropped.hidden_bias)
     judged = Choice(of_last.level, True) if of_before is None else of_before.choice
     return Modulated(
         replace(operator, feedback=config.feedback),

@@ -21,12 +21,16 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 
 class ZoneRows(Protocol):
-    """Which rows of a zone a fold may see (`zone.ZoneData`), and the resolution `grid_K` of its sensor, K."""
+    """Which rows of a zone a fold may see (`zone_data.ZoneData`), what it then knows of the heat of the own actuator,
+    and the resolution `grid_K` of the zone's sensor, K.
+    """
 
     @property
     def grid_K(self) -> float: ...  # noqa: D102
 
     def last_steps(self, fold: str) -> list[int]: ...  # noqa: D102
+
+    def heat_input(self, fold: str) -> HeatInput: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,6 @@ def zone_effects(
     runs: Sequence[Record],
     pairs: Sequence[Pair],
     layout: Layout,
-    heat_inputs: Sequence[HeatInput],
     data: Sequence[ZoneRows],
     config: IdentificationConfig,
     say: Callable[[str], None],
@@ -76,6 +79,7 @@ def zone_effects(
     for fold in ("whole", "training", "earlier") if runs else ("whole", "training"):
         # Weather and levels of held-out rows are not seen either.
         seen = [run.slice(0, n) for run, n in zip(runs, data[0].last_steps(fold), strict=False) if n > 1]
+        heat_inputs = [of_zone.heat_input(fold) for of_zone in data]
         laws = [laws_of(seen, layout, a, heat_input, config) for a, heat_input in enumerate(heat_inputs)]
         actuators, rooms = Actuators(layout, heat_inputs, laws), []
         for zone in range(len(layout.floor_area_m2)):

@@ -22,6 +22,7 @@ from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH
 from thermoforce_mpc.identification.validation.blocks import PER_REGRESSION
 from thermoforce_mpc.identification.validation.held_out import Case
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # Sizes of the disturbances tried, as a share of the assumed ones.
 _SCALES = tuple(np.geomspace(0.03, 2.0, 6).tolist())
@@ -29,12 +30,16 @@ _SCALES = tuple(np.geomspace(0.03, 2.0, 6).tolist())
 
 @dataclass(frozen=True)
 class Fold:
-    """A linear fit, the priors that it began from, and what it has not seen: the held-out rows of `cases`."""
+    """A linear fit, the priors that it began from, and what it has not seen: the held-out rows of `cases`.
+
+    `heat_input`: what its actuator delivers, by the rows that it has seen.
+    """
 
     cases: Sequence[Case]
     splits: Sequence[Split]
     fit: ModeFit
     priors: ModePriors
+    heat_input: HeatInput
 
     @property
     def judged(self) -> list[int]:

@@ -17,6 +17,7 @@ from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.estimation.regression import RegressionData, follows_action
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.validation.held_out import Case, held_out
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # Errors are judged in rows within these hours after an action; the others mainly reflect the weather.
 _AFTER_ACTION_H = 6.0
@@ -57,7 +58,12 @@ def training_data(cases: Sequence[Case], splits: Sequence[Split]) -> list[Regres
 
 
 def earlier_fold(
-    cases: Sequence[Case], splits: Sequence[Split], priors: ModePriors, config: IdentificationConfig, sign: int
+    cases: Sequence[Case],
+    splits: Sequence[Split],
+    priors: ModePriors,
+    heat_input: HeatInput,
+    config: IdentificationConfig,
+    sign: int,
 ) -> Fold | None:
     """Return the cases without their held-out rows, as many of the rest held out anew, and the fit to the others.
 
@@ -66,7 +72,7 @@ def earlier_fold(
     before, anew = before_held_out(cases, splits, config)
     if not before:
         return None
-    return Fold(before, anew, fit_modes(training_data(before, anew), priors, config, sign), priors)
+    return Fold(before, anew, fit_modes(training_data(before, anew), priors, config, sign), priors, heat_input)
 
 
 def before_held_out(

@@ -1,0 +1,158 @@
+"""What one zone is identified from: its records as regressions, and what each fold of them may see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from thermoforce_mpc.data import Record
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.estimation.likelihood import Split
+from thermoforce_mpc.identification.estimation.modes import ModePriors, centred_priors
+from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
+from thermoforce_mpc.identification.estimation.regression import OtherActuator, pair_regression, run_regression
+from thermoforce_mpc.identification.network.folds import Effects
+from thermoforce_mpc.identification.validation.held_out import Case, held_out, identified_heat_input
+from thermoforce_mpc.identification.validation.held_out_fit import split_before
+from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
+from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
+
+HELD = 0.5
+"""Relative standard deviation of what the network says of effects while the free part is fitted beside them."""
+# Least standard deviation of a gain, K or K/h.
+_LEAST_GAIN = 1e-3
+
+
+@dataclass(frozen=True)
+class ZoneTask:
+    """What one zone is identified from.
+
+    Attributes:
+        runs, pairs: records of the zone, prepared (`identification.records`); the first level is that of its own
+            actuator, the rest are those of `others`.
+        heat_input: what the own actuator delivers.
+        sign: +1 if it heats, −1 if it cools.
+        others: the other actuators of the building.
+        step_s: step of the operator, s; None: that of the data.
+        source, data, notes: for the model card.
+        power: of the machine, where it feeds this actuator alone.
+        level_sd: relative standard deviation of the effect that comes from heat that was not measured.
+        sun: what shone on the zone sensor, already taken off the records.
+        alone: whether the building has no other actuator. Of several, one without an effect must not refuse the rest:
+            its model is returned, not competent.
+        area_m2: floor area of the zone, m², NaN where it is not known.
+    """
+
+    runs: Sequence[Record]
+    pairs: Sequence[Pair]
+    heat_input: HeatInput
+    sign: int
+    others: Sequence[OtherActuator] = ()
+    step_s: float | None = None
+    source: str = "identified"
+    data: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+    power: PowerModel | None = None
+    alone: bool = True
+    level_sd: float = 0.0
+    sun: SunOnSensor | None = None
+    area_m2: float = float("nan")
+
+    @property
+    def heat_W_m2(self) -> float:
+        """Metered heat of full level per m² of floor; NaN where it or the area is not known."""
+        return self.heat_input.reference_W / self.area_m2 if self.heat_input.law is not None else float("nan")
+
+
+@dataclass(frozen=True)
+class ZoneData:
+    """A task with its records as regressions: `cases`, which rows of each are held out, and the resolution of the
+    sensor, K.
+    """
+
+    task: ZoneTask
+    config: IdentificationConfig
+    cases: Sequence[Case]
+    splits: Sequence[Split]
+    grid_K: float
+    notes: Sequence[str]
+
+    @classmethod
+    def of(cls, task: ZoneTask, config: IdentificationConfig) -> ZoneData:
+        """The data of a task; of a sensor that reads in steps, their rounding counts as its noise."""
+        grid_K, notes = resolution_K(task.runs), list(task.notes)
+        if grid_K:
+            # Rounding errors are uniform: their standard deviation is a twelfth's root of the resolution.
+            sensor_sd_K = float(np.hypot(config.sensor_sd_K, grid_K / np.sqrt(12.0)))
+            config = config.model_copy(update={"sensor_sd_K": sensor_sd_K})
+            notes.append(f"the zone sensor reads in steps of {grid_K:.2g} K: noise of {sensor_sd_K:.2g} K assumed")
+        cases = cases_of(task, config)
+        return cls(task, config, cases, held_out(cases, config), grid_K, notes)
+
+    def knowing(self, effects: Effects) -> tuple[list[Case], ModePriors]:
+        """The cases with what the network says of levels and, as their prior, of the effects of the other actuators;
+        and the prior of that of the own one.
+        """
+        own, *others = effects.heat_inputs
+        acting = [replace(other, heat_input=v) for other, v in zip(self.task.others, others, strict=True)]
+        cases = cases_of(replace(self.task, heat_input=own, others=acting), self.config)
+        modes = effects.modes
+        sd = np.maximum(HELD * modes.gains[1:], _LEAST_GAIN)
+        prior = np.stack([modes.gains[1:], sd], axis=1)
+        known = [
+            replace(case, regression=replace(case.regression, other_gains=prior, weather_gains=modes.weather))
+            for case in cases
+        ]
+        return known, centred_priors(modes.log_tau, modes.gains[0], HELD)
+
+    @property
+    def histories(self) -> list[Record]:
+        """The records of all cases."""
+        return [h for case in self.cases for h in case.histories]
+
+    def last_steps(self, fold: str) -> list[int]:
+        """How many steps of each case a fold may see, 0 for none: all of the `whole`, those before the held-out rows of
+        `training`, and of these, runs only, those before as many held out again of `earlier`.
+        """
+        seen = []
+        for case, split in zip(self.cases, self.splits, strict=True):
+            rows, n = case.regression.rows, case.regression.n_steps
+            if fold == "whole":
+                seen.append(n)
+                continue
+            train = split.train
+            if fold == "earlier" and train.size:
+                train = (
+                    train[:0]
+                    if case.regression.is_pair or not split.judged.size
+                    else train[: split_before(case, split, self.config).train.size]
+                )
+            seen.append(int(rows[train[-1]]) if train.size else 0)
+        return seen
+
+    def heat_input(self, fold: str) -> HeatInput:
+        """What the own actuator delivers, as a fold may know it: by a heat meter's readings until its last steps.
+
+        The level where these are too few.
+        """
+        task = self.task
+        if fold == "whole" or task.heat_input.law is None:
+            return task.heat_input
+        ends = [n for case, n in zip(self.cases, self.last_steps(fold), strict=True) for _ in case.histories]
+        seen = [history.slice(0, n) for history, n in zip(self.histories, ends, strict=True) if n > 1]
+        try:
+            return identified_heat_input(seen, self.config, task.sign, alone=task.alone)[0] if seen else IDENTITY
+        except DataError:
+            return IDENTITY
+
+
+def cases_of(task: ZoneTask, config: IdentificationConfig) -> list[Case]:
+    """The records of a task as regressions."""
+    heat_input, others = task.heat_input, task.others
+    runs = [Case(run_regression(h, heat_input, config, others), (h,), float(h.time_s[0])) for h in task.runs]
+    pairs = [Case(pair_regression(p, heat_input, others), (p.a, p.b), float(p.a.time_s[0])) for p in task.pairs]
+    return [*runs, *pairs]
