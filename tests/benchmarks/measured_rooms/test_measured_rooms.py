@@ -124,7 +124,11 @@ def test_a_measured_room_beside_its_neighbours() -> None:
     starts = starts_of(record, 24.0)
     assert starts[0] == split(record) == round(0.6 * record.n_steps - 0.6)
     assert starts[-1] + 96 <= record.n_steps
-    found = score(identified(record, measured.layout), record, 24.0)
+    model = identified(record, measured.layout)
+    verdict = model.only.card.competence
+    assert not verdict.competent, "its heated neighbours are left out"
+    assert any(reason.startswith("24 h ahead it errs by") for reason in verdict.reasons)
+    found = score(model, record, 24.0)
     assert found.starts == len(starts)
     assert (found.rmse_K[DEFAULT] < found.rmse_K[PERSISTENCE]).all()
     assert found.own_K[0] > 3.0

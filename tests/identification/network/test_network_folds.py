@@ -11,6 +11,7 @@ from houses import House, make_pair, record
 from thermoforce_mpc.data import DAY_S, Layout
 from thermoforce_mpc.identification import IdentificationConfig, Pair
 from thermoforce_mpc.identification.network.folds import zone_effects
+from thermoforce_mpc.identification.validation.held_out import identified_heat_input
 from thermoforce_mpc.identification.zone_data import ZoneData, ZoneTask
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
@@ -74,3 +75,22 @@ def test_the_two_stages_need_no_network():
     run = record(House(), 2.0, 3600.0)
     data = ZoneData.of(ZoneTask([run], [], IDENTITY, 1), config)
     assert zone_effects([run], [], LAYOUT, [data], config, lambda said: None) == [None]
+
+
+def test_the_law_of_a_heat_meter_is_that_of_the_rows_that_are_seen():
+    """A meter that reads twice as much from the held-out rows on changes no fold but the whole."""
+    run = record(House(), 4.0, noise_K=0.01)
+    data = {}
+    for factor in (1.0, 2.0):
+        heat_W = np.array(run.heat_W)
+        heat_W[:, round(0.76 * run.n_steps) :] *= factor
+        one = replace(run, heat_W=heat_W)
+        whole = identified_heat_input([one], CONFIG, 1)[0]
+        data[factor] = ZoneData.of(ZoneTask([one], [], whole, 1), CONFIG)
+    for fold in ("training", "earlier"):
+        assert data[1.0].heat_input(fold) == data[2.0].heat_input(fold)
+        assert data[1.0].heat_input(fold).law is not None
+    assert data[1.0].heat_input("whole").law != data[2.0].heat_input("whole").law
+    few = replace(run, heat_W=np.where(np.arange(run.n_steps) > 0.6 * run.n_steps, run.heat_W, np.nan))
+    little = ZoneData.of(ZoneTask([few], [], data[1.0].heat_input("whole"), 1), CONFIG)
+    assert little.heat_input("earlier") == IDENTITY
