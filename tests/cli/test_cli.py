@@ -188,7 +188,7 @@ def test_a_model_below_the_bar_is_saved_with_exit_code_4_and_not_acted_on(simple
     done = simple("--model", "m", "--baselines", "native", "--days", "1", "--out", "r")
     assert done.exit_code == 0, done.output
     assert "thermoforce_mpc (gate)" in done.output
-    assert "the gate held in 96 of 96 steps: the model is not competent" in done.output
+    assert "the gate held in 96 of 96 steps: This model may not act" in done.output
     kpis = json.loads((tmp_path / "r" / "kpis.json").read_text())
     assert kpis["gate"]["thermoforce_mpc"]["steps"] == 96
     assert kpis["kpis"]["ener_tot"] == pytest.approx(kpis["baselines"]["native"]["ener_tot"], rel=0.05)

@@ -236,3 +236,20 @@ def test_a_plan_refuses_what_does_not_belong_together(folder, model):
     other = [word.replace("map.yaml", "bath.yaml") for word in words]
     assert "another building?" in str(tf_mpc(folder, *other, "ahead.csv").exception)
     assert not (folder / "refused.csv").exists()
+
+
+@pytest.mark.slow
+def test_a_band_that_held_nothing_is_a_warning(folder, model, tmp_path):
+    """A room that is 5 K warmer than it was from the start of the forecast on."""
+    table = pd.read_csv(folder / "probed.csv")
+    table.loc[table["when"] > "2025-01-22 12:00", "room_K"] += 5.0
+    table.to_csv(tmp_path / "warm.csv", index=False)
+    said = {}
+    for name, file in (("as it was", folder / "probed.csv"), ("warmer", tmp_path / "warm.csv")):
+        words = ["--data", str(file), "--map", str(folder / "map.yaml"), "--start", "2025-01-22 12:00", "--hours", "24"]
+        done = CliRunner().invoke(cli, ["forecast", "--model", str(model), *words])
+        assert done.exit_code == 0, done.output
+        said[name] = done.output
+    assert "0 % of what was measured inside the 80 % band" in said["warmer"]
+    assert "warning: the band of living promises 80 % and held far less" in said["warmer"]
+    assert "warning" not in said["as it was"]

@@ -21,8 +21,9 @@ from thermoforce_mpc.files import written
 from thermoforce_mpc.model.predictor import Prediction
 
 _ROWS, _BACK_DAYS = 25, 28.0
-# The band promises 80 %: what it held of so many steps at least is said as a warning below this.
-_HELD, _JUDGED_STEPS = 0.5, 12
+# The band promises 80 %: less than this held over a day or longer is said as a warning, where errors matter, K. Hours
+# after hours are alike, so that a shorter time says little.
+_HELD, _JUDGED_H, _MATTERS_K = 0.5, 24.0, 0.25
 
 
 @click.command(short_help="Forecast the temperature, with its band, under levels that you give.")
@@ -89,7 +90,7 @@ def command(
         raise DataError(f"the levels from {start} on were not all measured: give --level or --schedule")
     prediction = thermal.predict(past.last(round(_BACK_DAYS * DAY_S / record.step_s)), ahead, applied)
     console = Console(highlight=False, markup=False)
-    _show(prediction, truth, console)
+    _show(prediction, truth, record.step_s, console)
     table = prediction.to_dataframe()
     for name, values in record.names.columns(T_zone_C=truth).items():
         table[name.replace("T_zone_C", "measured_C")] = values
@@ -115,7 +116,7 @@ def _split_at(record: Record, start: str, n: int) -> tuple[Record, Record]:
     return record.slice(0, first), record.slice(first, first + n)
 
 
-def _show(prediction: Prediction, truth: Array, console: Console) -> None:
+def _show(prediction: Prediction, truth: Array, step_s: float, console: Console) -> None:
     stamps = prediction.to_dataframe().index
     has_truth = np.isfinite(truth).any()
     table = Table(title="Temperature at each time, °C (80 % band of the free response)", title_justify="left")
@@ -148,7 +149,9 @@ def _show(prediction: Prediction, truth: Array, console: Console) -> None:
                 f"{zone}: RMSE {np.sqrt(np.nanmean(error**2)):.2f} K, {100 * inside[measured].mean():.0f} % of what "
                 "was measured inside the 80 % band"
             )
-            if measured.sum() >= _JUDGED_STEPS and inside[measured].mean() < _HELD:
+            judged_h = measured.sum() * step_s / HOUR_S
+            rmse_K = float(np.sqrt(np.nanmean(error**2)))
+            if judged_h >= _JUDGED_H and inside[measured].mean() < _HELD and rmse_K > _MATTERS_K:
                 console.print(
                     f"warning: the band of {zone} promises 80 % and held far less: do not rely on it; identify again "
                     "from more days, and look for heat that the record does not hold"
