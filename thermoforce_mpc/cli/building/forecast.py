@@ -154,7 +154,8 @@ def _show(prediction: Prediction, truth: Array, step_s: float, console: Console)
             if judged_h >= _JUDGED_H and inside[measured].mean() < _HELD and rmse_K > _MATTERS_K:
                 console.print(
                     f"warning: the band of {zone} promises 80 % and held far less: do not rely on it; identify again "
-                    "from more days, and look for heat that the record does not hold"
+                    "from more days, and look for heat that the record does not hold",
+                    soft_wrap=True,
                 )
 
 
