@@ -1,7 +1,7 @@
 """From recorded runs of a building to its thermal model, zone by zone.
 
 Refuse what cannot identify; fit heat and power to what was measured; fit each zone with its own actuator and all others
-(`identification.zone`), so that the effects of all pairs of zone and actuator are estimated together; assemble the
+(`identification.zones`), so that the effects of all pairs of zone and actuator are estimated together; assemble the
 operator of the building. All steps are deterministic for a given seed.
 """
 
@@ -40,8 +40,8 @@ from thermoforce_mpc.identification.estimation.records import (
 from thermoforce_mpc.identification.network.folds import ZoneEffects, zone_effects
 from thermoforce_mpc.identification.validation.held_out import identified_heat_input, named, power_of_machine
 from thermoforce_mpc.identification.validation.warnings import unexplained
-from thermoforce_mpc.identification.zone import identify_zone
-from thermoforce_mpc.identification.zone_data import ZoneData, ZoneTask
+from thermoforce_mpc.identification.zones.data import ZoneData, ZoneTask
+from thermoforce_mpc.identification.zones.model import identify_zone
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.screening import Limits

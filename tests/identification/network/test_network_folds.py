@@ -12,7 +12,7 @@ from thermoforce_mpc.data import DAY_S, Layout
 from thermoforce_mpc.identification import IdentificationConfig, Pair
 from thermoforce_mpc.identification.network.folds import zone_effects
 from thermoforce_mpc.identification.validation.held_out import identified_heat_input
-from thermoforce_mpc.identification.zone_data import ZoneData, ZoneTask
+from thermoforce_mpc.identification.zones.data import ZoneData, ZoneTask
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 LAYOUT, CONFIG = Layout.single(floor_area_m2=190.0), IdentificationConfig(modulation="linear")

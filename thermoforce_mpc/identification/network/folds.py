@@ -21,7 +21,7 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 
 class ZoneRows(Protocol):
-    """Which rows of a zone a fold may see (`zone_data.ZoneData`), what it then knows of the heat of the own actuator,
+    """Which rows of a zone a fold may see (`zones.data.ZoneData`), what it then knows of the heat of the own actuator,
     and the resolution `grid_K` of the zone's sensor, K.
     """
 

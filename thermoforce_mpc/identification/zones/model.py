@@ -21,7 +21,6 @@ from thermoforce_mpc.identification.estimation.modes import centred_priors, to_o
 from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
 from thermoforce_mpc.identification.network.folds import ZoneEffects
-from thermoforce_mpc.identification.two_stage_model import two_stage_model
 from thermoforce_mpc.identification.validation.competence import Trial, judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.validation.held_out import (
@@ -33,7 +32,8 @@ from thermoforce_mpc.identification.validation.held_out_fit import (
     fit_and_judge,
 )
 from thermoforce_mpc.identification.validation.warnings import uncertain
-from thermoforce_mpc.identification.zone_data import HELD, ZoneData
+from thermoforce_mpc.identification.zones.data import HELD, ZoneData
+from thermoforce_mpc.identification.zones.two_stage_model import two_stage_model
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.operator.heat_input import HeatInput
