@@ -1,6 +1,6 @@
 """Sun that shines on a zone sensor: the part of its reading that the room does not share.
 
-Only the value that travels with the model; `identification.sunlit_sensor` finds it. A record holds global horizontal
+Only the value that travels with the model; `identification.network.sensor` finds it. A record holds global horizontal
 irradiance alone, so that on the sensor's facade is computed: diffuse share by Erbs et al. (1982), isotropic sky, sun
 position of a nominal site.
 """
@@ -43,8 +43,8 @@ class SunOnSensor:
 
     @property
     def likely(self) -> bool:
-        """Whether the sensor rather stands in the sun than not."""
-        return self.probability > 0.5
+        """Whether the sensor surely enough stands in the sun for its part to be taken off."""
+        return self.probability > 0.9
 
     def part_K(self, time_s: Array, solar_W_m2: Array) -> Array:
         """Sun in the readings at the instants `time_s` (n,), equally spaced, K, from irradiance (n,), W/m².
