@@ -130,16 +130,18 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
     return value, gradient
 
 
-def estimate_room(room: Room, runs: Sequence[Run]) -> RoomFit:
-    """The largest posterior of a room's parameters, searched from several starts."""
+def estimate_room(room: Room, runs: Sequence[Run], before: RoomFit | None = None) -> RoomFit:
+    """The largest posterior of a room's parameters, searched from several starts, or from a fit to fewer runs."""
     found = []
     for start in _STARTS:
         z = np.zeros(room.sd.size)
         for name, shift in start.items():
             if name in room.place:
                 z[room.place[name]] = shift
-        found.append(searched(room, runs, z))
-    best = min(found, key=lambda result: result.fun)
+        found.append(z)
+    if before is not None and before.room.place == room.place:
+        found = [np.asarray((before.theta - room.mean) / room.sd)]
+    best = min((searched(room, runs, z) for z in found), key=lambda result: float(result.fun))
     return RoomFit(room, room.mean + room.sd * best.x, float(best.fun), runs)
 
 
