@@ -17,6 +17,8 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 if TYPE_CHECKING:  # pvlib is loaded only where the sun is needed
     from thermoforce_mpc.boundary.weather.solar import Sun
 
+LIKELY = 0.9
+"""Probability of sun on a sensor from which it is taken off the readings."""
 # Full sun on a facade, and the most that a vertical plane receives, W/m².
 FULL_SUN_W_M2, _MOST_W_M2 = 800.0, 1000.0
 # Beam is not extrapolated from a lower sun than this, °.
@@ -44,7 +46,7 @@ class SunOnSensor:
     @property
     def likely(self) -> bool:
         """Whether the sensor surely enough stands in the sun for its part to be taken off."""
-        return self.probability > 0.9
+        return self.probability > LIKELY
 
     def part_K(self, time_s: Array, solar_W_m2: Array) -> Array:
         """Sun in the readings at the instants `time_s` (n,), equally spaced, K, from irradiance (n,), W/m².
