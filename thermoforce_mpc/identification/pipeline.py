@@ -27,7 +27,6 @@ from thermoforce_mpc.identification.effects.couplings import (
     with_metered_shares,
 )
 from thermoforce_mpc.identification.effects.level_laws import OUTDOORS, levels_only, outdoors_in_words, weather_of
-from thermoforce_mpc.identification.effects.sun_on_sensor import without_sun
 from thermoforce_mpc.identification.estimation.joint import JointFit
 from thermoforce_mpc.identification.estimation.records import (
     Pair,
@@ -38,6 +37,7 @@ from thermoforce_mpc.identification.estimation.records import (
     prepared_runs,
 )
 from thermoforce_mpc.identification.network.folds import ZoneEffects, zone_effects
+from thermoforce_mpc.identification.network.sensor import without_sun
 from thermoforce_mpc.identification.validation.held_out import identified_heat_input, named, power_of_machine
 from thermoforce_mpc.identification.validation.warnings import unexplained
 from thermoforce_mpc.identification.zones.data import ZoneData, ZoneTask

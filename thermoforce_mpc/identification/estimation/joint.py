@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import qr
 from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import Array
@@ -27,6 +26,7 @@ from thermoforce_mpc.identification.estimation.regression import (
     scaled,
 )
 from thermoforce_mpc.identification.estimation.rows import Rows
+from thermoforce_mpc.identification.estimation.triangles import triangle
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 
 # Least gain, K or K/h: an effect that the record denies keeps the sign of its actuator.
@@ -142,9 +142,8 @@ def _posterior_maximum(
 def _likeliest(regressions: Sequence[RegressionData], priors: ModePriors, sign: int, scale: float) -> _Maximum:
     """The maximum with `scale` times the disturbances of runs."""
     system = Rows.of(scaled(regressions, scale), priors, sign)
-    # A triangle of the same sums of squares: the bounded solver takes the rows again at every step.
-    triangle = np.asarray(qr(np.column_stack([system.columns, system.target]), mode="r", check_finite=False)[0])
-    values = lsq_linear(triangle[:, :-1], triangle[:, -1], (system.low, np.inf), method="bvls").x
+    R = triangle(np.column_stack([system.columns, system.target]))
+    values = lsq_linear(R[:, :-1], R[:, -1], (system.low, np.inf), method="bvls").x
     of_each_row = np.concatenate([np.full(e.rows.size, 1.0 if e.is_pair else scale) for e in regressions])
     n = of_each_row.size
     residual = (system.columns[:n] @ values - system.target[:n]) * of_each_row

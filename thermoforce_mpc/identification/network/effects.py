@@ -49,17 +49,17 @@ class Actuators:
         return [*drives, *phi]
 
 
-def building_fit(actuators: Actuators, rooms: Sequence[Sequence[Run]], *, joined: bool) -> BuildingFit:
-    """The network of a building from the runs of each of its zones (Z,), as of `room_run` and `room_pair`; `joined`:
-    whether they hold the neighbours' temperatures.
+def building_fit(
+    actuators: Actuators, rooms: Sequence[Sequence[Run]], *, joined: bool, before: BuildingFit | None = None
+) -> BuildingFit:
+    """The network of a building from the runs of each of its zones (Z,), as of `room_run` and `room_pair`.
+
+    `joined`: whether they hold the neighbours' temperatures; `before`: a fit to fewer runs, from which to search.
     """
-    neighbours = len(rooms) - 1 if joined else 0
-    fits = [
-        estimate_room(
-            actuators.room(z, neighbours), [run for run in runs if np.isfinite(run.readings).sum() >= _LEAST_READINGS]
-        )
-        for z, runs in enumerate(rooms)
-    ]
+    neighbours, fits = len(rooms) - 1 if joined else 0, []
+    for z, runs in enumerate(rooms):
+        read = [run for run in runs if np.isfinite(run.readings).sum() >= _LEAST_READINGS]
+        fits.append(estimate_room(actuators.room(z, neighbours), read, before.rooms[z] if before else None))
     return BuildingFit(actuators.layout, tuple(fits))
 
 

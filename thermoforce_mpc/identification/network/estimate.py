@@ -17,7 +17,7 @@ from scipy.optimize import OptimizeResult, minimize
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.network.filtering import likelihood
-from thermoforce_mpc.identification.network.room import ENVELOPE, ROOM, STRUCTURE, Room
+from thermoforce_mpc.identification.network.room import ENVELOPE, ROOM, STRUCTURE, SUN_ON_SENSOR, Room
 
 # Before the first reading, K: the room is about what it reads, its structure and emitters may be elsewhere.
 _START_SD_K = {ROOM: 1.0, STRUCTURE: 2.0, ENVELOPE: 5.0}
@@ -25,8 +25,9 @@ _EMITTER_START_SD_K = 5.0
 # What a few nodes do not follow from one reading to the next, K: without it, readings of a simulator without noise make
 # a level that answers within its step be taken for an effect at once.
 _MODEL_SD_K = 0.02
-# Search: bounds in prior standard deviations, most iterations, and starts in prior standard deviations of a parameter.
-_REACH, _MOST_STEPS, _MEMORY = 4.0, 400, 30
+# Search: bounds in prior standard deviations, most iterations, steps whose curvature is kept, relative error; starts
+# in prior standard deviations of a parameter.
+_REACH, _MOST_STEPS, _MEMORY, _TOLERANCE = 4.0, 400, 30, 2e-9
 _STARTS: tuple[dict[str, float], ...] = ({}, {"heat_0": 1.0}, {"C_structure": 0.7})
 # Step of differences of the gradient, in prior standard deviations.
 _DIFFERENCE = 1e-3
@@ -41,6 +42,7 @@ class Run:
         readings: °C (N,); NaN is a gap.
         step_h: h.
         rounding_K2: variance of the rounding of a reading, K².
+        on_sensor: what the sun adds to the readings per K of `SUN_ON_SENSOR` (N,), where that is a parameter.
         pair: whether it is the difference of two runs in the same weather, in which disturbances cancel but for a
             small share.
     """
@@ -50,6 +52,7 @@ class Run:
     step_h: float
     rounding_K2: float = 0.0
     pair: bool = False
+    on_sensor: Array | None = None
 
 
 # Share of the disturbances that is left in the difference of two runs.
@@ -82,7 +85,7 @@ class RoomFit:
     def gained(self, actuator: int) -> float:
         """Log posterior odds that `actuator` acts on the room: that of this fit over that of the best without it."""
         without = [replace(run, inputs=_without(run.inputs, self.room.drives(actuator))) for run in self.runs]
-        return float(_search(self.room, without, self._scaled).fun - self.value)
+        return float(searched(self.room, without, self._scaled).fun - self.value)
 
     @property
     def _scaled(self) -> Array:
@@ -94,7 +97,7 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
     """Half the negative log posterior at θ (p,) up to a constant, and its gradient (p,)."""
     equations, n = room.equations(theta), room.n_states
     value, gradient = room.prior(theta)
-    size = n + room.n_inputs
+    size, sensor = n + room.n_inputs, room.place.get(SUN_ON_SENSOR, -1)
     for step_h in dict.fromkeys(run.step_h for run in runs):
         whole = np.zeros((size, size))
         whole[:n] = equations.matrix * step_h
@@ -113,7 +116,10 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
                     P0[state] = sd**2
             P0[room.disturbances] = share * stationary
             R = reading + run.rounding_K2 + _MODEL_SD_K**2
-            half, slopes = likelihood(A, B, share * Q, R, x0, P0, run.inputs, run.readings)
+            readings = run.readings if run.on_sensor is None else run.readings - run.on_sensor * theta[sensor]
+            half, slopes = likelihood(A, B, share * Q, R, x0, P0, run.inputs, readings)
+            if run.on_sensor is not None:
+                gradient[sensor] -= run.on_sensor @ slopes.readings
             value += half
             by_transition[:n, :n] += slopes.A
             by_transition[:n, n:] += slopes.B
@@ -124,16 +130,18 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
     return value, gradient
 
 
-def estimate_room(room: Room, runs: Sequence[Run]) -> RoomFit:
-    """The largest posterior of a room's parameters, searched from several starts."""
+def estimate_room(room: Room, runs: Sequence[Run], before: RoomFit | None = None) -> RoomFit:
+    """The largest posterior of a room's parameters, searched from several starts, or from a fit to fewer runs."""
     found = []
     for start in _STARTS:
         z = np.zeros(room.sd.size)
         for name, shift in start.items():
             if name in room.place:
                 z[room.place[name]] = shift
-        found.append(_search(room, runs, z))
-    best = min(found, key=lambda result: result.fun)
+        found.append(z)
+    if before is not None and before.room.place == room.place:
+        found = [np.asarray((before.theta - room.mean) / room.sd)]
+    best = min((searched(room, runs, z) for z in found), key=lambda result: float(result.fun))
     return RoomFit(room, room.mean + room.sd * best.x, float(best.fun), runs)
 
 
@@ -143,15 +151,18 @@ def _scaled(room: Room, runs: Sequence[Run], z: Array) -> tuple[float, Array]:
     return value, gradient * room.sd
 
 
-def _search(room: Room, runs: Sequence[Run], start: Array) -> OptimizeResult:
-    """The largest posterior from a start, in prior standard deviations."""
+def searched(room: Room, runs: Sequence[Run], start: Array, tolerance: float = _TOLERANCE) -> OptimizeResult:
+    """The largest posterior from a start (p,), in prior standard deviations from the mean.
+
+    It ends where a step lowers half the negative log posterior by less than `tolerance` times its size.
+    """
     return minimize(
         lambda z: _scaled(room, runs, z),
         start,
         jac=True,
         method="L-BFGS-B",
         bounds=[(-_REACH, _REACH)] * start.size,
-        options={"maxiter": _MOST_STEPS, "maxcor": _MEMORY},
+        options={"maxiter": _MOST_STEPS, "maxcor": _MEMORY, "ftol": tolerance},
     )
 
 

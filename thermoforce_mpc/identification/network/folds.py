@@ -76,7 +76,9 @@ def zone_effects(
     joined = config.cross_effects and len(layout.floor_area_m2) > 1
     by_fold: dict[str, BuildingFit] = {}
     inputs: dict[str, list[HeatInput]] = {}
-    for fold in ("whole", "training", "earlier") if runs else ("whole", "training"):
+    fit: BuildingFit | None = None
+    # A fold has all that the one before it had, whose optimum is a good start.
+    for fold in ("earlier", "training", "whole") if runs else ("training", "whole"):
         # Weather and levels of held-out rows are not seen either.
         seen = [run.slice(0, n) for run, n in zip(runs, data[0].last_steps(fold), strict=False) if n > 1]
         heat_inputs = [of_zone.heat_input(fold) for of_zone in data]
@@ -85,13 +87,12 @@ def zone_effects(
         for zone in range(len(layout.floor_area_m2)):
             first = layout.actuators_of(zone)[:1]
             rooms.append(_seen(runs, pairs, zone, actuators, data[first[0]] if first else data[0], fold, joined))
-        by_fold[fold] = fit = building_fit(actuators, rooms, joined=joined)
+        by_fold[fold] = fit = building_fit(actuators, rooms, joined=joined, before=fit)
         inputs[fold] = [
             with_outdoors(v, _found(fit, a, laws[a])[0], weather_of(seen, a)) for a, v in enumerate(heat_inputs)
         ]
-        if fold == "whole":
-            estimates = [_estimates(fit, a, laws[a]) for a in range(len(heat_inputs))]
     whole = by_fold["whole"]
+    estimates = [_estimates(whole, a, laws[a]) for a in range(len(heat_inputs))]
     effects: list[ZoneEffects | None] = []
     for a, home in enumerate(layout.home):
         order = [a, *others_of(layout, a, config)]

@@ -30,6 +30,8 @@ from thermoforce_mpc.model.free_response.rc import INPUTS
 
 ROOM, STRUCTURE, ENVELOPE, EMITTER = 0, 1, 2, 3
 """States: room, structure, envelope, then the emitters (the nodes), then the disturbances."""
+SUN_ON_SENSOR = "sun_on_sensor"
+"""Parameter: how much too high a sensor reads in full sun on its facade, K."""
 DISTURBANCE_H = (1.0, 6.0, 48.0)
 """Time constants of the disturbances, h."""
 # Temperature of neighbours that were not measured, and of the ground, °C.
@@ -78,6 +80,8 @@ _NOISE: dict[str, Prior] = {
     "structure_noise": Prior(0.04, 0.8),
     "reading": Prior(0.03, 0.7),
 }
+# Sun through one facade, m² of aperture, more or less than by that on the horizontal; on a sensor in full sun, K.
+_FACADE_SD, SENSOR_SD_K = 0.02, 3.0
 # Sun by the side of the house and daily wave of the gains, W/m²; by their signed weight in `INPUTS`.
 _WAVES: dict[str, float] = {"solar_cosine": 0.02, "solar_sine": 0.02, "daily_cosine": 1.5, "daily_sine": 1.5}
 OUTDOOR, SUN, _ONE = (INPUTS.index(name) for name in ("outdoor", "solar", "constant"))
@@ -144,15 +148,20 @@ class Room:
         heat_W_m2: heat of each at full level, W per m² of floor, NaN where it was not measured (K,).
         neighbours: number of measured neighbours N.
         laws: what the actuators give besides (L,).
+        facades: number of facades through which the sun comes in.
+        sensor: whether the sun may shine on the sensor, see `estimate.Run.on_sensor`.
 
     Parameters θ: logarithms of the positive ones, `names`, then the `signed` ones.
-    Inputs: those of `rc.INPUTS`, the neighbours' temperatures (N,) °C, v of the actuators (K,), φ of the laws (L,).
+    Inputs: those of `rc.INPUTS`, the neighbours' temperatures (N,) °C, v of the actuators (K,), φ of the laws (L,), sun
+    on the facades W/m².
     """
 
     signs: tuple[int, ...] = (1,)
     heat_W_m2: tuple[float, ...] = (float("nan"),)
     neighbours: int = 0
     laws: tuple[Law, ...] = ()
+    facades: int = 0
+    sensor: bool = False
 
     @cached_property
     def priors(self) -> dict[str, Prior]:
@@ -169,7 +178,11 @@ class Room:
     def signed(self) -> dict[str, tuple[float, float]]:
         """Prior mean and standard deviation of the signed parameters by name."""
         laws = {_name_of(law): (law.mean, law.sd) for law in self.laws}
-        return {name: (0.0, sd) for name, sd in _WAVES.items()} | laws
+        facades = {
+            f"{name}_{i}": (0.0, _FACADE_SD) for i in range(self.facades) for name in ("facade", "facade_inside")
+        }
+        sensor = {SUN_ON_SENSOR: (0.0, SENSOR_SD_K)} if self.sensor else {}
+        return {name: (0.0, sd) for name, sd in _WAVES.items()} | laws | facades | sensor
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -221,7 +234,7 @@ class Room:
     @property
     def n_inputs(self) -> int:
         """Number of inputs m."""
-        return self.drive(len(self.signs)) + len(self.laws)
+        return self.drive(len(self.signs)) + len(self.laws) + self.facades
 
     def drive(self, actuator: int) -> int:
         """Which input the level of `actuator` is."""
@@ -264,6 +277,12 @@ class Room:
             for drive, name in zip(self.drives(a), signed, strict=True):
                 sources.append(Source(EMITTER + a, drive, (f"heat_{a}",), sign, name))
                 sources.append(Source(STRUCTURE, drive, (f"heat_{a}", f"heat_structure_{a}"), sign, name))
+        for i in range(self.facades):
+            sun = self.n_inputs - self.facades + i
+            sources += [
+                Source(ROOM, sun, (), signed=f"facade_{i}"),
+                Source(STRUCTURE, sun, (), signed=f"facade_inside_{i}"),
+            ]
         return tuple(sources)
 
     @cached_property
