@@ -14,7 +14,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Array, Record
 from thermoforce_mpc.data.limits import LEVEL, ROUNDING
 from thermoforce_mpc.data.names import AXIS
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.gaps import WEATHER, bridged, long_gaps
+from thermoforce_mpc.model.gaps import WEATHER, bridged, long_gaps, long_level_gaps
 from thermoforce_mpc.model.screening import Limits, screened_history
 
 # Least excitation: hours on, standard deviation of u, changes of u. Below it, gain and drift cannot be separated.
@@ -72,7 +72,7 @@ class Pair:
 def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record], list[str]]:
     """Return usable runs without implausible readings and gaps, and notes on the changes.
 
-    Short gaps of the weather are bridged as in `model.gaps`. Steps in longer gaps and with unknown u are dropped; each
+    Short gaps of the weather and of u are bridged as in `model.gaps`. Steps in longer gaps are dropped; each
     part between them becomes a run of its own if it passes `check_run`, a long one several.
 
     Raises:
@@ -129,7 +129,7 @@ def prepared_pairs(pairs: Sequence[Pair], allowed: Limits) -> tuple[list[Pair], 
         for side, history in (("first run", pair.a), ("second run", pair.b)):
             name = f"pair {pair.label or index} ({side})"
             history, doubts = _plausible(history, allowed, name)
-            if _usable(history).all():
+            if np.isfinite(history.u).all() and _usable(history).all():
                 history, filled = bridged(history)
                 doubts += (filled,) if filled else ()
             sides.append(history)
@@ -152,9 +152,9 @@ def _plausible(record: Record, allowed: Limits, name: str) -> tuple[Record, tupl
 
 
 def _usable(history: Record) -> NDArray[np.bool_]:
-    """Return which steps have known levels of all actuators and known or bridged weather, shape (n,)."""
+    """Return which steps have levels of all actuators and weather, known or bridged, shape (n,)."""
     lost = np.any([long_gaps(history, name) for name in WEATHER], axis=0)
-    return np.asarray(np.isfinite(history.u).all(axis=0) & ~lost[:-1] & ~lost[1:])
+    return np.asarray(~long_level_gaps(history) & ~lost[:-1] & ~lost[1:])
 
 
 def _never_together(run: Record) -> str:
