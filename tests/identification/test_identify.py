@@ -220,7 +220,15 @@ def _with_gaps(signal: str, *places: slice) -> Record:
         (_with_gaps("u", slice(0, 70)), "run: 70 of 384 steps without level or weather left out"),
         (_with_gaps("u", slice(300, None)), "run: 84 of 384 steps without level or weather left out"),
     ],
-    ids=["short gaps outdoors", "short gap of the sun", "long gap outdoors", "unknown levels", "single levels", "no start", "no end"],
+    ids=[
+        "short gaps outdoors",
+        "short gap of the sun",
+        "long gap outdoors",
+        "unknown levels",
+        "single levels",
+        "no start",
+        "no end",
+    ],
 )
 def test_gaps_of_a_record_are_bridged_or_left_out_and_the_card_says_so(history, said):
     model = identify([history], config=LINEAR, floor_area_m2=190.0)

@@ -130,7 +130,7 @@ def _same_hour(time_s: Array, measured_s: Array, measured: Array, otherwise: Arr
 
 
 def _levels(u: Array, step_s: float) -> Array:
-    """Return `u` (n,) with unknown levels on the line between up to 2 h, else the mean of those around, of all, or 0."""
+    """Return `u` (n,) with unknown levels interpolated up to 2 h, else the mean of those around, of all, or 0."""
     finite = np.isfinite(u)
     short = ~finite & ~_long_gap(u, step_s)
     if short.any() and finite.any():

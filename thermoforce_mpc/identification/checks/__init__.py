@@ -1,0 +1,19 @@
+"""What a record says against itself: stamps, units, levels, meters and rooms left out, found by check."""
+
+from __future__ import annotations
+
+from thermoforce_mpc.data import Layout, Record
+from thermoforce_mpc.identification.checks.levels import level_remarks
+from thermoforce_mpc.identification.checks.remark import Remark
+from thermoforce_mpc.identification.checks.timing import timing_remarks
+from thermoforce_mpc.identification.checks.units import unit_remarks
+
+__all__ = ["Remark", "remarks"]
+
+
+def remarks(record: Record, layout: Layout) -> tuple[Remark, ...]:
+    """What is probably wrong with `record` of a building of `layout`, each with its remedy; none where nothing is.
+
+    A remark says that a test of the record failed, not that a model of it is useless; the record is left as it is.
+    """
+    return (*timing_remarks(record, layout), *level_remarks(record, layout), *unit_remarks(record, layout))
