@@ -111,12 +111,12 @@ def asked(case: Case) -> list[Answer]:
         rng = np.random.default_rng([case.seed, case.number, k])
         if operation == "measured" and fault.kind in ("level is no level", "meter holds another load"):
             continue  # their level is made from the meter
-        record = fault.spoil(clean, rng)
-        if record is not None:
-            answers.append(Answer(clean.name, operation, fault.kind, fault.size, _kinds(clean, record)))
+        spoiled = fault.spoil(clean, rng)
+        if spoiled is not None:
+            answers.append(Answer(clean.name, operation, fault.kind, fault.size, _kinds(clean, spoiled)))
     if operation == "rooms":
         answers += [_room_alone(clean), _room_alone(clean, complete=True)]
-    return answers + [_dark(clean, np.random.default_rng([case.seed, case.number]))]
+    return [*answers, _dark(clean, np.random.default_rng([case.seed, case.number]))]
 
 
 def summary(answers: Sequence[Answer]) -> list[Row]:
@@ -157,18 +157,21 @@ def _kinds(clean: Drawn, record: Record) -> tuple[str, ...]:
     """Kinds of the remarks on a record of the building of `clean`; loads beyond the floor area are refused at once."""
     area = float(np.sum(clean.layout.floor_area_m2))
     loads = np.concatenate([record.power_W.ravel(), record.heat_W.ravel()])
-    beyond = bool(np.isfinite(area) and (np.abs(loads[np.isfinite(loads)]) > LOAD_W_PER_M2 * area).mean() > 0.1)
+    loads = np.abs(loads[np.isfinite(loads)])
+    beyond = bool(np.isfinite(area) and loads.size and (loads > LOAD_W_PER_M2 * area).mean() > 0.1)
     kinds = dict.fromkeys(remark.kind for remark in remarks(record, clean.layout))
     return tuple(kinds) or (("unit of power",) if beyond else ())
 
 
 def _room_alone(clean: Drawn, *, complete: bool = False) -> Answer:
-    """The first room of a house mapped alone, the others beside it in the table; `complete`: all mapped, nothing to say."""
+    """The first room of a house mapped alone, the others beside it in the table; `complete`: all of them mapped."""
     zones = clean.layout.names.zones
     columns = {f"T_{zone}": clean.record.T_zone_C[z] for z, zone in enumerate(zones)}
     mapped = {zone: {"temperature": f"T_{zone}"} for zone in (zones if complete else zones[:1])}
     actuators = {"valve": {"zone": zones[0], "level": "u"}}
-    found = read_measurements(_table(clean.record, columns), {"outdoor": "T_out", "zones": mapped, "actuators": actuators})
+    found = read_measurements(
+        _table(clean.record, columns), {"outdoor": "T_out", "zones": mapped, "actuators": actuators}
+    )
     kinds = (NEIGHBOURS,) if found.understood.beside else ()
     return Answer(clean.name, clean.operation, CLEAN if complete else NEIGHBOURS, "", kinds)
 

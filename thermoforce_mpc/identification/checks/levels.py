@@ -10,21 +10,22 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
+from thermoforce_mpc.data import DAY_S, Array, Layout, Record
 from thermoforce_mpc.identification.checks.regression import explained, fitted
 from thermoforce_mpc.identification.checks.remark import Remark
 
 # Share of the variance of its power that a machine's levels explain at least, with the outdoor temperature. Part load,
-# cycling and water temperatures leave 3 to 9 % (test cases and generated houses), another load or a set-point more.
-_LEAST_EXPLAINED = 0.8
+# cycling and water temperatures leave up to 9 % (test cases and generated houses), another load or a set-point more.
+_LEAST_EXPLAINED = 0.85
 # Off is below this level, two steps and more; then a share of full power is no stand-by, and a share of all energy,
 # taken at so many times, no chance.
-_OFF, _BURST, _LEAST_ENERGY, _LEAST_TIMES = 0.02, 0.15, 0.02, 4
-# Standard deviations from which rooms are warmed by what is beside the level.
-_WARMS = 5.0
-# Without a meter: hours for which a level is held, steps and changes of such, and share of the variance of the zone
-# temperature that it explains. Heat makes a room warmer and warmer; a set-point keeps it.
-_HELD_H, _HELD_STEPS, _HELD_CHANGES, _KEPT = 3.0, 50, 6, 0.85
+_OFF, _BURST, _LEAST_ENERGY, _LEAST_TIMES = 0.02, 0.15, 0.01, 4
+# Standard deviations from which rooms are warmed by what is beside the level, within so many steps.
+_WARMS, _WITHIN = 5.5, (1, 2)
+# Without a meter: share of the variance of a level that the time of day explains where it is a schedule, what a zone
+# under a fixed level has of the outdoor temperature of two days at least (with a time constant of 100 h a third), and
+# what is needed of both to see it.
+_ALIKE, _MOST_OF_WEATHER, _LEAST_DAYS, _LEAST_WEATHER_K = 0.95, 0.25, 7, 0.7
 _LEAST_ROWS = 96
 
 
@@ -44,7 +45,7 @@ def level_remarks(record: Record, layout: Layout) -> list[Remark]:
         if np.isfinite(record.heat_W[a]).any():
             remark = _of_meter(record, layout, [a], np.abs(record.heat_W[a]), f"heat of {actuator}", of_heat=True)
         elif not np.isfinite(record.power_W[layout.machine_of[a]]).any():
-            remark = _tracking(record, layout, a)
+            remark = _kept(record, layout, a)
         else:
             remark = None
         found += [remark] if remark is not None else []
@@ -107,46 +108,51 @@ def _while_off(u: Array, meter_W: Array, rows: NDArray[np.bool_]) -> tuple[float
 
 
 def _warming(record: Record, layout: Layout, fed: list[int], beside_W: Array) -> float:
-    """How many standard deviations say that `beside_W` (n,), NaN where not known, warms a room of `fed` in an hour."""
-    ahead = max(1, round(HOUR_S / record.step_s))
-    k = np.arange(2, record.n_steps - ahead)
+    """How many standard deviations say that `beside_W` (n,), NaN where not known, warms a room of `fed` at once."""
     most = 0.0
-    for a in fed:
-        T = record.T_zone_C[layout.home[a]]
-        columns = [np.ones(k.size), T[k], T[k] - T[k - 2], record.T_out_C[k], record.solar_W_m2[k]]
-        columns += [record.u[b][k] for b in fed] + [beside_W[k - 1] + beside_W[k]]
-        table, target = np.array(columns).T, layout.signs[a] * (T[k + ahead] - T[k])
-        rows = np.isfinite(table).all(axis=1) & np.isfinite(target)
-        if rows.sum() < _LEAST_ROWS:
-            continue
-        beta, covariance, _ = fitted(table[rows], target[rows])
-        if covariance[-1, -1] > 0.0:
-            most = max(most, float(beta[-1] / np.sqrt(covariance[-1, -1])))
+    for ahead in _WITHIN:
+        k = np.arange(2, record.n_steps - ahead)
+        levels = [record.u[b][k - j] for b in fed for j in (0, 1)]
+        for a in fed:
+            T = record.T_zone_C[layout.home[a]]
+            columns = [np.ones(k.size), T[k], T[k] - T[k - 2], record.T_out_C[k], record.solar_W_m2[k]]
+            table, target = np.array([*columns, *levels, beside_W[k]]).T, layout.signs[a] * (T[k + ahead] - T[k])
+            rows = np.isfinite(table).all(axis=1) & np.isfinite(target)
+            if rows.sum() < _LEAST_ROWS:
+                continue
+            beta, covariance, _ = fitted(table[rows], target[rows])
+            if covariance[-1, -1] > 0.0:
+                most = max(most, float(beta[-1] / np.sqrt(covariance[-1, -1])))
     return most
 
 
-def _tracking(record: Record, layout: Layout, a: int) -> Remark | None:
-    """A remark where the zone keeps to a level, held for hours, as it would to a set-point; nothing is metered."""
-    u, T = record.u[a], record.T_zone_C[layout.home[a], 1:]
-    hold = max(1, round(_HELD_H * HOUR_S / record.step_s))
-    if u.size <= hold:
+def _kept(record: Record, layout: Layout, a: int) -> Remark | None:
+    """A remark where a level is the same every day and the zone keeps its temperature all the same; none is metered."""
+    per_day = round(DAY_S / record.step_s)
+    days = record.n_steps // per_day
+    if days < _LEAST_DAYS:
         return None
-    window = np.lib.stride_tricks.sliding_window_view(u, hold + 1)
-    held = np.append(np.zeros(hold, dtype=bool), np.ptp(window, axis=1) < 1e-3) & np.isfinite(T)
-    levels = u[held]
-    changes = int((np.abs(np.diff(levels)) > 1e-3).sum()) if levels.size else 0
-    if held.sum() < _HELD_STEPS or changes < _HELD_CHANGES:
+    n = days * per_day
+    u = record.u[a, :n].reshape(days, per_day)
+    T = record.T_zone_C[layout.home[a], :n].reshape(days, per_day)
+    T_out = record.T_out_C[:n].reshape(days, per_day).mean(axis=1)
+    if not np.isfinite(u).all() or np.ptp(u) == 0.0:
         return None
-    columns = np.array([np.ones(levels.size), levels]).T
-    beta, covariance, _ = fitted(columns, T[held])
-    share, _ = explained(columns, T[held])
-    if share < _KEPT or beta[1] * layout.signs[a] <= 0.0:
+    alike = 1.0 - float(np.square(u - u.mean(axis=0)).sum() / np.square(u - u.mean()).sum())
+    # What the zone has of the weather of two days comes after it.
+    outdoors, zone = 0.5 * (T_out[1:] + T_out[:-1]), T.mean(axis=1)[1:]
+    rows = np.isfinite(outdoors) & np.isfinite(zone)
+    if alike < _ALIKE or rows.sum() < _LEAST_DAYS - 1 or np.std(outdoors[rows]) < _LEAST_WEATHER_K:
+        return None
+    beta, covariance, _ = fitted(np.array([np.ones(rows.sum()), outdoors[rows]]).T, zone[rows])
+    sd = float(np.sqrt(covariance[1, 1]))
+    if not beta[1] + sd < _MOST_OF_WEATHER:
         return None
     return Remark(
         "level is no level",
         record.names.label("u", a),
-        f"after {_HELD_H:g} h at one level the zone temperature is {beta[0]:.1f} + {beta[1]:.1f} u °C, "
-        f"{100 * share:.0f} % of its variance, whatever the weather",
+        f"the same every day ({100 * alike:.0f} % of its variance), and yet the zone has {beta[1]:.2f} K of each K of "
+        "the outdoor temperature: something else keeps it",
         "a set-point is no level: name what the machine did (valve, speed, on and off), or its heat or power",
-        float(beta[1] / np.sqrt(covariance[1, 1])),
+        float((_MOST_OF_WEATHER - beta[1]) / sd) if sd > 0.0 else float("inf"),
     )

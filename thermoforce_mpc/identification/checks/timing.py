@@ -54,8 +54,8 @@ def timing_remarks(record: Record, layout: Layout) -> list[Remark]:
         return [Remark("stamps late", where, words, remedy, sure)]
     words = f"rooms do nothing for {steps} ({minutes:g} min) after they are heated, then all at once"
     remedy = (
-        "if a stamp marks the start of its step set time.marks: start, else move the column so much later (a clock that "
-        "is off, summer time?)"
+        "if a stamp marks the start of its step set time.marks: start, else move the column so much later (a clock "
+        "that is off, summer time?)"
     )
     return [Remark("stamps early", where, words, remedy, sure)]
 
@@ -63,7 +63,7 @@ def timing_remarks(record: Record, layout: Layout) -> list[Remark]:
 def _pooled(
     record: Record, layout: Layout, fit: Callable[[Record, Layout, int], Fit | None], sign: float
 ) -> Fit | None:
-    """Mean coefficients of all actuators, each over its largest of `sign`, with their covariance; None: none is seen."""
+    """Mean coefficients of all actuators, each over its largest of `sign`, with their covariance; None: none seen."""
     total, spread, weights = 0.0, 0.0, 0.0
     for a in range(len(layout.home)):
         found = fit(record, layout, a)
