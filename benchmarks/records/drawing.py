@@ -20,7 +20,7 @@ Operation = Literal["probing", "thermostat", "rooms"]
 OPERATIONS: tuple[Operation, ...] = ("probing", "thermostat", "rooms")
 # Days of the record by operation, and those of native control before it.
 _DAYS: dict[Operation, int] = {"probing": 7, "thermostat": 14, "rooms": 14}
-_WARMUP_DAYS, _STEP_S = 3, 900.0
+_WARMUP_DAYS, STEP_S = 3, 900.0
 # Thermostats: drawn set-points by day, setbacks by night and hysteresis, K; begin of day and night, h.
 _SET_C, _SETBACK_K, _BAND_K, _BEGINS_H, _ENDS_H = (19.5, 21.5), (1.0, 3.0), 0.2, (5, 8), (20, 23)
 _ROOMS = (2, 5)
@@ -74,11 +74,11 @@ def _kept(plant: Plant, layout: Layout, start_s: float, days: int, rng: np.rando
     now = plant.reset(start_s, _WARMUP_DAYS * DAY_S)
     on = np.zeros(n, dtype=bool)
     asked = []
-    for _ in range(round(days * DAY_S / _STEP_S)):
+    for _ in range(round(days * DAY_S / STEP_S)):
         hour = now.time_s / HOUR_S % 24
         target = day_C if begins_h <= hour < ends_h else night_C
         on = target + np.where(on, _BAND_K, -_BAND_K) > now.T_zone_C[list(layout.home)]
         asked.append(target)
-        now = plant.advance(tuple(on.astype(float).tolist()), _STEP_S)
-    record = plant.past(_STEP_S).last(len(asked))
+        now = plant.advance(tuple(on.astype(float).tolist()), STEP_S)
+    record = plant.past(STEP_S).last(len(asked))
     return replace(record, names=layout.names), np.array(asked).T

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.records.drawing import Drawn
+from benchmarks.records.drawing import STEP_S, Drawn
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.identification.checks.remark import Kind
 
@@ -27,8 +27,8 @@ class Fault:
 
 def faults() -> list[Fault]:
     """Every class of fault at its sizes."""
-    found = [Fault("stamps late", f"{k} steps", _moved(k)) for k in (1, 2, 4)]
-    found += [Fault("stamps early", f"{k} steps", _moved(-k)) for k in (1, 2, 4)]
+    found = [Fault("stamps late", f"{_minutes(k)} min", _moved(k)) for k in (1, 2, 4)]
+    found += [Fault("stamps early", f"{_minutes(k)} min", _moved(-k)) for k in (1, 2, 4)]
     for power, heat in ((1.0, 4.0), (1.0, 0.25), (4.0, 1.0), (0.25, 1.0), (4.0, 4.0), (0.25, 0.25)):
         size = f"Wh: power x {power:g}, heat x {heat:g}"
         found.append(Fault("unit of power", size, _scaled(power, heat)))
@@ -44,6 +44,10 @@ def faults() -> list[Fault]:
         for k in (0.1, 0.2, 0.4)
     ]
     return found
+
+
+def _minutes(steps: int) -> str:
+    return f"{steps * STEP_S / 60.0:g}"
 
 
 def _moved(steps: int) -> Spoil:

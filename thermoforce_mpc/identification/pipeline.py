@@ -124,7 +124,7 @@ def identify(
                 parts, config, sign, layout.lowest[a], alone=len(layout.home) == 1
             )
         except DataError as error:
-            raise DataError(f"{_message_prefix(layout, a)}{error}") from error
+            raise DataError("; ".join([f"{_message_prefix(layout, a)}{error}", *doubts])) from error
         heat_inputs.append(heat_input)
         notes.append([*doubts, *gaps, *pair_gaps, *heat_notes])
     level_sd, advice = np.zeros(len(layout.home)), [""] * len(layout.home)
@@ -179,7 +179,7 @@ def identify(
         try:
             zone, fit = identify_zone(zone_data, effects[a], partial(_say, say, prefix))
         except DataError as error:
-            raise DataError(f"{prefix}{error}") from error
+            raise DataError("; ".join([f"{prefix}{error}", *doubts])) from error
         zones.append(_with_advice(zone, advice[a]))
         fits.append(fit)
     return assembled(layout, zones, fits, power, config)

@@ -16,4 +16,9 @@ def remarks(record: Record, layout: Layout) -> tuple[Remark, ...]:
 
     A remark says that a test of the record failed, not that a model of it is useless; the record is left as it is.
     """
-    return (*timing_remarks(record, layout), *level_remarks(record, layout), *unit_remarks(record, layout))
+    of_levels = level_remarks(record, layout)
+    kinds = {remark.kind for remark in of_levels}
+    # A level that is none tells nothing of stamps, and a meter of two loads nothing of its unit.
+    of_stamps = [] if "level is no level" in kinds else timing_remarks(record, layout)
+    of_units = [one for one in unit_remarks(record, layout) if not (kinds and one.kind == "unit of power")]
+    return (*of_stamps, *of_levels, *of_units)

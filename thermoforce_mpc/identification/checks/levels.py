@@ -16,7 +16,7 @@ from thermoforce_mpc.identification.checks.remark import Remark
 
 # Share of the variance of its power that a machine's levels explain at least, with the outdoor temperature. Part load,
 # cycling and water temperatures leave up to 9 % (test cases and generated houses), another load or a set-point more.
-_LEAST_EXPLAINED = 0.85
+_LEAST_EXPLAINED = 0.8
 # Off is below this level, two steps and more; then a share of full power is no stand-by, and a share of all energy,
 # taken at so many times, no chance.
 _OFF, _BURST, _LEAST_ENERGY, _LEAST_TIMES = 0.02, 0.15, 0.01, 4

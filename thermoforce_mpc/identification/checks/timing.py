@@ -94,7 +94,7 @@ def _response(record: Record, layout: Layout, a: int) -> Fit | None:
     beside = [np.ones(k.size), T[k], T[k - 1], T[k - 2], record.T_out_C[k], sun[k] + sun[k + 1], sun[k - 2]]
     beside += [record.T_zone_C[z][k] for z in range(len(record.T_zone_C)) if z != zone]
     beside += [record.u[b][k + j] for b in range(len(layout.home)) if b != a for j in (-2, -1, 0, 1, 2)]
-    own = [heat[k + j] / np.percentile(np.abs(known), 99.0) for j in range(-_BEFORE, _AFTER + 1)]
+    own = [heat[k + j] / np.abs(known).max() for j in range(-_BEFORE, _AFTER + 1)]
     columns, target = np.array(beside + own).T, T[k + 1] - T[k]
     rows = np.isfinite(columns).all(axis=1) & np.isfinite(target)
     if rows.sum() < _ROWS_EACH * columns.shape[1]:

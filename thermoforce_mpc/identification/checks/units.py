@@ -2,7 +2,7 @@
 
 | compared | possible | else |
 |---|---|---|
-| heat over power of its machine | 0.6 (a boiler) to what a heat pump may reach | Wh per step, kW beside W |
+| heat over power of its machine | 0.7 (an old boiler) to what a heat pump may reach | Wh per step, kW beside W |
 | the same in all weathers | above 1.1, a heat pump, it goes with the outdoor temperature | Wh per step beside W |
 | heat per floor area and K to outdoors | up to 4 W/m²K | Wh per step beside W |
 | full load | 15 W to 300 kW; by floor area 1.5 to 500 W/m² | kW beside W |
@@ -18,9 +18,9 @@ from thermoforce_mpc.data.limits import LOAD_W_PER_M2
 from thermoforce_mpc.identification.checks.regression import fitted
 from thermoforce_mpc.identification.checks.remark import Remark
 
-# Heat per energy: least of any heater; share of Carnot's between outdoor air and water of 35 °C that no heat pump
-# passes, and no less than 6.5, of one with a borehole.
-_LEAST_RATIO, _CARNOT, _WATER_C, _BOREHOLE = 0.6, 0.5, 35.0, 6.5
+# Heat per energy: least of any heater over a season; share of Carnot's between outdoor air and water of 35 °C that no
+# heat pump passes, and no less than 6.5, of one with a borehole.
+_LEAST_RATIO, _CARNOT, _WATER_C, _BOREHOLE = 0.7, 0.5, 35.0, 6.5
 # A ratio above this is that of a heat pump, whose COP rises by 2 to 3 % a kelvin outdoors (EN 14511 data sheets).
 # That of a boiler or an electric heater is steady: its logarithm varies by less than 0.05.
 _NO_HEAT_PUMP, _LEAST_SLOPE_PER_K, _STEADY = 1.1, 0.01, 0.05

@@ -159,8 +159,8 @@ def _excursions(time_s: Array, values: Array, most: float) -> NDArray[np.bool_]:
 
 def _stuck(time_s: Array, values: Array, most_s: float) -> NDArray[np.bool_]:
     """Which readings (n,) belong to a stretch of one value that lasts longer than `most_s`."""
-    # A gap of that length tells nothing of what lies in it.
-    changes = (np.diff(values) != 0.0) | (np.diff(time_s) > most_s)
+    # A gap that is long beside that tells nothing of what lies in it.
+    changes = (np.diff(values) != 0.0) | (np.diff(time_s) > 0.25 * most_s)
     begins = np.concatenate([[0], np.flatnonzero(changes) + 1])
     ends = np.concatenate([begins[1:] - 1, [values.size - 1]])
     long = (time_s[ends] - time_s[begins]) > most_s
