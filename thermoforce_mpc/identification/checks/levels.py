@@ -17,9 +17,9 @@ from thermoforce_mpc.identification.checks.remark import Remark
 # Share of the variance of its power that a machine's levels explain at least, with the outdoor temperature. Part load,
 # cycling and water temperatures leave up to 9 % (test cases and generated houses), another load or a set-point more.
 _LEAST_EXPLAINED = 0.8
-# Off is below this level, two steps and more; then a share of full power is no stand-by, and a share of all energy,
+# Off is no level at all, two steps and more; then a share of full power is no stand-by, and a share of all energy,
 # taken at so many times, no chance.
-_OFF, _BURST, _LEAST_ENERGY, _LEAST_TIMES = 0.02, 0.15, 0.01, 4
+_OFF, _BURST, _LEAST_ENERGY, _LEAST_TIMES = 1e-6, 0.15, 0.01, 4
 # Standard deviations from which rooms are warmed by what is beside the level, within so many steps.
 _WARMS, _WITHIN = 5.5, (1, 2)
 # Without a meter: share of the variance of a level that the time of day explains where it is a schedule, what a zone
@@ -61,7 +61,9 @@ def _of_meter(
     if rows.sum() < _LEAST_ROWS or not (np.ptp(u[:, rows], axis=1) > 0.0).any():
         return None
     T_out = record.T_out_C[:-1]
-    columns = np.array([np.ones(rows.sum()), *(c[rows] for row in u for c in (row, np.square(row), row * T_out))]).T
+    on = (np.abs(row) > _OFF for row in u)  # fans and pumps of a machine that is on
+    of_levels = [c[rows] for row in u for c in (row, np.square(row), row * T_out)] + [row[rows] for row in on]
+    columns = np.array([np.ones(rows.sum()), *of_levels]).T
     share, left = explained(columns, meter_W[rows])
     beside = np.full(record.n_steps, np.nan)
     beside[rows] = left
