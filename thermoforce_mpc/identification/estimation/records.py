@@ -28,6 +28,8 @@ MOST_ROWS = 700
 LEAD_REACH = 1.5
 # Largest share of a signal's readings outside physical limits: more indicates a wrong unit, not a sensor fault.
 _MOST_REFUSED = 0.1
+# Temperatures of rooms and outdoors, and what their median is in °F where it cannot be in °C.
+_IN_C, _IN_F = ("T_zone_C", "T_out_C"), (45.0, 110.0)
 # A grid of readings: share of different values among them below which there may be one, tolerance of a reading as a
 # share of it, and the finest that counts, K.
 _GRID_SHARE, _GRID_ROUNDING, _LEAST_GRID_K = 0.5, 0.05, 0.02
@@ -147,7 +149,9 @@ def _plausible(record: Record, allowed: Limits, name: str) -> tuple[Record, tupl
             if places.size and places.mean() > _MOST_REFUSED:
                 label = record.names.label(signal, row) if signal in AXIS else signal
                 why = next(doubt for doubt in doubts if doubt.startswith(f"{label} "))
-                raise DataError(f"{name}: {why}; too many for sensor faults: check the unit and the floor area")
+                middle = float(np.nanmedian(np.atleast_2d(getattr(record, signal))[row]))
+                unit = "°F is likely: give (x − 32) / 1.8; " if signal in _IN_C and _IN_F[0] < middle < _IN_F[1] else ""
+                raise DataError(f"{name}: {why}; {unit}too many for sensor faults: check the unit and the floor area")
     return screened, doubts
 
 
