@@ -1,4 +1,4 @@
-"""Sun on zone sensors, looked for again each night while the building is controlled.
+"""Sun on zone sensors, looked for again at night while the building is controlled, when more sun has shone.
 
 Identification finds it where the sun shone in its record. After dull days it does not, and plans would then heat too
 little from the first sunny day on.
@@ -9,25 +9,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from controllers.checks import message_of
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.effects.couplings import other_actuators, others_of
-from thermoforce_mpc.identification.effects.sun_on_sensor import sun_on_sensor
-from thermoforce_mpc.identification.estimation.records import prepared_runs, resolution_K
+from thermoforce_mpc.identification.estimation.records import prepared_runs
+from thermoforce_mpc.identification.network.sensor import sun_on_sensor
 from thermoforce_mpc.model.screening import Limits
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
-# Days that are looked at: dull and sunny ones, in two parts of which a regression takes every row at 15 min.
-_LATEST_S = 14 * DAY_S
-# A look is for the dark, when what it finds changes no reading; from one night to the next it is less than a day in
-# autumn.
-_EVERY_S, _DARK_W_M2 = 20 * HOUR_S, 1.0
-# Probabilities from which a look finds sun, more than identification asks of its one record, since looks are many, and
-# below which sun that was found before is dropped.
-_FOUND, _UNLIKELY = 0.99, 0.1
+# Days that are looked at.
+_LATEST_S = 10 * DAY_S
+# A look takes seconds. So it is made where these days have this many times the sun of those of the last look; and in
+# the dark, when what it finds changes no reading.
+_MORE_SUN, _DARK_W_M2 = 1.4, 1.0
+# Probabilities from which a look finds sun, more than identification asks of its one record, since looks are several,
+# and below which sun that was found before is dropped.
+_FOUND, _UNLIKELY = 0.95, 0.1
 # Share of the standard deviation of what is taken off that a new find must undercut.
 _CLEARLY_SURER = 0.7
 
@@ -37,12 +38,13 @@ class SunState:
     """What looks have found.
 
     `looked_s`: time of the last one, s (None: none yet); `found` (Z,): sun on the sensor of each zone; `failed`: the
-    error that the last look ended in.
+    error that the last look ended in; `sun_Wh_m2`: irradiation of the days looked at.
     """
 
     looked_s: float | None = None
     found: tuple[SunOnSensor | None, ...] = ()
     failed: str = ""
+    sun_Wh_m2: float = 0.0
 
 
 class SunOnSensors:
@@ -55,19 +57,27 @@ class SunOnSensors:
 
     def __init__(self, model: ThermalModel, validated: Sequence[bool]) -> None:
         self._model, self._config = model, IdentificationConfig()
-        self._validated = tuple(validated)
+        homes = [model.layout.actuators_of(zone) for zone in range(len(model.names.zones))]
+        # One that was not to be looked for in identification is not in control either.
+        asked = [not home or model.cards[home[0]].config.get("sun_on_sensor", True) for home in homes]
+        self._looked_for = tuple(a and b for a, b in zip(asked, validated, strict=True))
 
     def update(self, state: SunState, history: Record) -> SunState:
-        """The state after a look, where it is dark and the last one was in the night before."""
-        now_s = float(history.time_s[-1])
+        """The state after a look, where it is dark and more sun has shone than at the last one."""
+        now_s, latest = float(history.time_s[-1]), history.last(round(_LATEST_S / history.step_s))
+        sun_Wh_m2 = float(np.nansum(latest.solar_W_m2)) * history.step_s / HOUR_S
         if state.looked_s is None:
-            return SunState(now_s, (None,) * len(self._validated))
-        if now_s - state.looked_s < _EVERY_S or not history.solar_W_m2[-1] <= _DARK_W_M2:
+            return SunState(now_s, (None,) * len(self._looked_for), sun_Wh_m2=sun_Wh_m2)
+        dark = history.solar_W_m2[-1] <= _DARK_W_M2
+        if not dark or sun_Wh_m2 < _MORE_SUN * state.sun_Wh_m2 or not any(self._looked_for):
             return state
         try:
-            return SunState(now_s, tuple(self._update_zone(z, before, history) for z, before in enumerate(state.found)))
+            runs = self._prepared(latest)
+            found = tuple(self._update_zone(z, before, runs) for z, before in enumerate(state.found))
         except Exception as error:  # what is learned for later must not cost the plan of now
-            return SunState(now_s, state.found, f"sun on the sensors could not be looked for ({message_of(error)})")
+            failed = f"sun on the sensors could not be looked for ({message_of(error)})"
+            return SunState(now_s, state.found, failed, sun_Wh_m2)
+        return SunState(now_s, found, sun_Wh_m2=sun_Wh_m2)
 
     def of_zones(self, state: SunState) -> tuple[SunOnSensor | None, ...]:
         """Sun on the sensor of each zone (Z,), by the model or by a look."""
@@ -88,9 +98,9 @@ class SunOnSensors:
                 changes.append(text if len(zones) == 1 else f"{zone}: {text}")
         return "; ".join(changes)
 
-    def _update_zone(self, z: int, before: SunOnSensor | None, history: Record) -> SunOnSensor | None:
+    def _update_zone(self, z: int, before: SunOnSensor | None, runs: Sequence[Record]) -> SunOnSensor | None:
         """What looks have found for zone `z` after one more: another find replaces one that is clearly less certain."""
-        latest = self._estimate(z, history)
+        latest = self._estimate(z, runs)
         if latest is None:
             return before
         if latest.probability < _FOUND:
@@ -98,21 +108,17 @@ class SunOnSensors:
         current = before or self._model.sun_on_sensors[z]
         return latest if current is None or latest.sd_K < _CLEARLY_SURER * current.sd_K else before
 
-    def _estimate(self, z: int, history: Record) -> SunOnSensor | None:
+    def _estimate(self, z: int, runs: Sequence[Record]) -> SunOnSensor | None:
         """The likeliest sun on the sensor of zone `z` in the latest days; None where they do not show it."""
+        if not runs or not self._looked_for[z]:
+            return None
         layout = self._model.layout
-        actuators = layout.actuators_of(z)
-        if not self._validated[z] or not actuators:
-            return None
-        own = actuators[0]
-        order = [own, *others_of(layout, own, self._config)]
-        latest = history.last(round(_LATEST_S / history.step_s))
-        try:
-            runs, _ = prepared_runs(
-                [latest.part(z, order, [layout.machine_of[own]])], Limits.of(None, None, min(layout.lowest))
-            )
-        except DataError:  # too little was measured, or nothing acted
-            return None
         heat_inputs = [self._model.operator.of_actuator(a).heat_input for a in range(len(layout.home))]
-        others = other_actuators(layout, heat_inputs, own, self._config)
-        return sun_on_sensor(runs, heat_inputs[own], self._config, resolution_K(runs), others)
+        return sun_on_sensor(runs, z, layout, heat_inputs, self._config)
+
+    def _prepared(self, latest: Record) -> list[Record]:
+        """The latest days; nothing where too little was measured, or nothing acted."""
+        try:
+            return list(prepared_runs([latest], Limits.of(None, None, min(self._model.layout.lowest)))[0])
+        except DataError:
+            return []

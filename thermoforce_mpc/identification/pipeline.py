@@ -27,8 +27,7 @@ from thermoforce_mpc.identification.effects.couplings import (
     others_of,
     with_metered_shares,
 )
-from thermoforce_mpc.identification.effects.outdoor_factor import levels_only, outdoor_factor
-from thermoforce_mpc.identification.effects.sun_on_sensor import without_sun
+from thermoforce_mpc.identification.effects.level_laws import OUTDOORS, levels_only, outdoors_in_words, weather_of
 from thermoforce_mpc.identification.estimation.joint import JointFit
 from thermoforce_mpc.identification.estimation.records import (
     Pair,
@@ -38,7 +37,8 @@ from thermoforce_mpc.identification.estimation.records import (
     prepared_pairs,
     prepared_runs,
 )
-from thermoforce_mpc.identification.network.folds import zone_effects
+from thermoforce_mpc.identification.network.folds import ZoneEffects, zone_effects
+from thermoforce_mpc.identification.network.sensor import without_sun
 from thermoforce_mpc.identification.validation.held_out import identified_heat_input, named, power_of_machine
 from thermoforce_mpc.identification.zone import ZoneData, ZoneTask, identify_zone
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -127,22 +127,6 @@ def identify(
             raise DataError("; ".join([f"{_message_prefix(layout, a)}{error}", *doubts])) from error
         heat_inputs.append(heat_input)
         notes.append([*doubts, *gaps, *pair_gaps, *heat_notes])
-    level_sd, advice = np.zeros(len(layout.home)), [""] * len(layout.home)
-    for a, heat_input in enumerate(heat_inputs):
-        if not levels_only(heat_input, layout, a, config):
-            continue
-        beside = confounding(runs, layout, a, config)
-        factor = outdoor_factor(runs, layout, a, config)
-        advice[a] = beside.in_words()
-        unknown = [beside.relative_sd, shared_sd(layout, a)]
-        if factor is not None:
-            heat_inputs[a] = factor.heat_input
-            unknown.append(factor.level_sd)
-            notes[a].append(factor.in_words())
-        notes[a] += [advice[a]] if advice[a] else []
-        highest = max((float(np.max(h.u[a])) for h in histories), default=1.0)
-        unknown.append(_UNSEEN_LEVEL_SD * max(1.0 - highest, 0.0))
-        level_sd[a] = np.linalg.norm(unknown)
     layout = with_metered_shares(layout, heat_inputs, histories)
     runs, sun = without_sun(runs, layout, heat_inputs, config)
     power, unfitted = _powers(histories, config, layout)
@@ -167,7 +151,6 @@ def identify(
             [*notes[a], *([sun[home].in_words()] if home in sun else [])],
             power[layout.machine_of[a]] if len(layout.fed_by(layout.machine_of[a])) == 1 else None,
             alone=len(layout.home) == 1,
-            level_sd=float(level_sd[a]),
             sun=sun.get(home),
         )
         data_of.append(ZoneData.of(task, config))
@@ -175,12 +158,14 @@ def identify(
     zones: list[ZoneModel] = []
     fits: list[JointFit | None] = []
     for a, zone_data in enumerate(data_of):
-        prefix = _message_prefix(layout, a)
+        prefix, advice = _message_prefix(layout, a), ""
+        if levels_only(heat_inputs[a], layout, a, config):
+            zone_data, advice = _with_unknown_heat(zone_data, runs, layout, a, effects[a], config)
         try:
             zone, fit = identify_zone(zone_data, effects[a], partial(_say, say, prefix))
         except DataError as error:
             raise DataError("; ".join([f"{prefix}{error}", *doubts])) from error
-        zones.append(_with_advice(zone, advice[a]))
+        zones.append(_with_advice(zone, advice))
         fits.append(fit)
     return assembled(layout, zones, fits, power, config)
 
@@ -225,6 +210,28 @@ def _powers(
             powers.append(None)
             unfitted[m] = f"{name}: {error}; its power is left out"
     return powers, unfitted
+
+
+def _with_unknown_heat(
+    data: ZoneData,
+    runs: Sequence[Record],
+    layout: Layout,
+    a: int,
+    effects: ZoneEffects | None,
+    config: IdentificationConfig,
+) -> tuple[ZoneData, str]:
+    """`data` with what is not known of the heat of actuator `a`, whose levels alone were recorded, and advice on it."""
+    beside = confounding(runs, layout, a, config)
+    unknown, notes, advice = [beside.relative_sd, shared_sd(layout, a)], [], beside.in_words()
+    weather, laws = weather_of(runs, a), effects.laws if effects else {}
+    if weather is not None and OUTDOORS in laws:
+        unknown.append(laws[OUTDOORS][1] * weather.spread_K)
+        notes.append(outdoors_in_words(laws, weather))
+    highest = max((float(np.max(h.u[0])) for h in data.histories), default=1.0)
+    unknown.append(_UNSEEN_LEVEL_SD * max(1.0 - highest, 0.0))
+    notes += [advice] if advice else []
+    task = replace(data.task, level_sd=float(np.linalg.norm(unknown)))
+    return replace(data, task=task, notes=[*data.notes, *notes]), advice
 
 
 def _with_advice(zone: ZoneModel, advice: str) -> ZoneModel:

@@ -15,7 +15,7 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.effects.part_load import level_shape
+from thermoforce_mpc.identification.effects.level_laws import level_shape
 from thermoforce_mpc.identification.estimation.joint import JointFit, ModeFit, fit_joint
 from thermoforce_mpc.identification.estimation.likelihood import Split
 from thermoforce_mpc.identification.estimation.modes import ModePriors, centred_priors, to_operator
@@ -26,9 +26,8 @@ from thermoforce_mpc.identification.estimation.regression import (
     run_regression,
 )
 from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
-from thermoforce_mpc.identification.modulation.selection import by_level, modulate, prove
-from thermoforce_mpc.identification.network.folds import ZoneEffects
-from thermoforce_mpc.identification.network.projection import Modes
+from thermoforce_mpc.identification.modulation.selection import modulate, prove
+from thermoforce_mpc.identification.network.folds import Effects, ZoneEffects
 from thermoforce_mpc.identification.two_stage import two_stage_model
 from thermoforce_mpc.identification.validation.competence import Fold, judge
 from thermoforce_mpc.identification.validation.held_out import Case, held_out, normalisation, ranges
@@ -36,7 +35,6 @@ from thermoforce_mpc.identification.validation.held_out_fit import (
     earlier_fold,
     fit_and_judge,
     split_before,
-    training_data,
 )
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
@@ -112,14 +110,24 @@ class ZoneData:
             sensor_sd_K = float(np.hypot(config.sensor_sd_K, grid_K / np.sqrt(12.0)))
             config = config.model_copy(update={"sensor_sd_K": sensor_sd_K})
             notes.append(f"the zone sensor reads in steps of {grid_K:.2g} K: noise of {sensor_sd_K:.2g} K assumed")
-        runs = [
-            Case(run_regression(h, task.heat_input, config, task.others), (h,), float(h.time_s[0])) for h in task.runs
-        ]
-        pairs = [
-            Case(pair_regression(p, task.heat_input, task.others), (p.a, p.b), float(p.a.time_s[0])) for p in task.pairs
-        ]
-        cases = [*runs, *pairs]
+        cases = cases_of(task, config)
         return cls(task, config, cases, held_out(cases, config), grid_K, notes)
+
+    def knowing(self, effects: Effects) -> tuple[list[Case], ModePriors]:
+        """The cases with what the network says of levels and, as their prior, of the effects of the other actuators;
+        and the prior of that of the own one.
+        """
+        own, *others = effects.heat_inputs
+        acting = [replace(other, heat_input=v) for other, v in zip(self.task.others, others, strict=True)]
+        cases = cases_of(replace(self.task, heat_input=own, others=acting), self.config)
+        modes = effects.modes
+        sd = np.maximum(_HELD * modes.gains[1:], _LEAST_GAIN)
+        prior = np.stack([modes.gains[1:], sd], axis=1)
+        known = [
+            replace(case, regression=replace(case.regression, other_gains=prior, weather_gains=modes.weather))
+            for case in cases
+        ]
+        return known, centred_priors(modes.log_tau, modes.gains[0], _HELD)
 
     @property
     def histories(self) -> list[Record]:
@@ -145,6 +153,14 @@ class ZoneData:
                 )
             seen.append(int(rows[train[-1]]) if train.size else 0)
         return seen
+
+
+def cases_of(task: ZoneTask, config: IdentificationConfig) -> list[Case]:
+    """The records of a task as regressions."""
+    heat_input, others = task.heat_input, task.others
+    runs = [Case(run_regression(h, heat_input, config, others), (h,), float(h.time_s[0])) for h in task.runs]
+    pairs = [Case(pair_regression(p, heat_input, others), (p.a, p.b), float(p.a.time_s[0])) for p in task.pairs]
+    return [*runs, *pairs]
 
 
 def identify_zone(
@@ -205,13 +221,11 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
     held-out data.
     """
     task, config, splits = data.task, data.config, data.splits
-    sign, heat_input, power = task.sign, task.heat_input, task.power
-    cases, priors = with_effects(data.cases, effects.whole)
-    seen_cases, seen_priors = with_effects(data.cases, effects.training)
-    training = fit_and_judge(
-        seen_cases, splits, training_data(seen_cases, splits, seen_priors.order, sign), seen_priors, config
-    )
-    final = fit_joint([c.regression for c in cases], priors, config, sign, effects.whole.covariance)
+    sign, heat_input, power = task.sign, effects.whole.heat_inputs[0], task.power
+    cases, priors = data.knowing(effects.whole)
+    seen_cases, seen_priors = data.knowing(effects.training)
+    training = fit_and_judge(seen_cases, splits, seen_priors, config, sign)
+    final = fit_joint([c.regression for c in cases], priors, config, sign, effects.covariance)
     histories, step_s = data.histories, task.step_s
     base_step = histories[0].step_s
     mean, scale = normalisation(histories)
@@ -239,15 +253,12 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
         scores, notes = scores | neural, [*notes, *said]
     operator = operator.resampled(step_s or base_step)
     certainty = uncertainty(final, operator.step_s, task.level_sd) | {"sensor_resolution_K": data.grid_K}
-    shape: dict[str, float] = {}
-    if power is not None and heat_input.heat is None and heat_input.lowest == 0.0:
-        regressions = [by_level(case, heat_input) for case in cases]
-        shape, shape_notes = level_shape(histories, regressions, final, priors, config, power, sign)
-        notes = [*notes, *shape_notes]
+    shape, shape_notes = level_shape(effects.laws, histories, config, power)
+    notes = [*notes, *shape_notes]
     verdict = None
     if task.runs:
         fold = Fold(seen_cases, splits, training.fit)
-        before_cases, before_priors = with_effects(data.cases, effects.earlier)
+        before_cases, before_priors = data.knowing(effects.earlier)
         earlier = earlier_fold(before_cases, splits, before_priors, config, sign)
         verdict = judge(
             fold, earlier, seen_priors, certainty, effects.log_odds, sign, own_loops=heat_input.lowest < 0.0
@@ -268,17 +279,6 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
         ),
     )
     return model, final
-
-
-def with_effects(cases: Sequence[Case], modes: Modes) -> tuple[list[Case], ModePriors]:
-    """The cases with what the network says of the other actuators as their prior, and the prior of the own one."""
-    sd = np.maximum(_HELD * modes.gains[1:], _LEAST_GAIN)
-    others = np.stack([modes.gains[1:], sd], axis=1)
-    known = [
-        replace(case, regression=replace(case.regression, other_gains=others, weather_gains=modes.weather))
-        for case in cases
-    ]
-    return known, centred_priors(modes.log_tau, modes.gains[0], _HELD)
 
 
 def _warnings(certainty: Mapping[str, float]) -> list[str]:

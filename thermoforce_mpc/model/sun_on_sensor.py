@@ -1,6 +1,6 @@
 """Sun that shines on a zone sensor: the part of its reading that the room does not share.
 
-Only the value that travels with the model; `identification.sunlit_sensor` finds it. A record holds global horizontal
+Only the value that travels with the model; `identification.network.sensor` finds it. A record holds global horizontal
 irradiance alone, so that on the sensor's facade is computed: diffuse share by Erbs et al. (1982), isotropic sky, sun
 position of a nominal site.
 """
@@ -17,6 +17,8 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 if TYPE_CHECKING:  # pvlib is loaded only where the sun is needed
     from thermoforce_mpc.boundary.weather.solar import Sun
 
+LIKELY = 0.9
+"""Probability of sun on a sensor from which it is taken off the readings."""
 # Full sun on a facade, and the most that a vertical plane receives, W/m².
 FULL_SUN_W_M2, _MOST_W_M2 = 800.0, 1000.0
 # Beam is not extrapolated from a lower sun than this, °.
@@ -43,8 +45,8 @@ class SunOnSensor:
 
     @property
     def likely(self) -> bool:
-        """Whether the sensor rather stands in the sun than not."""
-        return self.probability > 0.5
+        """Whether the sensor surely enough stands in the sun for its part to be taken off."""
+        return self.probability > LIKELY
 
     def part_K(self, time_s: Array, solar_W_m2: Array) -> Array:
         """Sun in the readings at the instants `time_s` (n,), equally spaced, K, from irradiance (n,), W/m².

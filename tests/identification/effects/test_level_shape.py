@@ -11,8 +11,9 @@ from houses import House, record
 
 from controllers.actuation.actuator import ActuationConfig
 from controllers.actuation.choice import choose_actuation
+from thermoforce_mpc.data import Layout
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.effects.part_load import PART_LOAD, Shape, radiator
+from thermoforce_mpc.identification.effects.level_laws import laws_of
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.part_load import CostAtPartLoad
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -61,13 +62,15 @@ def recorded(law, u, power):
     ids=["saturating", "fixed loss", "boiler"],
 )
 def test_the_temperature_tells_the_cost_of_heat_at_part_load(law, power, modulates):
-    model = identify(recorded(law, levels((0.5, 0.25)), power), config=CONFIG).only
+    given = recorded(law, levels((0.5, 0.25)), power)
+    model = identify(given, config=CONFIG).only
     found = CostAtPartLoad.of(model.card.uncertainty)
     true_heat = float(law(np.array(found.level))) / found.level
     true_cost = float(power(np.array(found.level))) / 3000.0 / float(law(np.array(found.level)))
     assert abs(found.heat - true_heat) < 2.5 * found.heat_sd, found
     assert abs(found.cost - true_cost) < 2.5 * found.cost_sd, found
-    assert found.heat_sd < 0.8 * PART_LOAD.sd, "the data told more than the prior"
+    (law_of_level,) = (law for law in laws_of([given], Layout.single(), 0, IDENTITY, CONFIG) if "part" in law.name)
+    assert found.heat_sd < 0.8 * law_of_level.sd, "the data told more than the prior"
     choice = choose_actuation(ActuationConfig(), model.power, model.operator.heat_input, found)
     assert choice.actuation.modulates is modulates, choice.why
     assert "the temperature says" in choice.why
@@ -102,13 +105,13 @@ def test_not_knowing_the_heat_makes_part_load_dearer_and_ends_in_blocks():
     assert choose_actuation(ActuationConfig(mode="modulating"), power, IDENTITY, dear).actuation.modulates
 
 
-@pytest.mark.parametrize("shape", [PART_LOAD, radiator(1.3)])
-def test_the_slope_of_a_shape_is_its_derivative_and_full_level_stays(shape: Shape):
-    u = np.array([0.0, 0.1, 0.4, 0.8, 1.0])
-    k = shape.mean
-    numeric = (shape.drive(u, k + 1e-6) - shape.drive(u, k - 1e-6)) / 2e-6
-    np.testing.assert_allclose(shape.slope(u, k), numeric, atol=1e-6)
-    assert shape.drive(u, k + 0.1)[[0, -1]].tolist() == [0.0, 1.0]
+def test_laws_leave_off_and_full_level_as_they_are():
+    u, config = np.array([0.0, 0.1, 0.4, 0.8, 1.0]), CONFIG.model_copy(update={"radiator_exponent": 1.3})
+    given = recorded(lambda u: u, levels((0.5, 0.25)), lambda u: 3000.0 * u)
+    part, radiator = laws_of([given], Layout.single(), 0, IDENTITY, config)
+    np.testing.assert_array_equal(part.phi(u, 0.0 * u), [0.0, 0.1, 0.4, 0.8, 0.0])
+    # An exponent 1 % larger, to first order.
+    np.testing.assert_allclose(u + 0.01 * radiator.phi(u, 0.0 * u), u**1.01, atol=1e-4)
 
 
 @pytest.mark.slow

@@ -14,11 +14,12 @@ from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification import IdentificationConfig, Pair
 from thermoforce_mpc.identification.estimation.columns import forced_columns, free_columns, other_columns
 from thermoforce_mpc.identification.estimation.disturbance import Disturbance
+from thermoforce_mpc.identification.estimation.joint import fit_joint
 from thermoforce_mpc.identification.estimation.likelihood import residuals
 from thermoforce_mpc.identification.estimation.modes import wide_priors
-from thermoforce_mpc.identification.estimation.optimisers import BoundedLeastSquares, FreeFirst
 from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression, scaled
-from thermoforce_mpc.identification.estimation.system import System
+from thermoforce_mpc.identification.estimation.rows import Rows
+from thermoforce_mpc.identification.estimation.triangles import triangle
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 CONFIG = IdentificationConfig()
@@ -101,80 +102,46 @@ def plain_rows(regression, log_tau, sign):
     return solve_triangular(np.linalg.cholesky(regression.disturbance.covariance()), values, lower=True)
 
 
-@pytest.mark.parametrize("order", [1, 2, 3])
-def test_the_rows_of_a_system_are_those_of_its_runs_and_pairs(regression, pair, order):
-    priors = wide_priors(order)
-    run = run_regression(record(House(), 1.0, seed=2, noise_K=0.01), IDENTITY, CONFIG)
-    log_tau = priors.log_tau + 0.1
-    data = [scaled([e], 0.2)[0] for e in (regression, pair, run)]
-    system = System(data, order, -1)
-    rows = system.rows(log_tau, priors)
-    assert rows.shape == (system.n_data + system.variables.order.size, 1 + system.variables.order.size)
-    begin, starts = 0, rows.shape[1] - 1
-    for e in data:
-        expected, found = plain_rows(e, log_tau, -1), rows[begin : begin + e.rows.size]
-        used = np.flatnonzero(np.abs(found).max(axis=0))
-        assert used[-1] == starts
-        np.testing.assert_allclose(found[:, used], expected, rtol=1e-6, atol=1e-6)
-        begin += e.rows.size
-    mean, sd = priors.gains_at(log_tau)
-    np.testing.assert_allclose(rows[begin:, :-1].sum(axis=0)[:order], 1.0 / sd)
-    np.testing.assert_allclose(rows[begin:, -1][:order], mean / sd)
-
-
-@pytest.mark.parametrize("order", [1, 2, 3])
-def test_slopes_are_derivatives_of_the_rows(regression, pair, order):
-    priors = wide_priors(order)
-    system = System([with_other(regression), with_other(pair)], order, -1)
-    log_tau, step = priors.log_tau - 0.1, 1e-5
-    values = np.append(RNG.normal(size=system.variables.order.size), -1.0)
-    expected = [
-        (system.rows(log_tau + d, priors) - system.rows(log_tau - d, priors)) @ values / (2.0 * step)
-        for d in step * np.eye(order)
-    ]
-    found = system.slopes(log_tau, priors, values[:-1])
-    np.testing.assert_allclose(found, np.stack(expected, axis=1), atol=1e-6)
-
-
 def with_other(regression):
     """Beside an actuator that cools it."""
-    others = -RNG.random((1, regression.n_steps))
-    return replace(regression, others=others)
+    return replace(regression, others=-RNG.random((1, regression.n_steps)))
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
-def test_the_search_ends_at_the_best_time_constants(regression, pair, order):
+def test_rows_are_those_of_runs_and_pairs_and_of_their_priors(regression, pair, order):
     priors = wide_priors(order)
     run = run_regression(record(House(), 1.0, seed=2, noise_K=0.01), IDENTITY, CONFIG)
-    low, high = np.log(priors.bounds_h()).T
-    for data in ([regression], [regression, run, pair], [with_other(pair)], [with_other(run)]):
-        system = System(data, order, 1)
-        found = system.likeliest(priors, priors.log_tau)
-
-        def solved(log_tau, system=system):
-            away = (log_tau - priors.log_tau) / priors.log_tau_sd
-            best = BoundedLeastSquares(system.rows(log_tau, priors), system.variables)
-            return best.squares + away @ away, best.values
-
-        least, values = solved(found.at)
-        assert found.value == pytest.approx(0.5 * least, rel=1e-9)
-        gains = (1 + data[0].others.shape[0]) * order
-        np.testing.assert_allclose(found.values[:gains], values[:gains], atol=1e-6 * np.abs(values).max())
-        rows = system.rows(found.at, priors)
-        np.testing.assert_allclose(found.residual, rows[:, :-1] @ values - rows[:, -1], atol=1e-6)
-        for step in 1e-3 * np.concatenate([np.eye(order), -np.eye(order)]):
-            assert solved(np.clip(found.at + step, low, high))[0] >= least * (1.0 - 1e-12)
+    for data in ([regression, pair, run], [with_other(regression), with_other(pair)], [pair]):
+        data = scaled(data, 0.2)
+        system = Rows.of(data, priors, -1)
+        begin, p = 0, system.columns.shape[1]
+        assert system.columns.shape[0] == sum(e.rows.size for e in data) + p
+        for e in data:
+            expected, rows = plain_rows(e, priors.log_tau, -1), slice(begin, begin + e.rows.size)
+            used = np.flatnonzero(np.abs(system.columns[rows]).max(axis=0))
+            np.testing.assert_allclose(system.columns[rows][:, used], expected[:, :-1], rtol=1e-6, atol=1e-6)
+            np.testing.assert_allclose(system.target[rows], expected[:, -1], rtol=1e-6, atol=1e-6)
+            begin += e.rows.size
+        mean, sd = priors.gains_at(priors.log_tau)
+        np.testing.assert_allclose(np.diag(system.columns[begin:])[:order], 1.0 / sd)
+        np.testing.assert_allclose(system.target[begin:][:order], mean / sd)
+        assert (system.low[: order * (1 + data[0].others.shape[0])] == 0.0).all()
 
 
-def test_bounded_least_squares_agree_with_scipys():
-    for _ in range(20):
-        system = RNG.normal(size=(30, 9))
-        positive = RNG.random(8) < 0.6
-        positive[0] = True
-        low = np.where(positive, 0.0, -np.inf)
-        expected = lsq_linear(system[:, :-1], system[:, -1], bounds=(low, np.inf), method="bvls", tol=1e-14)
-        found = BoundedLeastSquares(system, FreeFirst(positive))
-        np.testing.assert_allclose(found.values, expected.x, atol=1e-7)
-        assert found.squares == pytest.approx(2.0 * expected.cost, rel=1e-9)
-        normal = system[:, :-1].T @ system[:, :-1]
-        assert found.log_determinant == pytest.approx(np.linalg.slogdet(normal)[1], abs=1e-9)
+def test_the_fit_is_the_least_sum_of_squares_within_bounds(regression, pair):
+    """Moving any parameter within its bounds makes it larger."""
+    priors, data = wide_priors(3), [regression, pair]
+    config = CONFIG.model_copy(update={"disturbance_margin": 1e9})
+    fit = fit_joint(data, priors, config, 1, np.zeros((1, 6, 6)))
+    system = Rows.of(data, priors, 1)
+    expected = lsq_linear(system.columns, system.target, (system.low, np.inf), method="bvls", tol=1e-14).x
+    np.testing.assert_allclose(fit.gains, np.maximum(expected[:3], 1e-12), atol=1e-8)
+    assert (fit.gains > 0.0).all()
+
+
+def test_a_triangle_has_the_same_sums_of_squares():
+    matrix, x = RNG.normal(size=(40, 6)), RNG.normal(size=6)
+    R = triangle(matrix)
+    assert R.shape == (6, 6)
+    assert np.sum((R @ x) ** 2) == pytest.approx(np.sum((matrix @ x) ** 2))
+    assert triangle(matrix[:4]).shape == (4, 6)

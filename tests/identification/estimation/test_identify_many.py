@@ -8,14 +8,9 @@ import numpy as np
 import pytest
 from houses import House, record
 
-from benchmarks.fleet.identify_many import plain_fit
 from thermoforce_mpc.data import Layout
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.estimation.modes import wide_priors
-from thermoforce_mpc.identification.estimation.regression import run_regression
-from thermoforce_mpc.identification.estimation.system import System
 from thermoforce_mpc.identification.pipeline import BuildingRecords, identify_many
-from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 LIGHT = House(tau_h=(0.3, 2.0, 30.0), gain_K=(3.0, 15.0))
 COOLED = House(sign=-1)
@@ -79,17 +74,3 @@ def test_buildings_are_taken_one_at_a_time(buildings):
 
     next(identify_many(told()))
     assert taken == ["silent sensor"]
-
-
-@pytest.mark.parametrize("order", [1, 2, 3])
-def test_joint_estimation_is_that_of_the_plain_formulation(order):
-    from thermoforce_mpc.identification.estimation.joint import fit_modes
-
-    config = IdentificationConfig()
-    priors = wide_priors(order)
-    for seed in (5, 6):
-        regression = run_regression(record(House(), 1.5, seed=seed, noise_K=0.01), IDENTITY, config)
-        fit = fit_modes(System([regression], order, 1), priors, config)
-        log_tau, gains = plain_fit(regression, priors, config)
-        np.testing.assert_allclose(fit.log_tau, log_tau, atol=1e-6)
-        np.testing.assert_allclose(fit.gains, gains, atol=1e-6 * np.abs(gains).max())

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from thermal_networks import effect_K, theta_of
+from thermal_networks import KnownFit, effect_K, theta_of
 
 from thermoforce_mpc.data import Layout, Names
 from thermoforce_mpc.identification.network.building import RESPONSE_H, SUN_W_M2, WEATHER_H, BuildingFit
-from thermoforce_mpc.identification.network.estimate import RoomFit
 from thermoforce_mpc.identification.network.room import Room
 from thermoforce_mpc.model.free_response.rc import INPUTS
 
@@ -34,7 +33,7 @@ THETAS = (
 def fit_of(thetas=THETAS, variances=(1e-4, 1e-4), rooms=ROOMS, layout=LAYOUT):
     """Rooms at θ, all of whose parameters have a variance."""
     fits = zip(rooms, thetas, variances, strict=True)
-    return BuildingFit(layout, tuple(RoomFit(room, t, v * np.eye(t.size), 0.0) for room, t, v in fits))
+    return BuildingFit(layout, tuple(KnownFit(room, t, v) for room, t, v in fits))
 
 
 def joined():
@@ -104,23 +103,22 @@ def test_a_wall_is_the_one_that_the_surer_room_saw():
 def test_bands_are_those_of_the_parameters():
     """Against responses at parameters drawn from their covariance; what the nodes are not adds 5 %."""
     rng, sd = np.random.default_rng(0), 0.1
-    found = fit_of(variances=(sd**2, sd**2)).responses
+    building = fit_of(variances=(sd**2, sd**2))
+    found, covariance = building.responses, building.covariance
     drawn = [fit_of([t + sd * rng.normal(size=t.size) for t in THETAS]) for _ in range(150)]
     for z in (0, 1):
         sample = np.array([one.responses[z].mean for one in drawn])
         for a in range(3):
             expected = np.hypot(sample[:, a].std(axis=0), 0.05 * np.abs(found[z].mean[a]))
-            np.testing.assert_allclose(np.sqrt(np.diag(found[z].covariance[a])), expected, rtol=0.25)
+            np.testing.assert_allclose(np.sqrt(np.diag(covariance[z, a])), expected, rtol=0.25)
 
 
 def test_less_certain_parameters_make_wider_bands():
-    sds = [np.sqrt(np.diag(fit_of(variances=(v, v)).responses[0].covariance[0])) for v in (0.0025, 0.01, 0.04)]
+    sds = [np.sqrt(np.diag(fit_of(variances=(v, v)).covariance[0, 0])) for v in (0.0025, 0.01, 0.04)]
     assert (sds[0] < sds[1]).all()
     assert (sds[1] < sds[2]).all()
     least = np.abs(fit_of(variances=(1e-12, 1e-12)).responses[0].mean[0]) * 0.05
-    np.testing.assert_allclose(
-        np.sqrt(np.diag(fit_of(variances=(1e-12,) * 2).responses[0].covariance[0])), least, rtol=1e-3
-    )
+    np.testing.assert_allclose(np.sqrt(np.diag(fit_of(variances=(1e-12,) * 2).covariance[0, 0])), least, rtol=1e-3)
 
 
 def test_rooms_that_were_not_joined_do_nothing_to_each_other():

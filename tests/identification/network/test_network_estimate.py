@@ -8,7 +8,7 @@ from houses import random_levels
 from thermal_networks import effect_K, random_theta, simulated, theta_of, with_gap
 
 from thermoforce_mpc.identification.network.estimate import Run, estimate_room, posterior
-from thermoforce_mpc.identification.network.room import Prior, Room
+from thermoforce_mpc.identification.network.room import Law, Prior, Room
 
 METERED = Room((1,), (50.0,))
 # What people and weather bring is a quarter of the heat, for hours.
@@ -57,14 +57,17 @@ def sd_of_effect(fit, hours):
         (Room(), (thermostat,)),
         (Room((1, 1), (float("nan"), 40.0)), (thermostat, switched(1))),
         (Room((1, -1), (float("nan"), 40.0), neighbours=2), (thermostat, switched(1))),
+        (Room(laws=(Law(0, "part", 0.1, 0.25),)), (thermostat,)),
     ],
-    ids=["one actuator", "two actuators", "two neighbours"],
+    ids=["one actuator", "two actuators", "two neighbours", "unknown heat of levels"],
 )
 def test_the_gradient_is_that_of_differences(room, rules):
     rng = np.random.default_rng(2)
     truth = random_theta(room, rng, 0.5)
     hourly, quarter = (simulated(room, truth, rules, 1.0, seed, step_h) for seed, step_h in ((0, 1.0), (1, 0.25)))
     other = simulated(room, truth, tuple(switched(5) for _ in rules), 1.0, 0, 1.0)
+    for run in (hourly, quarter, other):  # of what laws make of levels any numbers will do
+        run.inputs[:, room.n_inputs - len(room.laws) :] = rng.normal(size=(run.readings.size, len(room.laws)))
     runs = [with_gap(hourly, slice(0, 2), slice(9, 14)), quarter, difference(hourly, other)]
     theta = random_theta(room, rng, 0.5)
     _, gradient = posterior(room, theta, runs)

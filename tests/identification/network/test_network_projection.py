@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from thermal_networks import effect_K, random_theta, theta_of
+from thermal_networks import KnownFit, effect_K, random_theta, theta_of
 
 from thermoforce_mpc.data import Layout, Names
 from thermoforce_mpc.identification.network.building import RESPONSE_H, WEATHER_H, BuildingFit, Responses
-from thermoforce_mpc.identification.network.estimate import RoomFit
 from thermoforce_mpc.identification.network.projection import projected, unit_steps
 from thermoforce_mpc.identification.network.room import Room
 
 ONE, SIGNS = Room(), np.array([1])
 
 
-def responses_of(theta, variance=0.01, room=ONE):
+def responses_of(theta, room=ONE):
     """Responses of a room alone."""
-    return BuildingFit(Layout.single(), (RoomFit(room, theta, variance * np.eye(theta.size), 0.0),)).responses[0]
+    return building_of(theta, room=room).responses[0]
+
+
+def building_of(theta, variance=0.01, room=ONE, layout=None):
+    """A building of one room at θ, all of whose parameters have a variance."""
+    return BuildingFit(layout or Layout.single(), (KnownFit(room, theta, variance),))
 
 
 def response_at(modes, actuator=0, hours=RESPONSE_H):
@@ -28,7 +32,7 @@ def response_at(modes, actuator=0, hours=RESPONSE_H):
 @pytest.mark.parametrize("tau_h", [(0.5, 3.0, 50.0), (0.2, 6.0, 200.0)])
 def test_what_has_the_operators_form_is_met_exactly(tau_h):
     mean = unit_steps(np.log(tau_h)) @ np.array([0.3, 1.5, 12.0])
-    given = Responses(mean[None], np.diag(mean * 0.1)[None] ** 2, np.ones((2, WEATHER_H.size)))
+    given = Responses(mean[None], np.ones((2, WEATHER_H.size)))
     modes = projected(given, 0, SIGNS, 3)
     np.testing.assert_allclose(np.exp(modes.log_tau), tau_h, rtol=0.02)
     np.testing.assert_allclose(modes.gains[0], [0.3, 1.5, 12.0], rtol=0.02, atol=1e-3)
@@ -78,7 +82,7 @@ def test_another_actuator_shares_the_time_constants():
         lowest=(0.0, 0.0),
         shares=(0.0, 0.0),
     )
-    found = BuildingFit(layout, (RoomFit(room, theta, 0.01 * np.eye(theta.size), 0.0),)).responses[0]
+    found = building_of(theta, room=room, layout=layout).responses[0]
     modes = projected(found, 0, np.array([1, -1]), 3)
     assert modes.gains.shape == (2, 3)
     assert modes.misfit[0] < 0.01
@@ -94,13 +98,13 @@ def test_steady_gains_to_the_weather_are_those_of_the_network():
 
 @pytest.mark.parametrize("variance", [0.005, 0.02])
 def test_the_covariance_gives_the_response_its_band(variance):
-    found = responses_of(ONE.mean, variance)
-    modes = projected(found, 0, SIGNS, 3)
+    building = building_of(ONE.mean, variance)
+    modes, of_responses = projected(building.responses[0], 0, SIGNS, 3), building.covariance[0]
     slopes = []
     for step in np.eye(6) * 1e-5:
         up, down = (unit_steps(modes.log_tau + s * step[:3]) @ (modes.gains[0] + s * step[3:]) for s in (1.0, -1.0))
         slopes.append((up - down) / 2e-5)
-    again = np.sqrt(np.einsum("it,ij,jt->t", slopes, modes.covariance[0], slopes))
-    expected = np.sqrt(np.diag(found.covariance[0]))
+    again = np.sqrt(np.einsum("it,ij,jt->t", slopes, modes.covariance(of_responses)[0], slopes))
+    expected = np.sqrt(np.diag(of_responses[0]))
     later = (RESPONSE_H >= 3.0) & (RESPONSE_H <= 48.0)
     np.testing.assert_allclose(again[later], expected[later], rtol=0.2)

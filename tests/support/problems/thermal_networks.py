@@ -8,12 +8,20 @@ import numpy as np
 from houses import weather
 from scipy.linalg import expm
 
-from thermoforce_mpc.identification.network.estimate import Run
+from thermoforce_mpc.identification.network.estimate import RoomFit, Run
 from thermoforce_mpc.identification.network.room import Room
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 
 Rule = Callable[[float, float], float]
 """Level of an actuator from the hour and the temperature that is read, °C."""
+
+
+class KnownFit(RoomFit):
+    """A room at θ, all of whose parameters have one variance."""
+
+    def __init__(self, room: Room, theta: np.ndarray, variance: float) -> None:
+        super().__init__(room, theta, 0.0, ())
+        self.__dict__["covariance"] = variance * np.eye(theta.size)
 
 
 def theta_of(room: Room, **values: float) -> np.ndarray:
@@ -47,7 +55,7 @@ def simulated(
     """A run of the room from a steady state, with its disturbances, while `rules` answer what its sensor reads."""
     rng = np.random.default_rng(seed)
     time_s, T_out_C, solar = weather(days, 3600.0 * step_h, seed)
-    N, n, drives = time_s.size, room.n_states, slice(room.drive(0), room.n_inputs)
+    N, n, drives = time_s.size, room.n_states, slice(room.drive(0), room.drive(len(room.signs)))
     inputs = np.zeros((N, room.n_inputs))
     inputs[:-1, : len(INPUTS)] = weather_inputs(time_s, T_out_C, solar)
     hours = time_s[:, None] / 3600.0

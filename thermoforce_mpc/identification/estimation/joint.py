@@ -1,31 +1,32 @@
 """Joint estimation of forced and free response from single runs, pairs, or both.
 
-A run gives T = F + T_free at every boundary. Both share the building's slow modes. Given the time constants, all
-other parameters are linear: gains, weights of weather and clock, initial state. So they are a bounded Gaussian
-regression with correlated disturbances, solved for each set of time constants that the search of the largest posterior
-comes by (`system`). Disturbances are of the assumed size, then of a reduced size if the residuals are far smaller. A
-pair gives D = T_a − T_b, in which the free part cancels (paper eq:paired).
+A run gives T = F + T_free at every boundary. The time constants are those of the building's network, so that all other
+parameters are linear: gains, weights of weather and clock, initial state. They are a bounded Gaussian regression with
+correlated disturbances, which are of the assumed size, then of a reduced size if the residuals are far smaller. A pair
+gives D = T_a − T_b, in which the free part cancels (paper eq:paired).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.columns import free_time_constants, other_prior
 from thermoforce_mpc.identification.estimation.modes import ModePriors, poles
-from thermoforce_mpc.identification.estimation.optimisers import BoundedLeastSquares
 from thermoforce_mpc.identification.estimation.regression import (
     FREE_PRIOR,
     REFERENCE_C,
     RegressionData,
     scaled,
 )
-from thermoforce_mpc.identification.estimation.system import System
+from thermoforce_mpc.identification.estimation.rows import Rows
+from thermoforce_mpc.identification.estimation.triangles import triangle
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 
 # Least gain, K or K/h: an effect that the record denies keeps the sign of its actuator.
@@ -83,9 +84,11 @@ class JointFit(ModeFit):
         )
 
 
-def fit_modes(system: System, priors: ModePriors, config: IdentificationConfig) -> ModeFit:
+def fit_modes(
+    regressions: Sequence[RegressionData], priors: ModePriors, config: IdentificationConfig, sign: int
+) -> ModeFit:
     """Fit as `fit_joint`, without uncertainty and free part: enough to compare models."""
-    return _posterior_maximum(system, priors, config).fit
+    return _posterior_maximum(regressions, priors, config, sign).fit
 
 
 def fit_joint(
@@ -95,21 +98,18 @@ def fit_joint(
     sign: int,
     covariance: Array,
 ) -> JointFit:
-    """Fit time constants, gains and free part to all regressions jointly.
+    """Fit gains and free part to all regressions jointly, at the time constants of `priors`.
 
     `sign` +1 heating, −1 cooling; `covariance` (1 + K, 2r, 2r) of the effects as the network knows them: the loop does
     not bias its likelihood, which here it does.
     """
-    maximum = _posterior_maximum(System(regressions, priors.order, sign), priors, config)
-    log_tau = maximum.fit.log_tau
-    rows = maximum.system.rows(log_tau, priors)
-    values = BoundedLeastSquares(rows, maximum.system.variables).values
+    fit, values = _posterior_maximum(regressions, priors, config, sign)
     r, K = priors.order, regressions[0].others.shape[0]
-    free_log_tau = free_time_constants(log_tau)
+    free_log_tau = free_time_constants(fit.log_tau)
     return JointFit(
-        log_tau=log_tau,
-        gains=maximum.fit.gains,
-        residual_scale=maximum.fit.residual_scale,
+        log_tau=fit.log_tau,
+        gains=fit.gains,
+        residual_scale=fit.residual_scale,
         covariance=covariance[0],
         free_log_tau=free_log_tau,
         free_gains=_free_gains(
@@ -117,40 +117,38 @@ def fit_joint(
         ),
         other_gains=values[r : r + K * r].reshape(K, r),
         other_covariance=covariance[1:],
-        other_sd=other_prior(regressions[0], log_tau)[1].reshape(K, r),
+        other_sd=other_prior(regressions[0], fit.log_tau)[1].reshape(K, r),
     )
 
 
-@dataclass(frozen=True)
-class _Maximum:
-    """Maximum of the posterior of `system`, in which disturbances are `scale` times the assumed ones."""
+class _Maximum(NamedTuple):
+    """Maximum of the posterior, and the values of all columns there (p,)."""
 
-    system: System
     fit: ModeFit
-    scale: float
+    values: Array
 
 
-def _posterior_maximum(system: System, priors: ModePriors, config: IdentificationConfig) -> _Maximum:
-    maximum = _search(system, priors, 1.0, priors.log_tau)
+def _posterior_maximum(
+    regressions: Sequence[RegressionData], priors: ModePriors, config: IdentificationConfig, sign: int
+) -> _Maximum:
+    maximum = _likeliest(regressions, priors, sign, 1.0)
     # If the residuals are far smaller than assumed, refit with smaller disturbances: the data carry more information.
     scale = min(1.0, config.disturbance_margin * maximum.fit.residual_scale)
-    if scale == 1.0 or all(regression.is_pair for regression in system.regressions):
+    if scale == 1.0 or all(regression.is_pair for regression in regressions):
         return maximum
-    smaller = System(scaled(system.regressions, scale), system.order, system.sign)
-    return _search(smaller, priors, scale, maximum.fit.log_tau)
+    return _likeliest(regressions, priors, sign, scale)
 
 
-def _search(system: System, priors: ModePriors, scale: float, start: Array) -> _Maximum:
-    """The maximum of the posterior of `system`, searched from ln(τ/h) `start` (r,)."""
-    likeliest = system.likeliest(priors, start)
-    residual = likeliest.residual[: system.n_data] * _of_each_row(system.regressions, scale)
-    gains = np.maximum(likeliest.values[: priors.order], _LEAST_GAIN)
-    return _Maximum(system, ModeFit(likeliest.at, gains, float(np.sqrt(np.mean(residual**2)))), scale)
-
-
-def _of_each_row(regressions: Sequence[RegressionData], of_runs: float) -> Array:
-    """`of_runs` for the rows of runs, 1 for those of pairs (rows,)."""
-    return np.concatenate([np.full(e.rows.size, 1.0 if e.is_pair else of_runs) for e in regressions])
+def _likeliest(regressions: Sequence[RegressionData], priors: ModePriors, sign: int, scale: float) -> _Maximum:
+    """The maximum with `scale` times the disturbances of runs."""
+    system = Rows.of(scaled(regressions, scale), priors, sign)
+    R = triangle(np.column_stack([system.columns, system.target]))
+    values = lsq_linear(R[:, :-1], R[:, -1], (system.low, np.inf), method="bvls").x
+    of_each_row = np.concatenate([np.full(e.rows.size, 1.0 if e.is_pair else scale) for e in regressions])
+    n = of_each_row.size
+    residual = (system.columns[:n] @ values - system.target[:n]) * of_each_row
+    gains = np.maximum(values[: priors.order], _LEAST_GAIN)
+    return _Maximum(ModeFit(priors.log_tau, gains, float(np.sqrt(np.mean(residual**2)))), values)
 
 
 def _free_gains(values: Array, n_free: int, *, with_free: bool) -> Array:

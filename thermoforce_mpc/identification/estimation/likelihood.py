@@ -27,8 +27,8 @@ from thermoforce_mpc.identification.estimation.columns import (
     start_sd,
 )
 from thermoforce_mpc.identification.estimation.disturbance import Disturbance
-from thermoforce_mpc.identification.estimation.optimisers import triangle
 from thermoforce_mpc.identification.estimation.regression import RegressionData
+from thermoforce_mpc.identification.estimation.triangles import triangle
 
 
 @dataclass(frozen=True)

@@ -47,44 +47,6 @@ def filtered(
 
 
 @njit(cache=True)
-def filter_slopes(
-    signals: Array, weights: Array, turned: Array, start: Array, poles: Array, rows: NDArray[np.intp]
-) -> Array:
-    """Derivatives by ln τ of a sum of lags of steady gain 1, one of each time constant τ.
-
-    Args:
-        signals: input of each step (n, s).
-        weights: of the signals in the input of each lag (r, s).
-        turned: derivatives by each ln τ of the weights of the first lag (r, s).
-        start: state of each lag before the first step (r,).
-        poles: per step, exp(−step/τ) (r,).
-        rows: steps, increasing, up to n (m,).
-
-    Returns:
-        The derivatives before the steps `rows`, (m, r).
-    """
-    (n, s), r = signals.shape, poles.size
-    state, slope, first, decay = start.copy(), np.zeros(r), np.zeros(r), -np.log(poles)
-    out = np.empty((rows.size, r))
-    at = 0
-    for t in range(n + 1):
-        if at < rows.size and rows[at] == t:
-            for i in range(r):
-                out[at, i] = slope[i] + first[i]
-            at += 1
-        if t < n:
-            for i in range(r):
-                drive, turn = 0.0, 0.0
-                for k in range(s):
-                    drive += weights[i, k] * signals[t, k]
-                    turn += turned[i, k] * signals[t, k]
-                slope[i] = poles[i] * (slope[i] + decay[i] * (state[i] - drive))
-                state[i] = poles[i] * state[i] + (1.0 - poles[i]) * drive
-                first[i] = poles[0] * first[i] + (1.0 - poles[0]) * turn
-    return out
-
-
-@njit(cache=True)
 def innovation_form(variance: Array, decay: Array, noise: float) -> tuple[Array, Array]:
     """Kalman filter of a sum of independent first-order processes with white noise.
 

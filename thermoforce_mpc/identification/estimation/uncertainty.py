@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.identification.estimation.differences import jacobian
 from thermoforce_mpc.identification.estimation.joint import JointFit
 from thermoforce_mpc.identification.estimation.modes import unit_responses
 
 # Times after a step to full level at which the response and its standard deviation are stored, h.
 STEP_RESPONSE_H: tuple[int, ...] = (1, 2, 4, 8, 12, 24, 48)
-# Step of derivatives with respect to ln τ and, relative, to gains.
-_DERIVATIVE_STEP = 1e-3
 
 
 @dataclass(frozen=True)
@@ -34,8 +32,8 @@ def step_response(fit: JointFit, hours: float, step_s: float) -> StepResponse:
     def response(parameters: Array) -> Array:
         return np.asarray(unit_responses(parameters[:r], step_s, np.ones(n)) @ parameters[r:])
 
-    jacobian = _jacobian(response, np.concatenate([fit.log_tau, fit.gains]))
-    variance = np.einsum("ti,ij,tj->t", jacobian, fit.covariance, jacobian)
+    slopes = jacobian(response, np.concatenate([fit.log_tau, fit.gains]))
+    variance = np.einsum("ti,ij,tj->t", slopes, fit.covariance, slopes)
     mean = response(np.concatenate([fit.log_tau, fit.gains]))
     return StepResponse(
         np.asarray(np.arange(n + 1) * step_s / HOUR_S, dtype=np.float64), mean, np.sqrt(np.maximum(variance, 0.0))
@@ -56,8 +54,8 @@ def uncertainty(fit: JointFit, step_s: float, level_sd: float = 0.0) -> dict[str
         steady = np.concatenate([[tau[0] * (gains[0] - (gains[1:] / tau[1:]).sum())], gains[1:]])
         return np.concatenate([a, steady * (1.0 - a)])
 
-    jacobian = _jacobian(poles_and_gains, parameters)
-    derived = np.sqrt(np.maximum(np.einsum("ti,ij,tj->t", jacobian, fit.covariance, jacobian), 0.0))
+    slopes = jacobian(poles_and_gains, parameters)
+    derived = np.sqrt(np.maximum(np.einsum("ti,ij,tj->t", slopes, fit.covariance, slopes), 0.0))
     direct = np.sqrt(np.diag(fit.covariance))
     out: dict[str, float] = {}
     for i, (tau, sd) in enumerate(zip(np.exp(fit.log_tau), direct[:r], strict=True), start=1):
@@ -74,13 +72,3 @@ def uncertainty(fit: JointFit, step_s: float, level_sd: float = 0.0) -> dict[str
         sd = float(np.hypot(answer.sd_K[hours], level_sd * answer.mean_K[hours]))
         out |= {f"step_response_{hours}h_sd_K": sd}
     return out
-
-
-def _jacobian(function: Callable[[Array], Array], at: Array) -> Array:
-    """Return the Jacobian by central differences, shape (outputs, parameters)."""
-    columns = []
-    for i in range(at.size):
-        step = np.zeros(at.size)
-        step[i] = _DERIVATIVE_STEP * max(1.0, abs(float(at[i])))
-        columns.append((function(at + step) - function(at - step)) / (2.0 * step[i]))
-    return np.stack(columns, axis=1)

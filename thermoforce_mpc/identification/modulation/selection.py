@@ -144,7 +144,7 @@ class _Training:
 
         linear, cases = self.untrained(fit), self.cases
         same = heat_input == linear.heat_input
-        driven = [c.regression if same else by_level(c, linear.heat_input) for c in cases]
+        driven = [c.regression if same else _by_level(c, linear.heat_input) for c in cases]
         data = [
             TrainingData(e, x, residuals(e, fit.log_tau), split)
             for e, x, split in zip(calibrated(driven, fit.residual_scale), self.features, splits, strict=True)
@@ -155,7 +155,7 @@ class _Training:
         return train(replace(linear, heat_input=heat_input), data, priors, self.config)
 
 
-def by_level(case: Case, heat_input: HeatInput) -> RegressionData:
+def _by_level(case: Case, heat_input: HeatInput) -> RegressionData:
     """The regression of a case, driven by `heat_input`, with the levels as drives.
 
     A level that was held counts as the share of time at full level that gives its heat, as levels of a plan do.

@@ -14,8 +14,10 @@ from functools import cached_property
 import numpy as np
 
 from thermoforce_mpc.data import Array, Layout
+from thermoforce_mpc.identification.estimation.differences import jacobian
 from thermoforce_mpc.identification.network.estimate import RoomFit
-from thermoforce_mpc.identification.network.room import neighbours_of
+from thermoforce_mpc.identification.network.room import OUTDOOR, SUN, neighbours_of
+from thermoforce_mpc.model.free_response.rc import INPUTS
 
 RESPONSE_H = np.array([0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 36.0, 48.0, 72.0, 96.0])
 """Times after a step to full level at which responses are compared, h."""
@@ -25,17 +27,15 @@ WEATHER_H = np.append(RESPONSE_H, [192.0, 384.0])
 SUN_W_M2 = 100.0
 # Relative standard deviation of any effect by what a few nodes are not: surfaces, layers, a lag of the sensor, water.
 _STRUCTURE_SD = 0.05
-_DIFFERENCE = 1e-4
 
 
 @dataclass(frozen=True)
 class Responses:
-    """Step responses of one zone to full level (v = 1) of each actuator: `mean` (A, T) K at `RESPONSE_H`, with the
-    covariance (A, T, T) K² of each; `weather` (2, T') K at `WEATHER_H`: to 1 K outdoors and to `SUN_W_M2`.
+    """Step responses of one zone to full level (v = 1) of each actuator: `mean` (A, T) K at `RESPONSE_H`; `weather`
+    (2, T') K at `WEATHER_H`: to 1 K outdoors and to `SUN_W_M2`.
     """
 
     mean: Array
-    covariance: Array
     weather: Array
 
 
@@ -49,21 +49,23 @@ class BuildingFit:
     @cached_property
     def responses(self) -> tuple[Responses, ...]:
         """What the actuators do to each zone (Z,)."""
-        thetas = [fit.theta for fit in self.rooms]
-        steps = self._steps(thetas, WEATHER_H)
-        mean, weather = steps[:, :-2, : RESPONSE_H.size], steps[:, -2:]
+        steps = self._steps([fit.theta for fit in self.rooms], WEATHER_H)
+        return tuple(Responses(of_zone[:-2, : RESPONSE_H.size], of_zone[-2:]) for of_zone in steps)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of what each actuator does to each zone, (Z, A, T, T) K²."""
+        thetas, mean = [fit.theta for fit in self.rooms], np.array([response.mean for response in self.responses])
         covariance = np.einsum("zat,zas->zats", mean, mean) * _STRUCTURE_SD**2
         for z, fit in enumerate(self.rooms):
             known = len(fit.room.names)
-            slopes = []
-            for step in np.eye(known, fit.theta.size) * _DIFFERENCE:
-                up, down = (
-                    self._steps([*thetas[:z], fit.theta + s * step, *thetas[z + 1 :]], RESPONSE_H) for s in (1, -1)
-                )
-                slopes.append((up - down)[:, :-2] / (2.0 * _DIFFERENCE))
-            by_theta = np.array(slopes)
-            covariance += np.einsum("izat,ij,jzas->zats", by_theta, fit.covariance[:known, :known], by_theta)
-        return tuple(Responses(*of_zone) for of_zone in zip(mean, covariance, weather, strict=True))
+
+            def steps(theta: Array, z: int = z) -> Array:
+                return self._steps([*thetas[:z], theta, *thetas[z + 1 :]], RESPONSE_H)[:, :-2]
+
+            by_theta = jacobian(steps, fit.theta, known)
+            covariance += np.einsum("zati,ij,zasj->zats", by_theta, fit.covariance[:known, :known], by_theta)
+        return np.asarray(covariance)
 
     def _steps(self, thetas: Sequence[Array], hours: Array) -> Array:
         """Step responses (Z, A + 2, T) K at `hours` (T,), at θ of each room; the last two to outdoors and sun."""
@@ -81,11 +83,10 @@ class BuildingFit:
 
         Heat is that of each actuator, of 1 K outdoors and of `SUN_W_M2`.
         """
-        Z, A = len(self.rooms), len(self.layout.home)
+        A = len(self.layout.home)
         area = np.asarray(self.layout.floor_area_m2, dtype=np.float64)
         area = np.where(np.isfinite(area), area, np.nanmean(area) if np.isfinite(area).any() else 1.0)
-        at_home = [self.layout.actuators_of(z) for z in range(Z)]
-        begins = np.concatenate([[0], np.cumsum([3 + len(home) for home in at_home])]).astype(int)
+        begins = np.concatenate([[0], np.cumsum([len(fit.room.nodes) for fit in self.rooms])]).astype(int)
         C, L, heat = np.zeros(begins[-1]), np.zeros((begins[-1], begins[-1])), np.zeros((begins[-1], A + 2))
 
         def joined(i: int, j: int, conductance: float) -> None:
@@ -95,23 +96,23 @@ class BuildingFit:
             L[j, i] -= conductance
 
         for z, (fit, theta) in enumerate(zip(self.rooms, thetas, strict=True)):
-            p = {name: area[z] * fit.room.value(theta, name) for name in fit.room.names}
-            room, structure, envelope = range(begins[z], begins[z] + 3)
-            C[room], C[structure] = p["C_room"], p["C_structure"]
-            joined(room, structure, p["H_structure"])
-            L[room, room] += p["H_outdoors"] + p["H_neighbours"]
-            C[envelope] = p["C_envelope"]
-            joined(structure, envelope, p["H_envelope"])
-            L[envelope, envelope] += p["H_envelope_outdoors"]
-            heat[[room, envelope], A] = p["H_outdoors"], p["H_envelope_outdoors"]
-            heat[[room, structure], A + 1] = SUN_W_M2 * p["sun"], SUN_W_M2 * p["sun_structure"]
-            for k, a in enumerate(at_home[z]):
-                emitter = envelope + 1 + k
-                C[emitter] = p[f"C_emitter_{k}"]
-                joined(room, emitter, p[f"H_emitter_{k}"])
-                power = self.layout.signs[a] * p[f"heat_{k}"]
-                heat[emitter, a] = power
-                heat[structure, a] = power * p[f"heat_structure_{k}"] / area[z]
+            room, first = fit.room, begins[z]
+            value = {name: room.value(theta, name) for name in room.names}
+            C[first : begins[z + 1]] = [area[z] * value[name] for name in room.nodes]
+            for link in room.links:
+                node, conductance = first + link.node, area[z] * value[link.conductance]
+                if link.other >= 0:
+                    joined(node, first + link.other, conductance)
+                elif link.from_input < len(INPUTS):
+                    L[node, node] += conductance
+                    heat[node, A] += conductance * (link.from_input == OUTDOOR)
+            columns = {room.drive(k): (a, 1.0) for k, a in enumerate(self.layout.actuators_of(z))}
+            columns[SUN] = A + 1, SUN_W_M2
+            for source in room.sources:
+                if source.from_input in columns:
+                    column, size = columns[source.from_input]
+                    product = float(np.prod([value[name] for name in source.names]))
+                    heat[first + source.node, column] += area[z] * size * source.factor * product
         for z, fit in enumerate(self.rooms):
             for other in range(z if fit.room.neighbours else 0):
                 joined(begins[z], begins[other], self._wall(z, other, thetas, area))

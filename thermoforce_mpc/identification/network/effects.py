@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
+from thermoforce_mpc.identification.effects.level_laws import LevelLaw
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.network.building import BuildingFit
-from thermoforce_mpc.identification.network.estimate import RoomFit, Run, estimate_room
-from thermoforce_mpc.identification.network.room import Room, neighbours_of
+from thermoforce_mpc.identification.network.estimate import Run, estimate_room
+from thermoforce_mpc.identification.network.room import Law, Room, neighbours_of
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
@@ -18,67 +20,70 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 _LEAST_READINGS = 8
 
 
+@dataclass(frozen=True)
+class Actuators:
+    """What acts in a building: `layout`, v of each actuator (A,), and what is not known of it (A,)."""
+
+    layout: Layout
+    heat_inputs: Sequence[HeatInput]
+    laws: Sequence[Sequence[LevelLaw]]
+
+    def room(self, zone: int, neighbours: int) -> Room:
+        """The network of one zone with some measured neighbours."""
+        home, area = self.layout.actuators_of(zone), self.layout.floor_area_m2[zone]
+        inputs = [self.heat_inputs[a] for a in home]
+        heat = [heat_input.reference_W / area if heat_input.law is not None else np.nan for heat_input in inputs]
+        laws = tuple(Law(k, law.name, law.mean, law.sd) for k, a in enumerate(home) for law in self.laws[a])
+        return Room(tuple(self.layout.signs[a] for a in home), tuple(heat), neighbours, laws)
+
+    def drives(self, record: Record, zone: int) -> list[Array]:
+        """v of the actuators of a zone, of the heat that was measured, else of the level; then φ of their laws."""
+        drives, phi, T_out_C = [], [], record.T_out_C[:-1]
+        for a in self.layout.actuators_of(zone):
+            heat_input, heat_W = self.heat_inputs[a], self.layout.signs[a] * record.heat_W[a]
+            drive = heat_input(record.u[a], T_out_C)
+            if heat_input.law is not None:
+                drive = np.where(np.isfinite(heat_W), heat_input.of_meter(heat_W, T_out_C), drive)
+            drives.append(drive)
+            phi += [law.phi(record.u[a], T_out_C) for law in self.laws[a]]
+        return [*drives, *phi]
+
+
 def building_fit(
-    layout: Layout, heat_inputs: Sequence[HeatInput], rooms: Sequence[Sequence[Run]], *, joined: bool
+    actuators: Actuators, rooms: Sequence[Sequence[Run]], *, joined: bool, before: BuildingFit | None = None
 ) -> BuildingFit:
-    """The network of a building from the runs of each of its zones (Z,).
+    """The network of a building from the runs of each of its zones (Z,), as of `room_run` and `room_pair`.
 
-    Args:
-        layout: what acts where.
-        heat_inputs: v of each actuator (A,).
-        rooms: runs of each zone (`room_run`, `room_pair`).
-        joined: whether the runs hold the neighbours' temperatures.
+    `joined`: whether they hold the neighbours' temperatures; `before`: a fit to fewer runs, from which to search.
     """
-    return BuildingFit(layout, tuple(_fit(layout, heat_inputs, z, runs, joined) for z, runs in enumerate(rooms)))
+    neighbours, fits = len(rooms) - 1 if joined else 0, []
+    for z, runs in enumerate(rooms):
+        read = [run for run in runs if np.isfinite(run.readings).sum() >= _LEAST_READINGS]
+        fits.append(estimate_room(actuators.room(z, neighbours), read, before.rooms[z] if before else None))
+    return BuildingFit(actuators.layout, tuple(fits))
 
 
-def _fit(layout: Layout, heat_inputs: Sequence[HeatInput], z: int, runs: Sequence[Run], joined: bool) -> RoomFit:
-    home, area = layout.actuators_of(z), layout.floor_area_m2[z]
-    heat = [heat_inputs[a].reference_W / area if heat_inputs[a].law is not None else np.nan for a in home]
-    neighbours = len(layout.floor_area_m2) - 1 if joined else 0
-    room = Room(tuple(layout.signs[a] for a in home), tuple(heat), neighbours)
-    return estimate_room(room, [run for run in runs if np.isfinite(run.readings).sum() >= _LEAST_READINGS])
-
-
-def room_run(
-    record: Record, zone: int, layout: Layout, heat_inputs: Sequence[HeatInput], grid_K: float, *, joined: bool
-) -> Run:
+def room_run(record: Record, zone: int, actuators: Actuators, grid_K: float, *, joined: bool) -> Run:
     """A record of the building as a run of one of its zones, whose sensor reads in steps of `grid_K` K."""
     weather = weather_inputs(record.time_s, record.T_out_C, record.solar_W_m2)
     others = [_mean_of_step(record.T_zone_C[j]) for j in neighbours_of(zone, len(record.T_zone_C))] if joined else []
-    inputs = np.column_stack([weather, *others, *_drives(record, zone, layout, heat_inputs)])
+    inputs = np.column_stack([weather, *others, *actuators.drives(record, zone)])
     return _run(inputs, record.T_zone_C[zone], record.step_s, grid_K)
 
 
-def room_pair(
-    pair: Pair, zone: int, layout: Layout, heat_inputs: Sequence[HeatInput], grid_K: float, *, joined: bool
-) -> Run:
+def room_pair(pair: Pair, zone: int, actuators: Actuators, grid_K: float, *, joined: bool) -> Run:
     """The difference of a pair of records, in which the weather cancels, as a run of one zone."""
     a, b = pair.a, pair.b
     weather = np.zeros((a.n_steps, len(INPUTS)))
     difference = a.T_zone_C - b.T_zone_C
     others = [_mean_of_step(difference[j]) for j in neighbours_of(zone, len(difference))] if joined else []
-    drives = [
-        x - y for x, y in zip(_drives(a, zone, layout, heat_inputs), _drives(b, zone, layout, heat_inputs), strict=True)
-    ]
+    drives = [x - y for x, y in zip(actuators.drives(a, zone), actuators.drives(b, zone), strict=True)]
     return _run(np.column_stack([weather, *others, *drives]), difference[zone], a.step_s, grid_K, pair=True)
 
 
 def _run(inputs: Array, readings: Array, step_s: float, grid_K: float, *, pair: bool = False) -> Run:
     inputs = np.ascontiguousarray(np.concatenate([inputs, inputs[-1:]]))
     return Run(inputs, np.ascontiguousarray(readings), step_s / HOUR_S, grid_K**2 / 12.0, pair)
-
-
-def _drives(record: Record, zone: int, layout: Layout, heat_inputs: Sequence[HeatInput]) -> list[Array]:
-    """v of the actuators of a zone: of the heat that was measured, else of the level."""
-    drives, T_out_C = [], record.T_out_C[:-1]
-    for a in layout.actuators_of(zone):
-        heat_input, heat_W = heat_inputs[a], layout.signs[a] * record.heat_W[a]
-        drive = heat_input(record.u[a], T_out_C)
-        if heat_input.law is not None:
-            drive = np.where(np.isfinite(heat_W), heat_input.of_meter(heat_W, T_out_C), drive)
-        drives.append(drive)
-    return drives
 
 
 def _mean_of_step(values: Array) -> Array:

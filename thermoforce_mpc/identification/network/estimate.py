@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import expm, expm_frechet
@@ -16,7 +17,7 @@ from scipy.optimize import OptimizeResult, minimize
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.network.filtering import likelihood
-from thermoforce_mpc.identification.network.room import ENVELOPE, ROOM, STRUCTURE, Room
+from thermoforce_mpc.identification.network.room import ENVELOPE, ROOM, STRUCTURE, SUN_ON_SENSOR, Room
 
 # Before the first reading, K: the room is about what it reads, its structure and emitters may be elsewhere.
 _START_SD_K = {ROOM: 1.0, STRUCTURE: 2.0, ENVELOPE: 5.0}
@@ -24,8 +25,9 @@ _EMITTER_START_SD_K = 5.0
 # What a few nodes do not follow from one reading to the next, K: without it, readings of a simulator without noise make
 # a level that answers within its step be taken for an effect at once.
 _MODEL_SD_K = 0.02
-# Search: bounds in prior standard deviations, most iterations, and starts in prior standard deviations of a parameter.
-_REACH, _MOST_STEPS, _MEMORY = 4.0, 400, 30
+# Search: bounds in prior standard deviations, most iterations, steps whose curvature is kept, relative error; starts
+# in prior standard deviations of a parameter.
+_REACH, _MOST_STEPS, _MEMORY, _TOLERANCE = 4.0, 400, 30, 2e-9
 _STARTS: tuple[dict[str, float], ...] = ({}, {"heat_0": 1.0}, {"C_structure": 0.7})
 # Step of differences of the gradient, in prior standard deviations.
 _DIFFERENCE = 1e-3
@@ -40,6 +42,7 @@ class Run:
         readings: °C (N,); NaN is a gap.
         step_h: h.
         rounding_K2: variance of the rounding of a reading, K².
+        on_sensor: what the sun adds to the readings per K of `SUN_ON_SENSOR` (N,), where that is a parameter.
         pair: whether it is the difference of two runs in the same weather, in which disturbances cancel but for a
             small share.
     """
@@ -49,6 +52,7 @@ class Run:
     step_h: float
     rounding_K2: float = 0.0
     pair: bool = False
+    on_sensor: Array | None = None
 
 
 # Share of the disturbances that is left in the difference of two runs.
@@ -57,29 +61,43 @@ _PAIR_SHARE = 0.1
 
 @dataclass(frozen=True)
 class RoomFit:
-    """A room's network with its most likely parameters θ (p,) and their posterior covariance (p, p) (Laplace)."""
+    """A room's network with its most likely parameters θ (p,) given `runs`; `value`: half the negative log posterior
+    there, up to a constant.
+    """
 
     room: Room
     theta: Array
-    covariance: Array
     value: float
+    runs: Sequence[Run]
 
-    def gained(self, runs: Sequence[Run], actuator: int) -> float:
+    @cached_property
+    def covariance(self) -> Array:
+        """Posterior covariance of θ (p, p) by the curvature (Laplace)."""
+        scale = self.room.sd
+        at, curvature = self._scaled, np.empty((scale.size, scale.size))
+        for i, unit in enumerate(np.eye(scale.size) * _DIFFERENCE):
+            up, down = (_scaled(self.room, self.runs, at + sign * unit)[1] for sign in (1.0, -1.0))
+            curvature[i] = (up - down) / (2.0 * _DIFFERENCE)
+        # What the record does not know stays at its prior: no direction is surer than the data or less than the prior.
+        sizes, directions = np.linalg.eigh(0.5 * (curvature + curvature.T))
+        return np.asarray((directions / np.maximum(sizes, 1.0)) @ directions.T * np.outer(scale, scale))
+
+    def gained(self, actuator: int) -> float:
         """Log posterior odds that `actuator` acts on the room: that of this fit over that of the best without it."""
-        drive = self.room.drive(actuator)
-        without = [replace(run, inputs=_without(run.inputs, drive)) for run in runs]
-        return float(_search(self.room, without, (self.theta - self.room.mean) / self.room.sd).fun - self.value)
+        without = [replace(run, inputs=_without(run.inputs, self.room.drives(actuator))) for run in self.runs]
+        return float(searched(self.room, without, self._scaled).fun - self.value)
 
-    def parameters(self) -> dict[str, float]:
-        """The positive parameters by name."""
-        return {name: self.room.value(self.theta, name) for name in self.room.names}
+    @property
+    def _scaled(self) -> Array:
+        """θ in prior standard deviations from its mean (p,)."""
+        return np.asarray((self.theta - self.room.mean) / self.room.sd)
 
 
 def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Array]:
     """Half the negative log posterior at θ (p,) up to a constant, and its gradient (p,)."""
     equations, n = room.equations(theta), room.n_states
     value, gradient = room.prior(theta)
-    size = n + room.n_inputs
+    size, sensor = n + room.n_inputs, room.place.get(SUN_ON_SENSOR, -1)
     for step_h in dict.fromkeys(run.step_h for run in runs):
         whole = np.zeros((size, size))
         whole[:n] = equations.matrix * step_h
@@ -98,7 +116,10 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
                     P0[state] = sd**2
             P0[room.disturbances] = share * stationary
             R = reading + run.rounding_K2 + _MODEL_SD_K**2
-            half, slopes = likelihood(A, B, share * Q, R, x0, P0, run.inputs, run.readings)
+            readings = run.readings if run.on_sensor is None else run.readings - run.on_sensor * theta[sensor]
+            half, slopes = likelihood(A, B, share * Q, R, x0, P0, run.inputs, readings)
+            if run.on_sensor is not None:
+                gradient[sensor] -= run.on_sensor @ slopes.readings
             value += half
             by_transition[:n, :n] += slopes.A
             by_transition[:n, n:] += slopes.B
@@ -109,24 +130,19 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
     return value, gradient
 
 
-def estimate_room(room: Room, runs: Sequence[Run]) -> RoomFit:
-    """The largest posterior of a room's parameters, searched from several starts, and its curvature there."""
-    scale, found = room.sd, []
+def estimate_room(room: Room, runs: Sequence[Run], before: RoomFit | None = None) -> RoomFit:
+    """The largest posterior of a room's parameters, searched from several starts, or from a fit to fewer runs."""
+    found = []
     for start in _STARTS:
-        z = np.zeros(scale.size)
+        z = np.zeros(room.sd.size)
         for name, shift in start.items():
             if name in room.place:
                 z[room.place[name]] = shift
-        found.append(_search(room, runs, z))
-    best = min(found, key=lambda result: result.fun)
-    curvature = np.empty((scale.size, scale.size))
-    for i, unit in enumerate(np.eye(scale.size) * _DIFFERENCE):
-        up, down = (_scaled(room, runs, best.x + sign * unit)[1] for sign in (1.0, -1.0))
-        curvature[i] = (up - down) / (2.0 * _DIFFERENCE)
-    # What the record does not know stays at its prior: no direction is surer than the data, nor less than the prior.
-    sizes, directions = np.linalg.eigh(0.5 * (curvature + curvature.T))
-    covariance = (directions / np.maximum(sizes, 1.0)) @ directions.T
-    return RoomFit(room, room.mean + scale * best.x, covariance * np.outer(scale, scale), float(best.fun))
+        found.append(z)
+    if before is not None and before.room.place == room.place:
+        found = [np.asarray((before.theta - room.mean) / room.sd)]
+    best = min((searched(room, runs, z) for z in found), key=lambda result: float(result.fun))
+    return RoomFit(room, room.mean + room.sd * best.x, float(best.fun), runs)
 
 
 def _scaled(room: Room, runs: Sequence[Run], z: Array) -> tuple[float, Array]:
@@ -135,19 +151,22 @@ def _scaled(room: Room, runs: Sequence[Run], z: Array) -> tuple[float, Array]:
     return value, gradient * room.sd
 
 
-def _search(room: Room, runs: Sequence[Run], start: Array) -> OptimizeResult:
-    """The largest posterior from a start, in prior standard deviations."""
+def searched(room: Room, runs: Sequence[Run], start: Array, tolerance: float = _TOLERANCE) -> OptimizeResult:
+    """The largest posterior from a start (p,), in prior standard deviations from the mean.
+
+    It ends where a step lowers half the negative log posterior by less than `tolerance` times its size.
+    """
     return minimize(
         lambda z: _scaled(room, runs, z),
         start,
         jac=True,
         method="L-BFGS-B",
         bounds=[(-_REACH, _REACH)] * start.size,
-        options={"maxiter": _MOST_STEPS, "maxcor": _MEMORY},
+        options={"maxiter": _MOST_STEPS, "maxcor": _MEMORY, "ftol": tolerance},
     )
 
 
-def _without(inputs: Array, drive: int) -> Array:
+def _without(inputs: Array, drives: list[int]) -> Array:
     inputs = inputs.copy()
-    inputs[:, drive] = 0.0
+    inputs[:, drives] = 0.0
     return inputs

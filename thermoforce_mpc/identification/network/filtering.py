@@ -17,8 +17,8 @@ from thermoforce_mpc.data import Array
 class Slopes(NamedTuple):
     """Derivatives of half the negative log likelihood.
 
-    By `A` (n, n), `B` (n, m), the diagonal of the process noise `Q` (n,), the variance `R` of a reading, and the
-    diagonal of the covariance at the start `P0` (n,).
+    By `A` (n, n), `B` (n, m), the diagonal of the process noise `Q` (n,), the variance `R` of a reading, the diagonal
+    of the covariance at the start `P0` (n,), and the `readings` (N,).
     """
 
     A: Array
@@ -26,6 +26,7 @@ class Slopes(NamedTuple):
     Q: Array
     R: float
     P0: Array
+    readings: Array
 
 
 @njit(cache=True)
@@ -60,6 +61,7 @@ def likelihood(
             for i in range(n):
                 P[i, i] += Q[i]
     by_A, by_B, by_Q, by_R = np.zeros(A.shape), np.zeros(B.shape), np.zeros(n), 0.0
+    by_readings = np.zeros(N)
     by_x, by_P, transposed = np.zeros(n), np.zeros((n, n)), np.ascontiguousarray(A.T)
     for k in range(N - 1, -1, -1):
         if k < N - 1:
@@ -74,9 +76,10 @@ def likelihood(
             along, pulled = by_x @ column, by_P @ column
             by_column = by_x * (error / S) - 2.0 * pulled / S
             by_S = (column @ pulled - along * error) / S**2 + 0.5 * (1.0 / S - error * error / S**2)
-            by_x[0] -= (along + error) / S
+            by_readings[k] = (along + error) / S
+            by_x[0] -= by_readings[k]
             by_P[0] += 0.5 * by_column
             by_P[:, 0] += 0.5 * by_column
             by_P[0, 0] += by_S
             by_R += by_S
-    return total, Slopes(by_A, by_B, by_Q, by_R, np.diag(by_P).copy())
+    return total, Slopes(by_A, by_B, by_Q, by_R, np.diag(by_P).copy(), by_readings)

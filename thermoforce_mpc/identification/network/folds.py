@@ -8,12 +8,13 @@ from typing import Protocol
 
 import numpy as np
 
-from thermoforce_mpc.data import Layout, Record
+from thermoforce_mpc.data import Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.couplings import others_of
+from thermoforce_mpc.identification.effects.level_laws import Estimates, LevelLaw, laws_of, weather_of, with_outdoors
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.network.building import BuildingFit, Responses
-from thermoforce_mpc.identification.network.effects import building_fit, room_pair, room_run
+from thermoforce_mpc.identification.network.effects import Actuators, building_fit, room_pair, room_run
 from thermoforce_mpc.identification.network.estimate import Run
 from thermoforce_mpc.identification.network.projection import Modes, projected
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -29,14 +30,27 @@ class ZoneRows(Protocol):
 
 
 @dataclass(frozen=True)
+class Effects:
+    """What the network says of the actuators of a zone (1 + K,), its own first: their effects, and v of each."""
+
+    modes: Modes
+    heat_inputs: tuple[HeatInput, ...]
+
+
+@dataclass(frozen=True)
 class ZoneEffects:
     """What the network of the building says of a zone's actuators, from all rows, from those before the held-out ones,
-    and from those before an earlier part; `log_odds` that its own actuator acts on it at all.
+    and from those before an earlier part.
+
+    `covariance` (1 + K, 2r, 2r): of the effects of the `whole`; `laws`: what was found of the level of its own
+    actuator; `log_odds` that this acts on it at all.
     """
 
-    whole: Modes
-    training: Modes
-    earlier: Modes
+    whole: Effects
+    training: Effects
+    earlier: Effects
+    covariance: Array
+    laws: Estimates
     log_odds: float
 
 
@@ -57,34 +71,68 @@ def zone_effects(
         return [None] * len(data)
     say("fitting the building as a network of heat capacities and conductances")
     joined = config.cross_effects and len(layout.floor_area_m2) > 1
-    folds = ("whole", "training", "earlier") if runs else ("whole", "training")
     by_fold: dict[str, BuildingFit] = {}
-    log_odds: dict[int, float] = {}
-    for fold in folds:
-        rooms = []
+    inputs: dict[str, list[HeatInput]] = {}
+    fit: BuildingFit | None = None
+    # A fold has all that the one before it had, whose optimum is a good start.
+    for fold in ("earlier", "training", "whole") if runs else ("training", "whole"):
+        # Weather and levels of held-out rows are not seen either.
+        seen = [run.slice(0, n) for run, n in zip(runs, data[0].last_steps(fold), strict=False) if n > 1]
+        laws = [laws_of(seen, layout, a, heat_input, config) for a, heat_input in enumerate(heat_inputs)]
+        actuators, rooms = Actuators(layout, heat_inputs, laws), []
         for zone in range(len(layout.floor_area_m2)):
             first = layout.actuators_of(zone)[:1]
-            of_zone = data[first[0]] if first else data[0]
-            rooms.append(_seen(runs, pairs, zone, layout, heat_inputs, of_zone, fold, joined))
-        by_fold[fold] = fit = building_fit(layout, heat_inputs, rooms, joined=joined)
-        if fold == "whole":
-            for zone, (room, seen) in enumerate(zip(fit.rooms, rooms, strict=True)):
-                log_odds |= {a: room.gained(seen, k) for k, a in enumerate(layout.actuators_of(zone))}
+            rooms.append(_seen(runs, pairs, zone, actuators, data[first[0]] if first else data[0], fold, joined))
+        by_fold[fold] = fit = building_fit(actuators, rooms, joined=joined, before=fit)
+        inputs[fold] = [
+            with_outdoors(v, _found(fit, a, laws[a])[0], weather_of(seen, a)) for a, v in enumerate(heat_inputs)
+        ]
+    whole = by_fold["whole"]
+    estimates = [_estimates(whole, a, laws[a]) for a in range(len(heat_inputs))]
     effects: list[ZoneEffects | None] = []
-    for a in range(len(data)):
-        modes = {fold: _modes(fit, layout, a, config) for fold, fit in by_fold.items()}
+    for a, home in enumerate(layout.home):
+        order = [a, *others_of(layout, a, config)]
+        signs = np.array([layout.signs[b] for b in order])
+        folds = {}
+        for fold, fit in by_fold.items():
+            found = fit.responses[home]
+            modes = projected(Responses(found.mean[order], found.weather), 0, signs, config.modes)
+            folds[fold] = Effects(modes, tuple(inputs[fold][b] for b in order))
         effects.append(
-            ZoneEffects(modes["whole"], modes["training"], modes.get("earlier", modes["training"]), log_odds[a])
+            ZoneEffects(
+                folds["whole"],
+                folds["training"],
+                folds.get("earlier", folds["training"]),
+                folds["whole"].modes.covariance(whole.covariance[home, order]),
+                estimates[a],
+                whole.rooms[home].gained(layout.actuators_of(home).index(a)),
+            )
         )
     return effects
+
+
+def _found(fit: BuildingFit, a: int, laws: Sequence[LevelLaw]) -> tuple[dict[str, float], dict[str, int]]:
+    """What a fit says of the laws of actuator `a`, and their places in θ of its room."""
+    home = fit.layout.home[a]
+    room, k = fit.rooms[home], fit.layout.actuators_of(home).index(a)
+    places = {law.name: room.room.place[f"{law.name}_{k}"] for law in laws}
+    return {name: float(room.theta[place]) for name, place in places.items()}, places
+
+
+def _estimates(fit: BuildingFit, a: int, laws: Sequence[LevelLaw]) -> Estimates:
+    """`_found` with standard deviations."""
+    values, places = _found(fit, a, laws)
+    if not places:
+        return {}
+    variances = np.diagonal(fit.rooms[fit.layout.home[a]].covariance)
+    return {name: (values[name], float(np.sqrt(variances[place]))) for name, place in places.items()}
 
 
 def _seen(
     runs: Sequence[Record],
     pairs: Sequence[Pair],
     zone: int,
-    layout: Layout,
-    heat_inputs: Sequence[HeatInput],
+    actuators: Actuators,
     data: ZoneRows,
     fold: str,
     joined: bool,
@@ -93,17 +141,8 @@ def _seen(
     found, steps = [], data.last_steps(fold)
     for run, n in zip(runs, steps, strict=False):
         if n > 1:
-            found.append(room_run(run.slice(0, n), zone, layout, heat_inputs, data.grid_K, joined=joined))
+            found.append(room_run(run.slice(0, n), zone, actuators, data.grid_K, joined=joined))
     for pair, n in zip(pairs, steps[len(runs) :], strict=True):
         if n > 1:
-            found.append(room_pair(pair, zone, layout, heat_inputs, data.grid_K, joined=joined))
+            found.append(room_pair(pair, zone, actuators, data.grid_K, joined=joined))
     return found
-
-
-def _modes(fit: BuildingFit, layout: Layout, a: int, config: IdentificationConfig) -> Modes:
-    """The responses of the home zone of `a` to it and to the others of its fit, as modes."""
-    responses = fit.responses[layout.home[a]]
-    order = [a, *others_of(layout, a, config)]
-    signs = np.array([layout.signs[b] for b in order])
-    part = Responses(responses.mean[order], responses.covariance[order], responses.weather)
-    return projected(part, 0, signs, config.modes)

@@ -13,6 +13,7 @@ from scipy.optimize import least_squares, nnls
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.estimation.columns import free_time_constants
+from thermoforce_mpc.identification.estimation.differences import jacobian
 from thermoforce_mpc.identification.estimation.modes import lags_of_gains
 from thermoforce_mpc.identification.network.building import RESPONSE_H, WEATHER_H, Responses
 
@@ -30,7 +31,6 @@ _STARTS_H: dict[int, tuple[tuple[float, ...], ...]] = {
 _LOG_TAU_SD, _GAIN_SD = 0.5, 1.0
 # Least standard deviations: of a response, as a share of the largest, and of a gain, K or K/h.
 _LEAST_SHARE, _LEAST_GAIN = 0.01, 1e-3
-_DIFFERENCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -38,15 +38,20 @@ class Modes:
     """Responses of a zone to its actuators as r modes of common time constants.
 
     `log_tau` (r,): ln(τ/h), rising; `gains` (A, r): [slope K/h, G_2 … G_r K] of each actuator in the direction of its
-    sign; `covariance` (A, 2r, 2r): of [ln τ, gains]; `misfit` (A,): root mean square error over that of the response.
-    `weather` (2, q): steady gains of the free modes to 1 K outdoors and to `SUN_W_M2`, K.
+    sign; `misfit` (A,): root mean square error over that of the response. `weather` (2, q): steady gains of the free
+    modes to 1 K outdoors and to `SUN_W_M2`, K.
     """
 
     log_tau: Array
     gains: Array
-    covariance: Array
     misfit: Array
     weather: Array
+
+    def covariance(self, of_responses: Array) -> Array:
+        """Covariance (A, 2r, 2r) of [ln τ, gains] of each actuator that gives its response that of the network,
+        (A, T, T).
+        """
+        return np.array([_covariance(self.log_tau, g, c) for g, c in zip(self.gains, of_responses, strict=True)])
 
 
 def unit_steps(log_tau: Array, hours: Array = RESPONSE_H) -> Array:
@@ -77,11 +82,10 @@ def projected(responses: Responses, own: int, signs: Array, order: int) -> Modes
     log_tau = np.minimum(tau_of(min(found, key=lambda result: result.cost).x), np.log(_LONGEST_H))
     units = unit_steps(log_tau)
     gains = np.array([nnls(units, mean)[0] for mean in means])
-    covariance = np.array([_covariance(log_tau, g, c) for g, c in zip(gains, responses.covariance, strict=True)])
     errors = np.sqrt(np.mean((gains @ units.T - means) ** 2, axis=1) / np.maximum(np.mean(means**2, axis=1), 1e-12))
     free = -np.expm1(-WEATHER_H[:, None] / np.exp(free_time_constants(log_tau)))
     weather = np.array([nnls(free, response)[0] for response in responses.weather])
-    return Modes(log_tau, gains, covariance, errors, weather)
+    return Modes(log_tau, gains, errors, weather)
 
 
 def _covariance(log_tau: Array, gains: Array, of_response: Array) -> Array:
@@ -92,7 +96,7 @@ def _covariance(log_tau: Array, gains: Array, of_response: Array) -> Array:
         return np.asarray(unit_steps(p[:r]) @ p[r:])
 
     p = np.concatenate([log_tau, gains])
-    slopes = np.array([(steps(p + e) - steps(p - e)) / (2.0 * _DIFFERENCE) for e in np.eye(2 * r) * _DIFFERENCE]).T
+    slopes = jacobian(steps, p)
     size = max(float(gains.sum()), _LEAST_GAIN)
     prior = np.concatenate([np.full(r, _LOG_TAU_SD), np.full(r, _GAIN_SD * size)]) ** -2.0
     noise = of_response + np.diag(np.full(len(of_response), (_LEAST_SHARE * size) ** 2))

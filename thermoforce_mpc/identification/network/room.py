@@ -11,7 +11,8 @@ Madsen 2011 have one). Everything is per m² of floor, so that the priors suit a
     C_e  dT_e/dt = H_e (T − T_e) + heat v
 
 Heat that reaches a node warms no other at once and cools none, at any values: the matrix is Metzler. Every rate is a
-product of powers of positive parameters, so that it is linear in their logarithms.
+product of powers of positive parameters, so that it is linear in their logarithms, and of one that has a sign where
+there is one: of the daily waves of the gains, and of what a level gives more or less than in proportion.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.free_response.rc import INPUTS
 
 ROOM, STRUCTURE, ENVELOPE, EMITTER = 0, 1, 2, 3
-"""States: room, structure, envelope, then the emitters, then the disturbances."""
+"""States: room, structure, envelope, then the emitters (the nodes), then the disturbances."""
+SUN_ON_SENSOR = "sun_on_sensor"
+"""Parameter: how much too high a sensor reads in full sun on its facade, K."""
 DISTURBANCE_H = (1.0, 6.0, 48.0)
 """Time constants of the disturbances, h."""
 # Temperature of neighbours that were not measured, and of the ground, °C.
@@ -77,14 +80,60 @@ _NOISE: dict[str, Prior] = {
     "structure_noise": Prior(0.04, 0.8),
     "reading": Prior(0.03, 0.7),
 }
+# Sun through one facade, m² of aperture, more or less than by that on the horizontal; on a sensor in full sun, K.
+_FACADE_SD, SENSOR_SD_K = 0.02, 3.0
 # Sun by the side of the house and daily wave of the gains, W/m²; by their signed weight in `INPUTS`.
 _WAVES: dict[str, float] = {"solar_cosine": 0.02, "solar_sine": 0.02, "daily_cosine": 1.5, "daily_sine": 1.5}
-_OUTDOOR, _SUN, _ONE = (INPUTS.index(name) for name in ("outdoor", "solar", "constant"))
+OUTDOOR, SUN, _ONE = (INPUTS.index(name) for name in ("outdoor", "solar", "constant"))
+"""Inputs: outdoor temperature °C, irradiance W/m²."""
+
+
+class Law(NamedTuple):
+    """What an actuator gives besides its drive v: c φ, with an input φ and a Gaussian prior of c."""
+
+    actuator: int
+    name: str
+    mean: float
+    sd: float
+
+
+class Link(NamedTuple):
+    """A conductance between a node and another one or, times `factor`, the temperature of an input."""
+
+    node: int
+    conductance: str
+    other: int = -1
+    from_input: int = -1
+    factor: float = 1.0
+
+
+class Source(NamedTuple):
+    """Heat of an input into a node: `factor`, positive parameters, and a signed one where it is named."""
+
+    node: int
+    from_input: int
+    names: tuple[str, ...]
+    factor: float = 1.0
+    signed: str = ""
+
+
+class _Terms(NamedTuple):
+    """Rates (t,) of (F, G): powers of θ's positive part (t, p), factor (t,), place in θ of a signed parameter or −1
+    (t,), row and column (t,).
+    """
+
+    powers: Array
+    factors: Array
+    signed: NDArray[np.intp]
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
 
 
 @dataclass(frozen=True)
 class Equations:
-    """dx/dt = F x + G inputs at some parameters: the matrix (F, G) (n, n + m), 1/h, and each of its rates (t,)."""
+    """dx/dt = F x + G inputs at some parameters: the matrix (F, G) (n, n + m), 1/h, and each of its rates (t,), 1/h
+    per unit of its signed parameter.
+    """
 
     matrix: Array
     rates: Array
@@ -98,14 +147,21 @@ class Room:
         signs: +1 for an actuator that heats, −1 for one that cools (K,).
         heat_W_m2: heat of each at full level, W per m² of floor, NaN where it was not measured (K,).
         neighbours: number of measured neighbours N.
+        laws: what the actuators give besides (L,).
+        facades: number of facades through which the sun comes in.
+        sensor: whether the sun may shine on the sensor, see `estimate.Run.on_sensor`.
 
-    Parameters θ: logarithms of the positive ones, `names`, then the signed weights of the daily waves.
-    Inputs: those of `rc.INPUTS`, the neighbours' temperatures (N,) °C, and v of the actuators (K,).
+    Parameters θ: logarithms of the positive ones, `names`, then the `signed` ones.
+    Inputs: those of `rc.INPUTS`, the neighbours' temperatures (N,) °C, v of the actuators (K,), φ of the laws (L,), sun
+    on the facades W/m².
     """
 
     signs: tuple[int, ...] = (1,)
     heat_W_m2: tuple[float, ...] = (float("nan"),)
     neighbours: int = 0
+    laws: tuple[Law, ...] = ()
+    facades: int = 0
+    sensor: bool = False
 
     @cached_property
     def priors(self) -> dict[str, Prior]:
@@ -119,24 +175,36 @@ class Room:
         return priors | _NOISE
 
     @cached_property
+    def signed(self) -> dict[str, tuple[float, float]]:
+        """Prior mean and standard deviation of the signed parameters by name."""
+        laws = {_name_of(law): (law.mean, law.sd) for law in self.laws}
+        facades = {
+            f"{name}_{i}": (0.0, _FACADE_SD) for i in range(self.facades) for name in ("facade", "facade_inside")
+        }
+        sensor = {SUN_ON_SENSOR: (0.0, SENSOR_SD_K)} if self.sensor else {}
+        return {name: (0.0, sd) for name, sd in _WAVES.items()} | laws | facades | sensor
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the positive parameters."""
         return tuple(self.priors)
 
     @cached_property
     def place(self) -> dict[str, int]:
-        """Where each positive parameter stands in θ."""
-        return {name: i for i, name in enumerate(self.names)}
+        """Where each parameter stands in θ."""
+        return {name: i for i, name in enumerate((*self.names, *self.signed))}
 
     @cached_property
     def mean(self) -> Array:
         """Prior mean of θ (p,)."""
-        return np.append(np.log([prior.median for prior in self.priors.values()]), np.zeros(len(_WAVES)))
+        return np.append(
+            np.log([prior.median for prior in self.priors.values()]), [mean for mean, _ in self.signed.values()]
+        )
 
     @cached_property
     def sd(self) -> Array:
         """Prior standard deviation of θ (p,)."""
-        return np.append([prior.log_sd for prior in self.priors.values()], list(_WAVES.values()))
+        return np.append([prior.log_sd for prior in self.priors.values()], [sd for _, sd in self.signed.values()])
 
     def prior(self, theta: Array) -> tuple[float, Array]:
         """Half the negative log prior at θ (p,) up to a constant, and its gradient.
@@ -156,89 +224,111 @@ class Room:
     @property
     def n_states(self) -> int:
         """Number of states n."""
-        return EMITTER + len(self.signs) + len(DISTURBANCE_H)
+        return len(self.nodes) + len(DISTURBANCE_H)
 
     @property
     def disturbances(self) -> slice:
         """States of the disturbances, W/m²."""
-        return slice(self.n_states - len(DISTURBANCE_H), self.n_states)
+        return slice(len(self.nodes), self.n_states)
 
     @property
     def n_inputs(self) -> int:
         """Number of inputs m."""
-        return len(INPUTS) + self.neighbours + len(self.signs)
+        return self.drive(len(self.signs)) + len(self.laws) + self.facades
 
     def drive(self, actuator: int) -> int:
         """Which input the level of `actuator` is."""
         return len(INPUTS) + self.neighbours + actuator
 
+    def drives(self, actuator: int) -> list[int]:
+        """Which inputs are its level and what its laws make of it."""
+        first = self.drive(len(self.signs))
+        return [self.drive(actuator), *(first + i for i, law in enumerate(self.laws) if law.actuator == actuator)]
+
     @cached_property
-    def _terms(self) -> tuple[Array, NDArray[np.intp], NDArray[np.intp], Array]:
-        """Powers of θ's positive part (t, p), row and column in (F, G) (t,), and factor (t,) of each rate."""
-        powers: list[Array] = []
-        rows: list[int] = []
-        columns: list[int] = []
-        factors: list[float] = []
+    def nodes(self) -> tuple[str, ...]:
+        """Heat capacity of each node, in the order of the states."""
+        return ("C_room", "C_structure", "C_envelope", *(f"C_emitter_{a}" for a in range(len(self.signs))))
+
+    @cached_property
+    def links(self) -> tuple[Link, ...]:
+        """The conductances."""
+        return (
+            Link(ROOM, "H_structure", STRUCTURE),
+            Link(STRUCTURE, "H_envelope", ENVELOPE),
+            *(Link(ROOM, f"H_emitter_{a}", EMITTER + a) for a in range(len(self.signs))),
+            Link(ROOM, "H_outdoors", from_input=OUTDOOR),
+            Link(ENVELOPE, "H_envelope_outdoors", from_input=OUTDOOR),
+            Link(ROOM, "H_neighbours", from_input=_ONE, factor=_NEIGHBOURS_C),
+            *(Link(ROOM, f"wall_{j}", from_input=len(INPUTS) + j) for j in range(self.neighbours)),
+        )
+
+    @cached_property
+    def sources(self) -> tuple[Source, ...]:
+        """The heat of sun, people and actuators."""
+        sources = [
+            Source(ROOM, SUN, ("sun",)),
+            Source(STRUCTURE, SUN, ("sun_structure",)),
+            Source(ROOM, _ONE, ("gains",)),
+            *(Source(ROOM, INPUTS.index(name), (), signed=name) for name in _WAVES),
+        ]
+        for a, sign in enumerate(self.signs):
+            signed = ["", *(_name_of(law) for law in self.laws if law.actuator == a)]
+            for drive, name in zip(self.drives(a), signed, strict=True):
+                sources.append(Source(EMITTER + a, drive, (f"heat_{a}",), sign, name))
+                sources.append(Source(STRUCTURE, drive, (f"heat_{a}", f"heat_structure_{a}"), sign, name))
+        for i in range(self.facades):
+            sun = self.n_inputs - self.facades + i
+            sources += [
+                Source(ROOM, sun, (), signed=f"facade_{i}"),
+                Source(STRUCTURE, sun, (), signed=f"facade_inside_{i}"),
+            ]
+        return tuple(sources)
+
+    @cached_property
+    def _terms(self) -> _Terms:
+        rates: list[tuple[Array, float, int, int, int]] = []
         n = self.n_states
 
-        def rate(row: int, column: int, factor: float, *up: str, over: str) -> None:
+        def rate(row: int, column: int, names: tuple[str, ...], factor: float = 1.0, signed: str = "") -> None:
             power = np.zeros(len(self.names))
-            for name in up:
+            for name in names:
                 power[self.place[name]] += 1.0
-            power[self.place[over]] -= 1.0
-            powers.append(power)
-            rows.append(row)
-            columns.append(column)
-            factors.append(factor)
+            power[self.place[self.nodes[row]]] -= 1.0
+            rates.append((power, factor, self.place[signed] if signed else -1, row, column))
 
-        def joined(row: int, column: int, conductance: str, capacity: str, factor: float = 1.0) -> None:
-            rate(row, column, factor, conductance, over=capacity)
-            rate(row, row, -1.0, conductance, over=capacity)
-
-        joined(ROOM, STRUCTURE, "H_structure", "C_room")
-        joined(STRUCTURE, ROOM, "H_structure", "C_structure")
-        joined(ROOM, n + _OUTDOOR, "H_outdoors", "C_room")
-        joined(STRUCTURE, ENVELOPE, "H_envelope", "C_structure")
-        joined(ENVELOPE, STRUCTURE, "H_envelope", "C_envelope")
-        joined(ENVELOPE, n + _OUTDOOR, "H_envelope_outdoors", "C_envelope")
-        joined(ROOM, n + _ONE, "H_neighbours", "C_room", _NEIGHBOURS_C)
-        for j in range(self.neighbours):
-            joined(ROOM, n + len(INPUTS) + j, f"wall_{j}", "C_room")
-        rate(ROOM, n + _SUN, 1.0, "sun", over="C_room")
-        rate(STRUCTURE, n + _SUN, 1.0, "sun_structure", over="C_structure")
-        rate(ROOM, n + _ONE, 1.0, "gains", over="C_room")
-        for a, sign in enumerate(self.signs):
-            emitter, drive = EMITTER + a, n + self.drive(a)
-            joined(ROOM, emitter, f"H_emitter_{a}", "C_room")
-            joined(emitter, ROOM, f"H_emitter_{a}", f"C_emitter_{a}")
-            rate(emitter, drive, sign, f"heat_{a}", over=f"C_emitter_{a}")
-            rate(STRUCTURE, drive, sign, f"heat_{a}", f"heat_structure_{a}", over="C_structure")
+        for link in self.links:
+            names = (link.conductance,)
+            rate(link.node, link.node, names, -1.0)
+            if link.other < 0:
+                rate(link.node, n + link.from_input, names, link.factor)
+                continue
+            rate(link.node, link.other, names)
+            rate(link.other, link.node, names)
+            rate(link.other, link.other, names, -1.0)
+        for source in self.sources:
+            rate(source.node, n + source.from_input, source.names, source.factor, source.signed)
         for state in range(n)[self.disturbances]:
-            rate(ROOM, state, 1.0, over="C_room")
-        return np.array(powers), np.array(rows), np.array(columns), np.array(factors)
-
-    @cached_property
-    def _waves(self) -> NDArray[np.intp]:
-        """Columns of the daily waves in (F, G)."""
-        return np.array([self.n_states + INPUTS.index(name) for name in _WAVES])
+            rate(ROOM, state, ())
+        return _Terms(*(np.array(column) for column in zip(*rates, strict=True)))
 
     def equations(self, theta: Array) -> Equations:
         """The equations at θ (p,)."""
-        powers, rows, columns, factors = self._terms
-        rates = factors * np.exp(powers @ theta[: len(self.names)])
+        terms = self._terms
+        rates = terms.factors * np.exp(terms.powers @ theta[: len(self.names)])
         matrix = np.zeros((self.n_states, self.n_states + self.n_inputs))
-        np.add.at(matrix, (rows, columns), rates)
+        np.add.at(matrix, (terms.rows, terms.columns), rates * np.where(terms.signed < 0, 1.0, theta[terms.signed]))
         states = np.arange(self.n_states)[self.disturbances]
         matrix[states, states] = -1.0 / np.array(DISTURBANCE_H)
-        matrix[ROOM, self._waves] += theta[len(self.names) :] / self.value(theta, "C_room")
         return Equations(matrix, rates)
 
     def slopes(self, theta: Array, equations: Equations, by_matrix: Array) -> Array:
         """Derivatives (p,) by θ of a function with derivatives `by_matrix` (n, n + m) by the matrix."""
-        powers, rows, columns, _ = self._terms
-        by_waves = by_matrix[ROOM, self._waves] / self.value(theta, "C_room")
-        out = np.append(powers.T @ (equations.rates * by_matrix[rows, columns]), by_waves)
-        out[self.place["C_room"]] -= by_waves @ theta[len(self.names) :]
+        terms, out = self._terms, np.zeros(theta.size)
+        by_term = equations.rates * by_matrix[terms.rows, terms.columns]
+        has_sign = terms.signed >= 0
+        np.add.at(out, terms.signed[has_sign], by_term[has_sign])
+        out[: len(self.names)] = terms.powers.T @ (by_term * np.where(has_sign, theta[terms.signed], 1.0))
         return out
 
     def value(self, theta: Array, name: str) -> float:
@@ -264,6 +354,10 @@ class Room:
         )
         out[self.place["reading"]] = 2.0 * by_reading
         return out
+
+
+def _name_of(law: Law) -> str:
+    return f"{law.name}_{law.actuator}"
 
 
 def neighbours_of(zone: int, zones: int) -> Sequence[int]:

@@ -15,7 +15,6 @@ from thermoforce_mpc.identification.estimation.joint import ModeFit, fit_modes
 from thermoforce_mpc.identification.estimation.likelihood import Split, residuals, split_run
 from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.estimation.regression import RegressionData, follows_action
-from thermoforce_mpc.identification.estimation.system import System
 from thermoforce_mpc.identification.validation.competence import Fold
 from thermoforce_mpc.identification.validation.held_out import Case
 
@@ -52,10 +51,9 @@ def _part(regression: RegressionData, rows: NDArray[np.intp]) -> RegressionData:
     )
 
 
-def training_data(cases: Sequence[Case], splits: Sequence[Split], order: int, sign: int) -> System:
-    """Return the training rows of all cases for operators of an order."""
-    parts = [_part(c.regression, s.train) for c, s in zip(cases, splits, strict=True) if s.train.size]
-    return System(parts, order, sign)
+def training_data(cases: Sequence[Case], splits: Sequence[Split]) -> list[RegressionData]:
+    """Return the training rows of all cases."""
+    return [_part(c.regression, s.train) for c, s in zip(cases, splits, strict=True) if s.train.size]
 
 
 def earlier_fold(
@@ -65,7 +63,7 @@ def earlier_fold(
     runs = [(c, s) for c, s in zip(cases, splits, strict=True) if not c.regression.is_pair and s.judged.size]
     before = [replace(case, regression=_part(case.regression, split.train)) for case, split in runs]
     anew = [split_before(case, split, config) for case, split in runs]
-    return Fold(before, anew, fit_modes(training_data(before, anew, priors.order, sign), priors, config))
+    return Fold(before, anew, fit_modes(training_data(before, anew), priors, config, sign))
 
 
 def split_before(case: Case, split: Split, config: IdentificationConfig) -> Split:
@@ -77,12 +75,12 @@ def split_before(case: Case, split: Split, config: IdentificationConfig) -> Spli
 def fit_and_judge(
     cases: Sequence[Case],
     splits: Sequence[Split],
-    training: System,
     priors: ModePriors,
     config: IdentificationConfig,
+    sign: int,
 ) -> Fitted:
-    """Fit to the `training_data` and evaluate on the held-out rows and rollouts."""
-    fit, sign = fit_modes(training, priors, config), training.sign
+    """Fit to the training rows and evaluate on the held-out rows and rollouts."""
+    fit = fit_modes(training_data(cases, splits), priors, config, sign)
     whitened, errors = [], []
     for case, split in zip(cases, splits, strict=True):
         if not split.judged.size:

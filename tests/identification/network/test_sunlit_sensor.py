@@ -11,9 +11,9 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from controllers import MPCConfig, ThermoForceMPC
 from thermoforce_mpc.boundary.weather.solar import on_plane, sun_position
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Observation, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Observation, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.effects.sun_on_sensor import sun_on_sensor
+from thermoforce_mpc.identification.network.sensor import sun_on_sensor
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.identification.probing.probe import Probing
 from thermoforce_mpc.identification.validation.report import rollouts
@@ -37,7 +37,7 @@ def probed(house: House) -> tuple[Record, Array]:
 
 
 def found(record: Record) -> SunOnSensor | None:
-    sun = sun_on_sensor([record], HeatInput(), IdentificationConfig())
+    sun = sun_on_sensor([record], 0, Layout.single(), [HeatInput()], IdentificationConfig())
     return sun if sun is not None and sun.likely else None
 
 
@@ -68,7 +68,8 @@ def test_sun_that_warms_a_light_room_is_not_taken_for_sun_on_its_sensor(index):
 
 
 def test_levels_of_room_set_points_do_not_tell(sunlit):
-    assert sun_on_sensor([sunlit[0]], HeatInput(lowest=-1.0), IdentificationConfig()) is None
+    levels = HeatInput(lowest=-1.0)
+    assert sun_on_sensor([sunlit[0]], 0, Layout.single(), [levels], IdentificationConfig()) is None
 
 
 def test_a_model_is_that_of_the_room_and_says_so(sunlit, tmp_path):

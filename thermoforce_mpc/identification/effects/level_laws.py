@@ -1,0 +1,192 @@
+"""What a level gives where heat is not measured: over the outdoor temperature, at part load, by a radiator's exponent.
+
+A heat pump gives less heat at full level when it is cold, a circuit on a heating curve gives more. Operation acts most
+when it is cold, so a fit that takes every level for the same heat is wrong in one direction, the more certainly so the
+longer the record. Each such law is one parameter c of the drive, v = u + c φ(u, T_out), and so one of the network of
+the building (`network.room`), estimated beside all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermoforce_mpc.data import Array, Layout, Record
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.model.machine.heat_capacity import KINDS, kinds_for
+from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
+from thermoforce_mpc.model.machine.part_load import COST, COST_SD, HEAT, HEAT_SD, LEVEL
+from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+
+OUTDOORS, PART_LOAD, RADIATOR = "heat_per_K", "heat_at_part_load", "heat_of_radiator"
+EXPONENT, EXPONENT_SD = "radiator_exponent", "radiator_exponent_sd"
+# Largest change of heat with the outdoor temperature, 1/K, and least heat of a level anywhere in the record, as a share
+# of that at the mean.
+_MOST_PER_K, _LEAST_FACTOR = 0.08, 0.2
+# Heat per level at part load over that at full level. A machine whose heat is the level has 1; heat pumps sag by some
+# 12 % at full level (`machine.heat_capacity`), and one at the limit of its water temperature by up to a half. Heat is a
+# concave law of the level: below 1 an estimate is noise, and would switch an electric heater for a loss that it cannot
+# have.
+_HEAT_PRIOR, _HEAT_RANGE = (1.1, 0.25), (1.0, 2.0)
+# Exponent of panel radiators, convectors and sectional radiators in data sheets by EN 442: 1.2 to 1.4.
+_EXPONENT_SD, _EXPONENT_RANGE = 0.1, (1.0, 2.0)
+# The data determine an exponent where they leave less than this share of its prior's standard deviation.
+_INFORMATIVE = 0.7
+# Relative standard deviation of the cost by what one number for all part load and a linear law of power are not.
+_COST_SD = 0.03
+# Steps at part load from which their heat is estimated.
+_LEAST_STEPS = 4
+
+
+@dataclass(frozen=True)
+class LevelLaw:
+    """An unknown of what a level gives: φ of levels u (n,) and T_out (n,) °C, and the prior `mean` and `sd` of c."""
+
+    name: str
+    mean: float
+    sd: float
+    phi: Callable[[Array, Array], Array]
+
+
+Estimates = Mapping[str, tuple[float, float]]
+"""c of the laws of an actuator and its standard deviation, by name."""
+
+
+def levels_only(heat_input: HeatInput, layout: Layout, a: int, config: IdentificationConfig) -> bool:
+    """Whether nothing but its level says what actuator `a` gives.
+
+    Not so where heat was measured or is the level itself: signed levels, `heat_input: identity`, the map of a radiator.
+    """
+    may_be_fitted = config.method == "joint" and config.heat_input == "auto" and config.radiator_exponent is None
+    return may_be_fitted and heat_input.heat is None and layout.lowest[a] == 0.0
+
+
+def laws_of(
+    runs: Sequence[Record], layout: Layout, a: int, heat_input: HeatInput, config: IdentificationConfig
+) -> list[LevelLaw]:
+    """The laws of actuator `a` in a building whose records are `runs`.
+
+    None without runs, if it never acted, where heat was measured, and where its machine is shared: what a machine gives
+    to one of several depends on the others too, so that their temperatures say little of it.
+    """
+    shared = len(layout.fed_by(layout.machine_of[a])) > 1
+    if shared or config.method != "joint" or heat_input.law is not None or layout.lowest[a] < 0.0:
+        return []
+    weather = weather_of(runs, a)
+    if weather is None:
+        return []
+    laws = []
+    if levels_only(heat_input, layout, a, config):
+        mean_C = weather.mean_C
+        laws.append(LevelLaw(OUTDOORS, *_slope_prior(layout.signs[a], config), lambda u, T: u * (T - mean_C)))
+    partial = sum(np.count_nonzero(_part(run.u[a])) for run in runs)
+    if config.part_load and partial >= _LEAST_STEPS:
+        mean, sd = _HEAT_PRIOR
+        laws.append(LevelLaw(PART_LOAD, mean - 1.0, sd, lambda u, T: np.where(_part(u), u, 0.0)))
+    if config.radiator_exponent is not None:
+        # Heat is u^(1 + c) of levels that were recorded with the assumed exponent: u + c u ln u to first order.
+        sd = _EXPONENT_SD / config.radiator_exponent
+        laws.append(LevelLaw(RADIATOR, 0.0, sd, lambda u, T: u * np.log(np.maximum(u, 1e-12))))
+    return laws
+
+
+def _slope_prior(sign: int, config: IdentificationConfig) -> tuple[float, float]:
+    """Mean and standard deviation of the relative change of heat with T_out, 1/K, over the types of machine."""
+    kinds = kinds_for(sign) if config.machine == "auto" else (KINDS[config.machine],)
+    means, sds = np.array([kind.slope for kind in kinds]).T
+    return float(means.mean()), float(np.sqrt(np.mean(sds**2 + means**2) - means.mean() ** 2))
+
+
+@dataclass(frozen=True)
+class LevelWeather:
+    """Outdoor temperature of a record, °C: its mean weighted by an actuator's level, range, and spread about that."""
+
+    mean_C: float
+    range_C: tuple[float, float]
+    spread_K: float
+
+
+def weather_of(runs: Sequence[Record], a: int) -> LevelWeather | None:
+    """The weather in which actuator `a` acted; None if it never did."""
+    level = np.concatenate([run.u[a] for run in runs]) if runs else np.empty(0)
+    if not level.sum() > 0.0:
+        return None
+    T_out_C = np.concatenate([run.T_out_C[:-1] for run in runs])
+    mean_C = float(level @ T_out_C / level.sum())
+    spread_K = float(np.sqrt(np.mean((T_out_C - mean_C) ** 2)))
+    return LevelWeather(mean_C, (float(T_out_C.min()), float(T_out_C.max())), spread_K)
+
+
+def with_outdoors(heat_input: HeatInput, found: Mapping[str, float], weather: LevelWeather | None) -> HeatInput:
+    """The heat input with what was `found` of it over the outdoor temperature."""
+    if OUTDOORS not in found or weather is None:
+        return heat_input
+    low, high = weather.range_C
+    most = min(_MOST_PER_K, (1.0 - _LEAST_FACTOR) / max(high - weather.mean_C, weather.mean_C - low, 1.0))
+    per_K = float(np.clip(found[OUTDOORS], -most, most))
+    return HeatInput(reference_C=weather.mean_C, per_K=per_K, T_out_range_C=weather.range_C)
+
+
+def outdoors_in_words(found: Estimates, weather: LevelWeather) -> str:
+    """A note for the model card."""
+    per_K, sd = found[OUTDOORS]
+    return (
+        f"heat was not measured: from the temperatures that of a level changes by {100 * per_K:+.1f} "
+        f"± {100 * sd:.1f} % per K outdoors, effects are those at {weather.mean_C:.1f} °C"
+    )
+
+
+def level_shape(
+    found: Estimates, histories: Sequence[Record], config: IdentificationConfig, power: PowerModel | None
+) -> tuple[dict[str, float], list[str]]:
+    """What was found of the heat over the level, as numbers for the card and notes in words."""
+    if RADIATOR in found and config.radiator_exponent is not None:
+        value, sd = (config.radiator_exponent * x for x in found[RADIATOR])
+        return _exponent(float(np.clip(config.radiator_exponent + value, *_EXPONENT_RANGE)), sd, config)
+    if PART_LOAD in found and power is not None:
+        value, sd = found[PART_LOAD]
+        return _cost(float(np.clip(1.0 + value, *_HEAT_RANGE)), sd, histories, power), []
+    return {}, []
+
+
+def _part(u: Array) -> NDArray[np.bool_]:
+    return np.asarray((u > LEVEL_EDGE) & (u < 1.0 - LEVEL_EDGE))
+
+
+def _exponent(value: float, sd: float, config: IdentificationConfig) -> tuple[dict[str, float], list[str]]:
+    assumed = config.radiator_exponent
+    numbers = {EXPONENT: value, EXPONENT_SD: sd}
+    summary = f"exponent of the radiator from the temperature: {value:.2f} ± {sd:.2f}"
+    if sd > _INFORMATIVE * _EXPONENT_SD:
+        return numbers, [f"{summary}; the data hardly tell it, the {assumed:g} of the data sheet is kept"]
+    if abs(value - (assumed or 0.0)) <= 2.0 * sd:
+        return numbers, [f"{summary}, in agreement with the {assumed:g} in use"]
+    return numbers, [f"{summary}, not the {assumed:g} in use: write actuator.exponent: {value:.2f} and probe again"]
+
+
+def _cost(heat: float, heat_sd: float, histories: Sequence[Record], power: PowerModel) -> dict[str, float]:
+    """Cost of heat at the level of part load that is nearest to what held the zone, over that at full level."""
+    u, T_out, power_W = (
+        np.concatenate([values(h) for h in histories])
+        for values in (lambda h: h.u[0], lambda h: h.T_out_C[:-1], lambda h: h.power_W[0])
+    )
+    kept = np.isfinite(u) & np.isfinite(T_out) & np.isfinite(power_W)
+    u, T_out, power_W = u[kept], T_out[kept], power_W[kept]
+    # Trial levels are few; in light zones any level may have been held, so neighbours count with it.
+    levels = u[_part(u)]
+    if not levels.size:
+        return {}
+    level = float(levels[np.argmin(np.abs(levels - u.mean()))])
+    near = _part(u) & (np.abs(u - level) <= 0.2 * level)
+    full_W = power(np.ones(u.size), T_out)
+    per_level = power_W[near] / (u[near] * full_W[near])
+    spread = (heat_sd / heat) ** 2
+    # E[1/k] to second order: not knowing the heat makes what it costs dearer in expectation.
+    cost = float(per_level.mean()) / heat * (1.0 + spread)
+    noise = float(per_level.std() / np.sqrt(near.sum()) / per_level.mean())
+    cost_sd = cost * float(np.linalg.norm([heat_sd / heat, noise, _COST_SD]))
+    return {LEVEL: level, HEAT: heat, HEAT_SD: heat_sd, COST: cost, COST_SD: cost_sd}

@@ -1,0 +1,148 @@
+"""Whether the sun shines on a zone sensor, from records of a building in operation.
+
+Sun on a sensor enters its reading at once and leaves it behind the next cloud, while a room follows the sun through its
+surfaces and structure. The room's network, with the sun through each facade as heat, is fitted without and with sun on
+the sensor: for each facade and lag of the sensor one number more, K in full sun. What that gains in posterior, less
+what one number more costs, are the odds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import expit, log_ndtr
+
+from thermoforce_mpc.data import DAY_S, Array, Layout, Record
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.estimation.records import resolution_K
+from thermoforce_mpc.identification.network.effects import Actuators, room_run
+from thermoforce_mpc.identification.network.estimate import Run, searched
+from thermoforce_mpc.identification.network.room import SENSOR_SD_K
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.sun_on_sensor import FULL_SUN_W_M2, SunOnSensor, facade_W_m2, lagged, sun_at
+
+# What is tried: facades of the sensor and of windows, °, and lags of sensors, s, at a site of this latitude, °.
+_AZIMUTHS_DEG, _WINDOWS_DEG = (90.0, 135.0, 180.0, 225.0, 270.0), (90.0, 180.0, 270.0)
+_LAGS_S, _LATITUDE_DEG = (120.0, 900.0), 50.0
+# The most that a sensor shows in full sun, K, and where the search for it begins, in prior standard deviations.
+_MOST_K, _START = 8.0, 0.5
+# Relative error of the posterior at which a search ends: some hundredths of a nat.
+_TOLERANCE = 1e-6
+# Share of the largest irradiance from which it is day: clouds move the middle of the light, not that of the day.
+_DAYLIGHT = 0.02
+
+
+@dataclass(frozen=True)
+class _Explanation:
+    """Sun from `azimuth_deg` with `lag_s`: `full_K` in full sun, half the negative log posterior `value`, and the
+    room's parameters there, in prior standard deviations.
+    """
+
+    azimuth_deg: float
+    lag_s: float
+    full_K: float
+    value: float
+    at: Array
+
+    def sd_K(self, without: float) -> float:
+        """Standard deviation of `full_K`, where `value` is that `without`, if it were 0.
+
+        The mean of a Gaussian that gains g over 0 lies √(2 g) standard deviations from it.
+        """
+        gained = max(without - self.value, 1e-9)
+        return float(np.clip(abs(self.full_K) / np.sqrt(2.0 * gained), 1e-3, SENSOR_SD_K))
+
+    def gained(self, without: float) -> float:
+        """Log evidence that it gains over none, with half a Gaussian as its prior: the sun only adds."""
+        sd_K = self.sd_K(without)
+        positive = float(log_ndtr(self.full_K / sd_K) - log_ndtr(0.0))
+        likely = without - self.value + np.log(sd_K / SENSOR_SD_K) + positive
+        return float(likely) if self.full_K <= _MOST_K else -np.inf
+
+
+def sun_on_sensor(
+    runs: Sequence[Record], zone: int, layout: Layout, heat_inputs: Sequence[HeatInput], config: IdentificationConfig
+) -> SunOnSensor | None:
+    """Return the likeliest sun in the readings of a zone sensor, with its probability; None where the data cannot say.
+
+    That is so without sun or an actuator, and where one signed level heats and cools: such levels are means of what the
+    building's own loops deliver to a room set-point, and within a step the temperature jumps in a way that no
+    explanation has.
+
+    Args:
+        runs: records of the building, prepared (`estimation.records`).
+        zone: whose sensor.
+        layout: what acts where.
+        heat_inputs: v of each actuator (A,).
+        config: whether neighbours count.
+    """
+    home = layout.actuators_of(zone)
+    if not home or any(heat_inputs[a].lowest < 0.0 for a in home) or (noon_s := _noon_s(runs)) is None:
+        return None
+    actuators = Actuators(layout, heat_inputs, [()] * len(heat_inputs))
+    joined = config.cross_effects and len(layout.floor_area_m2) > 1
+    grid_K = resolution_K([run.part(zone, [home[0]], [layout.machine_of[home[0]]]) for run in runs])
+    lit = [_with_windows(room_run(run, zone, actuators, grid_K, joined=joined), run, noon_s) for run in runs]
+    room = replace(actuators.room(zone, len(layout.floor_area_m2) - 1 if joined else 0), facades=len(_WINDOWS_DEG))
+    first = searched(room, lit, np.zeros(room.sd.size), _TOLERANCE)
+    without, sunlit, start = float(first.fun), replace(room, sensor=True), np.append(first.x, _START)
+    explanations = []
+    for azimuth_deg in _AZIMUTHS_DEG:
+        facades = [facade_W_m2(run.time_s, run.solar_W_m2, _LATITUDE_DEG, noon_s, (azimuth_deg,)) for run in runs]
+        for lag_s in _LAGS_S:
+            parts = [lagged(f / FULL_SUN_W_M2, run.time_s, lag_s)[:, 0] for f, run in zip(facades, runs, strict=True)]
+            shone = [replace(run, on_sensor=part) for run, part in zip(lit, parts, strict=True)]
+            found = searched(sunlit, shone, start, _TOLERANCE)
+            full_K = float(found.x[-1] * SENSOR_SD_K)
+            explanations.append(_Explanation(azimuth_deg, lag_s, full_K, float(found.fun), found.x[:-1]))
+    best = max(explanations, key=lambda explanation: explanation.gained(without))
+    # The search with sun may have found a better room, which owes nothing to the sun.
+    without = min(without, float(searched(room, lit, best.at, _TOLERANCE).fun))
+    gained = [explanation.gained(without) for explanation in explanations]
+    best = explanations[int(np.argmax(gained))]
+    probability = float(expit(np.logaddexp.reduce(gained) - np.log(len(gained))))
+    # With a probability of less than one, the mean is less and the spread more than those of a sensor in the sun.
+    variance = probability * best.sd_K(without) ** 2 + probability * (1.0 - probability) * best.full_K**2
+    size = probability * best.full_K, float(np.sqrt(variance))
+    return SunOnSensor(*size, probability, best.azimuth_deg, best.lag_s, _LATITUDE_DEG, noon_s)
+
+
+def _with_windows(run: Run, record: Record, noon_s: float) -> Run:
+    """The run with the sun on the windows' facades in each step as inputs, W/m²."""
+    at_boundaries = facade_W_m2(record.time_s, record.solar_W_m2, _LATITUDE_DEG, noon_s, _WINDOWS_DEG)
+    of_steps = np.concatenate([0.5 * (at_boundaries[:-1] + at_boundaries[1:]), at_boundaries[-1:]])
+    return replace(run, inputs=np.ascontiguousarray(np.column_stack([run.inputs, of_steps])))
+
+
+def _noon_s(runs: Sequence[Record]) -> float | None:
+    """Mean solar noon on the records' clock, s, the middle of their hours of daylight; None without irradiance."""
+    solar, time_s = (np.concatenate(x) for x in zip(*((r.solar_W_m2, r.time_s) for r in runs), strict=True))
+    daylight = solar > _DAYLIGHT * solar.max(initial=0.0)
+    if not daylight.any():
+        return None
+    # Angles of the true solar time at a site whose noon is at 12 h, so that the equation of time is taken off.
+    angle = sun_at(time_s, 0.0, 0.5 * DAY_S).hour_angle
+    centre = np.angle(np.exp(1j * angle[daylight]).sum())
+    return float((0.5 + centre / (2.0 * np.pi)) * DAY_S)
+
+
+def without_sun(
+    runs: Sequence[Record], layout: Layout, heat_inputs: Sequence[HeatInput], config: IdentificationConfig
+) -> tuple[list[Record], dict[int, SunOnSensor]]:
+    """The runs without the sun on their zone sensors, and what was found of it by zone."""
+    found: dict[int, SunOnSensor] = {}
+    if not runs or not config.sun_on_sensor:
+        return list(runs), found
+    for zone in range(len(layout.floor_area_m2)):
+        likeliest = sun_on_sensor(runs, zone, layout, heat_inputs, config)
+        if likeliest is not None and likeliest.likely:
+            found[zone] = likeliest
+    corrected = []
+    for run in runs:
+        T_zone_C = np.array(run.T_zone_C)
+        for zone, sun in found.items():
+            T_zone_C[zone] -= sun.part_K(run.time_s, run.solar_W_m2)
+        corrected.append(replace(run, T_zone_C=T_zone_C))
+    return corrected, found
