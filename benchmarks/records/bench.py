@@ -110,7 +110,8 @@ def asked(case: Case) -> list[Answer]:
         operation = case.operation
     emitter = generated_house(clean.name).emitter if clean.name.startswith("generated:") else operation
     told = (clean.name, operation, emitter)
-    answers = [Answer(*told, CLEAN, "", _kinds(clean, clean.record))]
+    whole = _beside(clean, clean.layout.names.zones) if operation == "rooms" else ()
+    answers = [Answer(*told, CLEAN, "", (*_kinds(clean, clean.record), *whole))]
     for k, fault in enumerate(faults()):
         rng = np.random.default_rng([case.seed, case.number, k])
         if operation == "measured" and fault.kind in ("level is no level", "meter holds another load"):
@@ -119,7 +120,7 @@ def asked(case: Case) -> list[Answer]:
         if spoiled is not None:
             answers.append(Answer(*told, fault.kind, fault.size, _kinds(clean, spoiled)))
     if operation == "rooms":
-        answers += [_room_alone(clean), _room_alone(clean, complete=True)]
+        answers.append(Answer(*told, NEIGHBOURS, "", _beside(clean, clean.layout.names.zones[:1])))
     return [*answers, _dark(clean, np.random.default_rng([case.seed, case.number]))]
 
 
@@ -170,17 +171,16 @@ def _kinds(clean: Drawn, record: Record) -> tuple[str, ...]:
     return tuple(kinds) or (("unit of power",) if beyond else ())
 
 
-def _room_alone(clean: Drawn, *, complete: bool = False) -> Answer:
-    """The first room of a house mapped alone, the others beside it in the table; `complete`: all of them mapped."""
-    zones = clean.layout.names.zones
-    columns = {f"T_{zone}": clean.record.T_zone_C[z] for z, zone in enumerate(zones)}
-    mapped = {zone: {"temperature": f"T_{zone}"} for zone in (zones if complete else zones[:1])}
-    actuators = {"valve": {"zone": zones[0], "level": "u"}}
-    found = read_measurements(
-        _table(clean.record, columns), {"outdoor": "T_out", "zones": mapped, "actuators": actuators}
-    )
-    kinds = (NEIGHBOURS,) if found.understood.beside else ()
-    return Answer(clean.name, clean.operation, clean.operation, CLEAN if complete else NEIGHBOURS, "", kinds)
+def _beside(clean: Drawn, zones: Sequence[str]) -> tuple[str, ...]:
+    """What is said of rooms outside the map where a table holds all rooms of a house and the map names `zones`."""
+    names = clean.layout.names.zones
+    columns = {f"T_{zone}": clean.record.T_zone_C[z] for z, zone in enumerate(names)}
+    rules = {
+        "outdoor": "T_out",
+        "zones": {zone: {"temperature": f"T_{zone}"} for zone in zones},
+        "actuators": {"valve": {"zone": zones[0], "level": "u"}},
+    }
+    return (NEIGHBOURS,) if read_measurements(_table(clean.record, columns), rules).understood.beside else ()
 
 
 def _dark(clean: Drawn, rng: np.random.Generator) -> Answer:
