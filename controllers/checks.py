@@ -11,7 +11,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from thermoforce_mpc.data import Names, Observation
+from thermoforce_mpc.data import Array, Names, Observation
 from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
@@ -103,16 +103,22 @@ def check_observation(observation: Observation, step_s: float, n_steps: int, nam
     for what, of_part in (("history: it", history.names), ("boundary forecast: it", boundary.names)):
         check_same_building(what, of_part, "the controller", names, single_alike=True)
     observation.check_begin()
+    _check_steps("history", history.time_s, step_s)
     if boundary.n_steps < n_steps:
         raise DataError(
             f"boundary forecast has {boundary.n_steps} steps, the horizon needs {n_steps} of {step_s:g} s:"
             " give `horizon_s` of the controller, or set the option `horizon_h` to less"
         )
-    for what, time_s in (("boundary forecast", boundary.time_s[: n_steps + 1]), ("history", history.time_s)):
-        steps = np.diff(time_s)
-        wrong = np.flatnonzero(~(np.abs(steps - step_s) <= CLOCK_TOLERANCE_S))
-        if wrong.size:
-            raise DataError(
-                f"{what}: step {wrong[0]} of {steps.size} is {steps[wrong[0]]:g} s long, expected"
-                f" {step_s:g} s: give it in steps of the controller's `step_s`, or set the option `step_s` to its step"
-            )
+    _check_steps("boundary forecast", boundary.time_s[: n_steps + 1], step_s)
+
+
+def _check_steps(what: str, time_s: Array, step_s: float) -> None:
+    """Raise `DataError` where `time_s` (n,) does not go up in steps of `step_s` seconds."""
+    steps = np.diff(time_s)
+    wrong = np.flatnonzero(~(np.abs(steps - step_s) <= CLOCK_TOLERANCE_S))
+    if wrong.size:
+        first = float(steps[wrong[0]])
+        raise DataError(
+            f"{what}: step {wrong[0]} of {steps.size} is {first:g} s long, expected {step_s:g} s, the controller's"
+            f" step: set its option, step_s={first:g}, or give the {what} in steps of {step_s:g} s"
+        )

@@ -157,6 +157,24 @@ def test_a_table_that_cannot_be_used_is_refused_with_what_to_do(tables, change, 
         tf.Record.from_dataframe(change(tables[0]), **NAMES)
 
 
+def test_a_table_through_summer_time_says_how_to_read_it_and_then_reads(tmp_path):
+    index = pd.date_range("2025-03-29", periods=97, freq="30min", tz="Europe/Brussels", name="time")
+    whole = pd.DataFrame({"T": 20.0 + np.arange(97) % 5, "out": 5.0, "u": 0.5}, index=index)
+    whole.to_csv(tmp_path / "room.csv")
+    df = pd.read_csv(tmp_path / "room.csv", index_col=0, parse_dates=True)
+    names = {"zone": "T", "outdoor": "out", "level": "u"}
+    with pytest.raises(
+        DataError, match=r"'2025-03-29 00:00:00\+01:00'.* summer time.*to_datetime\(df\.index, utc=True\)"
+    ):
+        tf.Record.from_dataframe(df, **names)
+    rules = {"time": {"zone": "Europe/Brussels"}, "outdoor": "out", "zones": {"room": {"temperature": "T"}}}
+    by_map = tf.read_measurements(df, rules | {"actuators": {"heater": {"level": "u"}}}).record
+    df.index = pd.to_datetime(df.index, utc=True).tz_convert("Europe/Brussels")
+    record = tf.Record.from_dataframe(df, **names)
+    assert list(record.stamps()) == list(index)
+    np.testing.assert_array_equal(by_map.T_zone_C, record.T_zone_C)
+
+
 def test_a_room_is_not_outdoors(tables):
     with pytest.raises(DataError, match="zone and outdoor are the same column, 'T_room'"):
         tf.Record.from_dataframe(tables[0], **NAMES | {"outdoor": "T_room"})

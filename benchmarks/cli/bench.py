@@ -26,6 +26,7 @@ for _command in (
     models.operation_command,
     models.saving_command,
     models.rooms_command,
+    models.records_command,
     models.free_response_command,
     models.backbones_command,
     speed.plant_command,

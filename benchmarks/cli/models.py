@@ -193,6 +193,38 @@ def rooms_command(
     show(found, json_file)
 
 
+@click.command("records")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of the population.")
+@click.option("--houses", type=click.IntRange(1), default=40, show_default=True, help="Houses of each operation.")
+@click.option(
+    "--records",
+    type=FOLDER,
+    multiple=True,
+    help="Folder with measured records to spoil too: ehbe/ with its maps. Repeatable.",
+)
+@execution_options()
+@QUICK
+@JSON
+def records_command(
+    seed: int, houses: int, records: tuple[Path, ...], engine: Opening, quick: bool, json_file: Path | None
+) -> None:
+    """Put faults into records and count how many the checks find and name rightly, and what they say of clean ones.
+
+    Records of generated houses under probing and thermostats, and of houses of rooms. Faults of several sizes: stamps
+    that are late or early, units of power and temperature, set-points as levels, other loads on a meter, rooms left
+    out.
+
+    \b
+    Example:
+      tf-mpc bench records --seed 7 --records ../shared/measured_buildings --json records.json
+    """
+    from benchmarks.records.bench import run_records_bench
+
+    with engine(say) as where:
+        found = run_records_bench(seed=seed, houses=houses, engine=where, records=records, quick=quick, progress=say)
+    show(found, json_file)
+
+
 @click.command("free-response")
 @click.option("--reference", type=FOLDER, help="Folder with records of the real test case.")
 @click.option("--houses", type=FOLDER, help="Folder with measured houses.")

@@ -212,11 +212,23 @@ def _with_gaps(signal: str, *places: slice) -> Record:
         ),
         (_with_gaps("solar_W_m2", slice(100, 120)), "run: bridged solar_W_m2: 20 values by linear interpolation"),
         (_with_gaps("T_out_C", slice(150, 200)), "run: gaps in u or in the weather divide it into 2 pieces"),
-        (_with_gaps("u", slice(20, 21), slice(180, 190)), r"run: left out: run, 20 steps between gaps: 0\.21 days"),
+        (_with_gaps("u", slice(20, 30), slice(180, 190)), r"run: left out: run, 20 steps between gaps: 0\.21 days"),
+        (
+            _with_gaps("u", *(slice(k, k + 1) for k in range(7, 384, 20))),
+            r"run: bridged u: 19 values \(4\.9 %\) between the levels around",
+        ),
         (_with_gaps("u", slice(0, 70)), "run: 70 of 384 steps without level or weather left out"),
         (_with_gaps("u", slice(300, None)), "run: 84 of 384 steps without level or weather left out"),
     ],
-    ids=["short gaps outdoors", "short gap of the sun", "long gap outdoors", "unknown levels", "no start", "no end"],
+    ids=[
+        "short gaps outdoors",
+        "short gap of the sun",
+        "long gap outdoors",
+        "unknown levels",
+        "single levels",
+        "no start",
+        "no end",
+    ],
 )
 def test_gaps_of_a_record_are_bridged_or_left_out_and_the_card_says_so(history, said):
     model = identify([history], config=LINEAR, floor_area_m2=190.0)

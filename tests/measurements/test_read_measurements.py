@@ -155,6 +155,30 @@ def test_a_clock_without_summer_time_is_recognised(tmp_path):
         tf.read_measurements(*written(tmp_path, autumn, {"time": {"zone": "Europe/Brussels"}}))
 
 
+@pytest.mark.parametrize(("offset", "days", "flagged"), [(2.5, 0, False), (-3.0, 0, False), (12.0, 2, True)])
+def test_a_night_is_no_stuck_sensor(offset, days, flagged):
+    df = house(periods=576)
+    hour = df.index.to_numpy() / 4 % 24
+    df["sun"] = np.maximum(300.0 * np.cos(2 * np.pi * (hour - 12) / 24) - 100.0, 0.0) + offset
+    df.loc[100 : 100 + 96 * days, "sun"] = offset  # days without light
+    found = tf.read_measurements(df, BASE | {"sun": "sun"})
+    sun = next(signal for signal in found.understood.signals if signal.key == "sun")
+    assert [flag.rule for flag in sun.flags] == (["stuck"] if flagged else [])
+
+
+@pytest.mark.parametrize("column", ["T bath", "Temp_hall", "Zimmer 2"])
+def test_a_room_outside_the_map_is_said(column):
+    df = house()
+    assert not tf.read_measurements(df, BASE).understood.beside
+    df[column] = df["T"] - 1.5
+    df["T_set"], df["T_flow"], df["T fixed"] = 21.0 + df["u"], 45.0 + df["u"], 20.0
+    (words,) = tf.read_measurements(df, BASE).understood.beside
+    assert words.startswith(f"neighbours left out: {column} looks like a room beside room")
+    zones = BASE["zones"] | {"other": {"temperature": column}}
+    actuators = {"heater": {"zone": "room", "level": "u"}}
+    assert not tf.read_measurements(df, BASE | {"zones": zones, "actuators": actuators}).understood.beside
+
+
 def test_impossible_stuck_and_isolated_readings_are_flagged_and_the_rules_can_be_changed(tmp_path):
     df = house(480)
     df.loc[100, "T"] = 31.0

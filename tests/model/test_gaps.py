@@ -98,11 +98,20 @@ def test_unknown_levels_are_the_mean_around_them_or_of_all_or_off():
     # Of the twelve hours on either side of step 40, those before it and four after it were on, five off.
     np.testing.assert_allclose(found.u[0, 40], (12 + 4) / (12 + 9))
     assert (np.diff(found.u[0, 40:44]) < 0).all()
-    assert note == "bridged u: 4 values filled with the mean level around"
+    assert note == "bridged u: 4 values (4.2 %) filled with the mean level around"
     values[:] = NAN
     values[0] = 0.7
     np.testing.assert_allclose(bridged(replace(part, u=values))[0].u, 0.7)
     np.testing.assert_array_equal(bridged(replace(part, u=np.full(N, NAN)))[0].u, 0.0)
+
+
+def test_a_short_gap_in_the_level_is_bridged_from_end_to_end():
+    levels = np.where(np.arange(N) < 48, 1.0, 0.0)
+    values = np.array(levels)
+    values[[0, 10, 11, 48, 95]] = NAN
+    found, note = bridged(replace(history(), u=values))
+    np.testing.assert_allclose(found.u[0, [0, 10, 11, 48, 95]], [1.0, 1.0, 1.0, 0.5, 0.0])
+    assert note == "bridged u: 5 values (5.2 %) between the levels around"
 
 
 def test_other_gaps_stay():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from datetime import datetime
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -23,6 +25,12 @@ def new_year(index: pd.Index, what: str) -> pd.Timestamp:
 def _stamped(index: pd.Index, what: str) -> tuple[pd.Timestamp, pd.DatetimeIndex]:
     """The new year of `index`, and itself; raises `DataError`, see `new_year`."""
     if not isinstance(index, pd.DatetimeIndex):
+        if len(index) and isinstance(index[0], str | datetime) and str(index[0])[:4].isdigit():
+            raise DataError(
+                f"{what}: the index holds {index[0]!r} and the like as {index.dtype}, not time stamps: pandas leaves "
+                "stamps whose offset changes, as with summer time, and such that it cannot read; set "
+                "df.index = pd.to_datetime(df.index, utc=True).tz_convert('Europe/Brussels'), or your zone"
+            )
         raise DataError(
             f"{what}: the index holds {index.dtype}, not time stamps; read it with "
             "pd.read_csv(..., index_col=0, parse_dates=True) or set it with df.set_index(pd.to_datetime(df[column]))"

@@ -50,6 +50,10 @@ BRIDGED_GAP_H = 6.0
 1 − cos 45° = 29 % of the amplitude, over half a day all of it. Longer gaps take the readings of the same hour of the
 nearest day."""
 
+BRIDGED_LEVEL_H = 2.0
+"""Longest gap in u filled by linear interpolation, h: the level that both ends show, else between them, since it may
+have changed anywhere in the gap. About as long as a thermostat or a draw of the probing holds a level."""
+
 LEVELS_AROUND_H = 12.0
-"""Time on either side of a gap in u over which known levels are averaged to fill it, h: a whole day in total, so that
-the mean heat is about right for any schedule."""
+"""Time on either side of a longer gap in u over which known levels are averaged to fill it, h: a whole day in total, so
+that the mean heat is about right for any schedule."""

@@ -18,6 +18,7 @@ import numpy as np
 from thermoforce_mpc.data import Layout, Record
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.checks import Remark, remarks
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.confounding import confounding, shared_sd
 from thermoforce_mpc.identification.effects.couplings import (
@@ -109,6 +110,7 @@ def identify(
     area_m2 = float(np.sum(layout.floor_area_m2))
     allowed = Limits.of(None, area_m2 if np.isfinite(area_m2) else None, min(layout.lowest))
     runs, gaps = prepared_runs(runs, allowed)
+    doubts = _doubts(runs, layout)
     pairs, pair_gaps = prepared_pairs(pairs, allowed)
     if pairs:
         check_pairs(pairs)
@@ -124,9 +126,9 @@ def identify(
                 parts, config, sign, layout.lowest[a], alone=len(layout.home) == 1
             )
         except DataError as error:
-            raise DataError(f"{_message_prefix(layout, a)}{error}") from error
+            raise DataError("; ".join([f"{_message_prefix(layout, a)}{error}", *doubts])) from error
         heat_inputs.append(heat_input)
-        notes.append([*gaps, *pair_gaps, *heat_notes])
+        notes.append([*doubts, *gaps, *pair_gaps, *heat_notes])
     layout = with_metered_shares(layout, heat_inputs, histories)
     runs, sun = without_sun(runs, layout, heat_inputs, config)
     power, unfitted = _powers(histories, config, layout)
@@ -166,10 +168,18 @@ def identify(
         try:
             zone, fit = identify_zone(zone_data, effects[a], partial(_say, say, prefix))
         except DataError as error:
-            raise DataError(f"{prefix}{error}") from error
+            raise DataError("; ".join([f"{prefix}{error}", *doubts])) from error
         zones.append(_with_advice(zone, advice))
         fits.append(fit)
     return assembled(layout, zones, fits, power, config)
+
+
+def _doubts(runs: Sequence[Record], layout: Layout) -> list[str]:
+    """What the runs say against themselves, each thing once, where it is surest."""
+    surest: dict[tuple[str, str], Remark] = {}
+    for remark in sorted((remark for run in runs for remark in remarks(run, layout)), key=lambda one: one.sure):
+        surest[remark.kind, remark.where] = remark
+    return [remark.in_words() for remark in surest.values()]
 
 
 def _say(say: Callable[[str], None], prefix: str, text: str) -> None:

@@ -15,10 +15,12 @@ from thermoforce_mpc.data.dataframes import new_year, seconds_since, stamps
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.levels import actuator_levels
 from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, MeasurementMap, load_map
+from thermoforce_mpc.measurements.map.rooms_beside import rooms_beside
+from thermoforce_mpc.measurements.map.starting_map import ROWS
 from thermoforce_mpc.measurements.signals import SignalReader
 from thermoforce_mpc.measurements.sunlight import sunlight
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
-from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, read_table
+from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, head_of, read_table
 from thermoforce_mpc.measurements.tables.raw_table import RawTable, raw_table
 from thermoforce_mpc.measurements.tables.resampling import usual_s
 from thermoforce_mpc.measurements.understood import Understood, missing, of_clock
@@ -107,11 +109,14 @@ def read_measurements(
     columns = [column for _, signal in rules.signals() for column in signal.columns]
     if isinstance(files, pd.DataFrame):
         tables = [raw_table(files, rules.time.column, columns, "table")]
+        head = files.iloc[:ROWS]
     else:
         patterns = [files] if isinstance(files, str | Path) else list(files)
         paths = found_files(patterns, most_bytes)
         tables = [read_table(path, rules.time.column, columns, rules.csv) for path in paths]
-    return _from_table(tables, timed(tables, rules.time), rules, step_s)
+        head = head_of(paths[0], ROWS, rules.csv)
+    found = _from_table(tables, timed(tables, rules.time), rules, step_s)
+    return replace(found, understood=replace(found.understood, beside=rooms_beside(head, rules)))
 
 
 def _rules(map: str | Path | Mapping[str, Any] | MeasurementMap) -> MeasurementMap:

@@ -35,8 +35,6 @@ from thermoforce_mpc.measurements.tables.resampling import (
 from thermoforce_mpc.measurements.tables.screening import EXCURSION_S, Flag, Rules, screened
 from thermoforce_mpc.measurements.understood import SignalSummary
 
-# A largest power below this makes kW likelier than W, one above makes W likelier than kW.
-_SMALLEST_W, _LARGEST_W = 15.0, 2e6
 # A counter that rises by this many times the 99th percentile of its rises did not count energy.
 _UNUSUAL = 10.0
 
@@ -173,10 +171,6 @@ def _doubt(rules: Rules, readings: Readings, median: float, most: float) -> str:
         return f"a median of {median:.1f} °C is unusual: check the unit"
     if rules.kind == "level" and 0.0 < most < rules.usual[0]:
         return f"never above {most:.3g}: check the unit, 0-1 is likelier than %"
-    if rules.kind == "power" and 0.0 < most < _SMALLEST_W:
-        return f"never above {most:.3g} W: check the unit, kW or kWh per step is likelier"
-    if rules.kind == "power" and most > _LARGEST_W:
-        return f"up to {most:.3g} W: check the unit"
     changes = np.diff(readings.values)[np.diff(readings.time_s) <= readings.longest_s]
     jumps = np.abs(changes) > rules.spike
     if jumps.any():

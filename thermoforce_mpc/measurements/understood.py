@@ -42,7 +42,7 @@ class Understood:
     """Report on a table: files and rows read, period, time zone, usual distance of rows and step, s, and signals.
 
     `begins`, `ends`: time stamps. `zone`: '' where stamps have none. `assumed`: what was decided by rule, in words.
-    `missing`: what the table does not hold, and what follows.
+    `missing`: what the table does not hold, and what follows. `beside`: rooms that it holds and the map does not name.
     """
 
     files: tuple[str, ...]
@@ -56,6 +56,7 @@ class Understood:
     signals: tuple[SignalSummary, ...]
     assumed: tuple[str, ...]
     missing: tuple[str, ...]
+    beside: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """All fields as JSON values; None for what is not known."""

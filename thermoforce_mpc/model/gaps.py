@@ -4,7 +4,8 @@
 |---|---|
 | weather, up to 6 h between two readings | linear interpolation; up to now, towards the forecast for now |
 | weather, longer | the reading of the same hour of the nearest day; without one, the nearest reading |
-| u | the mean level over 12 h on either side, or of all known levels; 0 if none is known |
+| u, up to 2 h | linear interpolation: the level where both readings agree, between them where they do not |
+| u, longer | the mean level over 12 h on either side, or of all known levels; 0 if none is known |
 | zone temperature, heat, power, return water | not filled: their users handle NaN |
 
 If heat was measured and the operator is driven by heat, the level is not needed (`heat_drive`). The closed loop stores
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
-from thermoforce_mpc.data.limits import BRIDGED_GAP_H, LEVELS_AROUND_H
+from thermoforce_mpc.data.limits import BRIDGED_GAP_H, BRIDGED_LEVEL_H, LEVELS_AROUND_H
 from thermoforce_mpc.errors import DataError, counted
 
 WEATHER = ("T_out_C", "solar_W_m2")
@@ -46,7 +47,7 @@ def bridged(history: Record, ahead: Boundary | None = None) -> tuple[Record, str
     if unknown.any():
         filled["u"] = np.array([_levels(row, history.step_s) for row in history.u])
         for a in np.flatnonzero(unknown.any(axis=1)).tolist():
-            notes.append(f"{history.names.label('u', a)}: {_count(unknown[a])} filled with the mean level around")
+            notes.append(f"{history.names.label('u', a)}: {_of_levels(history.u[a], history.step_s)}")
     return (replace(history, **filled), "bridged " + ", ".join(notes)) if filled else (history, "")
 
 
@@ -62,6 +63,29 @@ def long_gaps(history: Record, name: str) -> NDArray[np.bool_]:
     if not measured.any():
         return np.ones(time_s.size, dtype=bool)
     return ~measured & (_gap_s(time_s, time_s[measured]) > BRIDGED_GAP_H * HOUR_S)
+
+
+def long_level_gaps(history: Record) -> NDArray[np.bool_]:
+    """Return which steps lie in a gap of more than 2 h in the level of an actuator, shape (n,)."""
+    return np.any([_long_gap(row, history.step_s) for row in history.u], axis=0)
+
+
+def _long_gap(u: Array, step_s: float) -> NDArray[np.bool_]:
+    """Return which of `u` (n,) are unknown for more than 2 h together."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], np.isfinite(u), [True]]).astype(int)))
+    long = np.zeros(u.size, dtype=bool)
+    for start, stop in zip(edges[0::2], edges[1::2], strict=True):
+        long[start:stop] = (stop - start) * step_s > BRIDGED_LEVEL_H * HOUR_S
+    return long
+
+
+def _of_levels(u: Array, step_s: float) -> str:
+    """Return in words what stands in the gaps of `u` (n,)."""
+    unknown, long = ~np.isfinite(u), _long_gap(u, step_s)
+    short = unknown & ~long
+    words = [f"{_count(short)} ({100 * short.mean():.1f} %) between the levels around"] if short.any() else []
+    words += [f"{_count(long)} ({100 * long.mean():.1f} %) filled with the mean level around"] if long.any() else []
+    return " and ".join(words)
 
 
 def _weather(history: Record, ahead: Boundary | None, name: str) -> tuple[Array, str]:
@@ -106,8 +130,13 @@ def _same_hour(time_s: Array, measured_s: Array, measured: Array, otherwise: Arr
 
 
 def _levels(u: Array, step_s: float) -> Array:
-    """Return `u` (n,) with unknown levels replaced by the mean of those around, else of all, else 0."""
+    """Return `u` (n,) with unknown levels interpolated up to 2 h, else the mean of those around, of all, or 0."""
     finite = np.isfinite(u)
+    short = ~finite & ~_long_gap(u, step_s)
+    if short.any() and finite.any():
+        known = np.flatnonzero(finite)
+        u = np.where(short, np.interp(np.arange(u.size), known, u[known]), u)
+        finite = finite | short
     reach = max(1, round(LEVELS_AROUND_H * HOUR_S / step_s))
     total = np.concatenate([[0.0], np.cumsum(np.where(finite, u, 0.0))])
     count = np.concatenate([[0], np.cumsum(finite)])

@@ -213,8 +213,10 @@ def test_mistakes_of_the_caller_raise_before_anything_else():
     with pytest.raises(DataError, match=r"boundary forecast: step 0 of 24 is 900 s long, expected 3600 s"):
         mpc.plan(Observation(seen.history, quarter.forecast(24 * HOUR_S, 900.0)))
     fine = replace(seen.history, time_s=seen.history.time_s[-1] + 900.0 * np.arange(-seen.history.n_steps, 1))
-    with pytest.raises(DataError, match=r"history: step 0 of 48 is 900 s long"):
+    with pytest.raises(DataError, match=r"history: step 0 of 48 is 900 s long, expected 3600 s, the .*step_s=900"):
         mpc.plan(Observation(fine, seen.boundary))
+    with pytest.raises(DataError, match=r"history: step 0 of 48 is 900 s long"):  # not the forecast, which is short too
+        mpc.plan(Observation(fine, seen.boundary.head(23)))
 
 
 @pytest.mark.slow

@@ -78,6 +78,14 @@ def test_a_wrong_unit_of_any_row_is_named(row, signal, places, words):
         identify([history], config=LINEAR, layout=layout)
 
 
+def test_a_room_in_fahrenheit_is_refused_with_what_to_do():
+    history = two_rooms()
+    T = np.array(history.T_zone_C)
+    T[1] = 32.0 + 1.8 * (T[1] + 5.0 - T[1].mean() + 20.0)
+    with pytest.raises(DataError, match=rf"T_zone_C\[{NAMES.zones[1]}\] at .*°F is likely: give \(x − 32\) / 1\.8"):
+        identify([replace(history, T_zone_C=T)], config=LINEAR, layout=LAYOUT)
+
+
 @pytest.mark.parametrize("row", ROWS)
 def test_unknown_levels_of_any_actuator_divide_a_run(row):
     runs, notes = prepared_runs([changed(two_rooms(3.0), "u", row, slice(100, 120), np.nan)], Limits.of(None))

@@ -58,6 +58,14 @@ def test_modes_rise_and_gains_are_not_negative(order):
         assert (np.diff(response_at(modes)) > 0.0).all()
 
 
+def test_modes_beyond_the_longest_stay_apart():
+    """A response that rises ever on: its poles would meet at the bound."""
+    mean = 0.2 * RESPONSE_H
+    modes = projected(Responses(mean[None], np.ones((2, WEATHER_H.size))), 0, SIGNS, 3)
+    assert (np.diff(modes.log_tau) >= np.log(1.5) - 1e-9).all()
+    assert np.exp(modes.log_tau[-1]) <= 1000.0 + 1e-6
+
+
 def test_rooms_of_all_kinds_are_met_within_a_few_per_cent():
     rng = np.random.default_rng(7)
     misfits = [projected(responses_of(random_theta(ONE, rng)), 0, SIGNS, 3).misfit[0] for _ in range(12)]

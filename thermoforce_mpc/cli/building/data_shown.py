@@ -35,6 +35,8 @@ def show_measurements(measured: Measurements, console: Console) -> None:
         table.add_row(*_cells(signal))
     say(table)
     show_doubts(understood, console)
+    for text in understood.beside:
+        say(f"  doubtful: {text}", soft_wrap=True)
     for text in understood.assumed:
         say(f"  assumed: {text}", soft_wrap=True)
     for text in understood.missing:
@@ -50,6 +52,16 @@ def show_doubts(understood: Understood, console: Console) -> None:
             )
         if signal.doubt:
             console.print(f"  doubtful: {signal.key}: {signal.doubt}", soft_wrap=True)
+
+
+def show_remarks(measured: Measurements, console: Console) -> list[str]:
+    """Print what the record says against itself (`identification.checks`); returns it for a file."""
+    from thermoforce_mpc.identification.checks import remarks
+
+    found = [remark.in_words() for remark in remarks(measured.record, measured.layout)]
+    for text in found:
+        console.print(f"  doubtful: {text}", soft_wrap=True)
+    return found
 
 
 def show_tellings(measured: Measurements, display: RunDisplay, *, fit: bool) -> dict[str, Any]:

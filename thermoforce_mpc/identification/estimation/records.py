@@ -14,7 +14,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Array, Record
 from thermoforce_mpc.data.limits import LEVEL, ROUNDING
 from thermoforce_mpc.data.names import AXIS
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.gaps import WEATHER, bridged, long_gaps
+from thermoforce_mpc.model.gaps import WEATHER, bridged, long_gaps, long_level_gaps
 from thermoforce_mpc.model.screening import Limits, screened_history
 
 # Least excitation: hours on, standard deviation of u, changes of u. Below it, gain and drift cannot be separated.
@@ -28,6 +28,8 @@ MOST_ROWS = 700
 LEAD_REACH = 1.5
 # Largest share of a signal's readings outside physical limits: more indicates a wrong unit, not a sensor fault.
 _MOST_REFUSED = 0.1
+# Temperatures of rooms and outdoors, and what their median is in °F where it cannot be in °C.
+_IN_C, _IN_F = ("T_zone_C", "T_out_C"), (45.0, 110.0)
 # A grid of readings: share of different values among them below which there may be one, tolerance of a reading as a
 # share of it, and the finest that counts, K.
 _GRID_SHARE, _GRID_ROUNDING, _LEAST_GRID_K = 0.5, 0.05, 0.02
@@ -72,7 +74,7 @@ class Pair:
 def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record], list[str]]:
     """Return usable runs without implausible readings and gaps, and notes on the changes.
 
-    Short gaps of the weather are bridged as in `model.gaps`. Steps in longer gaps and with unknown u are dropped; each
+    Short gaps of the weather and of u are bridged as in `model.gaps`. Steps in longer gaps are dropped; each
     part between them becomes a run of its own if it passes `check_run`, a long one several.
 
     Raises:
@@ -129,7 +131,7 @@ def prepared_pairs(pairs: Sequence[Pair], allowed: Limits) -> tuple[list[Pair], 
         for side, history in (("first run", pair.a), ("second run", pair.b)):
             name = f"pair {pair.label or index} ({side})"
             history, doubts = _plausible(history, allowed, name)
-            if _usable(history).all():
+            if np.isfinite(history.u).all() and _usable(history).all():
                 history, filled = bridged(history)
                 doubts += (filled,) if filled else ()
             sides.append(history)
@@ -147,14 +149,16 @@ def _plausible(record: Record, allowed: Limits, name: str) -> tuple[Record, tupl
             if places.size and places.mean() > _MOST_REFUSED:
                 label = record.names.label(signal, row) if signal in AXIS else signal
                 why = next(doubt for doubt in doubts if doubt.startswith(f"{label} "))
-                raise DataError(f"{name}: {why}; too many for sensor faults: check the unit and the floor area")
+                middle = float(np.nanmedian(np.atleast_2d(getattr(record, signal))[row]))
+                unit = "°F is likely: give (x − 32) / 1.8; " if signal in _IN_C and _IN_F[0] < middle < _IN_F[1] else ""
+                raise DataError(f"{name}: {why}; {unit}too many for sensor faults: check the unit and the floor area")
     return screened, doubts
 
 
 def _usable(history: Record) -> NDArray[np.bool_]:
-    """Return which steps have known levels of all actuators and known or bridged weather, shape (n,)."""
+    """Return which steps have levels of all actuators and weather, known or bridged, shape (n,)."""
     lost = np.any([long_gaps(history, name) for name in WEATHER], axis=0)
-    return np.asarray(np.isfinite(history.u).all(axis=0) & ~lost[:-1] & ~lost[1:])
+    return np.asarray(~long_level_gaps(history) & ~lost[:-1] & ~lost[1:])
 
 
 def _never_together(run: Record) -> str:

@@ -79,7 +79,9 @@ def projected(responses: Responses, own: int, signs: Array, order: int) -> Modes
         steps = np.diff(np.log(hours), prepend=np.log(_SHORTEST_H)) - np.log(_APART) * (np.arange(order) > 0)
         start = np.clip(np.log(np.maximum(steps, 0.0) + 1e-9), *_RANGE)
         found.append(least_squares(misfit, start, bounds=_RANGE, max_nfev=_MOST_STEPS))
-    log_tau = np.minimum(tau_of(min(found, key=lambda result: result.cost).x), np.log(_LONGEST_H))
+    # At the longest, neighbours stay apart: equal poles would be one.
+    most = np.log(_LONGEST_H) - np.log(_APART) * np.arange(order)[::-1]
+    log_tau = np.minimum(tau_of(min(found, key=lambda result: result.cost).x), most)
     units = unit_steps(log_tau)
     gains = np.array([nnls(units, mean)[0] for mean in means])
     errors = np.sqrt(np.mean((gains @ units.T - means) ** 2, axis=1) / np.maximum(np.mean(means**2, axis=1), 1e-12))

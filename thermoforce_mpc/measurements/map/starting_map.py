@@ -21,7 +21,7 @@ _WORDS = (
     ("price", r"price|tariff|preis|prix"),
     ("lower", r"lower|t_?min|heating.?set"),
     ("upper", r"upper|t_?max|cooling.?set"),
-    ("other", r"set.?point|target|soll|supply|return|vorlauf|rücklauf|ruecklauf|\b[vr]l\b"),
+    ("other", r"set.?point|(^|[_ ])set([_ ]|$)|target|soll|supply|return|vorlauf|rücklauf|ruecklauf|\b[vr]l\b"),
     ("level", r"^u$|level|valve|position|signal|modul|speed|compressor|duty|ove|ventil|stell|drehzahl|verdichter"),
     ("energy", r"k?wh|energ|btu"),
     ("power", r"^p(_|el|$)|power|watt|_w$|_kw$|heat|leistung|[\[(]k?w[\])]"),
@@ -35,7 +35,8 @@ _STAMPS = tuple(
     for day in ("%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d")
     for clock in ("%H:%M", "%H:%M:%S", "%I:%M %p", "%I:%M:%S %p")
 )
-_ROWS = 2000
+ROWS = 2000
+"""Rows of a table that are looked at."""
 _COUNTED = "  unit: s  # stamps are numbers\n  since: FILL IN  # what they count from, such as 2016-01-01"
 
 
@@ -47,12 +48,17 @@ def starting_map(file: str | Path) -> str:
     """
     path = found_files([file])[0]
     form = guessed_form(path)
-    head = head_of(path, _ROWS, form)
+    head = head_of(path, ROWS, form)
+    if head.columns.has_duplicates:
+        name = head.columns[head.columns.duplicated()][0]
+        raise DataError(f"{path}: there is more than one column '{name}'; give each a name of its own")
+    if head.empty:
+        raise DataError(f"{path}: the table has no rows")
     stamps, *columns = [str(column) for column in head.columns]
     by_kind: dict[str, list[str]] = {kind: [] for kind, _ in _WORDS}
     for column in columns:
         numbers = as_numbers(head[column], form.decimal)
-        kind = next((kind for kind, words in _WORDS if re.search(words, column.lower())), None)
+        kind = kind_of(column)
         if kind in (None, "power") and set(numbers.dropna()) == {0.0, 1.0}:
             kind = "level" if re.search(_SWITCHED, column.lower()) else kind
         if kind is not None and numbers.notna().any():
@@ -60,6 +66,11 @@ def starting_map(file: str | Path) -> str:
     if not by_kind["temperature"] and not by_kind["outdoor"]:
         raise DataError(f"{path}: none of {', '.join(columns)} looks like a temperature: write the map by hand")
     return _text(path, stamps, head, form, by_kind)
+
+
+def kind_of(column: str) -> str | None:
+    """What a column probably is, by its name."""
+    return next((kind for kind, words in _WORDS if re.search(words, column.lower())), None)
 
 
 def _text(path: Path, stamps: str, head: pd.DataFrame, form: CsvFormat, by_kind: dict[str, list[str]]) -> str:

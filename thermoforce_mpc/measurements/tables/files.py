@@ -167,24 +167,22 @@ def head_of(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
     """The first `rows` rows of a file with all its columns, the time stamps (or the index) first.
 
     Raises:
-        DataError: the file cannot be read, has no rows, or two columns of one name.
+        DataError: the file cannot be read.
     """
-    head = _head(path, rows, form)
-    if head.columns.has_duplicates:
-        name = head.columns[head.columns.duplicated()][0]
-        raise DataError(f"{path}: there is more than one column '{name}'; give each a name of its own")
-    if head.empty:
-        raise DataError(f"{path}: the table has no rows")
-    return head
-
-
-def _head(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
     if path.suffix in _PARQUET:
         df = _parquet(path, None, None).iloc[:rows]
         return df.reset_index() if isinstance(df.index, pd.DatetimeIndex) else df
     separator, names = _header(path, form)
     try:
-        df = pd.read_csv(path, sep=separator, decimal=form.decimal, encoding=form.encoding, nrows=rows, index_col=False)
+        df = pd.read_csv(
+            path,
+            sep=separator,
+            decimal=form.decimal,
+            encoding=form.encoding,
+            skiprows=form.skip_lines,
+            nrows=rows,
+            index_col=False,
+        )
         return df.set_axis(names, axis=1)
     except _DAMAGED as error:
         raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error

@@ -38,7 +38,9 @@ def raw_table(
     df: pd.DataFrame, stamps: str | None, columns: Sequence[str], name: str, line: int = 1, decimal: str = "."
 ) -> RawTable:
     """The time stamps and `columns` of a data frame (text with the mark `decimal`); raises as `read_table` does."""
-    if isinstance(df.index, pd.DatetimeIndex) and (stamps is None or stamps == df.index.name):
+    # A column of stamps whose offset changes, as with summer time, is left as text by pandas.
+    of_stamps = isinstance(df.index, pd.DatetimeIndex) or df.index.dtype.kind == "O"
+    if of_stamps and (stamps is None or stamps == df.index.name):
         at = df.index.to_series().reset_index(drop=True)
     elif not len(df.columns):
         raise DataError(f"{name}: the table has no columns")

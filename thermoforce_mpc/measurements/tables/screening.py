@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import HOUR_S, Array, limits
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, limits
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.map.mapped_signals import Signal
 from thermoforce_mpc.measurements.map.units import likelier
@@ -27,6 +27,8 @@ _MOST_REFUSED = 0.1
 EXCURSION_S = 6 * HOUR_S
 # Flagged readings that are kept for a picture.
 _SHOWN = 200
+# Largest zero offset of a pyranometer, W/m² (ISO 9060:2018, class C), and what is no reading but the dark itself.
+_ZERO_OFFSET_W_M2, _DARK_W_M2 = 30.0, 1.0
 # A level may lie outside its range by this much from calibration; it is cut, not refused.
 LEVEL_SLACK = 0.02
 
@@ -57,7 +59,7 @@ class Rules:
 ZONE = Rules("temperature", "°C", limits.ZONE_C, 5.0, 48.0, (5.0, 40.0))
 OUTDOOR = Rules("temperature", "°C", limits.OUTDOOR_C, 10.0, 24.0, (-30.0, 45.0))
 WATER = Rules("temperature", "°C", limits.RETURN_WATER_C, usual=(5.0, 90.0))
-# Nights are 0 W/m² for 18 h and more, but only a reading in the light counts as stuck.
+# Nights of 18 h and more read the zero offset of the sensor, so below that a day and more must be alike.
 SOLAR = Rules("irradiance", "W/m²", limits.SOLAR_W_M2, stuck_h=6.0, usual=(0.0, 1200.0))
 LEVEL = Rules("level", "", (-LEVEL_SLACK, 1.0 + LEVEL_SLACK), usual=(0.05, 1.0))
 SIGNED_LEVEL = Rules("level", "", (-1.0 - LEVEL_SLACK, 1.0 + LEVEL_SLACK), usual=(0.05, 1.0))
@@ -130,7 +132,9 @@ def screened(
     if rules.stuck_h > 0.0 and kept.size > 1:
         stuck = _stuck(time_s[kept], values[kept], rules.stuck_h * HOUR_S)
         if rules.kind == "irradiance":
-            stuck &= np.abs(values[kept]) > 1.0
+            dim = np.abs(values[kept]) <= _ZERO_OFFSET_W_M2
+            stuck &= ~dim | _stuck(time_s[kept], values[kept], max(rules.stuck_h * HOUR_S, DAY_S))
+            stuck &= np.abs(values[kept]) > _DARK_W_M2
         kept = flag("stuck", stuck, kept, f", unchanged for more than {rules.stuck_h:g} h")
     holds = np.zeros(values.size, dtype=bool)
     holds[kept] = True
@@ -155,7 +159,9 @@ def _excursions(time_s: Array, values: Array, most: float) -> NDArray[np.bool_]:
 
 def _stuck(time_s: Array, values: Array, most_s: float) -> NDArray[np.bool_]:
     """Which readings (n,) belong to a stretch of one value that lasts longer than `most_s`."""
-    begins = np.concatenate([[0], np.flatnonzero(np.diff(values) != 0.0) + 1])
+    # A gap that is long beside that tells nothing of what lies in it.
+    changes = (np.diff(values) != 0.0) | (np.diff(time_s) > 0.25 * most_s)
+    begins = np.concatenate([[0], np.flatnonzero(changes) + 1])
     ends = np.concatenate([begins[1:] - 1, [values.size - 1]])
     long = (time_s[ends] - time_s[begins]) > most_s
     return np.repeat(long, ends - begins + 1)

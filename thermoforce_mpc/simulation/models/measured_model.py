@@ -86,5 +86,5 @@ def model_of_measurements(
         source=f"measurements of {record.stamps()[0]} to {record.stamps()[-1]} in {names}",
         progress=say,
     )
-    notes = tuple(text for text in (note, *summary.assumed) if text)
+    notes = tuple(text for text in (note, *summary.beside, *summary.assumed) if text)
     return replace(model, cards=tuple(replace(card, notes=(*notes, *card.notes)) for card in model.cards)), record

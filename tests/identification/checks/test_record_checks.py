@@ -1,0 +1,177 @@
+"""What a record says against itself: each fault put into a simulated room, and the measured records that have one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+import thermoforce_mpc as tf
+from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Record
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.checks import remarks
+
+STEP_S, DAYS, AREA_M2, FULL_W = 900.0, 14, 20.0, 1500.0
+LAYOUT = Layout.single(floor_area_m2=AREA_M2)
+
+
+def room(seed: int = 1) -> tuple[Record, np.ndarray]:
+    """A room of 20 m² and its walls under a thermostat with a setback, electrically heated; and the set-points, °C."""
+    rng = np.random.default_rng(seed)
+    n = round(DAYS * DAY_S / STEP_S)
+    hour = np.arange(n + 1) * STEP_S / HOUR_S % 24
+    slow = np.convolve(rng.normal(0.0, 8.0, n + 400), np.ones(192) / 192**0.5, mode="same")[200 : 201 + n]
+    outdoors = 3.0 + 0.4 * slow + 3.0 * np.cos(2 * np.pi * (hour - 15) / 24)
+    sun = np.clip(400.0 * np.cos(2 * np.pi * (hour - 13) / 24) - 150.0, 0.0, None)
+    setpoint = np.where((hour >= 6) & (hour < 22), 21.0, 18.5)[:n]
+    T = np.full((2, n + 1), 19.0)
+    u = np.zeros(n)
+    for k in range(n):
+        on = u[k - 1] if k else 0.0
+        u[k] = float(setpoint[k] + (0.2 if on else -0.2) > T[0, k])
+        air, walls = T[:, k]
+        for _ in range(15):
+            heat = FULL_W * u[k] + 1.5 * sun[k]
+            to_walls = 120.0 * (air - walls)
+            air += 60.0 * (heat - to_walls - 12.0 * (air - outdoors[k])) / 4e5
+            walls += 60.0 * (to_walls - 18.0 * (walls - outdoors[k])) / 5e6
+        T[:, k + 1] = air, walls
+    reading = np.round(T[0] + rng.normal(0.0, 0.02, n + 1), 2)
+    power = FULL_W * u + 5.0
+    return Record(STEP_S * np.arange(n + 1.0), reading, outdoors, sun, u, power, power - 5.0), setpoint
+
+
+CLEAN, SETPOINT = room()
+
+
+def moved(record: Record, steps: int) -> Record:
+    """What acts, stamped so many steps too late."""
+    return replace(
+        record, **{name: np.roll(getattr(record, name), steps, axis=1) for name in ("u", "heat_W", "power_W")}
+    )
+
+
+def hot_water(record: Record) -> Record:
+    """Full power for half an hour twice a day beside the heating."""
+    at = np.arange(record.n_steps) % 96
+    return replace(record, power_W=record.power_W + 2000.0 * np.isin(at, (29, 30, 82, 83)), heat_W=_unknown(record))
+
+
+def set_point(record: Record, *, metered: bool) -> Record:
+    """The set-points as levels."""
+    u = (SETPOINT - SETPOINT.min()) / np.ptp(SETPOINT)
+    return replace(
+        record,
+        u=u,
+        heat_W=_unknown(record),
+        power_W=record.power_W if metered else np.full_like(record.power_W, np.nan),
+    )
+
+
+def _unknown(record: Record) -> np.ndarray:
+    return np.full_like(record.heat_W, np.nan)
+
+
+def scaled(power: float, heat: float) -> Callable[[Record], Record]:
+    return lambda record: replace(record, power_W=power * record.power_W, heat_W=heat * record.heat_W)
+
+
+FAULTS: list[tuple[str, str, Callable[[Record], Record]]] = [
+    ("stamps late", "time.marks: end", lambda record: moved(record, 1)),
+    ("stamps late", "up to 2 steps (30 min)", lambda record: moved(record, 2)),
+    ("stamps early", "time.marks: start", lambda record: moved(record, -1)),
+    ("unit of power", "Wh per step taken for W, or the reverse (factor 4)", scaled(1.0, 4.0)),
+    ("unit of power", "Wh per step taken for W, or the reverse (factor 4)", scaled(1.0, 0.25)),
+    ("unit of power", "Wh per step taken for W, or the reverse (factor 4)", scaled(4.0, 1.0)),
+    ("unit of power", "W taken for Wh per step is likely (factor 4)", scaled(4.0, 4.0)),
+    ("unit of power", "unit: kW", scaled(1e-3, 1e-3)),
+    ("unit of power", "unit: W", scaled(1e3, 1e3)),
+    ("unit of power", "unit: kW", scaled(1.0, 1e-3)),
+    ("unit of temperature", "unit: °F", lambda record: replace(record, T_out_C=32.0 + 1.8 * record.T_out_C)),
+    ("meter holds another load", "hot water", hot_water),
+    ("level is no level", "warms the room", lambda record: set_point(record, metered=True)),
+    ("level is no level", "the same every day", lambda record: set_point(record, metered=False)),
+]
+
+
+def test_nothing_is_said_of_a_record_without_a_fault():
+    for seed in range(4):
+        assert not remarks(room(seed)[0], LAYOUT)
+
+
+@pytest.mark.parametrize(("kind", "says", "spoil"), FAULTS)
+def test_a_fault_is_found_and_named_with_its_remedy(kind, says, spoil):
+    found = remarks(spoil(CLEAN), LAYOUT)
+    assert {remark.kind for remark in found} == {kind}
+    assert all(says in remark.in_words() for remark in found)
+
+
+def test_gaps_are_no_fault_and_hide_none():
+    lost = np.random.default_rng(2).random(CLEAN.n_steps) < 0.03
+    holed = replace(CLEAN, u=np.where(lost, np.nan, CLEAN.u), heat_W=np.where(lost, np.nan, CLEAN.heat_W))
+    assert not remarks(holed, LAYOUT)
+    assert [remark.kind for remark in remarks(moved(holed, 1), LAYOUT)] == ["stamps late"]
+    assert not remarks(CLEAN.slice(0, 30), LAYOUT), "too short to tell"
+    assert not remarks(replace(CLEAN, T_zone_C=np.full_like(CLEAN.T_zone_C, np.nan)), LAYOUT)
+
+
+@pytest.mark.slow
+def test_the_model_card_or_the_refusal_says_what_the_record_says():
+    linear = tf.IdentificationConfig(modulation="linear")
+    model = tf.identify(scaled(1.0, 4.0)(CLEAN), layout=LAYOUT, config=linear)
+    assert any(note.startswith("unit of power: ") for note in model.cards[0].notes), model.cards[0].notes
+    with pytest.raises(DataError, match=r"no effect of the actuator .*; stamps late: .* time\.marks: end"):
+        tf.identify(moved(CLEAN, 1), layout=LAYOUT, config=linear)
+
+
+@pytest.fixture(scope="module")
+def measured(shared) -> Path:
+    folder = shared / "measured_buildings"
+    if not folder.is_dir():
+        pytest.skip("the measured buildings are not there")
+    return folder
+
+
+def rules(folder: Path, name: str) -> dict[str, Any]:
+    return yaml.safe_load((folder / name).read_text(encoding="utf-8"))
+
+
+@pytest.mark.slow
+def test_measured_heat_that_is_stamped_at_its_end(measured):
+    ours = rules(measured, "all23e.yaml")
+    marked = tf.read_measurements(measured / "ehbe" / "ehbe_2023_15min.csv", ours)
+    assert not remarks(marked.record, marked.layout)
+    del ours["time"]["marks"]
+    found = tf.read_measurements(measured / "ehbe" / "ehbe_2023_15min.csv", ours)
+    (remark,) = remarks(found.record, found.layout)
+    assert remark.kind == "stamps late"
+    assert "1 step (15 min)" in remark.words
+
+
+@pytest.mark.slow
+def test_measured_set_points_are_no_levels(measured):
+    table = pd.read_csv(measured / "ehbe" / "ehbe_2023_15min.csv")
+    rooms = [f"T{k:02d}" for k in range(1, 10)]
+    for name in rooms:
+        asked = table[f"{name}_SET"]
+        table[f"L{name[1:]}"] = (asked - asked.min()) / (asked.max() - asked.min())
+    table["P"] = table[[f"{name}_Wh" for name in rooms]].sum(axis=1)
+    found = tf.read_measurements(table, rules(measured, "set23e.yaml"))
+    assert [remark.kind for remark in remarks(found.record, found.layout)] == ["level is no level"]
+
+
+def test_measured_rooms_beside_the_only_one_of_the_map(measured):
+    file = measured / "ehbe" / "ehbe_2019_15min.csv"
+    alone = tf.read_measurements(file, rules(measured, "one19.yaml")).understood.beside
+    assert len(alone) == 1
+    assert alone[0].startswith("neighbours left out: T01_TEMP, T02_TEMP")
+    assert "name them as zones" in alone[0]
+    together = tf.read_measurements(file, rules(measured, "all19.yaml"))
+    assert not together.understood.beside
+    assert not remarks(together.record, together.layout)

@@ -1,0 +1,175 @@
+"""Whether heat, power and outdoor temperature are in their units, by what no building and no machine can do.
+
+| compared | possible | else |
+|---|---|---|
+| heat over power of its machine | 0.7 (an old boiler) to what a heat pump may reach | Wh per step, kW beside W |
+| the same in all weathers | above 1.1, a heat pump, it goes with the outdoor temperature | Wh per step beside W |
+| heat per floor area and K to outdoors | up to 4 W/m²K | Wh per step beside W |
+| full load | 15 W to 300 kW; by floor area 1.5 to 500 W/m² | kW beside W |
+| outdoor temperature while heating | mostly below that of the room | °F |
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array, Layout, Record
+from thermoforce_mpc.data.limits import LOAD_W_PER_M2
+from thermoforce_mpc.identification.checks.regression import fitted
+from thermoforce_mpc.identification.checks.remark import Remark
+
+# Heat per energy: least of any heater over a season; share of Carnot's between outdoor air and water of 35 °C that no
+# heat pump passes, and no less than 6.5, of one with a borehole.
+_LEAST_RATIO, _CARNOT, _WATER_C, _BOREHOLE = 0.7, 0.5, 35.0, 6.5
+# A ratio above this is that of a heat pump, whose COP rises by 2 to 3 % a kelvin outdoors (EN 14511 data sheets).
+# That of a boiler or an electric heater is steady: its logarithm varies by less than 0.05.
+_NO_HEAT_PUMP, _LEAST_SLOPE_PER_K, _STEADY = 1.1, 0.01, 0.05
+# Largest heat loss per floor area, W/m²K: houses before any insulation have 3.5 with their ventilation (TABULA).
+_MOST_LOSS_W_M2K = 4.0
+# Full power or heat, W: a pump takes 15 W, a house without a floor area less than 300 kW.
+_LEAST_W, _LEAST_W_M2, _MOST_W = 15.0, 1.5, 3e5
+# Share of the heating that may happen while it is as warm outdoors as in the room, less 1 K.
+_MOST_WARM_SHARE, _WARM_K, _COLDER_K = 0.3, 1.0, 3.0
+_ON, _LEAST_ROWS, _CLEAR = 0.1, 24, 2.0
+
+
+def unit_remarks(record: Record, layout: Layout) -> list[Remark]:
+    """Units of heat, power and the outdoor temperature that cannot be right."""
+    found: list[Remark] = []
+    for m, machine in enumerate(layout.names.machines):
+        found += _of_machine(record, layout, m, machine)
+    return found + _of_outdoors(record, layout)
+
+
+def _of_machine(record: Record, layout: Layout, m: int, machine: str) -> list[Remark]:
+    """Power of a machine and the heat of what it feeds."""
+    fed = layout.fed_by(m)
+    power, heat = record.power_W[m], np.abs(record.heat_W[fed]).sum(axis=0)
+    of_heat = " + ".join(record.names.label("heat_W", a) for a in fed)
+    found = []
+    for what, load in ((record.names.label("power_W", m), power), (of_heat, heat)):
+        size = _size(load, _area_m2(layout, fed))
+        if size:
+            found.append(Remark("unit of power", what, *size, float("inf")))
+    if found or not fed:
+        return found
+    both = np.isfinite(heat) & np.isfinite(power)
+    on = both & (power > _ON * _most(power)) & (heat > _ON * _most(heat))
+    if on.sum() >= _LEAST_ROWS and not np.allclose(power[both], heat[both], rtol=1e-6):
+        found += _of_ratio(record, heat, power, both, on, f"{of_heat} and {record.names.label('power_W', m)}")
+    if not found and np.isfinite(heat).any():
+        found += _of_loss(record, layout, fed, heat, of_heat)
+    return found
+
+
+def _size(load_W: Array, area_m2: float) -> tuple[str, str] | None:
+    """What is impossible about the size of a load (n,), and the remedy."""
+    most = _most(load_W)
+    if most <= 0.0:
+        return None
+    per_m2 = most / area_m2
+    if most < _LEAST_W or per_m2 < _LEAST_W_M2:
+        return f"never above {most:.3g} W", "kW is likelier than W: multiply by 1000 (unit: kW)"
+    if per_m2 > LOAD_W_PER_M2 or (not np.isfinite(area_m2) and most > _MOST_W):
+        return f"up to {most:.3g} W", "W is likelier than kW: divide by 1000 (unit: W), or give the floor area"
+    return None
+
+
+def _of_ratio(record: Record, heat: Array, power: Array, both: Array, on: Array, where: str) -> list[Remark]:
+    """Heat over power of a machine."""
+    ratio = float(heat[both].sum() / power[both].sum())
+    T_out = record.T_out_C[:-1]
+    warm = _mean(T_out[on])
+    possible = max(_BOREHOLE, _CARNOT * (_WATER_C + ZERO_C_K) / max(_WATER_C - warm, 1.0))
+    step_h = record.step_s / HOUR_S
+    if ratio < _LEAST_RATIO or ratio > possible:
+        words = f"no machine gives less than {_LEAST_RATIO:g} or more than {possible:.1f}"
+        return [_ratio_remark(ratio, step_h, where, words)]
+    rows = on & np.isfinite(T_out)
+    if ratio <= _NO_HEAT_PUMP or rows.sum() < _LEAST_ROWS or step_h == 1.0:
+        return []
+    columns = np.array([np.ones(rows.sum()), T_out[rows]]).T
+    beta, covariance, residual = fitted(columns, np.log(heat[rows] / power[rows]))
+    sd = float(np.sqrt(covariance[1, 1]))
+    heat_pump = residual.std() > _STEADY or beta[1] + _CLEAR * sd >= _LEAST_SLOPE_PER_K
+    if heat_pump or not _LEAST_RATIO <= ratio * step_h <= _NO_HEAT_PUMP:
+        return []
+    words = "too much for a boiler, and it does not go with the outdoor temperature as that of a heat pump does"
+    return [_ratio_remark(ratio, step_h, where, words)]
+
+
+def _ratio_remark(ratio: float, step_h: float, where: str, why: str) -> Remark:
+    factors = {"Wh per step": step_h, "kW": 1e-3} if ratio > 1.0 else {"Wh per step": 1.0 / step_h, "kW": 1e3}
+    fits = {unit: factor for unit, factor in factors.items() if _LEAST_RATIO <= ratio * factor <= _BOREHOLE}
+    unit = next(iter(fits), "Wh per step")
+    factor = max(fits.get(unit, step_h), 1.0 / fits.get(unit, step_h))
+    return Remark(
+        "unit of power",
+        where,
+        f"{ratio:.3g} units of heat come from one of energy; {why}",
+        f"one is {unit} taken for W, or the reverse (factor {factor:g}): check which, by the size of the machine",
+        float("inf"),
+    )
+
+
+def _of_loss(record: Record, layout: Layout, fed: list[int], heat: Array, where: str) -> list[Remark]:
+    """Heat over floor area and difference of temperatures."""
+    area = _area_m2(layout, fed)
+    difference = _mean(record.T_zone_C[[layout.home[a] for a in fed]]) - _mean(record.T_out_C)
+    if not np.isfinite(area) or not abs(difference) >= _COLDER_K or record.step_s == HOUR_S:
+        return []
+    loss = _mean(heat) / area / abs(difference)
+    if loss <= _MOST_LOSS_W_M2K:
+        return []
+    step_h = record.step_s / HOUR_S
+    return [
+        Remark(
+            "unit of power",
+            where,
+            f"{loss:.2g} W for each m² and K to outdoors, more than {_MOST_LOSS_W_M2K:g}",
+            f"W taken for Wh per step is likely (factor {1.0 / step_h:g}), or the floor area is too small",
+            float("inf"),
+        )
+    ]
+
+
+def _of_outdoors(record: Record, layout: Layout) -> list[Remark]:
+    """Heating while it is said to be warm outdoors."""
+    heats = [a for a, sign in enumerate(layout.signs) if sign > 0 and layout.lowest[a] >= 0.0]
+    if not heats:
+        return []
+    u, T_zone = record.u[heats].mean(axis=0), record.T_zone_C[:, :-1].mean(axis=0)
+    T_out = record.T_out_C[:-1]
+    rows = np.isfinite(u) & np.isfinite(T_zone) & np.isfinite(T_out)
+    if rows.sum() < _LEAST_ROWS or u[rows].sum() <= 0.0:
+        return []
+    warm = rows & (T_out > T_zone - _WARM_K)
+    share = float(u[warm].sum() / u[rows].sum())
+    as_fahrenheit = float(np.median((T_out[rows] - 32.0) / 1.8))
+    if share < _MOST_WARM_SHARE or as_fahrenheit > float(np.median(T_zone[rows])) - _COLDER_K:
+        return []
+    return [
+        Remark(
+            "unit of temperature",
+            "T_out_C",
+            f"{100 * share:.0f} % of the heating happens while it is as warm outdoors as in the rooms "
+            f"(median {np.median(T_out[rows]):.0f} °C)",
+            f"°F is likelier, a median of {as_fahrenheit:.0f} °C: set unit: °F, or give (x − 32) / 1.8",
+            float("inf"),
+        )
+    ]
+
+
+def _area_m2(layout: Layout, fed: list[int]) -> float:
+    """Floor area of the zones that `fed` serve, m²; NaN where one is not known."""
+    return float(sum(layout.floor_area_m2[z] for z in {layout.home[a] for a in fed}))
+
+
+def _mean(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else float("nan")
+
+
+def _most(load: Array) -> float:
+    known = np.abs(load[np.isfinite(load)])
+    return float(np.percentile(known, 99.0)) if known.size else 0.0
