@@ -64,6 +64,8 @@ class SunOnSensors:
 
     def update(self, state: SunState, history: Record) -> SunState:
         """The state after a look, where it is dark and more sun has shone than at the last one."""
+        if history.n_steps < 1:
+            return state
         now_s, latest = float(history.time_s[-1]), history.last(round(_LATEST_S / history.step_s))
         sun_Wh_m2 = float(np.nansum(latest.solar_W_m2)) * history.step_s / HOUR_S
         if state.looked_s is None:

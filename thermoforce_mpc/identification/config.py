@@ -107,11 +107,6 @@ class IdentificationConfig(StrictModel):
         (0.02, 0.2, 2.0), description="standard deviation of disturbances, by time constant, K"
     )
     disturbance_hours: tuple[float, ...] = Field((0.5, 3.0, 50.0), description="time constants of disturbances, h")
-    disturbance_margin: float = Field(
-        10.0,
-        gt=0,
-        description="disturbances are reduced to this many times the residual if that is below disturbance_sd_K",
-    )
 
     @model_validator(mode="after")
     def _consistent(self) -> IdentificationConfig:

@@ -2,8 +2,7 @@
 
 A run gives T = F + T_free at every boundary. The time constants are those of the building's network, so that all other
 parameters are linear: gains, weights of weather and clock, initial state. They are a bounded Gaussian regression with
-correlated disturbances, which are of the assumed size, then of a reduced size if the residuals are far smaller. A pair
-gives D = T_a − T_b, in which the free part cancels (paper eq:paired).
+correlated disturbances. A pair gives D = T_a − T_b, in which the free part cancels (paper eq:paired).
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from thermoforce_mpc.identification.estimation.regression import (
     FREE_PRIOR,
     REFERENCE_C,
     RegressionData,
-    scaled,
 )
 from thermoforce_mpc.identification.estimation.rows import Rows
 from thermoforce_mpc.identification.estimation.triangles import triangle
@@ -84,17 +82,14 @@ class JointFit(ModeFit):
         )
 
 
-def fit_modes(
-    regressions: Sequence[RegressionData], priors: ModePriors, config: IdentificationConfig, sign: int
-) -> ModeFit:
+def fit_modes(regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> ModeFit:
     """Fit as `fit_joint`, without uncertainty and free part: enough to compare models."""
-    return _posterior_maximum(regressions, priors, config, sign).fit
+    return _posterior_maximum(regressions, priors, sign).fit
 
 
 def fit_joint(
     regressions: Sequence[RegressionData],
     priors: ModePriors,
-    config: IdentificationConfig,
     sign: int,
     covariance: Array,
 ) -> JointFit:
@@ -103,7 +98,7 @@ def fit_joint(
     `sign` +1 heating, −1 cooling; `covariance` (1 + K, 2r, 2r) of the effects as the network knows them: the loop does
     not bias its likelihood, which here it does.
     """
-    fit, values = _posterior_maximum(regressions, priors, config, sign)
+    fit, values = _posterior_maximum(regressions, priors, sign)
     r, K = priors.order, regressions[0].others.shape[0]
     free_log_tau = free_time_constants(fit.log_tau)
     return JointFit(
@@ -128,25 +123,12 @@ class _Maximum(NamedTuple):
     values: Array
 
 
-def _posterior_maximum(
-    regressions: Sequence[RegressionData], priors: ModePriors, config: IdentificationConfig, sign: int
-) -> _Maximum:
-    maximum = _likeliest(regressions, priors, sign, 1.0)
-    # If the residuals are far smaller than assumed, refit with smaller disturbances: the data carry more information.
-    scale = min(1.0, config.disturbance_margin * maximum.fit.residual_scale)
-    if scale == 1.0 or all(regression.is_pair for regression in regressions):
-        return maximum
-    return _likeliest(regressions, priors, sign, scale)
-
-
-def _likeliest(regressions: Sequence[RegressionData], priors: ModePriors, sign: int, scale: float) -> _Maximum:
-    """The maximum with `scale` times the disturbances of runs."""
-    system = Rows.of(scaled(regressions, scale), priors, sign)
+def _posterior_maximum(regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> _Maximum:
+    system = Rows.of(regressions, priors, sign)
     R = triangle(np.column_stack([system.columns, system.target]))
     values = lsq_linear(R[:, :-1], R[:, -1], (system.low, np.inf), method="bvls").x
-    of_each_row = np.concatenate([np.full(e.rows.size, 1.0 if e.is_pair else scale) for e in regressions])
-    n = of_each_row.size
-    residual = (system.columns[:n] @ values - system.target[:n]) * of_each_row
+    n = sum(regression.rows.size for regression in regressions)
+    residual = system.columns[:n] @ values - system.target[:n]
     gains = np.maximum(values[: priors.order], _LEAST_GAIN)
     return _Maximum(ModeFit(priors.log_tau, gains, float(np.sqrt(np.mean(residual**2)))), values)
 

@@ -72,7 +72,7 @@ def earlier_fold(
     before, anew = before_held_out(cases, splits, config)
     if not before:
         return None
-    return Fold(before, anew, fit_modes(training_data(before, anew), priors, config, sign), priors, heat_input)
+    return Fold(before, anew, fit_modes(training_data(before, anew), priors, sign), priors, heat_input)
 
 
 def before_held_out(
@@ -106,7 +106,7 @@ def fit_and_judge(
     sign: int,
 ) -> Fitted:
     """Fit to the training rows and evaluate on the held-out rows and rollouts."""
-    fit = fit_modes(training_data(cases, splits), priors, config, sign)
+    fit = fit_modes(training_data(cases, splits), priors, sign)
     whitened, errors = [], []
     for case, split in zip(cases, splits, strict=True):
         if not split.judged.size:

@@ -122,7 +122,7 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
     cases, priors = data.knowing(effects.whole)
     seen_cases, seen_priors = data.knowing(effects.training)
     training = fit_and_judge(seen_cases, splits, seen_priors, config, sign)
-    final = fit_joint([c.regression for c in cases], priors, config, sign, effects.covariance)
+    final = fit_joint([c.regression for c in cases], priors, sign, effects.covariance)
     histories, step_s = data.histories, task.step_s
     base_step = histories[0].step_s
     mean, scale = normalisation(histories)
