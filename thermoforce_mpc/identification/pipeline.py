@@ -43,6 +43,7 @@ from thermoforce_mpc.identification.validation.held_out import identified_heat_i
 from thermoforce_mpc.identification.validation.warnings import unexplained
 from thermoforce_mpc.identification.zones.data import ZoneData, ZoneTask
 from thermoforce_mpc.identification.zones.model import identify_zone
+from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.screening import Limits
@@ -52,6 +53,7 @@ from thermoforce_mpc.model.zone_model import ZoneModel
 # Relative standard deviation of the heat of full level where nothing near it was seen and no heat metered: what a level
 # gives may sag, or be switched by a machine that cycles.
 _UNSEEN_LEVEL_SD = 0.6
+_NO_LEVEL = "what was recorded as the actuator's level does not say what it did"
 
 
 def identify(
@@ -110,7 +112,8 @@ def identify(
     area_m2 = float(np.sum(layout.floor_area_m2))
     allowed = Limits.of(None, area_m2 if np.isfinite(area_m2) else None, min(layout.lowest))
     runs, gaps = prepared_runs(runs, allowed)
-    doubts = _doubts(runs, layout)
+    said = _doubts(runs, layout)
+    doubts = [remark.in_words() for remark in said]
     pairs, pair_gaps = prepared_pairs(pairs, allowed)
     if pairs:
         check_pairs(pairs)
@@ -169,17 +172,32 @@ def identify(
             zone, fit = identify_zone(zone_data, effects[a], partial(_say, say, prefix))
         except DataError as error:
             raise DataError("; ".join([f"{prefix}{error}", *doubts])) from error
-        zones.append(_with_advice(zone, advice))
+        zones.append(_barred(_with_advice(zone, advice), a, said))
         fits.append(fit)
     return assembled(layout, zones, fits, power, config)
 
 
-def _doubts(runs: Sequence[Record], layout: Layout) -> list[str]:
+def _doubts(runs: Sequence[Record], layout: Layout) -> list[Remark]:
     """What the runs say against themselves, each thing once, where it is surest."""
     surest: dict[tuple[str, str], Remark] = {}
     for remark in sorted((remark for run in runs for remark in remarks(run, layout)), key=lambda one: one.sure):
         surest[remark.kind, remark.where] = remark
-    return [remark.in_words() for remark in surest.values()]
+    return list(surest.values())
+
+
+def _barred(zone: ZoneModel, a: int, doubts: Sequence[Remark]) -> ZoneModel:
+    """`zone`, not competent where a check says that the level of actuator `a` is none."""
+    bars = tuple(remark for remark in doubts if a in remark.actuators)
+    if not bars:
+        return zone
+    verdict = replace(
+        zone.card.competence or Competence(False),
+        competent=False,
+        reasons=tuple(f"{remark.kind}: {remark.where}: {remark.words}" for remark in bars),
+        advice=tuple(remark.remedy for remark in bars),
+        plainly=_NO_LEVEL,
+    )
+    return replace(zone, card=replace(zone.card, competence=verdict))
 
 
 def _say(say: Callable[[str], None], prefix: str, text: str) -> None:

@@ -84,6 +84,7 @@ def _of_meter(
             "a set-point, or what was asked for, is no level: name what the machine did (valve, speed, on and off), or "
             "leave the level out, and heat or power over the full one is taken for it",
             warms,
+            tuple(fed),
         )
     return Remark(
         "meter holds another load",
@@ -157,4 +158,5 @@ def _kept(record: Record, layout: Layout, a: int) -> Remark | None:
         "the outdoor temperature: something else keeps it",
         "a set-point is no level: name what the machine did (valve, speed, on and off), or its heat or power",
         float((_MOST_OF_WEATHER - beta[1]) / sd) if sd > 0.0 else float("inf"),
+        (a,),
     )

@@ -26,6 +26,7 @@ class Remark:
         remedy: what to do.
         sure: the statistic that found it, as a number of its standard deviations; inf where a physical limit is
             exceeded.
+        actuators: numbers of the actuators whose model it bars; none where the record may serve all the same.
     """
 
     kind: Kind
@@ -33,6 +34,7 @@ class Remark:
     words: str
     remedy: str
     sure: float
+    actuators: tuple[int, ...] = ()
 
     def in_words(self) -> str:
         """One line."""
