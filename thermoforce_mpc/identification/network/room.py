@@ -26,64 +26,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.identification.network.priors import (
+    DISTURBANCE_H,
+    EMITTER_PRIORS,
+    FACADE_SD,
+    METERED_LOG_SD,
+    NOISE,
+    ROOM_PRIORS,
+    SENSOR_SD_K,
+    WALL,
+    WAVES,
+    Prior,
+)
 from thermoforce_mpc.model.free_response.rc import INPUTS
 
 ROOM, STRUCTURE, ENVELOPE, EMITTER = 0, 1, 2, 3
 """States: room, structure, envelope, then the emitters (the nodes), then the disturbances."""
 SUN_ON_SENSOR = "sun_on_sensor"
 """Parameter: how much too high a sensor reads in full sun on its facade, K."""
-DISTURBANCE_H = (1.0, 6.0, 48.0)
-"""Time constants of the disturbances, h."""
 # Temperature of neighbours that were not measured, and of the ground, °C.
 _NEIGHBOURS_C = 20.0
 
 
-class Prior(NamedTuple):
-    """Log-normal: median, and standard deviation of the logarithm."""
-
-    median: float
-    log_sd: float
-
-
-# Per m² of floor. Capacities Wh/K: air, furniture and the first centimetre of surfaces; EN ISO 13790 table 12 has 22
-# (very light) to 103 (very heavy) for the structure, to which the envelope's outer half adds; an emitter holds from 1
-# (convector) to 30 (screed). Conductances W/K: EN ISO 13790 has 9.1 W/m²K to about 3 m² of structure, in series with
-# the surfaces' 3.45; windows, air change and walls lose 0.5 to 4 in all. Heat of an actuator at full level, W; sun, m²
-# of aperture; gains, W.
-_ROOM: dict[str, Prior] = {
-    "C_room": Prior(18.0, 0.5),
-    "C_structure": Prior(60.0, 0.6),
-    "H_structure": Prior(10.0, 0.6),
-    "H_outdoors": Prior(1.0, 0.7),
-    "C_envelope": Prior(15.0, 1.0),
-    "H_envelope": Prior(2.0, 0.9),
-    "H_envelope_outdoors": Prior(1.0, 0.9),
-    "H_neighbours": Prior(0.1, 1.8),
-    "sun": Prior(0.04, 1.0),
-    "sun_structure": Prior(0.04, 1.0),
-    "gains": Prior(4.0, 0.7),
-}
-_EMITTER: dict[str, Prior] = {
-    "heat": Prior(60.0, 0.7),
-    "C_emitter": Prior(6.0, 1.2),
-    "H_emitter": Prior(6.0, 0.8),
-    "heat_structure": Prior(0.15, 1.0),
-}
-# Metered heat over floor area says the heat of full level but for the meter and the area.
-_METERED_LOG_SD = 0.15
-# Of a measured neighbour: walls between rooms that touch, and nearly nothing between those that do not.
-_WALL = Prior(0.2, 1.5)
-# Standard deviations: disturbances W/m², process noise of room and structure K per √h, a reading K.
-_NOISE: dict[str, Prior] = {
-    **{f"disturbance_{hours:g}h": Prior(2.0, 0.8) for hours in DISTURBANCE_H},
-    "room_noise": Prior(0.06, 0.8),
-    "structure_noise": Prior(0.04, 0.8),
-    "reading": Prior(0.03, 0.7),
-}
-# Sun through one facade, m² of aperture, more or less than by that on the horizontal; on a sensor in full sun, K.
-_FACADE_SD, SENSOR_SD_K = 0.02, 3.0
-# Sun by the side of the house and daily wave of the gains, W/m²; by their signed weight in `INPUTS`.
-_WAVES: dict[str, float] = {"solar_cosine": 0.02, "solar_sine": 0.02, "daily_cosine": 1.5, "daily_sine": 1.5}
 OUTDOOR, SUN, _ONE = (INPUTS.index(name) for name in ("outdoor", "solar", "constant"))
 """Inputs: outdoor temperature °C, irradiance W/m²."""
 
@@ -166,23 +130,21 @@ class Room:
     @cached_property
     def priors(self) -> dict[str, Prior]:
         """Priors of the positive parameters by name."""
-        priors = dict(_ROOM)
-        priors |= {f"wall_{j}": _WALL for j in range(self.neighbours)}
+        priors = dict(ROOM_PRIORS)
+        priors |= {f"wall_{j}": WALL for j in range(self.neighbours)}
         for a, heat in enumerate(self.heat_W_m2):
-            priors |= {f"{name}_{a}": prior for name, prior in _EMITTER.items()}
+            priors |= {f"{name}_{a}": prior for name, prior in EMITTER_PRIORS.items()}
             if np.isfinite(heat):
-                priors[f"heat_{a}"] = Prior(heat, _METERED_LOG_SD)
-        return priors | _NOISE
+                priors[f"heat_{a}"] = Prior(heat, METERED_LOG_SD)
+        return priors | NOISE
 
     @cached_property
     def signed(self) -> dict[str, tuple[float, float]]:
         """Prior mean and standard deviation of the signed parameters by name."""
         laws = {_name_of(law): (law.mean, law.sd) for law in self.laws}
-        facades = {
-            f"{name}_{i}": (0.0, _FACADE_SD) for i in range(self.facades) for name in ("facade", "facade_inside")
-        }
+        facades = {f"{name}_{i}": (0.0, FACADE_SD) for i in range(self.facades) for name in ("facade", "facade_inside")}
         sensor = {SUN_ON_SENSOR: (0.0, SENSOR_SD_K)} if self.sensor else {}
-        return {name: (0.0, sd) for name, sd in _WAVES.items()} | laws | facades | sensor
+        return {name: (0.0, sd) for name, sd in WAVES.items()} | laws | facades | sensor
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -270,7 +232,7 @@ class Room:
             Source(ROOM, SUN, ("sun",)),
             Source(STRUCTURE, SUN, ("sun_structure",)),
             Source(ROOM, _ONE, ("gains",)),
-            *(Source(ROOM, INPUTS.index(name), (), signed=name) for name in _WAVES),
+            *(Source(ROOM, INPUTS.index(name), (), signed=name) for name in WAVES),
         ]
         for a, sign in enumerate(self.signs):
             signed = ["", *(_name_of(law) for law in self.laws if law.actuator == a)]
@@ -337,7 +299,7 @@ class Room:
 
     def noise(self, theta: Array, step_h: float) -> tuple[Array, Array, float]:
         """Variances of the process noise in a step (n,), of the stationary disturbances (d,), and of a reading."""
-        values = {name: self.value(theta, name) ** 2 for name in _NOISE}
+        values = {name: self.value(theta, name) ** 2 for name in NOISE}
         stationary = np.array([values[f"disturbance_{hours:g}h"] for hours in DISTURBANCE_H])
         Q = np.zeros(self.n_states)
         Q[ROOM], Q[STRUCTURE] = step_h * values["room_noise"], step_h * values["structure_noise"]

@@ -19,7 +19,7 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import resolution_K
 from thermoforce_mpc.identification.network.effects import Actuators, room_run
 from thermoforce_mpc.identification.network.estimate import Run, searched
-from thermoforce_mpc.identification.network.room import SENSOR_SD_K
+from thermoforce_mpc.identification.network.priors import SENSOR_SD_K
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.sun_on_sensor import FULL_SUN_W_M2, SunOnSensor, facade_W_m2, lagged, sun_at
 
