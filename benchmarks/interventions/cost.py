@@ -95,7 +95,8 @@ def control_step(training: Training, model: ThermalModel, repeats: int = REPEATS
     powered = replace(model, power=(fit_power([replace(past, power_W=power)], lowest_level=lowest),))
     # Repeated planning at one instant gives no data for calibration.
     free = {"name": "residual", "options": {"calibrate": False}}
-    options = {"step_s": past.step_s, "horizon_h": _HORIZON_H, "free_response": free}
+    # What a step costs does not depend on whether the model is good enough to act.
+    options = {"step_s": past.step_s, "horizon_h": _HORIZON_H, "free_response": free, "gate": {"enabled": False}}
     controller = build_controller("thermoforce_mpc", options, testcase, powered)
     if not isinstance(controller, ThermoForceMPC):
         raise TypeError("the registry's thermoforce_mpc is not a ThermoForceMPC")

@@ -39,7 +39,7 @@ def test_few_days_of_one_run_are_enough(shared, pairs, days, limit_K):
     model = identify([cut(run, 0, days)], config=IdentificationConfig(epochs=150), floor_area_m2=AREA_M2)
     scores = score_pairs(model.only.operator, pairs)
     assert scores.rmse_K <= limit_K
-    assert scores.sign_accuracy >= 0.995
+    assert scores.sign_accuracy >= 0.99
 
 
 @pytest.mark.slow

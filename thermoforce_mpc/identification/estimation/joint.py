@@ -1,8 +1,9 @@
 """Joint estimation of forced and free response from single runs, pairs, or both.
 
-A run gives T = F + T_free at every boundary. The time constants are those of the building's network, so that all other
-parameters are linear: gains, weights of weather and clock, initial state. They are a bounded Gaussian regression with
-correlated disturbances. A pair gives D = T_a − T_b, in which the free part cancels (paper eq:paired).
+A run gives T = F + T_free at every boundary. Three time constants are those of the building's network, so that all
+other parameters are linear: gains, weights of weather and clock, initial state. They are a bounded Gaussian regression
+with correlated disturbances; one or two time constants, which cannot be the network's, are searched for. A pair gives
+D = T_a − T_b, in which the free part cancels (paper eq:paired).
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import lsq_linear
+from scipy.optimize import lsq_linear, minimize
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.config import IdentificationConfig
@@ -29,6 +30,9 @@ from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 
 # Least gain, K or K/h: an effect that the record denies keeps the sign of its actuator.
 _LEAST_GAIN = 1e-12
+# Modes that have the response of a room to within a per cent. Of fewer, those that suit its record best are searched.
+_ENOUGH = 3
+_SEARCH = {"xatol": 1e-3, "fatol": 1e-3}
 
 
 @dataclass(frozen=True)
@@ -124,13 +128,32 @@ class _Maximum(NamedTuple):
 
 
 def _posterior_maximum(regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> _Maximum:
-    system = Rows.of(regressions, priors, sign)
-    R = triangle(np.column_stack([system.columns, system.target]))
-    values = lsq_linear(R[:, :-1], R[:, -1], (system.low, np.inf), method="bvls").x
+    log_tau = priors.log_tau
+    if priors.order < _ENOUGH:
+
+        def squares(at: Array) -> float:
+            away = (at - priors.log_tau) / priors.log_tau_sd
+            return float(_solved(Rows.of(regressions, priors, sign, at)).squares + away @ away)
+
+        bounds = np.log(priors.bounds_h())
+        log_tau = minimize(squares, log_tau, method="Nelder-Mead", bounds=bounds, options=_SEARCH).x
+    system = Rows.of(regressions, priors, sign, log_tau)
+    values = _solved(system).values
     n = sum(regression.rows.size for regression in regressions)
     residual = system.columns[:n] @ values - system.target[:n]
     gains = np.maximum(values[: priors.order], _LEAST_GAIN)
-    return _Maximum(ModeFit(priors.log_tau, gains, float(np.sqrt(np.mean(residual**2)))), values)
+    return _Maximum(ModeFit(log_tau, gains, float(np.sqrt(np.mean(residual**2)))), values)
+
+
+class _Solution(NamedTuple):
+    values: Array
+    squares: float
+
+
+def _solved(system: Rows) -> _Solution:
+    R = triangle(np.column_stack([system.columns, system.target]))
+    found = lsq_linear(R[:, :-1], R[:, -1], (system.low, np.inf), method="bvls")
+    return _Solution(found.x, 2.0 * found.cost)
 
 
 def _free_gains(values: Array, n_free: int, *, with_free: bool) -> Array:

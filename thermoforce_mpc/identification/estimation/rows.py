@@ -32,11 +32,16 @@ class Rows:
     low: Array
 
     @classmethod
-    def of(cls, regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> Rows:
-        """The rows of runs and pairs, at least one; `sign` +1 heating, −1 cooling."""
+    def of(
+        cls, regressions: Sequence[RegressionData], priors: ModePriors, sign: int, log_tau: Array | None = None
+    ) -> Rows:
+        """The rows of runs and pairs, at least one, at ln(τ/h) (r,), by default the priors'; `sign` +1 heating, −1
+        cooling.
+        """
+        log_tau = priors.log_tau if log_tau is None else log_tau
         r, starts = priors.order, N_FREE + 1
         runs = [regression for regression in regressions if not regression.is_pair]
-        parts = [priors.gains_at(priors.log_tau), other_prior(regressions[0], priors.log_tau)]
+        parts = [priors.gains_at(log_tau), other_prior(regressions[0], log_tau)]
         low = [np.zeros(sum(mean.size for mean, _ in parts))]
         acting = low[0].size
         if runs:
@@ -46,7 +51,7 @@ class Rows:
         mean, sd = (np.concatenate(part) for part in zip(*parts, strict=True))
         blocks, targets, begin = [], [], mean.size - starts * len(runs)
         for regression in regressions:
-            columns = all_columns(regression, priors.log_tau)
+            columns = all_columns(regression, log_tau)
             columns[:, :r] *= sign
             white = regression.disturbance.whitened(np.column_stack([columns, regression.target]))
             block = np.zeros((white.shape[0], mean.size))

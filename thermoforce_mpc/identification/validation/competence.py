@@ -176,7 +176,12 @@ def missed_criteria(verdict: Competence, most_error_K: Mapping[float, float], bl
 
 
 def _implausible(operator: OperatorParameters, heat_W_m2: float) -> list[Missed]:
-    """The first time at which a step to full level, in weather as it was, does more than its heat can do."""
+    """The first time at which a step to full level, in weather as it was, does more than its heat can do.
+
+    Signed levels are those of room set-points, whose full one is no machine's: nothing bounds its heat.
+    """
+    if operator.heat_input.lowest < 0.0:
+        return []
     most = most_K(STEP_RESPONSE_H, heat_W_m2)
     steps = np.maximum(np.array(STEP_RESPONSE_H) * HOUR_S // operator.step_s, 1).astype(int)
     typical = float(operator.modulation(operator.feature_mean))
