@@ -88,8 +88,10 @@ def _identify(
             display.say(f"Sun on the sensor{of}: {zone.card.sun_on_sensor.in_words()}")
         verdict = zone.card.competence
         if verdict is not None:
-            advice = [f"  {advice}" for advice in verdict.advice]
-            display.say("\n".join([verdict.sentence(), f"The model{of} is {verdict.in_words()}", *advice]))
+            lines = [f"{name}: {verdict.sentence()}" if of else verdict.sentence()]
+            if not verdict.competent:
+                lines += [f"The model{of} is {verdict.in_words()}", *(f"  {advice}" for advice in verdict.advice)]
+            display.say("\n".join(lines))
         elif zone.card.unfit:
             display.say(zone.card.unfit)
     return IdentifiedModel(model, {"model": spec.model, "source": model.cards[0].source} | origin(model))
