@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from benchmarks.effects.windows import STEP_S, WINDOWS, band_K, block
 from thermoforce_mpc.data import DAY_S, Array, Record
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig
 from thermoforce_mpc.model.operator import feature_matrix
@@ -84,6 +85,19 @@ class Answer:
         """The score of a window by its name; NaN throughout where there is no model."""
         nothing = Score(window, *(4 * (math.nan,)))
         return next((score for score in self.scores if score.window == window), nothing)
+
+
+def probed_days(houses: int, days: Sequence[float], *, quick: bool) -> tuple[float, ...]:
+    """The numbers of days in rising order, the fewest alone if `quick`.
+
+    Raises:
+        InputError: no houses, or a number of days out of range.
+    """
+    if houses < 1:
+        raise InputError(f"{houses} houses: expected at least one")
+    if not days or not all(1.0 <= one <= MOST_DAYS for one in days):
+        raise InputError(f"days of probing {list(days)}: expected one number or more from 1 to {MOST_DAYS:g}")
+    return tuple(sorted(set(days)))[: 1 if quick else None]
 
 
 def ask(case: Case) -> list[Answer]:

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import run_all
-from benchmarks.effects.asking import GENERATED, MOST_DAYS, Answer, Case, ask
+from benchmarks.effects.asking import GENERATED, Answer, Case, ask, probed_days
 from benchmarks.effects.plot import plot_answers
 from benchmarks.effects.windows import LONGEST, WINDOWS
-from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.plants.energyplus import engine as energyplus
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
@@ -54,11 +53,7 @@ def run_effects_bench(
         InputError: no houses, or a number of days out of range.
         PlantError: a plant failed.
     """
-    if houses < 1:
-        raise InputError(f"{houses} houses: expected at least one")
-    if not days or not all(1.0 <= one <= MOST_DAYS for one in days):
-        raise InputError(f"days of probing {list(days)}: expected one number or more from 1 to {MOST_DAYS:g}")
-    probed = tuple(sorted(set(days)))[: 1 if quick else None]
+    probed = probed_days(houses, days, quick=quick)
     draw = f"seed {seed}"
     cases = [
         Case(f"generated:{seed}:{n}", draw, probed) for n in range(min(houses, _QUICK_HOUSES) if quick else houses)

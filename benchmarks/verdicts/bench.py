@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import run_all
-from benchmarks.verdicts.house import EQUAL_KH, MOST_DAYS, USEFUL, Case, Judged, judged
-from thermoforce_mpc.errors import InputError
+from benchmarks.effects.asking import probed_days
+from benchmarks.verdicts.house import EQUAL_KH, USEFUL, Case, Judged, judged
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
@@ -43,11 +43,7 @@ def run_verdicts_bench(
         InputError: no houses, or a number of days out of range.
         PlantError: a plant failed.
     """
-    if houses < 1:
-        raise InputError(f"{houses} houses: expected at least one")
-    if not days or not all(1.0 <= one <= MOST_DAYS for one in days):
-        raise InputError(f"days of probing {list(days)}: expected one number or more from 1 to {MOST_DAYS:g}")
-    probed = tuple(sorted(set(days)))[: 1 if quick else None]
+    probed = probed_days(houses, days, quick=quick)
     n, closed = (min(houses, _QUICK_HOUSES), min(closed_loop, 1)) if quick else (houses, closed_loop)
     cases = [Case(seed, index, probed, index < closed) for index in range(n)]
 

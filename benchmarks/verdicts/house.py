@@ -28,7 +28,7 @@ from thermoforce_mpc.simulation.models.identifying import identification_setting
 
 # Probing and the week in closed loop begin on these days of the year, the latter after native control; between them
 # lies the question of `benchmarks.effects`.
-MOST_DAYS, _PROBING_DAY, _WEEK_DAY, _WEEK_DAYS, _WARMUP_DAYS = 10.0, 25, 42, 7, 5
+_PROBING_DAY, _WEEK_DAY, _WEEK_DAYS, _WARMUP_DAYS = 25, 42, 7, 5
 _SEED = 1
 # Discomfort that counts as equal, K·h a week.
 EQUAL_KH = 0.5

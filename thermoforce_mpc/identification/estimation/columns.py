@@ -91,14 +91,13 @@ class Lags:
     """Signal, mode, first lag of its actuator and state at the start of each column of `all_columns`, (p,) each.
 
     See `recursions.filtered`. Modes are the r of the operator, the fastest of the initial state, the q free
-    ones, and one that never decays; `tau` (p,): which time constant of the operator it is, −1 if none.
+    ones, and one that never decays.
     """
 
     signal: NDArray[np.intp]
     mode: NDArray[np.intp]
     lead: NDArray[np.intp]
     start: Array
-    tau: NDArray[np.intp]
 
     @staticmethod
     @cache
@@ -117,12 +116,7 @@ class Lags:
         lead, start = np.zeros(mode.size, dtype=np.intp), np.zeros(mode.size)
         lead[: (1 + K) * r] = np.repeat(np.arange(1 + K) * r, r)
         start[-len(alone) :] = 1.0
-        tau = np.full(r + q + 2, -1)
-        tau[:r] = np.arange(r)
-        tau[r] = 0 if r > 1 else -1
-        if r == _SHARED:
-            tau[r + 1 : r + q] = np.arange(1, r)
-        return Lags(np.concatenate(signal), mode, lead, start, tau[mode])
+        return Lags(np.concatenate(signal), mode, lead, start)
 
     def poles(self, log_tau: Array, step_s: float) -> Array:
         """The pole per step of each column (p,)."""

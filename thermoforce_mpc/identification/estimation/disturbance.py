@@ -69,11 +69,6 @@ class Disturbance:
         columns = np.ascontiguousarray(values, dtype=np.float64).reshape(values.shape[0], -1)
         return np.asarray(innovations(columns, *self.innovations)).reshape(values.shape)
 
-    @property
-    def log_determinant(self) -> float:
-        """Sum of the logarithms of the innovations' standard deviations, K: half that of the covariance."""
-        return float(np.log(self.innovations[2]).sum())
-
     @cached_property
     def _decay(self) -> Array:
         """Decay of each process to the next row (rows, k)."""

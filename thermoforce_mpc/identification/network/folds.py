@@ -15,7 +15,7 @@ from thermoforce_mpc.identification.effects.level_laws import Estimates, LevelLa
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.network.building import BuildingFit, Responses
 from thermoforce_mpc.identification.network.effects import Actuators, building_fit, room_pair, room_run
-from thermoforce_mpc.identification.network.estimate import Run
+from thermoforce_mpc.identification.network.estimate import RoomFit, Run
 from thermoforce_mpc.identification.network.projection import Modes, projected
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
@@ -89,7 +89,7 @@ def zone_effects(
             rooms.append(_seen(runs, pairs, zone, actuators, data[first[0]] if first else data[0], fold, joined))
         by_fold[fold] = fit = building_fit(actuators, rooms, joined=joined, before=fit)
         inputs[fold] = [
-            with_outdoors(v, _found(fit, a, laws[a])[0], weather_of(seen, a)) for a, v in enumerate(heat_inputs)
+            with_outdoors(v, _found(fit, a, laws[a]), weather_of(seen, a)) for a, v in enumerate(heat_inputs)
         ]
     whole = by_fold["whole"]
     estimates = [_estimates(whole, a, laws[a]) for a in range(len(heat_inputs))]
@@ -115,21 +115,23 @@ def zone_effects(
     return effects
 
 
-def _found(fit: BuildingFit, a: int, laws: Sequence[LevelLaw]) -> tuple[dict[str, float], dict[str, int]]:
-    """What a fit says of the laws of actuator `a`, and their places in θ of its room."""
+def _places(fit: BuildingFit, a: int, laws: Sequence[LevelLaw]) -> tuple[RoomFit, dict[str, int]]:
+    """The room of actuator `a`, and where its laws stand in θ."""
     home = fit.layout.home[a]
     room, k = fit.rooms[home], fit.layout.actuators_of(home).index(a)
-    places = {law.name: room.room.place[f"{law.name}_{k}"] for law in laws}
-    return {name: float(room.theta[place]) for name, place in places.items()}, places
+    return room, {law.name: room.room.place[f"{law.name}_{k}"] for law in laws}
+
+
+def _found(fit: BuildingFit, a: int, laws: Sequence[LevelLaw]) -> dict[str, float]:
+    """What a fit says of the laws of actuator `a`."""
+    room, places = _places(fit, a, laws)
+    return {name: float(room.theta[place]) for name, place in places.items()}
 
 
 def _estimates(fit: BuildingFit, a: int, laws: Sequence[LevelLaw]) -> Estimates:
     """`_found` with standard deviations."""
-    values, places = _found(fit, a, laws)
-    if not places:
-        return {}
-    variances = np.diagonal(fit.rooms[fit.layout.home[a]].covariance)
-    return {name: (values[name], float(np.sqrt(variances[place]))) for name, place in places.items()}
+    room, places = _places(fit, a, laws)
+    return {name: (float(room.theta[i]), float(np.sqrt(room.covariance[i, i]))) for name, i in places.items()}
 
 
 def _seen(
