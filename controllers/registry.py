@@ -108,7 +108,7 @@ _AS_PRINTED: dict[str, Any] = {
     "backoff_level_other": 0.5,
     "backoff_violation_K": None,
     "offset_h": None,
-    "actuation": {"mode": "modulating", "lowest_level": 0.0, "proportional": True},
+    "actuation": {"mode": "modulating", "lowest_level": 0.0},
     "gate": {"enabled": False},
     "guard": {"enabled": False},
     "reserve": False,
@@ -134,7 +134,7 @@ _OWN: dict[str, Entry] = {
         "MPC: free response of a linear weather model and a frozen forecaster, on/off blocks, 15 min step",
     ),
     "thermoforce_hourly": _mpc_entry(
-        "as thermoforce_mpc, level held for 1 h, off or at least 0.7 (heat pumps are inefficient below)",
+        "as thermoforce_mpc with a step of 1 h, levels from 0.7 held (heat pumps are inefficient below)",
         step_s=3600.0,
         # One hour at 0.7 or more is a large pulse of heat: heating late costs less than overheating with solar gains.
         comfort_margin_K=0.0,

@@ -40,7 +40,7 @@ class DoMpcBuilding:
         if (
             len(machinery.machines) > 1
             or np.any(machinery.runs_for < 1.0)
-            or machinery.held.any()
+            or machinery.stepped.any()
             or machinery.signed.size
             or machinery.exclusive
             or example.power_cap is None

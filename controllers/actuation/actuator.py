@@ -1,18 +1,18 @@
 """Conversion of a planned level into actuator blocks: on/off blocks at one level, or one level held for the step.
 
-A heat pump with a large fixed loss while on is efficient only near full speed. In `duty` mode the plan therefore
-decides the on-time share of each step; power and heat are linear in it. This module converts the share into blocks
-that respect minimum on and off times across steps, and carries the unrealised remainder over to the next step. In
-`modulating` mode (the paper's setting) one level is held for the whole step: zero, or at least the lowest level. In
-`supply` mode the level is the heat that the machine's water gives, which all its valves share: one that needs less is
-open for a part of the step.
+A machine gives heat most cheaply at one level: a heat pump with a large fixed loss while on near full speed, one whose
+water gets hotter with the level near its lowest. In `modulating` mode levels above that are held for the step, and lower
+ones are made of blocks at it; in `duty` mode there is no higher one. This module converts the share of on-time into
+blocks that respect minimum on and off times across steps, and carries the unrealised remainder over to the next step.
+With a lowest level of 0 any level is held (the paper's setting). In `supply` mode the level is the heat that the
+machine's water gives, which all its valves share: one that needs less is open for a part of the step.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from pydantic import Field, model_validator
 
 from controllers.checks import ControllerConfigError
 from thermoforce_mpc.data import Array, Block
-from thermoforce_mpc.execution.keys import ADDED_LATER
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Shares below this mean off; also the tolerance on measured mean levels.
@@ -32,8 +31,9 @@ class ActuationConfig(StrictModel):
 
     mode: Literal["auto", "duty", "modulating", "supply", "room_setpoints"] = Field(
         "auto",
-        description="duty: on/off blocks; modulating: one level held for the step; auto: decided by what the "
-        "identified laws of power and heat say of part load (duty where there are none); supply: water as warm as the "
+        description="duty: on/off blocks at `level`; modulating: a level held for the step, blocks below "
+        "`lowest_level`; auto: at the level at which heat costs least by the identified laws, see `tf-mpc inspect` "
+        "(duty where they say nothing of part load); supply: water as warm as the "
         "neediest valve asks for (test cases whose machine has `supply`); room_setpoints: the plant's own loops keep "
         "the planned temperature (test cases of that kind)",
     )
@@ -45,19 +45,12 @@ class ActuationConfig(StrictModel):
         0.3,
         ge=0,
         le=1,
-        description="modulating: lowest level while on; a planned level below half of it is off (auto: from the "
-        "laws); supply: level below which valves open for a part of the step instead",
-    )
-    proportional: Annotated[bool, ADDED_LATER] = Field(
-        False,
-        description="modulating with lowest_level 0: plan any level in [0, 1], power and heat in proportion to it (the "
-        "paper's), though the identified laws have a fixed part while on",
+        description="modulating: level below which blocks at it are made; 0: any level is held, and its power and "
+        "heat count in proportion to it (the paper's); supply: level below which valves open for a part of the step",
     )
 
     @model_validator(mode="after")
     def _consistent(self) -> ActuationConfig:
-        if self.proportional and (self.mode != "modulating" or self.lowest_level > 0):
-            raise ValueError("proportional belongs to mode modulating with lowest_level 0")
         for name in ("min_on_s", "min_off_s"):
             if getattr(self, name) % self.block_s:
                 raise ValueError(f"{name} must be a multiple of block_s ({self.block_s:g} s)")
@@ -87,18 +80,26 @@ class Actuation:
 
     Args:
         config: options; `mode` auto, which only a model can decide (`actuation_choice`), is duty here.
-        proportional: power and heat are proportional to the level, so that levels down to 0 need no law of their own.
         part_levels: in `duty` mode a level between off and `level` may be held where blocks would not do.
     """
 
-    def __init__(self, config: ActuationConfig, *, proportional: bool = False, part_levels: bool = False) -> None:
+    def __init__(self, config: ActuationConfig, *, part_levels: bool = False) -> None:
         self.config, self.part_levels = config, part_levels
-        self._proportional = proportional or config.proportional
 
     @property
     def modulates(self) -> bool:
-        """Whether a level is held for the step, rather than on/off blocks."""
+        """Whether levels above that of blocks are held for the step."""
         return self.config.mode in ("modulating", "supply")
+
+    @property
+    def switches(self) -> bool:
+        """Whether it makes blocks: at one level, or below its lowest."""
+        return not self.modulates or (not self.by_supply and self.config.lowest_level > 0.0)
+
+    @property
+    def block_level(self) -> float:
+        """Level of blocks."""
+        return self.config.lowest_level if self.modulates else self.config.level
 
     @property
     def by_supply(self) -> bool:
@@ -118,11 +119,7 @@ class Actuation:
     @property
     def lowest_level(self) -> float:
         """Levels below this cost and heat as their share of it; `highest` where all levels do."""
-        if not self.modulates:
-            return self.config.level
-        if self.by_supply or (self._proportional and self.config.lowest_level == 0):  # any level, without a choice
-            return self.highest
-        return max(self.config.lowest_level, 1e-3)
+        return self.block_level if self.switches else self.highest
 
     @property
     def in_words(self) -> str:
@@ -135,15 +132,15 @@ class Actuation:
             return f"on/off blocks at {self.config.level:.2f}"
         if self.config.lowest_level == 0:
             return "modulating, any level held for the step"
-        return f"modulating, off or at least {self.config.lowest_level:.2f} held for the step"
+        return f"modulating, levels from {self.config.lowest_level:.2f} held for the step, on/off blocks below"
 
     def check_step(self, step_s: float) -> None:
         """Raise `ControllerConfigError` where a step of `step_s` seconds is shorter than two blocks."""
         c = self.config
-        if (self.by_supply or not self.modulates) and step_s < 2 * c.block_s:
+        if (self.by_supply or self.switches) and step_s < 2 * c.block_s:
             raise ControllerConfigError(
                 f"controller.options.actuation.block_s: blocks of {c.block_s:g} s cannot share a step of"
-                f" {step_s:g} s; use shorter blocks or mode: modulating"
+                f" {step_s:g} s; use shorter blocks, or mode: modulating with lowest_level: 0"
             )
 
     def now(self, state: ActuationState | None, u: Array, step_s: float) -> ActuationState:
@@ -160,7 +157,7 @@ class Actuation:
 
     def _state_from_levels(self, u: Array, step_s: float) -> ActuationState:
         """State estimated from the mean levels of past steps; where ambiguous, the one with the longer wait."""
-        level = self.config.level
+        level = self.block_level
         off, full = u <= _OFF, u >= level - _OFF
         between = np.isfinite(u) & ~off & ~full
         if off[-1]:
@@ -185,9 +182,9 @@ class Actuation:
             return (Block(None, step_s),), ActuationState(native=True)
         if self.by_supply:
             return self._valve_blocks(u, step_s, state, water or self.water(u))
-        if self.modulates:
-            return (Block(self._held_level(u), step_s),), state
-        return self._duty_blocks(u, step_s, state)
+        if not self.switches:
+            return (Block(min(u, 1.0) if u > _OFF else 0.0, step_s),), state
+        return self._on_off_blocks(u, step_s, state)
 
     def water(self, u: float) -> float:
         """Least level at which an open valve can give `u` over a step."""
@@ -210,15 +207,12 @@ class Actuation:
         blocks = tuple(Block(level, t) for level, t in parts if t > 0)
         return blocks, ActuationState(bool(blocks[-1].u[0]), blocks[-1].duration_s)
 
-    def _held_level(self, u: float) -> float:
-        lowest = max(self.config.lowest_level, _OFF)
-        if u >= lowest:
-            return min(u, 1.0)
-        return lowest if u > lowest / 2 else 0.0
-
-    def _duty_blocks(self, u: float, step_s: float, state: ActuationState) -> tuple[tuple[Block, ...], ActuationState]:
+    def _on_off_blocks(
+        self, u: float, step_s: float, state: ActuationState
+    ) -> tuple[tuple[Block, ...], ActuationState]:
         c, on = self.config, state.on
-        share = min(max(u / c.level, 0.0), 1.0)
+        on_level = min(max(u, self.block_level), self.highest)
+        share = min(max(u / on_level, 0.0), 1.0)
         # A plan of "off" discards the carried-over on-time: it must not heat a zone that needs no heat.
         wanted_s = share * step_s + state.owed_s if share > _OFF else 0.0
         stays_s = self._time_in_state(wanted_s, step_s, state)
@@ -226,7 +220,7 @@ class Actuation:
         # The remainder exceeds one block only through minimum times; the cap limits its accumulation.
         cap = max(c.block_s, c.min_on_s, c.min_off_s)
         owed_s = min(max(wanted_s - on_s, -cap), cap)
-        level, level_after = (c.level, 0.0) if on else (0.0, c.level)
+        level, level_after = (on_level, 0.0) if on else (0.0, on_level)
         blocks = tuple(Block(u, t) for u, t in ((level, stays_s), (level_after, step_s - stays_s)) if t > 0)
         if stays_s < step_s:
             return blocks, ActuationState(not on, step_s - stays_s, owed_s)

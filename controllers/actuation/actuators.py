@@ -129,7 +129,7 @@ class Actuators:
         if demand is None or isinstance(demand, tuple):
             return None if demand is None else max(abs(block.u[0] or 0.0) for block in demand)
         actuation = self.each[a]
-        must_stay = not actuation.modulates and state.on and state.held_s < actuation.config.min_on_s
+        must_stay = actuation.switches and state.on and state.held_s < actuation.config.min_on_s
         return demand / actuation.highest + must_stay
 
     def _realise_one(

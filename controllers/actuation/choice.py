@@ -1,68 +1,80 @@
-"""The choice of the actuation where `mode` is auto: what was identified of power and heat at part load.
+"""The choice of the actuation where `mode` is auto, and the power that plans count with.
 
-A machine with a fixed part while it runs needs more power per heat the lower its level: it is switched, in blocks at
-its most efficient level. One without modulates. Both laws are affine in the level, so power per heat is monotone in it
-and the most efficient level is an end: full, or the lowest.
-
-Where heat is not measured, the choice follows from the expected cost of heat at part load, with the heat estimated from
-the temperature (`CostAtPartLoad`). Not knowing that heat makes its expected cost higher, so that an unclear case ends
-in blocks: they run the machine at full level, where power and effect are both identified.
+Each machine gives heat most cheaply at one level: one with a fixed loss while it runs at a high one, one whose water
+gets hotter with the level at a low one. What heat costs at the levels that were tried is on the model card
+(`LevelCost`). At the cheapest of them the machine is switched, and higher levels are held where they are needed. Where
+nothing is known of part load, it is switched at full level, where power and effect are both identified.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from controllers.actuation.actuator import Actuation, ActuationConfig
-from thermoforce_mpc.model.machine.part_load import SWITCH_FROM, CostAtPartLoad, part_load
+from thermoforce_mpc.model.machine.part_load import (
+    SWITCH_FROM,
+    LevelCost,
+    PowerShape,
+    cheapest,
+    part_load,
+)
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 
 @dataclass(frozen=True)
 class ActuationChoice:
-    """An actuation whose mode is decided, and the reason in words."""
+    """An actuation whose mode is decided, the reason in words, and the power that plans count with."""
 
     actuation: Actuation
     why: str
+    power: PowerModel
 
 
 def choose_actuation(
-    config: ActuationConfig, power: PowerModel, heat_input: HeatInput, estimated: CostAtPartLoad | None = None
+    config: ActuationConfig,
+    power: PowerModel,
+    heat_input: HeatInput,
+    costs: Sequence[LevelCost] = (),
+    *,
+    shared: bool = False,
 ) -> ActuationChoice:
-    """Decide `mode: auto` from the identified laws, or from the cost that was `estimated` without a heat meter.
+    """Decide `mode: auto`; another mode stays.
 
-    A mode other than auto stays.
+    Args:
+        config: options.
+        power: power of the machine, as identified.
+        heat_input: heat of the actuator over its level.
+        costs: what heat costs at levels below full.
+        shared: the machine feeds other actuators too, whose levels say what it costs; by the laws it is then switched
+            or any level held.
     """
-    if config.mode == "auto" and estimated is not None and heat_input.law is None:
-        return _choose_by_cost(config, estimated)
-    at_part_load = part_load(power, heat_input.law)
-    proportional = at_part_load is not None and abs(at_part_load.at_half - 1.0) <= SWITCH_FROM
+    planned = power
+    if costs and not shared and (config.mode == "auto" or (config.mode == "modulating" and config.lowest_level > 0.0)):
+        T_out_C = np.asarray(heat_input.reference_C)
+        full = float(heat_input(np.asarray(1.0), T_out_C))
+        heat = [float(heat_input(np.asarray(one.level), T_out_C)) / full for one in costs]
+        planned = PowerShape.through(costs, heat).of(power)
     if config.mode != "auto":
-        actuation = Actuation(config, proportional=proportional)
-        return ActuationChoice(actuation, f"{actuation.in_words}, as configured")
-    # Blocks are the choice here, not all that the actuator can do; heat at a part level shows in its meter.
+        actuation = Actuation(config)
+        return ActuationChoice(actuation, f"{actuation.in_words}, as configured", planned)
+    # Blocks at full level are the choice here, not all that the actuator can do; heat at a part level shows in its meter.
     blocks = Actuation(config.model_copy(update={"mode": "duty"}), part_levels=heat_input.law is not None)
-    if at_part_load is None:
-        return ActuationChoice(blocks, f"{blocks.in_words}: the data hold off and full level only")
-    if at_part_load.at_half > 1.0 + SWITCH_FROM:
-        actuation = blocks
-    else:
-        lowest = 0.0 if proportional else at_part_load.lowest_seen
-        modulating = config.model_copy(update={"mode": "modulating", "lowest_level": lowest})
-        actuation = Actuation(modulating, proportional=proportional)
-    return ActuationChoice(actuation, f"{actuation.in_words}: {at_part_load}")
-
-
-def _choose_by_cost(config: ActuationConfig, estimated: CostAtPartLoad) -> ActuationChoice:
-    """Any level where heat at part load is not expected to cost more by the margin, else blocks.
-
-    With any level, heat and power are both counted in proportion to the level: that is right at full level, and what
-    part load gives beyond it, of both, the prediction's offset and the next plans take up.
-    """
-    if estimated.cost > 1.0 + SWITCH_FROM:
-        actuation = Actuation(config.model_copy(update={"mode": "duty"}))
-    else:
-        modulating = config.model_copy(update={"mode": "modulating", "lowest_level": 0.0})
-        actuation = Actuation(modulating, proportional=True)
-    return ActuationChoice(actuation, f"{actuation.in_words}: {estimated}")
+    if shared:
+        laws = part_load(power, heat_input.law)
+        if laws is None:
+            return ActuationChoice(blocks, f"{blocks.in_words}: the data hold off and full level only", power)
+        if laws.at_half <= 1.0 + SWITCH_FROM:
+            blocks = Actuation(config.model_copy(update={"mode": "modulating", "lowest_level": 0.0}))
+        return ActuationChoice(blocks, f"{blocks.in_words}: {laws}", power)
+    if not costs:
+        return ActuationChoice(blocks, f"{blocks.in_words}: the data hold off and full level only", power)
+    best = cheapest(costs)
+    if best is None:
+        told = min(costs, key=lambda one: one.cost)
+        return ActuationChoice(blocks, f"{blocks.in_words}: {told}", power)
+    actuation = Actuation(config.model_copy(update={"mode": "modulating", "lowest_level": best.level}))
+    return ActuationChoice(actuation, f"{actuation.in_words}: {best}", planned)

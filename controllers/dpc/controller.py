@@ -42,7 +42,7 @@ class PolicySolver:
         )[None]
         if not np.isfinite(u).all():
             return failed("policy", problem.n_steps, "the policy gave levels that are not finite")
-        p = self._model.held_numbers(problem)
+        p = self._model.numbers(problem)
         cost = self._model.evaluate(problem, p, u).cost
         return checked_solution(self._model, problem, p, u, cost, "policy", problem.n_steps)
 

@@ -148,7 +148,7 @@ class _Model:
     def evaluate(self, u: Array) -> Evaluation:
         """What levels (A, N) bring, by the statement of the plan."""
         model = self._controller.evaluator
-        return model.evaluate(self._problem, model.held_numbers(self._problem), u)
+        return model.evaluate(self._problem, model.numbers(self._problem), u)
 
     def course(self, name: str, u: Array) -> Course:
         """What the model predicts under levels (A, N)."""

@@ -42,7 +42,7 @@ from thermoforce_mpc.data import HOUR_S, Array, Layout, Observation, Plan, Recor
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.identification.estimation.adaptation import OnlineAdaptation
 from thermoforce_mpc.model.free_response.substitute import WithSubstitutes
-from thermoforce_mpc.model.machine.part_load import CostAtPartLoad
+from thermoforce_mpc.model.machine.part_load import level_costs
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
@@ -108,7 +108,8 @@ class ThermoForceMPC(ActuatedController):
         reasons = (layout.names.of_actuator(a, choice.why) for a, choice in enumerate(choices))
         self._actuation_why = "; ".join(dict.fromkeys(reasons))
         self._handler = DirectHandler(BoundedCalls(len(zones) + _SOLVERS_ABANDONED))
-        self._formulation = Formulation(c, model, self._actuators)
+        powers = [choices[layout.fed_by(m)[0]].power for m in range(len(layout.names.machines))]
+        self._formulation = Formulation(c, model, self._actuators, powers)
         shape_of = partial(
             plan_shape,
             c,
@@ -314,7 +315,7 @@ class ThermoForceMPC(ActuatedController):
 
         Of choices only a solver knows: later levels of its plan stand for shares of higher ones.
         """
-        brought = evaluator.evaluate(problem, evaluator.held_numbers(problem), solution.u, solution.own_values)
+        brought = evaluator.evaluate(problem, evaluator.numbers(problem), solution.u, solution.own_values)
         return replace(brought, broken="") if evaluator.structure.chosen else brought
 
     def _realise(
@@ -379,8 +380,13 @@ def _actuations(config: MPCConfig, model: ThermalModel, layout: Layout) -> list[
     for a, (actuator, lowest) in enumerate(zip(layout.names.actuators, layout.lowest, strict=True)):
         zone = model.actuator(a)
         assert zone.power is not None  # `_check_power`
-        cost = CostAtPartLoad.of(zone.card.uncertainty)
-        choice = choose_actuation(config.actuation_of(actuator), zone.power, zone.operator.heat_input, cost)
+        choice = choose_actuation(
+            config.actuation_of(actuator),
+            zone.power,
+            zone.operator.heat_input,
+            level_costs(zone.card.uncertainty),
+            shared=len(layout.fed_by(layout.machine_of[a])) > 1,
+        )
         if choice.actuation.by_rooms != (lowest < 0.0):
             raise ControllerConfigError(
                 "controller.options.actuation.mode: room_setpoints and a model of heating and cooling belong together"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -32,15 +33,22 @@ class Formulation:
         config: options of the controller.
         model: the building, with the power of every machine.
         actuators: how its actuators are run.
+        powers: power of each machine as plans count with it (M,).
     """
 
-    def __init__(self, config: MPCConfig, model: ThermalModel, actuators: Actuators) -> None:
+    def __init__(
+        self, config: MPCConfig, model: ThermalModel, actuators: Actuators, powers: Sequence[PowerModel]
+    ) -> None:
         self._config, self._actuators, self._layout = config, actuators, model.layout
         self._step_s, self.margins = model.operator.step_s, MarginRules(config, model, actuators)
         layout, each = self._layout, actuators.each
-        self.power = tuple(
-            _measured(power).at_lowest_level(each[fed[0]].lowest_level) if len(fed) == 1 else _measured(power)
-            for power, fed in ((power, layout.fed_by(m)) for m, power in enumerate(model.power))
+        fed_by = [layout.fed_by(m) for m in range(len(powers))]
+        self.power, self._expected = (
+            tuple(
+                power.at_lowest_level(each[fed[0]].lowest_level) if len(fed) == 1 else power
+                for power, fed in zip(of, fed_by, strict=True)
+            )
+            for of in (powers, [_measured(power) for power in model.power])
         )
         self.machinery = EquipmentLayout(
             layout.names.actuators,
@@ -53,8 +61,8 @@ class Formulation:
             tuple(power.load.lowest_level if power.load.lowest_level < 1.0 else 0.0 for power in self.power),
             layout.exclusive,
         )
-        # Choices take power as linear in u: its chord, which is too high at part load.
-        self._straight = config.solver == "milp" or bool(self.machinery.held.any() or layout.exclusive)
+        # Choices take power as linear in u: as at the level below which an actuator switches.
+        self._straight = config.solver == "milp" or bool(layout.exclusive)
         self.bent = not self._straight and any(power.load.curve_W for power in self.power)
 
     def instance(
@@ -104,7 +112,7 @@ class Formulation:
         ]
         per_u2_W = np.stack([weight * bends[m] for weight, m in zip(layout.weights, layout.machine_of, strict=True)])
         if self._straight:
-            per_u_W = per_u_W + per_u2_W
+            per_u_W = per_u_W + per_u2_W * np.minimum(self.machinery.lowest_level, self.machinery.u_max)[:, None]
         bent = self.bent and bool(per_u2_W.any())
         highest, fed_by = self.machinery.u_max, list(layout.machine_of)
         highest_W = np.array(layout.weights) * fixed_W[fed_by, -1] + per_u_W[:, -1] * highest
@@ -138,7 +146,7 @@ class Formulation:
     def expected_power_W(self, a: int, record: Record) -> Array:
         """Electric power (n,), W, for the levels of actuator `a` in a record of its own."""
         levels = np.clip(record.u[0], self._layout.lowest[a], 1.0)
-        return self.power[self._layout.machine_of[a]](levels, record.T_out_C[:-1], record.T_return_C[0])
+        return self._expected[self._layout.machine_of[a]](levels, record.T_out_C[:-1], record.T_return_C[0])
 
     def _last_u(self, history: Record) -> Array:
         """Levels of the last step of the record (A,), within their bounds; 0 where they are not known."""

@@ -47,7 +47,7 @@ def plan_shape(
         machinery,
         peak=config.objective.peak_price_per_kW > 0,
         capped=config.objective.power_cap_kW is not None,
-        held_steps=config.milp.held_steps(step_s),
+        chosen_steps=config.milp.chosen_steps(step_s),
         curved=curved,
         terms=terms,
     )

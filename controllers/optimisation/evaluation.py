@@ -62,19 +62,9 @@ class Evaluator:
             return self
         return Evaluator(self.operator, by_steps)
 
-    @property
-    def held_steps(self) -> int | None:
-        """Number of first steps in which levels are held, as it is solved; None: nothing is ever held."""
-        m = self.shape.machinery
-        return (self.shape.n_held if self.structure.chosen else 0) if m.held.any() or m.exclusive else None
-
     def numbers(self, problem: MPCProblem) -> Array:
-        """The parameters of an instance as it is solved: relaxed after the first moves."""
-        return self._numbers.of(problem, self.held_steps)
-
-    def held_numbers(self, problem: MPCProblem) -> Array:
-        """The parameters of an instance in which levels are held in all steps."""
-        return self._numbers.of(problem, None)
+        """The parameters of an instance."""
+        return self._numbers.of(problem)
 
     def evaluate(self, problem: MPCProblem, p: Array, u: Array, own: Array | None = None) -> Evaluation:
         """Evaluate levels `u` (A, N), with `own` variables of the user, at parameters `p`."""

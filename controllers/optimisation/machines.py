@@ -20,9 +20,9 @@ class EquipmentLayout:
         actuators: names of the actuators (A,).
         machines: names of the machines (M,).
         u_max: highest level of each actuator (A,).
-        lowest_level: between 0 and this an actuator switches, (A,); at `u_max` or above it is on/off blocks or
-            proportional, below it a level held for the step is 0 or at least this.
-        u_min: lowest level (A,); below 0 where one signed level heats and cools (room set-points), which is not held.
+        lowest_level: level of each actuator below which it switches, on at that level (A,); `u_max` or more: it always
+            does, or power and heat are proportional to the level.
+        u_min: lowest level (A,); below 0 where one signed level heats and cools (room set-points).
         machine_of: number of the machine that feeds each actuator (A,).
         share: share of its machine's capacity that an actuator takes at level 1, (A,); 0: not limited. The sum over
             the actuators of a machine of share · u is at most 1 (`MPCProblem.capacity`: another limit by step).
@@ -64,8 +64,13 @@ class EquipmentLayout:
                 )
             if self.u_min[a] < 0.0 and self.lowest_level[a] < self.u_max[a]:
                 raise ControllerConfigError(
-                    f"actuator {actuator}: a level that heats and cools (from {self.u_min[a]:g}) cannot be held at 0 "
-                    f"or at least {self.lowest_level[a]:g}: its lowest level must be the highest, {self.u_max[a]:g}"
+                    f"actuator {actuator}: a level that heats and cools (from {self.u_min[a]:g}) does not switch below "
+                    f"{self.lowest_level[a]:g}: its lowest level must be the highest, {self.u_max[a]:g}"
+                )
+            if self.lowest_level[a] < self.u_max[a] and np.count_nonzero(self.machine_of == self.machine_of[a]) > 1:
+                raise ControllerConfigError(
+                    f"actuator {actuator}: it shares machine {self.machines[self.machine_of[a]]}, so it cannot hold "
+                    f"levels above {self.lowest_level[a]:g}: its lowest level must be the highest, {self.u_max[a]:g}"
                 )
             if not 0 <= self.machine_of[a] < M:
                 raise ControllerConfigError(f"actuator {actuator}: machine {self.machine_of[a]} is not among {M}")
@@ -100,8 +105,8 @@ class EquipmentLayout:
         return len(self.actuators), len(self.machines)
 
     @cached_property
-    def held(self) -> NDArray[np.bool_]:
-        """Whether a held level of each actuator is 0 or at least its lowest, (A,)."""
+    def stepped(self) -> NDArray[np.bool_]:
+        """Whether each actuator holds levels above its lowest and switches below it, (A,)."""
         return np.asarray(self.lowest_level < self.u_max)
 
     @cached_property
@@ -131,14 +136,3 @@ class EquipmentLayout:
     def fed_by(self) -> Array:
         """Incidence (M, A): 1 where the machine feeds the actuator."""
         return np.asarray(self.machine_of == np.arange(len(self.machines))[:, None], dtype=np.float64)
-
-    def switched_at(self, n_steps: int, held_steps: int | None) -> Array:
-        """Level of each actuator at which it runs all of a step, (A, N), or (A, 1) where it is that of all steps.
-
-        Levels are held in the first `held_steps` steps (None: all), and switched at their highest in later ones.
-        """
-        if not self.held.any():
-            return self.lowest_level[:, None]
-        later = np.maximum(self.lowest_level, self.u_max)
-        n_held = n_steps if held_steps is None else held_steps
-        return np.where(np.arange(n_steps) < n_held, self.lowest_level[:, None], later[:, None])

@@ -45,6 +45,9 @@ class PlanModel(Evaluator):
             low[at[name]], high[at[name]] = least, most
         self.levels_at = at["v"].reshape(s.N, s.A).T
         high[self.levels_at] = machinery.u_max[:, None]
+        if s.stepped:
+            over = (machinery.u_max - machinery.lowest_level)[list(s.stepped)]
+            high[at["over"]] = np.tile(over, s.N)
         if s.signed:
             self._cold_at = at["cold"].reshape(s.N, len(s.signed)).T
             high[self._cold_at] = -machinery.u_min[list(s.signed)][:, None]
@@ -112,9 +115,8 @@ class PlanModel(Evaluator):
         if s.signed:
             moves[list(s.signed)] -= x[self._cold_at]
         for b, a in zip(x[self.choices].reshape(s.n_chosen, -1).T if s.chosen else (), s.chosen, strict=True):
-            # What a solver leaves of an actuator that is off, or lacks of its lowest level.
-            lowest = machinery.lowest_level[a] if a in s.held else -np.inf
-            moves[a, : s.n_chosen] = np.where(b > 0.5, np.maximum(moves[a, : s.n_chosen], lowest), 0.0)
+            # What a solver leaves of an actuator that is off.
+            moves[a, : s.n_chosen] = np.where(b > 0.5, moves[a, : s.n_chosen], 0.0)
         return np.clip(moves, machinery.u_min[:, None], machinery.u_max[:, None])[:, self.shape.move_of_step]
 
     def own(self, x: Array) -> Array:
@@ -138,8 +140,7 @@ class PlanModel(Evaluator):
             level = x[self.levels_at[a, first]] / m.u_max[a]
             if a in s.signed:
                 level = np.maximum(level, x[self._cold_at[s.signed.index(a), first]] / -m.u_min[a])
-            lowest = m.lowest_level[a] / m.u_max[a] if a in s.held else 0.5
-            on[i] = np.where(level >= 0.5 * lowest, 1.0 + level, 0.0)
+            on[i] = np.where(level >= 0.25, 1.0 + level, 0.0)
         for group in s.exclusive:
             rows = [s.chosen.index(a) for a in group]
             on[rows] = np.where(on[rows] < on[rows].max(axis=0), 0.0, on[rows])

@@ -41,8 +41,8 @@ class ProblemShape:
     `move_of_step` (N,) numbers the move each step belongs to (0 … n_moves − 1, nondecreasing): a move is one step of
     the programme, with one level, the means of its steps, and their tightest comfort bound at its end. `machinery`:
     actuators and machines. `peak`: peak power is in the objective; `capped`: a power cap is.
-    `held_steps`: number of first steps in which a held level is 0 or at least its lowest and exclusion holds (rounded
-    up to whole moves); later steps are relaxed: actuators switch, and exclude one another in time. None: all steps.
+    `chosen_steps`: number of first steps in which it is decided which of actuators that exclude one another acts
+    (rounded up to whole moves); later they share steps in time. None: all steps.
     `curved`: power has a part in u², which a price of peak power and a cap must see. `terms`: further terms of the
     user, see `controllers.optimisation.statement.terms`.
     """
@@ -51,7 +51,7 @@ class ProblemShape:
     machinery: EquipmentLayout = field(default_factory=EquipmentLayout.one)
     peak: bool = False
     capped: bool = False
-    held_steps: int | None = None
+    chosen_steps: int | None = None
     curved: bool = False
     terms: tuple[Callable[..., None], ...] = ()
 
@@ -76,20 +76,16 @@ class ProblemShape:
         return np.bincount(self.move_of_step)
 
     @property
-    def n_held_moves(self) -> int:
-        """Number of first moves that hold one of the first `held_steps` steps."""
-        held_steps = self.n_steps if self.held_steps is None else min(self.held_steps, self.n_steps)
-        return int(self.move_of_step[held_steps - 1]) + 1 if held_steps > 0 else 0
-
-    @property
-    def n_held(self) -> int:
-        """Number of steps in those moves."""
-        return int(np.searchsorted(self.move_of_step, self.n_held_moves))
+    def n_chosen_moves(self) -> int:
+        """Number of first moves that hold one of the first `chosen_steps` steps."""
+        chosen_steps = self.n_steps if self.chosen_steps is None else min(self.chosen_steps, self.n_steps)
+        return int(self.move_of_step[chosen_steps - 1]) + 1 if chosen_steps > 0 else 0
 
     @property
     def by_steps(self) -> ProblemShape:
         """The same where every control step is a move."""
-        return replace(self, move_of_step=every_step(self.n_steps), held_steps=self.n_held)
+        chosen_steps = int(np.searchsorted(self.move_of_step, self.n_chosen_moves))
+        return replace(self, move_of_step=every_step(self.n_steps), chosen_steps=chosen_steps)
 
     def check(self, operator: BuildingOperator) -> None:
         """Raise `ControllerConfigError` where the operator is not of these actuators."""
@@ -101,8 +97,8 @@ class ProblemShape:
 
     @property
     def needs_choices(self) -> bool:
-        """Whether a step holds a choice between off and on, which is not convex."""
-        return self.n_held > 0 and (bool(self.machinery.held.any()) or bool(self.machinery.exclusive))
+        """Whether a step holds a choice between actuators, which is not convex."""
+        return self.n_chosen_moves > 0 and bool(self.machinery.exclusive)
 
 
 def every_step(n_steps: int) -> NDArray[np.intp]:

@@ -43,7 +43,7 @@ class CandidateSearch:
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
         """The cheapest candidate. On failure `ok` is False and `problem` has the reason."""
-        highest, p = problem.machinery.u_max, self.model.held_numbers(problem)
+        highest, p = problem.machinery.u_max, self.model.numbers(problem)
         best, least, tried = np.zeros((highest.size, problem.n_steps)), np.inf, 0
         starts = [] if guess is None else [guess]
         for _ in range(1 if highest.size == 1 else _MOST_SWEEPS):

@@ -12,7 +12,6 @@ from pydantic import Field
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solution, accept_suboptimal, checked_variables, failed, not_finite
-from controllers.optimisation.solvers.held_levels import as_held
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -85,7 +84,6 @@ class IpoptSolver:
             ended = failed(said, iterations, f"Ipopt ended with {status}")
             return accept_suboptimal(model, problem, p, x, previous, ended)
         solution = checked_variables(model, problem, p, x, claimed, said, iterations)
-        solution = as_held(model, problem, solution)
         return solution if status == _OPTIMAL else replace(solution, optimal=False, problem=f"Ipopt: {status}")
 
     def _ipopt(

@@ -1,9 +1,7 @@
 """Choices between off and on by mixed-integer programming: HiGHS (Huangfu and Hall 2018).
 
-Not convex are levels that are held for a step at 0 or at least a lowest level, actuators of which one may act at a
-time, and with them the fixed part of a shared machine. They are decided exactly in the first hours, with their own heat
-and power; later they are relaxed: switching at the highest level is the cheapest way to deliver a given heat, and
-actuators share a step in time. Only the first step is applied, and every plan decides its first hours anew.
+Not convex are actuators of which one may act at a time. Which of them acts is decided exactly in the first hours; later
+they share a step in time. Only the first step is applied, and every plan decides its first hours anew.
 
 The curvature term is left out of the choice. The solver starts from the rounded relaxation and stops at its time limit
 with the best plan so far; how far that may be from the optimum of the programme solved is `Solution.gap`.
@@ -24,7 +22,6 @@ from controllers.checks import ControllerConfigError
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from controllers.optimisation.solution import Solution, checked_variables, failed, not_finite
-from controllers.optimisation.solvers.held_levels import as_held
 from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, QPData
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -41,7 +38,7 @@ class MilpConfig(StrictModel):
     gap: float = Field(1e-3, ge=0, description="relative gap to the bound at which the solver stops")
     max_seconds: float = Field(2.0, gt=0, description="time after which the best plan so far is taken, s")
 
-    def held_steps(self, step_s: float) -> int:
+    def chosen_steps(self, step_s: float) -> int:
         """Number of steps of `step_s` seconds in which choices are decided, at least one."""
         return max(1, round(self.hours * HOUR_S / step_s))
 
@@ -120,7 +117,7 @@ def silent_highs() -> highspy.Highs:
 
 
 class MilpSolver:
-    """Solves `MPCProblem`s of one operator and shape; `shape.held_steps` says for how long choices are decided.
+    """Solves `MPCProblem`s of one operator and shape; `shape.chosen_steps` says for how long choices are decided.
 
     Args:
         operator: the operator of the building.
@@ -156,10 +153,7 @@ class MilpSolver:
         self._choose, self._relax = choose or Highs(config), Piqp(qp or QPConfig())
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
-        """Solve one instance; `guess` is not used. On failure `ok` is False and `problem` has the reason.
-
-        In later steps u is the held level with the heat of the switched one that was planned.
-        """
+        """Solve one instance; `guess` is not used. On failure `ok` is False and `problem` has the reason."""
         model, p = self.model, self.model.numbers(problem)
         if unfinished := not_finite(p):
             return unfinished
@@ -173,7 +167,6 @@ class MilpSolver:
             return failed(status, answer.nodes, f"highs: ended with {answer.status} and no plan")
         claimed = programme.objective(answer.x)
         solution = checked_variables(model, problem, p, answer.x, claimed, status, answer.nodes)
-        solution = as_held(model, problem, solution)
         if not solution.ok:
             return replace(solution, problem=f"highs: {solution.problem}")
         linear = programme.constant + programme.unit * float(programme.linear @ answer.x)

@@ -36,9 +36,8 @@ class QPSolver:
         self.model, self.operator, self.config = PlanModel(operator, shape), operator, config
         if not self.model.convex or self.model.structure.chosen:
             raise ControllerConfigError(
-                "solver qp: power or heat is not proportional to u in this actuation, actuators exclude one another, "
-                "or the gain depends on the predicted temperature, so the problem is not convex; use actuation mode "
-                "duty with a model of feedback: false, solver: milp, or solver: ipopt"
+                "solver qp: actuators exclude one another, or the gain depends on the predicted temperature, so the "
+                "problem is not convex; use a model of feedback: false, solver: milp, or solver: ipopt"
             )
         self._backends: dict[QPBackend, Callable[[QPData], SolverResult]]
         self._backends = {"piqp": Piqp(config), "clarabel": Clarabel(config), **(backends or {})}

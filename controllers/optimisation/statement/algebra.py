@@ -47,18 +47,14 @@ class Lifted:
             cold[list(s.signed), :] = self.variable("cold", len(s.signed), s.N)
         return v, cold
 
-    def acting(self, q: Mapping[str, ca.SX], s: Structure, v: ca.SX, cold: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Share of each step that an actuator is on, (A, N), and whether it acts, (chosen, first steps)."""
-        on, b = q["on_per_v"] * v, self.variable("b", len(s.chosen), s.n_chosen)
-        early = slice(0, s.n_chosen)
+    def acting(self, q: Mapping[str, ca.SX], s: Structure, v: ca.SX, cold: ca.SX) -> ca.SX:
+        """Whether actuators act, (chosen, first steps)."""
+        b, early = self.variable("b", len(s.chosen), s.n_chosen), slice(0, s.n_chosen)
         for i, a in enumerate(s.chosen):
             self.require("", q["u_max"][a] * b[i, :] - v[a, early])
-            if a in s.held:
-                self.require("", v[a, early] - q["lowest"][a] * b[i, :])
-                on[a, early] = b[i, :]
             if a in s.signed:
                 self.require("", -q["u_min"][a] * b[i, :] - cold[a, early])
-        return on, b
+        return b
 
     def at_least(self, name: str, *bounds: ca.SX) -> ca.SX:
         """max(0, bounds), from above: it costs, so it is not more."""
@@ -146,11 +142,10 @@ class Direct:
             cold[of, :] = self._keep("cold", ca.fmax(-self.u[of, :], 0.0))
         return self._keep("v", ca.fmax(self.u, 0.0) if s.signed else self.u), cold
 
-    def acting(self, q: Mapping[str, ca.SX], s: Structure, v: ca.SX, cold: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Share of each step that an actuator is on, (A, N), and whether it acts, (chosen, first steps)."""
-        on = ca.fmin(q["on_per_v"] * v, 1.0)
+    def acting(self, q: Mapping[str, ca.SX], s: Structure, v: ca.SX, cold: ca.SX) -> ca.SX:
+        """Whether actuators act, (chosen, first steps)."""
         acts = v[list(s.chosen), : s.n_chosen] + cold[list(s.chosen), : s.n_chosen] > ACTS_ABOVE
-        return on, self._keep("b", acts)
+        return self._keep("b", acts)
 
     def at_least(self, name: str, *bounds: ca.SX) -> ca.SX:
         """max(0, bounds)."""

@@ -49,6 +49,9 @@ class Numbers:
             "u_max": machinery.u_max,
             "u_min": machinery.u_min,
             "lowest": machinery.lowest_level,
+            "on_per_v": np.repeat(
+                np.maximum(1.0 / machinery.lowest_level[:, None], self._share_alone), self._firsts.size, axis=1
+            ),
             **(gain_weights(operator.of_actuator(0)) if s.hidden else {}),
         }
         self._places, at = {}, 0
@@ -68,40 +71,39 @@ class Numbers:
         at, rows, columns = self._places[name]
         return vector[at : at + rows * columns]
 
-    def of(self, p: MPCProblem, held_steps: int | None) -> Array:
-        """The parameters of an instance whose levels are held in the first `held_steps` steps (None: in all).
+    def of(self, p: MPCProblem) -> Array:
+        """The parameters of an instance.
 
         Raises:
             DataError: the instance has a part in u² in its peak power or cap, but not its shape.
         """
-        s, machinery, machine_of = self._s, self._shape.machinery, self._shape.machinery.machine_of
+        s, machine_of = self._s, self._shape.machinery.machine_of
         if p.power_per_u2_W is not None and (s.peak or s.capped or s.terms) and not s.curved:
             raise DataError("MPC problem: power has a part in u², which its shape (`curved`) does not say")
         if p.n_steps != self._shape.n_steps:
             raise DataError(f"MPC problem: {p.n_steps} steps, but the shape has {self._shape.n_steps}")
-        drive, onset = self._drive(p, held_steps)
+        drive, sag = self._drive(p)
         worth = np.einsum("zar,zarn->an", p.terminal_price_per_K, self._remaining)
         price_of = p.price_per_W[machine_of]
         bend_W = np.zeros(drive.shape) if p.power_per_u2_W is None else p.power_per_u2_W
-        switched_at = np.broadcast_to(machinery.switched_at(p.n_steps, held_steps), drive.shape)
+        per_u_W, fixed_W, fixed_cost = self._switching(p, bend_W)
         low_K, high_K = self._inside(p)
         values: dict[str, Array | float] = {
             "begin": self._begin(p.forced_state_K),
             "forced": p.forced_state_K[self._z, self._a],
             "drive": self._mean(drive),
-            "onset": self._mean(onset),
-            "on_per_v": np.maximum(1.0 / switched_at, self._share_alone)[:, self._firsts],
+            "sag": self._mean(sag),
             "worth": self._sum(worth),
             "kept": float((p.terminal_price_per_K * self._faded * p.forced_state_K).sum()),
-            "per_u": self._mean(p.power_per_u_W),
-            "heat_cost": self._sum(price_of * p.power_per_u_W),
+            "per_u": self._mean(per_u_W),
+            "heat_cost": self._sum(price_of * per_u_W),
             "bend": self._mean(bend_W),
             "bend_cost": self._sum(np.maximum(price_of, 0.0) * bend_W),
             "T_free": p.T_free_C[:, self._lasts],
             "lower": p.T_free_C[:, self._lasts] + low_K,
             "upper": p.T_free_C[:, self._lasts] + high_K,
-            "fixed": self._mean(p.power_fixed_W),
-            "fixed_cost": self._sum(p.fixed_cost),
+            "fixed": self._mean(fixed_W),
+            "fixed_cost": self._sum(fixed_cost),
             "comfort": p.comfort_price,
             "weights": np.array([p.weights.curvature, p.weights.peak, p.cap_price_per_W]),
             "reached": p.peak_so_far_W,
@@ -149,21 +151,43 @@ class Numbers:
                 rows[g, k] = self._denominators[kind, g, : k + 1] @ free[k::-1]
         return rows
 
-    def _drive(self, p: MPCProblem, held_steps: int | None) -> tuple[Array, Array]:
-        """Drive of the modes per level, and while a held level is on, (A, control steps); with a known gain."""
+    def _switching(self, p: MPCProblem, bend_W: Array) -> tuple[Array, Array, Array]:
+        """Power per level (A, control steps) and of the fixed parts (M, control steps), W, and the cost of these.
+
+        At its lowest level l a stepped actuator draws fixed + per_u l + bend l², and below it its share of that. The
+        envelope is convex as long as fixed ≤ bend l², else l is below the level of least power per heat: what is more
+        then counts in proportion to the level.
+        """
+        machinery = self._shape.machinery
+        per_u_W, fixed_W, fixed_cost = p.power_per_u_W, p.power_fixed_W, p.fixed_cost
+        if not machinery.stepped.any():
+            return per_u_W, fixed_W, fixed_cost
+        per_u_W, fixed_W, fixed_cost = per_u_W.copy(), fixed_W.copy(), fixed_cost.copy()
+        for a in np.flatnonzero(machinery.stepped):
+            m, lowest = machinery.machine_of[a], machinery.lowest_level[a]
+            kept_W = np.minimum(fixed_W[m], bend_W[a] * lowest**2)
+            per_u_W[a] += bend_W[a] * lowest + (fixed_W[m] - kept_W) / lowest
+            fixed_W[m], fixed_cost[m] = kept_W, p.price_per_W[m] * kept_W
+        return per_u_W, fixed_W, fixed_cost
+
+    def _drive(self, p: MPCProblem) -> tuple[Array, Array]:
+        """Drive of the modes per level, and what of it each level above the lowest lacks, (A, control steps).
+
+        With a known gain. Where energy earns, nothing lacks: it would pay to give less heat for more power.
+        """
         s, machinery = self._s, self._shape.machinery
         n = p.n_steps
-        drive, onset = np.zeros((s.A, n)), np.zeros((s.A, n))
-        n_held = n if held_steps is None else held_steps
+        drive, sag = np.zeros((s.A, n)), np.zeros((s.A, n))
         for a, home in enumerate(self._operator.home):
             pair, features = self._operator.of_actuator(a), p.features[home]
             m, T_out_C = (1.0 if s.hidden else self._gains[a](features)), features[:, OUTDOOR]
-            highest = float(machinery.u_max[a])
+            highest, lowest = float(machinery.u_max[a]), float(machinery.lowest_level[a])
             full = pair.heat_input(np.full(n, highest), T_out_C)
             drive[a] = m * full / highest
-            if machinery.held[a] and n_held:
-                lowest = float(machinery.lowest_level[a])
-                slope = (full - pair.heat_input(np.full(n, lowest), T_out_C)) / (highest - lowest)
-                first = slice(0, n_held)
-                drive[a, first], onset[a, first] = (m * slope)[first], (m * (full - slope * highest))[first]
-        return drive, onset
+            if machinery.stepped[a]:
+                at_lowest = pair.heat_input(np.full(n, lowest), T_out_C)
+                slope = (full - at_lowest) / (highest - lowest)
+                drive[a] = m * at_lowest / lowest
+                earns = p.price_per_W[machinery.machine_of[a]] < 0.0
+                sag[a] = np.where(earns, 0.0, np.maximum(drive[a] - m * slope, 0.0))
+        return drive, sag

@@ -2,20 +2,25 @@
 
 For zones z, actuators a and machines m, over steps k of the plan,
 
-    minimise    Σ_k [ Σ_m fixed_cost_mk · on_mk  +  Σ_a ( cost_ak u_ak + bend_ak u_ak² )  +  Σ_z w_z · s_zk · Δt
+    minimise    Σ_k [ Σ_m fixed_cost_mk · on_mk  +  Σ_a ( cost_ak u_ak + bend_cost_ak c_ak )  +  Σ_z w_z · s_zk · Δt
                       +  Σ_a ε u_ak²  +  c · o_k · Δt ]  +  π · p  −  Σ_za λ_za' F_za,N
     subject to  F_za,k+1 = A_za F_za,k + g_za m(x_ak) v(u_ak)     forced response of each pair (paper eq:operator)
                 lower_zk − s_zk ≤ T_free,zk + Σ_a F_za,k ≤ upper_zk + s_zk,   s_zk ≥ 0,   u_min,a ≤ u_ak ≤ u_max,a
-                P_mk = fixed_mk · on_mk + Σ_{a of m} (per_u_ak u_ak + bend_ak u_ak²)
+                P_mk = fixed_mk · on_mk + Σ_{a of m} (per_u_ak u_ak + bend_ak c_ak)
                 on_mk = max( min_{θ ≥ 0} θ + Σ_{a of m} w_a max(on_ak − θ, 0),  Σ_{a of m} share_a u_ak )
                 Σ_{a of m} share_a u_ak ≤ capacity_mk
                 Σ_m P_mk ≤ p_0 + p,   p ≥ 0                      p: peak power above the highest so far, p_0
                 Σ_m P_mk ≤ cap_k + o_k,   o_k ≥ 0                soft power cap
 
-Levels below 0 cool, at a price and power of their own. An actuator is on for the share on_ak = u_ak / (level at which
-it switches). In the first steps a held level is 0 or at least its lowest, b = 1 where it is not 0 and then on = b; of
-actuators that exclude one another one acts in a step, later they share it. The free response T_free is fixed. The slack
-makes every instance feasible. λ is the value of heat stored at the end.
+Levels below 0 cool, at a price and power of their own. Below its lowest level l_a an actuator switches, on at that level
+for the share on_ak of the step; above it, by e_ak ≥ max(0, u_ak − l_a), it holds the level and is on:
+
+                on_ak = (u_ak − e_ak) / l_a,   c_ak = l_a e_ak + e_ak²,   v_ak = drive_ak u_ak − sag_ak e_ak.
+
+Power P(u) per heat v(u) is least at l_a, so both are the convex envelope of what the machine does at all of its levels,
+and heat costs the same whenever it is given. One that always switches, or whose heat and power are proportional to u,
+has e = 0 and c = u². The first steps decide which of actuators that exclude one another acts; later they share a step.
+The free response T_free is fixed. The slack makes every instance feasible. λ is the value of heat stored at the end.
 
 A machine's actuators begin together; w_a is the share of the time that it runs while only actuator a is on
 (`model.machine.running`), and it runs at least as long as its capacity asks.
@@ -58,7 +63,7 @@ class Stated:
 def parameter_sizes(s: Structure) -> dict[str, tuple[int, int]]:
     """Rows and columns of every parameter of the statement, in their order."""
     G, P, E = len(s.groups), len(s.pairs), sum(len(actuators) for _, actuators in s.groups)
-    heat = ("drive", "onset", "on_per_v", "worth", "per_u", "heat_cost", "bend", "bend_cost")
+    heat = ("drive", "sag", "on_per_v", "worth", "per_u", "heat_cost", "bend", "bend_cost")
     sizes = {
         **{"denominator": (G, s.r * len(s.kinds)), "numerator": (s.r * len(s.kinds), E), "begin": (G, s.r)},
         **{"poles": (P, s.r * len(set(s.lengths))), "gains": (P, s.r * len(set(s.lengths))), "forced": (P, s.r)},
@@ -76,13 +81,14 @@ def parameter_sizes(s: Structure) -> dict[str, tuple[int, int]]:
 def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
     """State the plan of a structure `s` with parameters `q` in an algebra."""
     heat, cool = alg.levels(s)
-    on, acts = alg.acting(q, s, heat, cool)
+    over, curve = _over(alg, q, s, heat)
+    on = q["on_per_v"] * (heat - over)
     runs = _running(alg, q, s, heat, on)
-    _exclude(alg, q, s, heat, cool, acts)
+    _exclude(alg, q, s, heat, cool, alg.acting(q, s, heat, cool))
     u, lengths = heat - cool, ca.DM(s.lengths).T
-    forced, drive, slack = alg.response(q, s, q["drive"] * u + q["onset"] * on)
+    forced, drive, slack = alg.response(q, s, q["drive"] * u - q["sag"] * over)
 
-    energy = ca.sum1(q["fixed_cost"] * runs) + ca.sum1(q["heat_cost"] * heat + q["bend_cost"] * heat**2)
+    energy = ca.sum1(q["fixed_cost"] * runs) + ca.sum1(q["heat_cost"] * heat + q["bend_cost"] * curve)
     power = q["fixed"] * runs + _of_machines(s, q["per_u"] * heat)
     if s.signed:
         energy += ca.sum1(q["cold_cost"] * cool)
@@ -94,7 +100,7 @@ def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
     )
     cost -= ca.dot(q["worth"], drive) + q["kept"]
     if s.curved or isinstance(alg, Direct):  # rows of power are linear otherwise
-        power += _of_machines(s, q["bend"] * heat**2)
+        power += _of_machines(s, q["bend"] * curve)
     total = ca.sum1(power) / POWER_UNIT_W
     if s.peak:
         cost += q["weights"][1] * POWER_UNIT_W * alg.highest("peak", total - q["reached"] / POWER_UNIT_W)
@@ -106,6 +112,16 @@ def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
         term(plan)
         cost += plan.cost
     return Stated(cost, energy, power, forced, slack, runs)
+
+
+def _over(alg: Algebra, q: Parameters, s: Structure, heat: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """How far levels are above those below which their actuators switch, and what power bends with, (A, N) each."""
+    over, curve, rows = ca.SX(s.A, s.N), heat**2, list(s.stepped)
+    if rows:
+        lowest = ca.repmat(q["lowest"][rows], 1, s.N)
+        over[rows, :] = alg.at_least("over", heat[rows, :] - lowest)
+        curve[rows, :] = lowest * over[rows, :] + over[rows, :] ** 2
+    return over, curve
 
 
 def _running(alg: Algebra, q: Parameters, s: Structure, v: ca.SX, on: ca.SX) -> ca.SX:

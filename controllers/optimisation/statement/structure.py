@@ -26,8 +26,9 @@ class Structure:
         part_load: of each shared machine that cycles below a load: its number, the actuators that alone take less, and
             whether all together take more.
         signed: actuators with levels below 0.
-        chosen, held: actuators that are off or on in the first `n_chosen` steps; those that are held at a lowest level.
+        stepped: actuators that hold levels above their lowest and switch below it.
         exclusive: groups of actuators of which one acts at a time.
+        chosen: actuators in them, which of them act is decided in the first `n_chosen` steps.
         peak, capped, curved: a price of peak power, a power cap, and whether the power in them, or in a term of the
             user, has a part in u².
         hidden: hidden units of the gain where it sees the predicted temperature; 0: the gain is a number.
@@ -45,10 +46,10 @@ class Structure:
     limited: tuple[int, ...] = ()
     part_load: tuple[tuple[int, tuple[int, ...], bool], ...] = ()
     signed: tuple[int, ...] = ()
-    chosen: tuple[int, ...] = ()
-    held: tuple[int, ...] = ()
-    n_chosen: int = 0
+    stepped: tuple[int, ...] = ()
     exclusive: tuple[tuple[int, ...], ...] = ()
+    chosen: tuple[int, ...] = ()
+    n_chosen: int = 0
     peak: bool = False
     capped: bool = False
     curved: bool = False
@@ -89,7 +90,7 @@ def structure_of(
     """
     shape.check(operator)
     machinery, (Z, A, r) = shape.machinery, operator.shape
-    h = shape.n_held_moves if shape.needs_choices else 0
+    h = shape.n_chosen_moves if shape.needs_choices else 0
     for a, name in enumerate(machinery.actuators):
         heat = operator.of_actuator(a).heat_input.heat
         lowest = min(machinery.lowest_level[a], machinery.u_max[a])
@@ -116,10 +117,10 @@ def structure_of(
         limited=_numbers(machinery.fed_by @ machinery.share > 0.0),
         part_load=tuple(part_load),
         signed=_numbers(machinery.u_min < 0.0),
-        chosen=_numbers(machinery.held | machinery.excluded) if h else (),
-        held=_numbers(machinery.held) if h else (),
-        n_chosen=h,
+        stepped=_numbers(machinery.stepped),
         exclusive=machinery.exclusive,
+        chosen=_numbers(machinery.excluded) if h else (),
+        n_chosen=h,
         peak=shape.peak,
         capped=shape.capped,
         curved=shape.curved and bool(shape.peak or shape.capped or shape.terms),

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import numpy_problem
 import pytest
+from controllers.optimisation.solvers.held_levels import held_level
 from mpc_problems import (
     N,
     machinery_of,
@@ -24,7 +25,6 @@ from controllers.mpc.planner import build_solver, plan_shape
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import ProblemShape, every_step
-from controllers.optimisation.solvers.held_levels import held_level
 from controllers.optimisation.solvers.ipopt import IpoptSolver
 from controllers.optimisation.solvers.milp import Highs, MilpConfig, MilpSolver
 from controllers.optimisation.solvers.qp import QPSolver

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +19,13 @@ from thermoforce_mpc.data import Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.model.machine.heat_capacity import KINDS, kinds_for
 from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
-from thermoforce_mpc.model.machine.part_load import COST, COST_SD, HEAT, HEAT_SD, LEVEL
+from thermoforce_mpc.model.machine.part_load import LevelCost
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
-OUTDOORS, PART_LOAD, RADIATOR = "heat_per_K", "heat_at_part_load", "heat_of_radiator"
+OUTDOORS, RADIATOR = "heat_per_K", "heat_of_radiator"
+# Levels of part load whose heat is one number: name, above, up to.
+PART_LOADS = (("heat_at_low_level", LEVEL_EDGE, 0.375), ("heat_at_middle_level", 0.375, 1.0 - LEVEL_EDGE))
 EXPONENT, EXPONENT_SD = "radiator_exponent", "radiator_exponent_sd"
 # Largest change of heat with the outdoor temperature, 1/K, and least heat of a level anywhere in the record, as a share
 # of that at the mean.
@@ -83,10 +86,10 @@ def laws_of(
     if levels_only(heat_input, layout, a, config):
         mean_C = weather.mean_C
         laws.append(LevelLaw(OUTDOORS, *_slope_prior(layout.signs[a], config), lambda u, T: u * (T - mean_C)))
-    partial = sum(np.count_nonzero(_part(run.u[a])) for run in runs)
-    if config.part_load and partial >= _LEAST_STEPS:
-        mean, sd = _HEAT_PRIOR
-        laws.append(LevelLaw(PART_LOAD, mean - 1.0, sd, lambda u, T: np.where(_part(u), u, 0.0)))
+    for name, above, most in PART_LOADS if config.part_load else ():
+        if sum(np.count_nonzero(_within(run.u[a], above, most)) for run in runs) >= _LEAST_STEPS:
+            mean, sd = _HEAT_PRIOR
+            laws.append(LevelLaw(name, mean - 1.0, sd, partial(_level_within, above, most)))
     if config.radiator_exponent is not None:
         # Heat is u^(1 + c) of levels that were recorded with the assumed exponent: u + c u ln u to first order.
         sd = _EXPONENT_SD / config.radiator_exponent
@@ -141,20 +144,30 @@ def outdoors_in_words(found: Estimates, weather: LevelWeather) -> str:
 
 
 def level_shape(
-    found: Estimates, histories: Sequence[Record], config: IdentificationConfig, power: PowerModel | None
+    found: Estimates,
+    histories: Sequence[Record],
+    config: IdentificationConfig,
+    power: PowerModel | None,
+    heat_input: HeatInput,
 ) -> tuple[dict[str, float], list[str]]:
-    """What was found of the heat over the level, as numbers for the card and notes in words."""
+    """What was found of the heat over the level and its cost, as numbers for the card and notes in words."""
     if RADIATOR in found and config.radiator_exponent is not None:
         value, sd = (config.radiator_exponent * x for x in found[RADIATOR])
         return _exponent(float(np.clip(config.radiator_exponent + value, *_EXPONENT_RANGE)), sd, config)
-    if PART_LOAD in found and power is not None:
-        value, sd = found[PART_LOAD]
-        return _cost(float(np.clip(1.0 + value, *_HEAT_RANGE)), sd, histories, power), []
-    return {}, []
+    if power is None:
+        return {}, []
+    numbers: dict[str, float] = {}
+    for cost in _costs(found, histories, power, heat_input):
+        numbers |= cost.numbers()
+    return numbers, []
 
 
-def _part(u: Array) -> NDArray[np.bool_]:
-    return np.asarray((u > LEVEL_EDGE) & (u < 1.0 - LEVEL_EDGE))
+def _within(u: Array, above: float, most: float) -> NDArray[np.bool_]:
+    return np.asarray((u > above) & (u <= most))
+
+
+def _level_within(above: float, most: float, u: Array, T_out_C: Array) -> Array:
+    return np.where(_within(u, above, most), u, 0.0)
 
 
 def _exponent(value: float, sd: float, config: IdentificationConfig) -> tuple[dict[str, float], list[str]]:
@@ -168,25 +181,46 @@ def _exponent(value: float, sd: float, config: IdentificationConfig) -> tuple[di
     return numbers, [f"{summary}, not the {assumed:g} in use: write actuator.exponent: {value:.2f} and probe again"]
 
 
-def _cost(heat: float, heat_sd: float, histories: Sequence[Record], power: PowerModel) -> dict[str, float]:
-    """Cost of heat at the level of part load that is nearest to what held the zone, over that at full level."""
-    u, T_out, power_W = (
+def _costs(found: Estimates, histories: Sequence[Record], power: PowerModel, heat_input: HeatInput) -> list[LevelCost]:
+    """What heat costs at the levels of part load: measured power over heat, which is measured too or in `found`."""
+    u, T_out, power_W, heat_W = (
         np.concatenate([values(h) for h in histories])
-        for values in (lambda h: h.u[0], lambda h: h.T_out_C[:-1], lambda h: h.power_W[0])
+        for values in (lambda h: h.u[0], lambda h: h.T_out_C[:-1], lambda h: h.power_W[0], lambda h: h.heat_W[0])
     )
-    kept = np.isfinite(u) & np.isfinite(T_out) & np.isfinite(power_W)
-    u, T_out, power_W = u[kept], T_out[kept], power_W[kept]
-    # Trial levels are few; in light zones any level may have been held, so neighbours count with it.
-    levels = u[_part(u)]
-    if not levels.size:
-        return {}
-    level = float(levels[np.argmin(np.abs(levels - u.mean()))])
-    near = _part(u) & (np.abs(u - level) <= 0.2 * level)
-    full_W = power(np.ones(u.size), T_out)
-    per_level = power_W[near] / (u[near] * full_W[near])
-    spread = (heat_sd / heat) ** 2
-    # E[1/k] to second order: not knowing the heat makes what it costs dearer in expectation.
-    cost = float(per_level.mean()) / heat * (1.0 + spread)
-    noise = float(per_level.std() / np.sqrt(near.sum()) / per_level.mean())
-    cost_sd = cost * float(np.linalg.norm([heat_sd / heat, noise, _COST_SD]))
-    return {LEVEL: level, HEAT: heat, HEAT_SD: heat_sd, COST: cost, COST_SD: cost_sd}
+    metered = heat_input.law is not None
+    kept = np.isfinite(u) & np.isfinite(T_out) & np.isfinite(power_W) & (np.isfinite(heat_W) | (not metered))
+    u, T_out, power_W, heat_W = u[kept], T_out[kept], power_W[kept], heat_W[kept]
+    full, level = u >= 1.0 - LEVEL_EDGE, np.maximum(u, LEVEL_EDGE)
+    if np.count_nonzero(full) < _LEAST_STEPS:
+        return []
+    # Per level, relative to full level in the same weather; the laws say how full level depends on it.
+    power_per_level = _relative(power_W / level, power(np.ones(u.size), T_out), full)
+    heat_per_level = None
+    if heat_input.law is not None:
+        heat_per_level = _relative(heat_W / level, heat_input.law(np.ones(u.size), T_out), full)
+    costs = []
+    for name, above, most in PART_LOADS:
+        near = _within(u, above, most)
+        n = np.count_nonzero(near)
+        if n < _LEAST_STEPS:
+            continue
+        if heat_per_level is not None:
+            heat, heat_sd = float(heat_per_level[near].mean()), float(heat_per_level[near].std() / np.sqrt(n))
+        elif name in found:
+            heat, heat_sd = float(np.clip(1.0 + found[name][0], *_HEAT_RANGE)), found[name][1]
+        else:
+            continue
+        if not heat > 0.0:
+            continue
+        power_, noise = float(power_per_level[near].mean()), float(power_per_level[near].std() / np.sqrt(n))
+        # E[1/k] to second order: not knowing the heat makes what it costs dearer in expectation.
+        cost = power_ / heat * (1.0 + (heat_sd / heat) ** 2)
+        cost_sd = cost * float(np.linalg.norm([heat_sd / heat, noise / max(power_, 1e-9), _COST_SD]))
+        costs.append(LevelCost(float(u[near].mean()), cost, cost_sd, heat, heat_sd))
+    return costs
+
+
+def _relative(per_level: Array, law: Array, full: NDArray[np.bool_]) -> Array:
+    """What was measured per level over the law of full level, which is scaled to what was measured there."""
+    relative = per_level / law
+    return np.asarray(relative / relative[full].mean())

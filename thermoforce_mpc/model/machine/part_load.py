@@ -1,50 +1,103 @@
-"""What is known of part load: fixed shares of power and heat, and power per heat at half level.
+"""What heat costs at part load: by the laws of power and heat, or level by level as it was measured.
 
-Where heat is not measured, what heat costs at part load is estimated from the temperature instead, with its
-uncertainty, and stands on the model card.
+Where heat is not measured, it is estimated from the temperature instead. Level by level, costs stand on the model card,
+with their uncertainty.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import nnls
 
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 
-# Excess of power per heat at half level from which a machine is switched. Below it is what a few days of data leave
-# uncertain: an exponent of a radiator that is wrong by 0.2 looks like a fixed part of 8 %.
+# Excess of power per heat at half level from which a machine of several actuators is switched. Below it is what a few
+# days of data leave uncertain: an exponent of a radiator that is wrong by 0.2 looks like a fixed part of 8 %.
 SWITCH_FROM = 0.1
-# Names on the model card (`ModelCard.uncertainty`), see `CostAtPartLoad`.
-LEVEL, HEAT, HEAT_SD = "part_load_level", "part_load_heat", "part_load_heat_sd"
-COST, COST_SD = "part_load_cost", "part_load_cost_sd"
+# Costs of heat nearer to that of full level than this are the same: lower levels then swing less.
+_SAME_COST = 0.02
+# Names on the model card (`ModelCard.uncertainty`).
+_COST, _COST_SD = "cost_of_heat_at_level_", "cost_of_heat_sd_at_level_"
+_HEAT, _HEAT_SD = "heat_per_level_at_level_", "heat_per_level_sd_at_level_"
+# Weight of full level, which is 1 by definition, in the fit of the shape.
+_EXACT = 1e3
 
 
 @dataclass(frozen=True)
-class CostAtPartLoad:
-    """What heat costs at `level`, estimated without a heat meter.
+class LevelCost:
+    """What heat costs at `level`: power per heat there over that at full level, expected.
 
-    `heat`: heat per level there over that at full level; `cost`: expected power per heat there over that at full
-    level. Each with its standard deviation.
+    `heat`: heat per level there over that at full level. Each with its standard deviation.
     """
 
     level: float
-    heat: float
-    heat_sd: float
     cost: float
     cost_sd: float
+    heat: float
+    heat_sd: float
 
-    @classmethod
-    def of(cls, uncertainty: Mapping[str, float]) -> CostAtPartLoad | None:
-        """Read it from the numbers of a model card; None where it was not estimated."""
-        names = (LEVEL, HEAT, HEAT_SD, COST, COST_SD)
-        return cls(*(uncertainty[name] for name in names)) if COST in uncertainty else None
+    def numbers(self) -> dict[str, float]:
+        """As numbers for a model card."""
+        at, values = f"{self.level:.3f}", (self.cost, self.cost_sd, self.heat, self.heat_sd)
+        return {name + at: value for name, value in zip((_COST, _COST_SD, _HEAT, _HEAT_SD), values, strict=True)}
 
     def __str__(self) -> str:
         return (
-            f"at level {self.level:.2f} the temperature says {self.heat:.2f} ± {self.heat_sd:.2f} times the heat per "
-            f"level of full level, which costs {self.cost:.2f} ± {self.cost_sd:.2f} times as much"
+            f"at level {self.level:.2f} heat costs {self.cost:.2f} ± {self.cost_sd:.2f} times as much as at full level"
         )
+
+
+def level_costs(uncertainty: Mapping[str, float]) -> tuple[LevelCost, ...]:
+    """Read costs from the numbers of a model card, by level; empty where there are none."""
+    at = sorted(name.removeprefix(_COST) for name in uncertainty if name.startswith(_COST))
+    names = (_COST, _COST_SD, _HEAT, _HEAT_SD)
+    return tuple(LevelCost(float(level), *(uncertainty[name + level] for name in names)) for level in at)
+
+
+def cheapest(costs: Sequence[LevelCost]) -> LevelCost | None:
+    """The level below full at which heat costs least; None where full level is cheaper."""
+    best = min(costs, key=lambda one: one.cost, default=None)
+    return best if best is not None and best.cost <= 1.0 + _SAME_COST else None
+
+
+@dataclass(frozen=True)
+class PowerShape:
+    """Power over the level, as shares of that at full level: `fixed` while on, `per_u` of u and `curve` of u²."""
+
+    fixed: float
+    per_u: float
+    curve: float
+
+    @classmethod
+    def through(cls, costs: Sequence[LevelCost], heat: Sequence[float]) -> PowerShape:
+        """The shape nearest to what heat costs, none of its parts below 0.
+
+        `heat`: heat at each level of `costs`, as a share of that of full level, by the model that plans.
+        """
+        u = np.array([*(one.level for one in costs), 1.0])
+        power = np.array([*(one.cost * share for one, share in zip(costs, heat, strict=True)), 1.0])
+        weights = np.append(1.0 / u[:-1], _EXACT)
+        parts, _ = nnls(weights[:, None] * np.stack([np.ones(u.size), u, u**2], axis=1), weights * power)
+        return cls(*(parts / parts.sum()))
+
+    def of(self, power: PowerModel) -> PowerModel:
+        """A machine's power with this shape, and at full level as it is."""
+        load = power.load
+        low, high = load.T_out_range_C
+        (fixed_low, per_low), (fixed_high, per_high) = load.parts(low), load.parts(high)
+        full_low, full_high = (float(x) + load.curve_W for x in (fixed_low + per_low, fixed_high + per_high))
+        curve_W = self.curve * min(full_low, full_high)
+        slope = (full_high - full_low) / max(high - low, 1e-9)
+        # What the part in u², which has no slope over the outdoor temperature, lacks is in the part per level.
+        total = (full_low - curve_W - slope * low, slope)
+        share = self.fixed / max(self.fixed + self.per_u, 1e-9)
+        coefficients = tuple(part * value for part in (share, 1.0 - share) for value in total)
+        shaped = MachineLoad(coefficients, load.T_out_range_C, load.lowest_level, curve_W=curve_W)  # type: ignore[arg-type]
+        return replace(power, load=shaped)
 
 
 @dataclass(frozen=True)
@@ -52,13 +105,11 @@ class PartLoad:
     """Part load in the middle of the outdoor range of the power law.
 
     `power_fixed`, `heat_fixed`: share of full power and of full heat that does not depend on the level while the
-    machine runs (heat: 0 where it is not measured and counts as proportional to the level); `lowest_seen`: the lowest
-    level the laws were fitted to.
+    machine runs (heat: 0 where it is not measured and counts as proportional to the level).
     """
 
     power_fixed: float
     heat_fixed: float
-    lowest_seen: float
 
     @property
     def at_half(self) -> float:
@@ -83,4 +134,4 @@ def part_load(power: PowerModel, heat: MachineLoad | None) -> PartLoad | None:
     if heat is not None and heat.levels_seen:
         heat_on, heat_per_u = (float(part) for part in heat.parts(T))
         heat_fixed = heat_on / (heat_on + heat_per_u)
-    return PartLoad(fixed / (fixed + per_u), heat_fixed, law.lowest_level)
+    return PartLoad(fixed / (fixed + per_u), heat_fixed)

@@ -25,9 +25,8 @@ if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
-# Trials of part load, as shares of the highest level: where heat is metered, and where only the temperature tells it,
-# which takes longer and a level near that which holds a zone.
-_METERED_SHARES, _UNMETERED_SHARES, _UNMETERED_STEPS = (0.5,), (0.5, 0.25), 8
+# Trials of part load, as shares of the highest level, and steps at each where only the temperature tells their heat.
+_TRIAL_SHARES, _UNMETERED_STEPS = (0.5, 0.25), 8
 # Probing does not end early before this many days: a held-out part of 9 h must show the effect.
 _LEAST_DAYS = 1.5
 
@@ -259,8 +258,7 @@ def identification_settings(
         defaults["levels"] = (0.0, actuation.level)
         if actuation.mode == "auto" and "levels" not in {**testcase.defaults.probing, **spec.probing}:
             metered = all(actuator.heat.units for actuator in testcase.points.actuators)
-            shares = _METERED_SHARES if metered else _UNMETERED_SHARES
-            defaults["trial_levels"] = tuple(share * actuation.level for share in shares)
+            defaults["trial_levels"] = tuple(share * actuation.level for share in _TRIAL_SHARES)
             if not metered:
                 defaults["trial_steps"] = _UNMETERED_STEPS
     shipped = testcase.defaults
