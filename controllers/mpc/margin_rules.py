@@ -13,14 +13,14 @@ shared machine's capacity that is left unused: at its limit what one takes too m
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
 from controllers.actuation.actuator import Actuation
-from thermoforce_mpc.data import HOUR_S, Array, FreeForecast
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, FreeForecast
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
@@ -33,7 +33,7 @@ _BY_SHORTFALL = _SHORTFALL[::-1].copy(), _Z[::-1].copy()
 _SPREAD_LEVEL = 0.1
 _SPREAD_Z = float(norm.isf(_SPREAD_LEVEL))
 # Averaging window of the expected violation, h: heat given now arrives within it; later violations can be corrected.
-_AHEAD_H = 6.0
+AHEAD_H = 6.0
 
 
 def backoff_K(forecast: FreeForecast, step_s: float, level: float, violation_K: float | None, *, below: bool) -> Array:
@@ -52,7 +52,7 @@ def backoff_K(forecast: FreeForecast, step_s: float, level: float, violation_K: 
     if violation_K is None:
         return np.asarray(chance)
     sd = np.maximum(sign * (T_C - forecast.quantile_C(spread_at)), 0.0) / _SPREAD_Z
-    soon = sd[..., : max(1, round(_AHEAD_H * HOUR_S / step_s))].mean(axis=-1, keepdims=True)
+    soon = sd[..., : max(1, round(AHEAD_H * HOUR_S / step_s))].mean(axis=-1, keepdims=True)
     # Solve sd · shortfall(z) = violation.
     z = np.interp(violation_K / np.maximum(soon, 1e-9), *_BY_SHORTFALL)
     return np.asarray(np.maximum(chance, z * sd))
@@ -116,21 +116,25 @@ class Learning:
         growth_1_h: growth, K per hour and K of mean violation above the allowed one; in a step at most the violation.
         most_K: the most that is learned, and that one reading counts, K.
         allowed_K: mean violation that a plan may expect, K.
+        fades: whether a reading within the bound takes back what such a violation is allowed.
     """
 
     growth_1_h: float
     most_K: float
     allowed_K: float
+    fades: bool = True
 
 
 def of_plans(allowed_K: float) -> Learning:
     """For plans of levels: 0.05 K too much all day adds 0.2 K; at most what a thermostat keeps above its bound."""
-    return Learning(0.25, 0.3, allowed_K)
+    return Learning(0.25, 0.3, allowed_K, fades=False)
 
 
 # Where the plant's own loops keep set-points. They miss them by short drops, as of a fan that pauses at night: few
 # readings show them, so one is made up for at once in steps of 15 min. Chosen on two cold weeks of the small office.
 OF_LOOPS = Learning(4.0, 1.0, 0.001)
+# Share of the room to spare of a day that is given back, and how far beyond its margin a zone was near a bound, K.
+_GIVEN_BACK, _NEAR_K = 0.5, 0.15
 # How much wider than at its tightest a bound is set back, K.
 _SET_BACK_K = 0.5
 
@@ -141,22 +145,50 @@ class LearnedMargin:
 
     Attributes:
         reserve_K: reserve inside the lower and the upper bound of each zone (2, Z), K.
+            Below 0: so much less than what is kept beforehand.
         tightest_C: the highest lower and the lowest upper bound of each zone that it has met (2, Z), °C.
+        nearest_K: how near readings were to each bound, from inside, while there was more to give, since `since_s`, s.
     """
 
     reserve_K: Array
     tightest_C: Array
+    nearest_K: Array
+    since_s: float | None = None
 
     @classmethod
     def nothing(cls, zones: int) -> LearnedMargin:
         """At the begin of a run."""
-        return cls(np.zeros((2, zones)), np.stack([np.full(zones, -np.inf), np.full(zones, np.inf)]))
+        tightest_C = np.stack([np.full(zones, -np.inf), np.full(zones, np.inf)])
+        return cls(np.zeros((2, zones)), tightest_C, np.full((2, zones), np.inf))
 
     def meeting(self, lower_C: Array, upper_C: Array) -> LearnedMargin:
         """With the bounds (Z, N), °C, of the instants ahead, NaN where they are not known."""
         lower_C, upper_C = np.fmax.reduce(lower_C, axis=-1), np.fmin.reduce(upper_C, axis=-1)
         tightest_C = np.fmax(self.tightest_C[0], lower_C), np.fmin(self.tightest_C[1], upper_C)
-        return LearnedMargin(self.reserve_K, np.stack(tightest_C))
+        return replace(self, tightest_C=np.stack(tightest_C))
+
+    def after_reading(
+        self, inside_K: Array, spare: NDArray[np.bool_], planned_K: Array, time_s: float
+    ) -> LearnedMargin:
+        """With a reading, and after a day with what its readings had to spare.
+
+        What was kept and never used in a day in which the zone came near the bound is halved: down to nothing, since
+        the margins that a plan was made with are the most that is given back.
+
+        Args:
+            inside_K: how far the reading is inside the bounds (2, Z), K; NaN: not known.
+            spare: whether there was more to give (2, Z).
+            planned_K: margins in all that the plan of the step was made with (2, Z), K.
+            time_s: time of the reading, s.
+        """
+        nearest_K = np.fmin(self.nearest_K, np.where(spare, inside_K, np.inf))
+        since_s = time_s if self.since_s is None else self.since_s
+        if time_s - since_s < DAY_S:
+            return replace(self, nearest_K=nearest_K, since_s=since_s)
+        unused_K = np.where(nearest_K <= planned_K + _NEAR_K, np.maximum(nearest_K, 0.0), 0.0)
+        given_K = np.minimum(_GIVEN_BACK * unused_K, planned_K)
+        fresh = np.full_like(nearest_K, np.inf)
+        return replace(self, reserve_K=self.reserve_K - given_K, nearest_K=fresh, since_s=time_s)
 
     def set_back(self, z: int | slice, lower_C: Array, upper_C: Array) -> NDArray[np.bool_]:
         """Where bounds of zone `z` (N,), or of zones at an instant, °C, are wider than at their tightest, (2, N).
@@ -185,8 +217,11 @@ def learned_K(before_K: Array, beyond_K: Array, spare: NDArray[np.bool_], step_s
     """
     violation_K = np.clip(beyond_K, 0.0, learning.most_K)
     change_K = min(learning.growth_1_h * step_s / HOUR_S, 1.0) * (violation_K - learning.allowed_K)
+    if not learning.fades:
+        change_K = np.maximum(change_K, 0.0)
     learned = spare & np.isfinite(beyond_K)
-    return np.asarray(np.clip(before_K + np.where(learned, change_K, 0.0), 0.0, learning.most_K))
+    least_K = np.minimum(before_K, 0.0)
+    return np.asarray(np.clip(before_K + np.where(learned, change_K, 0.0), least_K, learning.most_K))
 
 
 # Heat below this share of what the level stands for is lacking.

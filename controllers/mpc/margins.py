@@ -5,11 +5,12 @@
 | comfort | both bounds | always | `comfort_margin_K` |
 | back-off | each bound, by lead time | chance levels below 0.5, or `backoff_violation_K` | band of the free forecast |
 | reserve | the bound that actuation protects | fast zones and coarse sensors, unless loops keep room set-points | card of the model |
-| learned | each bound | readings were beyond it while there was more to give; with room set-points only where it is set back | this run |
+| learned | each bound | more: readings were beyond it while there was more to give; less: a day had room to spare | this run |
 | offset | the prediction | `offset_h` | errors of the last plans, one step ahead |
 | unused capacity | the capacity of a machine | several metered actuators share it | heat that they lacked in this run |
 
-`MarginRules.learn` moves the last three after each step, `MarginRules.bounds` adds the first four.
+`MarginRules.learn` moves the last three after each step, `MarginRules.bounds` adds the first four; their sum is never
+below 0. With room set-points what is learned counts only where a bound is set back, and is never less than 0.
 """  # noqa: E501
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 from controllers.actuation.actuators import Actuators
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.margin_rules import (
+    AHEAD_H,
     OF_LOOPS,
     LearnedMargin,
     backoff_K,
@@ -66,11 +68,13 @@ class Bounds:
     """Comfort bounds with all margins inside, (Z, N) each, °C, and the margins of the first step by name.
 
     `first_step`: `comfort`, `backoff`, `reserve` and `learned` inside the lower and the upper bound (2, Z), K.
+    `whole_K`: all of them together, mean over the next 6 h (2, Z), K.
     """
 
     lower_C: Array
     upper_C: Array
     first_step: dict[str, Array]
+    whole_K: Array
 
 
 class MarginRules:
@@ -108,7 +112,7 @@ class MarginRules:
             return replace(before, learned=learned)
         return Margins(
             self._learned_offset_K(before.offset_K, good, observation),
-            self._learned_margin(learned, observation, forecast),
+            self._learned_margin(learned, good.margin_K, observation, forecast),
             self._learned_unused(operator, before.unused, observation.history),
         )
 
@@ -123,7 +127,7 @@ class MarginRules:
             boundary: the bounds, N steps.
             learned: what was learned of them.
         """
-        c, rows = self._config, []
+        c, rows, soon = self._config, [], max(1, round(AHEAD_H * HOUR_S / self._step_s))
         for z in range(len(operator.zones)):
             own = self._layout.actuators_of(z)
             signs = {self._layout.signs[a] for a in own}
@@ -149,20 +153,22 @@ class MarginRules:
             by_loops = any(self._actuators.each[a].by_rooms for a in own)
             learned_K = learned.inside_K(z, lower_C, upper_C, by_loops=by_loops)
             reserves_K = np.array([self._reserve_K(operator, z, sign) for sign in (1, -1)])
-            inside_K = reserves_K[:, None] + learned_K
+            inside_K = c.comfort_margin_K + np.stack([below, above]) + reserves_K[:, None] + learned_K
+            inside_K = np.clip(inside_K, 0.0, half)
             rows.append(
                 (
-                    lower_C + np.minimum(c.comfort_margin_K + below + inside_K[0], half),
-                    upper_C - np.minimum(c.comfort_margin_K + above + inside_K[1], half),
+                    lower_C + inside_K[0],
+                    upper_C - inside_K[1],
                     (np.full(2, c.comfort_margin_K), np.array([below[0], above[0]]), reserves_K, learned_K[:, 0]),
+                    inside_K[:, :soon].mean(axis=1),
                 )
             )
-        lower, upper, firsts = zip(*rows, strict=True)
+        lower, upper, firsts, whole = zip(*rows, strict=True)
         names = ("comfort", "backoff", "reserve", "learned")
         first_step = {
             name: np.stack(of_zones, axis=1) for name, of_zones in zip(names, zip(*firsts, strict=True), strict=True)
         }
-        return Bounds(np.stack(lower), np.stack(upper), first_step)
+        return Bounds(np.stack(lower), np.stack(upper), first_step, np.stack(whole, axis=1))
 
     def capacity(self, operator: BuildingOperator, T_out_C: Array, unused: Array) -> Array | None:
         """What the actuators of each machine may take together (M, N), in the unit of their shares; None: 1.
@@ -191,8 +197,10 @@ class MarginRules:
         offset_K = before_K + weight * np.where(np.isfinite(error), error, 0.0)
         return np.clip(offset_K, -_OFFSET_K, _OFFSET_K)
 
-    def _learned_margin(self, before: LearnedMargin, observation: Observation, forecast: Boundary) -> LearnedMargin:
-        """Reserve inside the bounds after a step that a plan decided."""
+    def _learned_margin(
+        self, before: LearnedMargin, planned_K: Array, observation: Observation, forecast: Boundary
+    ) -> LearnedMargin:
+        """Reserve inside the bounds after a step of a plan with margins of `planned_K` (2, Z) in all."""
         allowed_K = self._config.backoff_violation_K
         # Plans of set-points have no back-off, since the plant's own loops keep them; this is for what these miss.
         by_loops = self._config.actuation.mode == "room_setpoints"
@@ -204,7 +212,9 @@ class MarginRules:
         spare = self._spare(observation.history.u[:, -1])
         if by_loops:
             spare &= before.set_back(slice(None), lower_C, upper_C)
-        return replace(before, reserve_K=learned_K(before.reserve_K, beyond_K, spare, self._step_s, learning))
+        reserve_K = learned_K(before.reserve_K, beyond_K, spare, self._step_s, learning)
+        after = replace(before, reserve_K=reserve_K)
+        return after if by_loops else after.after_reading(-beyond_K, spare, planned_K, observation.time_s)
 
     def _learned_unused(self, operator: BuildingOperator, before: Array, history: Record) -> Array:
         """Share of each machine's capacity to be left unused (M,) after the last step of `history`."""

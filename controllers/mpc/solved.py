@@ -71,14 +71,16 @@ def solved_plan(
         seconds={**context.seconds, "solve": solve_s},
         margins={**instance.bounds.first_step, "offset": learned.offset_K, "unused_capacity": learned.unused},
         names=names,
-        state=replace(forecast.state, good=_good_plan(readings.time_s, u, T_zone_C, forecast), failures=0),
+        state=replace(
+            forecast.state, good=_good_plan(readings.time_s, u, T_zone_C, forecast, instance.bounds.whole_K), failures=0
+        ),
     )
 
 
-def _good_plan(time_s: float, u: Array, T_zone_C: Array, forecast: Forecast) -> GoodPlan:
+def _good_plan(time_s: float, u: Array, T_zone_C: Array, forecast: Forecast, margin_K: Array) -> GoodPlan:
     """What is remembered of a plan: a zone that was never measured has no prediction to compare with."""
     free = forecast.context.free
-    good = GoodPlan(time_s, u, T_zone_C.copy(), 0.5 * (free.quantile_C(0.9) - free.quantile_C(0.1)))
+    good = GoodPlan(time_s, u, T_zone_C.copy(), 0.5 * (free.quantile_C(0.9) - free.quantile_C(0.1)), margin_K)
     for kept in (good.T_zone_C, good.band_K):
         kept[list(forecast.context.unmeasured)] = np.nan
     return good

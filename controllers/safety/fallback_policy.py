@@ -62,12 +62,14 @@ class GoodPlan:
     """The last solved plan: its time, s, levels `u` (A, N), and predicted zone temperatures `T_zone_C` (Z, N), °C.
 
     `band_K` (Z, N): half-width of the 80 % band of its forecast. A zone that was never measured has NaN in both.
+    `margin_K` (2, Z): what it kept inside the lower and the upper bound in all, mean over its first 6 h.
     """
 
     time_s: float
     u: Array
     T_zone_C: Array
     band_K: Array
+    margin_K: Array
 
     def age(self, time_s: float, step_s: float) -> int:
         """Age of the plan in steps of `step_s` seconds."""
