@@ -18,8 +18,9 @@ from thermoforce_mpc.model.machine.power import PowerModel
 # Excess of power per heat at half level from which a machine of several actuators is switched. Below it is what a few
 # days of data leave uncertain: an exponent of a radiator that is wrong by 0.2 looks like a fixed part of 8 %.
 SWITCH_FROM = 0.1
-# Costs of heat nearer to that of full level than this are the same: lower levels then swing less.
-_SAME_COST = 0.02
+# Excess of the cost of heat up to which a lower level is taken all the same: it moves a room less and heats its water
+# less in the long run than in the few steps of a trial.
+_SAME_COST = 0.05
 # Names on the model card (`ModelCard.uncertainty`).
 _COST, _COST_SD = "cost_of_heat_at_level_", "cost_of_heat_sd_at_level_"
 _HEAT, _HEAT_SD = "heat_per_level_at_level_", "heat_per_level_sd_at_level_"
@@ -59,9 +60,11 @@ def level_costs(uncertainty: Mapping[str, float]) -> tuple[LevelCost, ...]:
 
 
 def cheapest(costs: Sequence[LevelCost]) -> LevelCost | None:
-    """The level below full at which heat costs least; None where full level is cheaper."""
-    best = min(costs, key=lambda one: one.cost, default=None)
-    return best if best is not None and best.cost <= 1.0 + _SAME_COST else None
+    """The lowest level that may be the one at which heat costs least, within a standard deviation; None: full level."""
+    cheap = [one for one in costs if one.cost <= 1.0 + _SAME_COST]
+    least = min((one.cost for one in cheap), default=1.0)
+    may_be = [one for one in cheap if one.cost <= least + one.cost_sd]
+    return min(may_be, key=lambda one: one.level, default=None)
 
 
 @dataclass(frozen=True)
