@@ -1,8 +1,9 @@
 """`tf-mpc bench buildings`: the default configuration on generated houses, against a thermostat and native control.
 
 For each house and window the house is probed for three days, a model identified and the controller run, all with their
-defaults; then the thermostat and the house's own control run on the same house and weather. Where identification
-refuses the record, the house's own control stays, and the row says so.
+defaults; then the thermostat and the house's own control run on the same house and weather, and the thermostat at the
+set-point at which it is as comfortable as the controller. Where identification refuses the record, the house's own
+control stays, and the row says so.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import statistics
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +25,14 @@ from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.model.screening import limits_of
+from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K
 from thermoforce_mpc.plants.drawn_houses.weeks import WEEKS
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, House, draw_house
 from thermoforce_mpc.plants.random_houses.schedule import bounds_C
+from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
+from thermoforce_mpc.simulation.comparison.equal_comfort import ALLOWED_KH, AsComfortable, as_comfortable
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.simulation.models.identifying import identification_settings, identify_on
 
@@ -41,8 +45,9 @@ PROBED_DAYS, SCORED_DAYS = 3.0, 7.0
 THERMOSTAT_STEP_S = 300.0
 # Windows in which the thermostat uses less than this are left out of the cost targets, kWh/m² a week.
 LEAST_HEATING_KWH_M2 = 0.05
-# Targets: discomfort above the thermostat's, K·h a week; share of windows that are cheaper; median saving.
-_MORE_DISCOMFORT_KH, _CHEAPER_SHARE, _MEDIAN_SAVING = 0.5, 0.90, 0.05
+# Targets: discomfort above the thermostat's, K·h a week; at equal comfort the share of windows that are cheaper and the
+# median saving; cost above that of the house's own control where this is as comfortable.
+_MORE_DISCOMFORT_KH, _CHEAPER_SHARE, _MEDIAN_SAVING, _DEARER_THAN_NATIVE = 0.5, 0.95, 0.08, 0.01
 _QUICK_HOUSES = 4
 
 
@@ -75,6 +80,7 @@ class Outcome:
     case: Case
     house: str
     kpis: dict[str, dict[str, float]]
+    equal: AsComfortable | None
     statuses: dict[str, int]
     model: dict[str, float]
     refused: str
@@ -83,11 +89,35 @@ class Outcome:
     plot: bytes = field(default=b"", repr=False)
 
     @property
+    def heated(self) -> bool:
+        """Whether the thermostat heats; False if the case failed."""
+        used = self.kpis[THERMOSTAT]["ener_tot"] * 7.0 / self.case.scored_days if self.kpis else 0.0
+        return used >= LEAST_HEATING_KWH_M2
+
+    @property
     def saving(self) -> float:
-        """Cost saved relative to the thermostat; NaN where the thermostat hardly heats or the case failed."""
-        if not self.kpis or self.kpis[THERMOSTAT]["ener_tot"] * 7.0 / self.case.scored_days < LEAST_HEATING_KWH_M2:
+        """Cost saved relative to the thermostat at its set-point; NaN where it hardly heats."""
+        if not self.heated:
             return float("nan")
         return 1.0 - self.kpis[CONTROLLER]["cost_tot"] / self.kpis[THERMOSTAT]["cost_tot"]
+
+    @property
+    def saving_at_equal_comfort(self) -> float:
+        """Cost saved relative to a thermostat that is as comfortable; NaN where it hardly heats.
+
+        Also where no set-point is as comfortable and the one with the least discomfort costs less.
+        """
+        if not self.heated or self.equal is None:
+            return float("nan")
+        cost = self.kpis[CONTROLLER]["cost_tot"]
+        return self.equal.saving(cost) if self.equal.beaten(cost) is not None else float("nan")
+
+    @property
+    def above_native(self) -> float:
+        """Cost above that of the house's own control, as a share; NaN where that is less comfortable."""
+        if not self.heated or self.kpis[NATIVE]["tdis_tot"] > self.kpis[CONTROLLER]["tdis_tot"] + ALLOWED_KH:
+            return float("nan")
+        return self.kpis[CONTROLLER]["cost_tot"] / self.kpis[NATIVE]["cost_tot"] - 1.0
 
     @property
     def more_discomfort_KH(self) -> float:
@@ -98,12 +128,21 @@ class Outcome:
         return more * 7.0 / self.case.scored_days
 
     def row(self) -> Row:
-        """Table row: cost EUR/m² and discomfort K·h of MPC, thermostat and native control."""
+        """Table row: cost EUR/m² and discomfort K·h of MPC, thermostat, native control and a thermostat as comfortable.
+
+        `saving`: at equal comfort, and against the thermostat at its set-point.
+        """
         row: Row = {"house": self.case.index, "week": self.case.week.removesuffix("_week"), "in words": self.house}
         for name in (CONTROLLER, THERMOSTAT, NATIVE):
             kpis = self.kpis.get(name)
             row[name] = f"{kpis['cost_tot']:.3f} / {kpis['tdis_tot']:.2f}" if kpis else "–"
-        row["saving"] = f"{self.saving:.1%}" if np.isfinite(self.saving) else "–"
+        row["as comfortable"], row["saving"] = "–", "–"
+        if self.equal is not None:
+            kpis, shift_K = self.equal.kpis, self.equal.shift_K
+            less = "" if self.equal.comparable else ", not as comfortable"
+            row["as comfortable"] = f"{kpis['cost_tot']:.3f} / {kpis['tdis_tot']:.2f} at {shift_K:+.2f} K{less}"
+        savings = [self.saving_at_equal_comfort, self.saving]
+        row["saving"] = ", ".join(f"{saving:.1%}" if np.isfinite(saving) else "–" for saving in savings)
         row["plans"] = self.failed or (
             f"refused: {self.refused}"
             if self.refused
@@ -183,6 +222,7 @@ def run_case(
     began = time.perf_counter()
     house = draw_house(case.seed, case.index)
     kpis: dict[str, dict[str, float]] = {}
+    equal: AsComfortable | None = None
     statuses: dict[str, int] = {}
     scores: dict[str, float] = {}
     refused = failed = ""
@@ -192,11 +232,16 @@ def run_case(
         period = replace(plant.period(case.week), scored_s=case.scored_days * DAY_S)
         traces: dict[str, dict[str, Any]] = {}
 
+        def looped(controller: Controller) -> RunResult:
+            return run_closed_loop(plant, controller, period, allowed=limits_of(controller, house.floor_area_m2))
+
+        def shifted(shift_K: float) -> dict[str, float]:
+            options = {"step_s": THERMOSTAT_STEP_S, "setpoint_C": house.lower_C + THERMOSTAT_ABOVE_K + shift_K}
+            return dict(looped(build_controller(THERMOSTAT, options, plant.testcase)).kpis)
+
         def follow(name: str, model: Any = None) -> RunResult:
             options = {"step_s": THERMOSTAT_STEP_S} if name == THERMOSTAT else {}
-            controller = build_controller(name, options, plant.testcase, model)
-            allowed = limits_of(controller, house.floor_area_m2)
-            result = run_closed_loop(plant, controller, period, allowed=allowed)
+            result = looped(build_controller(name, options, plant.testcase, model))
             traces[name] = plant.recorded(period.start_s, period.start_s + period.scored_s)
             kpis[name] = {key: value for key, value in result.kpis.items() if key != "time_rat"}
             kpis[name] |= _too_cold_and_too_warm(house, traces[name])
@@ -213,13 +258,14 @@ def run_case(
             follow(name)
         if refused:  # the house's own control stays
             kpis[CONTROLLER], traces[CONTROLLER] = kpis[NATIVE], traces[NATIVE]
+        equal = as_comfortable(shifted, kpis[THERMOSTAT], kpis[CONTROLLER]["tdis_tot"])
         if case.draw:
             from benchmarks.closed_loop.buildings_plot import plot_case
 
             plot = plot_case(house, traces)
     except Exception as error:  # recorded as failure of this case; the others continue
         failed, kpis = f"{type(error).__name__}: {error}", {}
-    return Outcome(case, house.words, kpis, statuses, scores, refused, failed, time.perf_counter() - began, plot)
+    return Outcome(case, house.words, kpis, equal, statuses, scores, refused, failed, time.perf_counter() - began, plot)
 
 
 def _too_cold_and_too_warm(house: House, trace: Mapping[str, Array]) -> dict[str, float]:
@@ -234,8 +280,10 @@ def _too_cold_and_too_warm(house: House, trace: Mapping[str, Array]) -> dict[str
 
 def targets(outcomes: Sequence[Outcome]) -> list[Target]:
     """Targets over all cases; a failed case is counted as such and misses the discomfort target."""
-    savings = [o.saving for o in outcomes if np.isfinite(o.saving)]
-    share = sum(saving > 0 for saving in savings) / len(savings) if savings else float("nan")
+    savings, at_its_own = (
+        [value for value in of if np.isfinite(value)]
+        for of in ((o.saving_at_equal_comfort for o in outcomes), (o.saving for o in outcomes))
+    )
     worst = max((o.more_discomfort_KH for o in outcomes if not o.failed), default=float("nan"))
     above = sum(not o.more_discomfort_KH <= _MORE_DISCOMFORT_KH for o in outcomes)
     return [
@@ -245,15 +293,28 @@ def targets(outcomes: Sequence[Outcome]) -> list[Target]:
         ),
         Target("largest discomfort above the thermostat's, K·h a week", worst, _MORE_DISCOMFORT_KH),
         Target(
-            f"share of {len(savings)} heated windows cheaper than the thermostat", share, _CHEAPER_SHARE, "at least"
-        ),
-        Target(
-            "median saving against the thermostat",
-            statistics.median(savings) if savings else float("nan"),
-            _MEDIAN_SAVING,
+            f"share of {len(savings)} heated windows cheaper than a thermostat that is as comfortable",
+            _cheaper(savings),
+            _CHEAPER_SHARE,
             "at least",
         ),
+        Target("median saving at equal comfort", _median(savings), _MEDIAN_SAVING, "at least"),
+        Target("share cheaper than the thermostat at its set-point", _cheaper(at_its_own), _CHEAPER_SHARE, "at least"),
+        Target("median saving against that", _median(at_its_own), _MEDIAN_SAVING, "at least"),
+        Target(
+            f"windows more than {_DEARER_THAN_NATIVE:.0%} dearer than native control that is as comfortable",
+            float(sum(o.above_native > _DEARER_THAN_NATIVE for o in outcomes)),
+            0.0,
+        ),
     ]
+
+
+def _cheaper(savings: Sequence[float]) -> float:
+    return sum(saving > 0 for saving in savings) / len(savings) if savings else float("nan")
+
+
+def _median(savings: Sequence[float]) -> float:
+    return statistics.median(savings) if savings else float("nan")
 
 
 def _summary(outcomes: Sequence[Outcome]) -> list[Row]:
@@ -278,7 +339,7 @@ def _summary(outcomes: Sequence[Outcome]) -> list[Row]:
 
 
 def _heated(outcome: Outcome) -> bool:
-    return bool(outcome.failed) or bool(np.isfinite(outcome.saving))
+    return bool(outcome.failed) or outcome.heated
 
 
 def _line(outcome: Outcome) -> str:
@@ -302,6 +363,7 @@ def _write_outcomes(path: Path, outcomes: Sequence[Outcome]) -> None:
             "week": o.case.week,
             "words": o.house,
             "kpis": o.kpis,
+            "equal": None if o.equal is None else asdict(o.equal),
             "statuses": o.statuses,
             "model": o.model,
             "refused": o.refused,

@@ -13,20 +13,23 @@ from benchmarks.closed_loop.buildings import Case, Outcome, run_buildings_bench,
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.execution import LocalEngine
+from thermoforce_mpc.simulation.comparison.equal_comfort import AsComfortable
 
 SHORT = {"scored_days": 0.125, "probed_days": 1.0}
 
 
-def outcome(mpc=(0.9, 1.0), thermostat=(1.0, 1.0), energy=1.0, **changes) -> Outcome:
+def outcome(mpc=(0.9, 1.0), thermostat=(1.0, 1.0), energy=1.0, native=(1.1, 0.0), **changes) -> Outcome:
     kpis = {
         "thermoforce_mpc": {"cost_tot": mpc[0], "tdis_tot": mpc[1], "ener_tot": energy},
         "thermostat": {"cost_tot": thermostat[0], "tdis_tot": thermostat[1], "ener_tot": energy},
-        "native": {"cost_tot": 1.1, "tdis_tot": 0.0, "ener_tot": energy},
+        "native": {"cost_tot": native[0], "tdis_tot": native[1], "ener_tot": energy},
     }
+    equal = AsComfortable(0.1, {"cost_tot": 1.02 * thermostat[0], "tdis_tot": mpc[1]}, True)
     values = {
         "case": Case(1, 0, "cold_week"),
         "house": "a house",
         "kpis": kpis,
+        "equal": equal,
         "statuses": {"solved": 600, "guard": 3, "gate": 0, "refused": 0},
         "model": {},
         "refused": "",
@@ -50,6 +53,8 @@ def test_one_short_window_for_real():
         assert kpis["too_cold"] + kpis["too_warm"] == pytest.approx(kpis["tdis_tot"])
     assert sum(first.statuses.values()) == 12  # plans of 15 min in 3 h
     assert "held_out_rollout_rmse_K" in first.model
+    assert first.equal.comparable
+    assert first.equal.kpis["tdis_tot"] <= first.kpis["thermoforce_mpc"]["tdis_tot"] + 0.1
     assert first.plot.startswith(b"\x89PNG")
     assert len(first.plot) > 10_000
     again = run_case(Case(7, 3, "cold_week", **SHORT))
@@ -82,7 +87,8 @@ def test_a_failed_window_is_named_and_misses_its_targets():
 def test_targets_that_hold():
     good = outcome()
     assert by_name([good] * 3) == [
-        (0.0, True), (0.0, True), (0.0, True), (1.0, True), (pytest.approx(0.1), True),
+        (0.0, True), (0.0, True), (0.0, True), (1.0, True), (pytest.approx(1 - 0.9 / 1.02), True), (1.0, True),
+        (pytest.approx(0.1), True), (0.0, True),
     ]  # fmt: skip
 
 
@@ -97,10 +103,27 @@ def test_discomfort_is_judged_in_the_worst_window_and_per_week():
 def test_savings_count_where_there_is_heating():
     dear, idle = outcome(mpc=(1.1, 1.0)), outcome(mpc=(0.0, 1.0), thermostat=(0.0, 1.0), energy=0.001)
     assert math.isnan(idle.saving)
-    *_, share, median = by_name([outcome()] * 7 + [dear] * 3 + [idle])
-    assert share == (0.7, False)
-    assert median == (pytest.approx(0.1), True)
-    assert by_name([outcome(mpc=(0.97, 1.0))])[-1] == (pytest.approx(0.03), False)
+    share, median, share_at_its_own, median_at_its_own = by_name([outcome()] * 7 + [dear] * 3 + [idle])[3:7]
+    assert share == share_at_its_own == (0.7, False)
+    assert median == (pytest.approx(1 - 0.9 / 1.02), True)
+    assert median_at_its_own == (pytest.approx(0.1), True)
+    assert by_name([outcome(mpc=(0.97, 1.0))])[4] == (pytest.approx(1 - 0.97 / 1.02), False)
+
+
+def test_a_window_counts_as_cheaper_at_equal_comfort_only():
+    warm = AsComfortable(0.4, {"cost_tot": 1.1, "tdis_tot": 0.2}, True)
+    none = AsComfortable(1.0, {"cost_tot": 1.1, "tdis_tot": 5.0}, False)
+    assert outcome(mpc=(1.05, 0.1), equal=warm).saving_at_equal_comfort == pytest.approx(1 - 1.05 / 1.1)
+    assert outcome(mpc=(1.05, 0.1), equal=warm).saving < 0.0
+    assert outcome(mpc=(1.05, 0.1), equal=none).saving_at_equal_comfort > 0.0, "better in both"
+    assert math.isnan(outcome(mpc=(1.15, 0.1), equal=none).saving_at_equal_comfort)
+    row = outcome(mpc=(1.15, 0.1), equal=none).row()
+    assert row["as comfortable"] == "1.100 / 5.00 at +1.00 K, not as comfortable"
+
+
+def test_native_control_is_a_yardstick_where_it_is_as_comfortable():
+    dear, colder = outcome(native=(0.8, 1.0)), outcome(native=(0.8, 1.2))
+    assert by_name([outcome(), dear, colder])[-1] == (1.0, False)
 
 
 def test_command_line_prints_every_window_and_says_what_is_missed(monkeypatch, tmp_path):

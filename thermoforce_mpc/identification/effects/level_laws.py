@@ -198,8 +198,8 @@ def _costs(found: Estimates, histories: Sequence[Record], power: PowerModel, hea
     heat_per_level = None
     if heat_input.law is not None:
         heat_per_level = _relative(heat_W / level, heat_input.law(np.ones(u.size), T_out), full)
-    costs = []
-    for name, above, most in PART_LOADS:
+    costs: list[LevelCost] = []
+    for name, above, most in reversed(PART_LOADS):
         near = _within(u, above, most)
         n = np.count_nonzero(near)
         if n < _LEAST_STEPS:
@@ -208,6 +208,8 @@ def _costs(found: Estimates, histories: Sequence[Record], power: PowerModel, hea
             heat, heat_sd = float(heat_per_level[near].mean()), float(heat_per_level[near].std() / np.sqrt(n))
         elif name in found:
             heat, heat_sd = float(np.clip(1.0 + found[name][0], *_HEAT_RANGE)), found[name][1]
+            if costs and costs[-1].heat > heat:  # heat is a concave law of the level
+                heat, heat_sd = costs[-1].heat, costs[-1].heat_sd
         else:
             continue
         if not heat > 0.0:
@@ -217,7 +219,7 @@ def _costs(found: Estimates, histories: Sequence[Record], power: PowerModel, hea
         cost = power_ / heat * (1.0 + (heat_sd / heat) ** 2)
         cost_sd = cost * float(np.linalg.norm([heat_sd / heat, noise / max(power_, 1e-9), _COST_SD]))
         costs.append(LevelCost(float(u[near].mean()), cost, cost_sd, heat, heat_sd))
-    return costs
+    return costs[::-1]
 
 
 def _relative(per_level: Array, law: Array, full: NDArray[np.bool_]) -> Array:

@@ -18,9 +18,9 @@ from thermoforce_mpc.model.machine.power import PowerModel
 # Excess of power per heat at half level from which a machine of several actuators is switched. Below it is what a few
 # days of data leave uncertain: an exponent of a radiator that is wrong by 0.2 looks like a fixed part of 8 %.
 SWITCH_FROM = 0.1
-# Excess of the cost of heat up to which a lower level is taken all the same: it moves a room less and heats its water
-# less in the long run than in the few steps of a trial.
-_SAME_COST = 0.05
+# Excess of the cost of heat over that of full level, and over that of the cheapest level, up to which a lower one is
+# taken all the same: it moves a room less, and in the long run its water is cooler than in the few steps of a trial.
+_SAME_AS_FULL, _SAME_AS_CHEAPEST = 0.05, 0.02
 # Names on the model card (`ModelCard.uncertainty`).
 _COST, _COST_SD = "cost_of_heat_at_level_", "cost_of_heat_sd_at_level_"
 _HEAT, _HEAT_SD = "heat_per_level_at_level_", "heat_per_level_sd_at_level_"
@@ -60,11 +60,10 @@ def level_costs(uncertainty: Mapping[str, float]) -> tuple[LevelCost, ...]:
 
 
 def cheapest(costs: Sequence[LevelCost]) -> LevelCost | None:
-    """The lowest level that may be the one at which heat costs least, within a standard deviation; None: full level."""
-    cheap = [one for one in costs if one.cost <= 1.0 + _SAME_COST]
-    least = min((one.cost for one in cheap), default=1.0)
-    may_be = [one for one in cheap if one.cost <= least + one.cost_sd]
-    return min(may_be, key=lambda one: one.level, default=None)
+    """The lowest of the levels at which heat costs about least; None: that is full level."""
+    least = min([1.0 + _SAME_AS_FULL - _SAME_AS_CHEAPEST, *(one.cost for one in costs)])
+    as_cheap = [one for one in costs if one.cost <= least + _SAME_AS_CHEAPEST]
+    return min(as_cheap, key=lambda one: one.level, default=None)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,82 @@
+"""A thermostat as comfortable as a controller: the set-point at which its discomfort is the controller's + 0.1 K·h.
+
+A baseline at a set-point of its own is warmer or colder than the controller, so their costs say little of each other.
+Discomfort falls with the set-point until zones get too warm; the least set-point that is comfortable enough is searched
+by doubling steps and bisection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT
+
+# What a thermostat may be less comfortable, K·h.
+ALLOWED_KH = 0.1
+# First step of the set-point, the step at which the search ends, and the farthest from where it began, K.
+_FIRST_K, _LAST_K, _FARTHEST_K = 0.2, 0.05, 1.6
+
+Kpis = dict[str, float]
+
+
+@dataclass(frozen=True)
+class AsComfortable:
+    """A thermostat beside a controller.
+
+    `shift_K`: its set-points above those it has by default; `comparable`: whether its discomfort is at most the
+    controller's + 0.1 K·h. Where no set-point is, it is the one with the least discomfort.
+    """
+
+    shift_K: float
+    kpis: Kpis
+    comparable: bool
+
+    def saving(self, cost: float) -> float:
+        """Share of its cost that a controller of this `cost` saves; NaN where the thermostat costs nothing."""
+        return 1.0 - cost / self.kpis[COST] if self.kpis[COST] > 0.0 else float("nan")
+
+    def beaten(self, cost: float) -> bool | None:
+        """Whether a controller of this `cost` is cheaper; None: dearer, and more comfortable than any set-point."""
+        cheaper = cost < self.kpis[COST]
+        return cheaper if cheaper or self.comparable else None
+
+
+def as_comfortable(run: Callable[[float], Kpis], default: Kpis, discomfort_Kh: float) -> AsComfortable:
+    """Search the thermostat that is as comfortable as a controller with `discomfort_Kh` K·h.
+
+    Args:
+        run: KPIs of the thermostat with its set-points raised by so many K.
+        default: those without.
+        discomfort_Kh: discomfort of the controller, K·h.
+    """
+    tried = {0.0: default}
+
+    def at(shift_K: float) -> Kpis:
+        shift_K = round(shift_K, 6)
+        if shift_K not in tried:
+            tried[shift_K] = run(shift_K)
+        return tried[shift_K]
+
+    def enough(shift_K: float) -> bool:
+        return at(shift_K)[DISCOMFORT] <= discomfort_Kh + ALLOWED_KH
+
+    sign = -1.0 if enough(0.0) else 1.0
+    inner, step = 0.0, _FIRST_K
+    while abs(inner + sign * step) <= _FARTHEST_K and enough(inner + sign * step) == (sign < 0):
+        gains = at(inner + sign * step)[DISCOMFORT] < at(inner)[DISCOMFORT]
+        inner += sign * step
+        if sign > 0 and not gains:  # warmer helps no more
+            break
+        step *= 2.0
+    outer = inner + sign * step
+    if abs(outer) <= _FARTHEST_K:
+        while abs(outer - inner) > _LAST_K + 1e-9:
+            middle = 0.5 * (inner + outer)
+            inner, outer = (middle, outer) if enough(middle) == (sign < 0) else (inner, middle)
+    fine = [shift for shift in tried if enough(shift)]
+    if fine:
+        shift_K = min(fine, key=lambda shift: tried[shift][COST])
+        return AsComfortable(shift_K, tried[shift_K], True)
+    shift_K = min(tried, key=lambda shift: tried[shift][DISCOMFORT])
+    return AsComfortable(shift_K, tried[shift_K], False)
