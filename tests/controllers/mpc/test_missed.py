@@ -1,4 +1,4 @@
-"""The reserve that is learned from readings beyond a bound."""
+"""The reserve that is learned from readings beyond a bound, and what days with room to spare give back."""
 
 from __future__ import annotations
 
@@ -26,12 +26,57 @@ def learned(beyond_K: float, spare: bool = True, before_K: float = 0.1) -> float
     return float(learned_K(np.array(before_K), np.array(beyond_K), np.array(spare), 900.0, OF_PLANS))
 
 
-def test_it_grows_where_readings_are_beyond_the_bound_and_fades_inside():
+def test_it_grows_where_readings_are_beyond_the_bound():
     assert learned(0.2) > 0.1
     assert learned(0.4) > learned(0.2), "by more where more is missed"
     assert learned(ALLOWED_K) == pytest.approx(0.1), "what a plan may expect is no miss"
-    assert learned(-1.0) < 0.1
-    assert learned(-1.0) == learned(-0.1), "how far inside says nothing"
+    assert learned(-1.0) == learned(-0.1) == 0.1, "a step inside says nothing, a day does"
+
+
+def after_days(inside_K: float | list[float], days: int = 1, planned_K: float = 0.3, spare: bool = True) -> float:
+    """What is learned of the lower bound after days of quarter hours with readings so far inside, from 0."""
+    readings = np.resize(np.array(inside_K, dtype=np.float64), 96 * days)
+    state = LearnedMargin.nothing(1)
+    for step, reading_K in enumerate(readings):
+        distance_K, had = np.array([[reading_K], [np.nan]]), np.array([[spare], [False]])
+        # A plan keeps what it keeps beforehand and what was learned.
+        whole_K = np.maximum(planned_K + state.reserve_K, 0.0)
+        state = state.after_reading(distance_K, had, whole_K, 900.0 * step)
+    assert state.reserve_K[1, 0] == 0.0, "nothing is known of the other bound"
+    return float(state.reserve_K[0, 0])
+
+
+def test_half_of_what_a_day_had_to_spare_is_given_back():
+    assert after_days([0.4, 0.2, 0.3], 2) == pytest.approx(-0.1)
+    assert after_days([0.4, -0.01, 0.3], 2) == 0.0, "it was missed once"
+    assert after_days(0.2, 2, spare=False) == 0.0, "the machine was fully used"
+    assert after_days([float("nan"), 0.2], 2) == pytest.approx(-0.1)
+    assert after_days(0.2, 1) == 0.0, "not before a day is over"
+
+
+def test_no_more_is_given_back_than_is_kept():
+    assert after_days(0.3, 30) == pytest.approx(-0.3, abs=1e-3)
+    assert after_days(0.15, 30, planned_K=0.02) == pytest.approx(-0.02, abs=1e-6)
+
+
+def test_a_zone_that_sun_keeps_away_from_its_bound_says_nothing_of_margins():
+    assert after_days(2.0, 5) == 0.0
+
+
+def test_a_miss_is_made_up_for_at_once_whatever_was_given_back():
+    assert learned(0.2, before_K=-0.2) > -0.2
+    assert learned(-1.0, before_K=-0.2) == -0.2
+
+
+def test_margins_in_all_are_never_less_than_nothing():
+    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    house = SimpleHouse()
+    house.reset(10 * DAY_S, 24 * HOUR_S)
+    seen = Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S))
+    context = mpc.predictor.context(seen)
+    given = replace(LearnedMargin.nothing(1), reserve_K=np.array([[-5.0], [0.0]]))
+    problem = mpc.instance(context, seen.history, Margins(learned=given))
+    np.testing.assert_array_equal(problem.lower_C, context.boundary.lower_C[:, 1:])
 
 
 def test_nothing_is_learned_where_there_was_no_more_to_give_or_no_reading():

@@ -20,6 +20,8 @@ from thermoforce_mpc.simulation.journal.told_steps import ToldStep, forecast_of,
 
 # A planned temperature nearer to its bound than this is bound by it, K.
 _BINDING_K = 0.05
+# Mean effect of what is planned from which a margin has a share of it, K.
+_HELD_K = 1.0
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,10 @@ class Decision:
         return sentences
 
     def margins_in_words(self) -> list[str]:
-        """What the plan kept inside the comfort bounds of its first step, zone by zone, and what it learned else."""
+        """What the plan kept inside the comfort bounds of its first step, zone by zone, and what it learned else.
+
+        What it costs is what holds a room so much warmer, or cooler, of what holds it where it is planned.
+        """
         margins, lines = self.margins, []
         for z, zone in enumerate(self.names.zones if margins else ()):
             of = "" if self.names.single else f"{zone}: "
@@ -123,9 +128,11 @@ class Decision:
             for b, bound in enumerate(("lower", "upper")):
                 sizes_K = {name: values[b, z] for name, values in margins.items() if values.ndim == 2}
                 listed = ", ".join(f"{name} {size_K:.2f}" for name, size_K in sizes_K.items() if round(size_K, 2))
-                parts.append(
-                    f"{sum(sizes_K.values()):.2f} K inside the {bound} bound" + (f" ({listed})" if listed else "")
-                )
+                whole_K = max(sum(sizes_K.values()), 0.0)
+                parts.append(f"{whole_K:.2f} K inside the {bound} bound" + (f" ({listed})" if listed else ""))
+                held_K = float(np.mean(self.plan["T_forced_K"][z])) * (1.0 if bound == "lower" else -1.0)
+                if whole_K and held_K > _HELD_K:
+                    parts[-1] += f", about {whole_K / held_K:.1%} of the plan's energy"
             if round(offset_K := float(margins["offset"][z]), 2):
                 parts.append(f"prediction moved by {offset_K:+.2f} K")
             lines.append(of + ", ".join(parts))
