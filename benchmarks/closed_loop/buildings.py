@@ -25,14 +25,18 @@ from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.model.screening import limits_of
-from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K
 from thermoforce_mpc.plants.drawn_houses.weeks import WEEKS
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, House, draw_house
 from thermoforce_mpc.plants.random_houses.schedule import bounds_C
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
-from thermoforce_mpc.simulation.comparison.equal_comfort import ALLOWED_KH, AsComfortable, as_comfortable
+from thermoforce_mpc.simulation.comparison.equal_comfort import (
+    ALLOWED_KH,
+    AsComfortable,
+    as_comfortable,
+    shifted_options,
+)
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.simulation.models.identifying import identification_settings, identify_on
 
@@ -138,9 +142,9 @@ class Outcome:
             row[name] = f"{kpis['cost_tot']:.3f} / {kpis['tdis_tot']:.2f}" if kpis else "–"
         row["as comfortable"], row["saving"] = "–", "–"
         if self.equal is not None:
-            kpis, shift_K = self.equal.kpis, self.equal.shift_K
-            less = "" if self.equal.comparable else ", not as comfortable"
-            row["as comfortable"] = f"{kpis['cost_tot']:.3f} / {kpis['tdis_tot']:.2f} at {shift_K:+.2f} K{less}"
+            found, less = self.equal.kpis, "" if self.equal.comparable else ", not as comfortable"
+            where = f"{self.equal.shift_K:+.2f} K{less}"
+            row["as comfortable"] = f"{found['cost_tot']:.3f} / {found['tdis_tot']:.2f} at {where}"
         savings = [self.saving_at_equal_comfort, self.saving]
         row["saving"] = ", ".join(f"{saving:.1%}" if np.isfinite(saving) else "–" for saving in savings)
         row["plans"] = self.failed or (
@@ -235,9 +239,9 @@ def run_case(
         def looped(controller: Controller) -> RunResult:
             return run_closed_loop(plant, controller, period, allowed=limits_of(controller, house.floor_area_m2))
 
-        def shifted(shift_K: float) -> dict[str, float]:
-            options = {"step_s": THERMOSTAT_STEP_S, "setpoint_C": house.lower_C + THERMOSTAT_ABOVE_K + shift_K}
-            return dict(looped(build_controller(THERMOSTAT, options, plant.testcase)).kpis)
+        def shifted(shift_K: float) -> Mapping[str, float]:
+            options = shifted_options({"step_s": THERMOSTAT_STEP_S}, plant.testcase, shift_K)
+            return looped(build_controller(THERMOSTAT, options, plant.testcase)).kpis
 
         def follow(name: str, model: Any = None) -> RunResult:
             options = {"step_s": THERMOSTAT_STEP_S} if name == THERMOSTAT else {}

@@ -63,6 +63,16 @@ def scenario_options(function: Function) -> Function:
     return function
 
 
+def equal_comfort_option(function: Function) -> Function:
+    """Add the option that searches a thermostat that is as comfortable."""
+    return click.option(
+        "--equal-comfort/--no-equal-comfort",
+        default=None,
+        help="Search the set-point at which the thermostat is as comfortable, in further runs of it.  "
+        "[default: on the embedded plant]",
+    )(function)
+
+
 def execution_options(*former: str) -> Callable[[Function], Function]:
     """Add `--jobs` (and its `former` names) and `--scheduler`: where many tasks are run.
 
@@ -194,6 +204,8 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
         keys["plant"] = plant
     if options.get("baselines") is not None:
         keys["baselines"] = [name.strip() for name in options["baselines"].split(",") if name.strip()]
+    if options.get("equal_comfort") is not None:
+        keys["equal_comfort"] = options["equal_comfort"]
     path: Path | None = find_config("scenarios", options["config"]) if options.get("config") else None
     keys = merge(defaults or {}, keys)
     if path is None and "testcase" not in keys:

@@ -111,6 +111,11 @@ class Scenario(StrictModel):
     controller: ControllerSpec = ControllerSpec()
     identification: ProbingSpec = ProbingSpec()
     baselines: tuple[str, ...] = Field(("native", "thermostat"), description="controllers to compare with")
+    equal_comfort: bool | None = Field(
+        None,
+        description="beside a baseline thermostat, search the set-point at which it is as comfortable as the "
+        "controller, in further runs of it; null: where the plant is embedded",
+    )
     seed: int = Field(1, ge=0, description="seed of probing, training and forecast errors")
 
     @field_validator("period", mode="before", json_schema_input_type=str | float)

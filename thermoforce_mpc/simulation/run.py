@@ -21,6 +21,14 @@ from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.checks import check_contestants, validate_scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held, run_closed_loop
+from thermoforce_mpc.simulation.comparison.equal_comfort import (
+    THERMOSTAT,
+    AsComfortable,
+    as_comfortable,
+    searches_equal_comfort,
+    shifted_options,
+)
+from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT
 from thermoforce_mpc.simulation.composition import (
     attached_plant,
     build_plant,
@@ -62,7 +70,8 @@ if TYPE_CHECKING:  # loaded only when a controller needs a model
 class ScenarioResult:
     """A scenario that was run: the controller's closed loop and its baselines' on the same plant and window.
 
-    `identification` and `forecaster` are what the manifest says of the models and of the frozen weights.
+    `identification` and `forecaster` are what the manifest says of the models and of the frozen weights. `equal`: the
+    thermostat that is as comfortable; None where it was not searched.
     """
 
     scenario: Scenario
@@ -72,6 +81,7 @@ class ScenarioResult:
     models: Mapping[str, ThermalModel]
     identification: Mapping[str, Any]
     forecaster: Mapping[str, Any]
+    equal: AsComfortable | None = None
 
     @property
     def kpis(self) -> dict[str, dict[str, float]]:
@@ -195,6 +205,7 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
         planning=outcome.planning,
         command=book.command,
         forecaster=outcome.forecaster,
+        equal=_equal_in_words(outcome, testcase),
     )
     with display.working("Drawing the report"):
         from thermoforce_mpc.simulation.report import write_report
@@ -219,6 +230,8 @@ def _print_summary(outcome: ScenarioResult, folder: Path, testcase: TestCase, di
     title = f"{plant.kind} plant, {plant.weather}\n{window}, {outcome.scenario.price} tariff"
     gates = {name: gate.in_words() for name, gate in gates_held(outcome.result, outcome.baselines).items()}
     display.kpi_table(outcome.kpis, title, testcase.currency, gates)
+    if equal := _equal_in_words(outcome, testcase):
+        display.say(equal)
     display.say(f"{outcome.result.controller}: {outcome.planning[outcome.result.controller].in_words()}")
     levels = outcome.result.fallback_levels()
     fallbacks = {level: n for level, n in levels.items() if n and level not in ("solved", "rule", "gate")}
@@ -226,6 +239,14 @@ def _print_summary(outcome: ScenarioResult, folder: Path, testcase: TestCase, di
         display.say(f"Fallbacks: {fallbacks}; reasons in {folder / 'steps.csv'}")
     for spell in watch_spells(outcome.result):
         display.say(f"Watch: {spell.in_words()}")
+
+
+def _equal_in_words(outcome: ScenarioResult, testcase: TestCase) -> str:
+    """The controller beside a thermostat that is as comfortable; '' where none was searched."""
+    if outcome.equal is None:
+        return ""
+    kpis = outcome.result.kpis
+    return f"{outcome.result.controller} costs {outcome.equal.in_words(kpis[COST], testcase.currency)}"
 
 
 def _execute(
@@ -276,13 +297,26 @@ def _execute(
         result = follow(controller)
         forecaster = frozen_proof(controller, hash_before)
         baselines = {other: follow(contestant(other)) for other in scenario.baselines if other != name}
+        equal = None
+        if THERMOSTAT in baselines and find_entry(name).needs_model and searches_equal_comfort(scenario):
+
+            def at(shift_K: float) -> Mapping[str, float]:
+                options = shifted_options(controller_options(scenario, THERMOSTAT), testcase, shift_K)
+                thermostat = build_controller(THERMOSTAT, options, testcase)
+                allowed = limits_of(thermostat, testcase.area_m2, min(testcase.layout.lowest))
+                # Not part of the run that a journal tells: it is searched again where that is resumed.
+                inside = plant.inside if isinstance(plant, JournaledPlant) else plant
+                return run_closed_loop(inside, thermostat, period, scenario.price, allowed=allowed).kpis
+
+            with display.working("Searching the thermostat that is as comfortable"):
+                equal = as_comfortable(at, baselines[THERMOSTAT].kpis, result.kpis[DISCOMFORT])
         usable = {who: model for who, model in models.items() if not isinstance(model, str)}
         origins = origins_of(identified, name)
         if actuation and origins:
             origins["actuation"] = actuation
         if isinstance(plant, JournaledPlant) and plant.differing:
             display.say(f"{counted(plant.differing, 'step')} planned otherwise than then; what acted then counts")
-        return ScenarioResult(scenario, plant.info, result, baselines, usable, origins, forecaster)
+        return ScenarioResult(scenario, plant.info, result, baselines, usable, origins, forecaster, equal)
 
 
 def _identified(

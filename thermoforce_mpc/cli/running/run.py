@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from thermoforce_mpc.cli.options import scenario_from, scenario_options
+from thermoforce_mpc.cli.options import equal_comfort_option, scenario_from, scenario_options
 
 
 @click.command(short_help="Run a controller over a scored window and report KPIs.")
@@ -18,6 +18,7 @@ from thermoforce_mpc.cli.options import scenario_from, scenario_options
 @click.option("--model", type=click.Path(path_type=Path), help="Saved model to use instead of probing first.")
 @click.option("--backbone", metavar="NAME", help="Forecaster: shipped, a local directory, or a hub name.")
 @click.option("--baselines", metavar="A,B", help="Baselines to run; '' for none.  [default: native,thermostat]")
+@equal_comfort_option
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder; must not exist.  [default: runs/...]")
 @click.option("--quiet", is_flag=True, help="Print only the final table.")
 def command(**options: Any) -> None:
@@ -25,7 +26,8 @@ def command(**options: Any) -> None:
 
     Builds the plant, probes it for a few days and identifies a model (or loads --model), runs the controller over the
     window after seven days of warm-up under native control, runs the baselines on the same plant, weather and window,
-    prints the KPIs of all controllers and writes a run folder with an HTML report.
+    and the thermostat at the set-point at which it is as comfortable as the controller. Prints the KPIs of all
+    controllers and writes a run folder with an HTML report.
 
     \b
     Examples:

@@ -7,17 +7,24 @@ by doubling steps and bisection.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
+from controllers.registry import controller_config
+from controllers.rules.thermostat import ThermostatConfig
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT
+
+THERMOSTAT = "thermostat"
 
 # What a thermostat may be less comfortable, K·h.
 ALLOWED_KH = 0.1
 # First step of the set-point, the step at which the search ends, and the farthest from where it began, K.
 _FIRST_K, _LAST_K, _FARTHEST_K = 0.2, 0.05, 1.6
 
-Kpis = dict[str, float]
+Kpis = Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -35,6 +42,15 @@ class AsComfortable:
     def saving(self, cost: float) -> float:
         """Share of its cost that a controller of this `cost` saves; NaN where the thermostat costs nothing."""
         return 1.0 - cost / self.kpis[COST] if self.kpis[COST] > 0.0 else float("nan")
+
+    def in_words(self, cost: float, currency: str) -> str:
+        """What it is beside a controller of this `cost`."""
+        kpis = self.kpis
+        what = f"a thermostat {self.shift_K:+.2f} K from its set-point ({kpis[COST]:.4f} {currency}/m², "
+        what += f"{kpis[DISCOMFORT]:.2f} K·h)"
+        saving = self.saving(cost)
+        less = f"{abs(saving):.1%} {'less' if saving >= 0.0 else 'more'} than {what}"
+        return f"{less} at equal comfort" if self.comparable else f"{less}; no set-point is as comfortable"
 
     def beaten(self, cost: float) -> bool | None:
         """Whether a controller of this `cost` is cheaper; None: dearer, and more comfortable than any set-point."""
@@ -80,3 +96,24 @@ def as_comfortable(run: Callable[[float], Kpis], default: Kpis, discomfort_Kh: f
         return AsComfortable(shift_K, tried[shift_K], True)
     shift_K = min(tried, key=lambda shift: tried[shift][DISCOMFORT])
     return AsComfortable(shift_K, tried[shift_K], False)
+
+
+def shifted_options(options: Mapping[str, Any], testcase: TestCase, shift_K: float) -> dict[str, Any]:
+    """Options of a thermostat whose zones are kept so much warmer where it heats, and cooler where it cools.
+
+    Raises:
+        ConfigError: wrong options.
+    """
+    config, layout = controller_config(THERMOSTAT, options, testcase), testcase.layout
+    assert isinstance(config, ThermostatConfig)
+    set_points = {
+        name: config.setpoints_C.get(name, config.setpoint_C) + sign * shift_K
+        for name, sign in zip(layout.names.actuators, layout.signs, strict=True)
+    }
+    cooling_C = config.cooling_setpoint_C - shift_K
+    return {**options, "setpoints_C": set_points, "cooling_setpoint_C": cooling_C}
+
+
+def searches_equal_comfort(scenario: Scenario) -> bool:
+    """Whether a scenario asks for it, or its plant is one whose further runs take seconds."""
+    return scenario.plant.kind == "embedded" if scenario.equal_comfort is None else scenario.equal_comfort

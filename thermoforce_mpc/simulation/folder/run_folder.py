@@ -169,8 +169,11 @@ def write_results(
     planning: Mapping[str, Planning],
     command: Sequence[str],
     forecaster: Mapping[str, Any],
+    equal: str = "",
 ) -> dict[str, Any]:
     """Write resolved configuration, trajectories, step log, KPIs and the manifest with hashes of the other files.
+
+    `equal`: the controller beside a thermostat that is as comfortable, in words.
 
     Returns:
         The content of `kpis.json`.
@@ -192,6 +195,7 @@ def write_results(
         "controller": result.controller,
         "kpis": result.kpis,
         "baselines": {name: baseline.kpis for name, baseline in baselines.items()},
+        "equal_comfort": equal,
         "gate": {name: asdict(gate) for name, gate in gates_held(result, baselines).items()},
     }
     write_json(folder / "kpis.json", kpis)

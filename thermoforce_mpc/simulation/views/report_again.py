@@ -61,6 +61,7 @@ def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[st
         "scored_days": result.period.scored_s / DAY_S,
         "price": run.scenario.price,
         "controller": result.controller,
+        "equal_comfort": (_json(folder / "kpis.json") or {}).get("equal_comfort", ""),
     }
     file = write_report(
         folder,
