@@ -14,15 +14,17 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from thermoforce_mpc.cli.options import execution_options
+from thermoforce_mpc.cli.options import equal_comfort_option, execution_options
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.execution import Outcome, TaskProgress, execute, source_fingerprint
 from thermoforce_mpc.execution.progress import summary
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
-from thermoforce_mpc.simulation.comparison.cells import Cell, expand
+from thermoforce_mpc.simulation.comparison.cells import Cell, Inputs, expand
+from thermoforce_mpc.simulation.comparison.equal_comfort import searches_equal_comfort
 from thermoforce_mpc.simulation.comparison.files import HEADINGS, headings, shown_figures, write_outcome
 from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT, group_title, grouped, verdicts
+from thermoforce_mpc.simulation.comparison.searching import EqualComfort
 from thermoforce_mpc.simulation.comparison.store import DONE, Store
 from thermoforce_mpc.simulation.comparison.tasks import failure, tasks_of
 from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant, comma_list, price_names
@@ -33,14 +35,14 @@ from thermoforce_mpc.simulation.views.whole_tables import print_whole
 UNCERTAINTIES = tuple(PlantSpec.model_fields["forecast_uncertainty"].annotation.__args__)  # type: ignore[union-attr]
 CELLS_FAILED = 3
 # KPIs that fit 80 columns; the files have all.
-_ON_CONSOLE = ("cost_tot", "tdis_tot", "ener_tot", "plan_ms", "fallbacks")
+_ON_CONSOLE = ("cost_tot", "tdis_tot", "saving", "ener_tot", "plan_ms", "fallbacks")
 
 Function = Callable[..., Any]
 
 
 def comparison_options(function: Function) -> Function:
     """Add the options that select cells, plant and parallel execution."""
-    function = execution_options()(function)
+    function = equal_comfort_option(execution_options()(function))
     for option in reversed(
         [
             click.option("--testcase", metavar="NAME", help="Test case: a name (see `tf-mpc testcases`) or YAML file."),
@@ -141,7 +143,7 @@ def scenario_options_from(options: Mapping[str, Any]) -> dict[str, Any]:
     assignments = list(options["assignments"])
     if options["identification_days"] is not None:
         assignments.insert(0, f"identification.days={options['identification_days']!r}")
-    unchanged = ("testcase", "config", "days", "weather", "seed", "model", "url", "fmu")
+    unchanged = ("testcase", "config", "days", "weather", "seed", "model", "url", "fmu", "equal_comfort")
     return {key: options[key] for key in unchanged} | {"prices": options["tariff_file"], "assignments": assignments}
 
 
@@ -164,7 +166,8 @@ def run_comparison(
         ConfigError: an option is wrong; no cell has been run.
         KeyboardInterrupt: interrupted; finished cells are stored.
     """
-    cells = expand(base, variants, axes.windows, axes.prices, axes.uncertainties)
+    inputs = Inputs()
+    cells = expand(base, variants, axes.windows, axes.prices, axes.uncertainties, inputs)
     testcase = load_testcase(base.testcase)
     store = Store(options["out"] or Path("runs") / f"{name}-{testcase.name}")
     console = Console(highlight=False, markup=False)
@@ -187,6 +190,9 @@ def run_comparison(
         )
         raise
     records = [_with_variant(cell, {**stored, **ran}[cell.key]) for cell in cells]
+    if searches_equal_comfort(base):
+        search = EqualComfort(store, inputs, testcase, lambda text: say(f"searching a thermostat: {text}"))
+        records = search.beside(cells, records)
     result = write_outcome(store.folder, records, name=name, title=title, currency=testcase.currency, swept=swept)
     show_outcome(console, result["rows"], testcase.currency)
     page = shlex.quote(str(store.folder / "comparison.html"))
@@ -234,7 +240,8 @@ def show_outcome(console: Console, rows: Sequence[dict[str, Any]], currency: str
         table.add_column("controller", overflow="fold", min_width=12)
         for key, heading in zip(HEADINGS, headings(currency), strict=True):
             if key in _ON_CONSOLE:
-                table.add_column(heading.replace("discomfort", "discomf.").replace(", ", "\n"), justify="right")
+                heading = heading.replace("discomfort", "discomf.").replace("saving at equal comfort", "saved")
+                table.add_column(heading.replace(", ", "\n"), justify="right")
         for row in members:
             figures = dict(zip(HEADINGS, shown_figures(row), strict=True))
             style = "bold" if row["pareto"] else None

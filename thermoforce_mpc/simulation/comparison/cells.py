@@ -118,6 +118,12 @@ class Inputs:
         return self._hashes[path]
 
 
+def varied(cell: Cell, name: str, options: Mapping[str, Any], inputs: Inputs) -> Cell:
+    """The cell of the same controller on the same window with other options; raises `ConfigError`."""
+    controller = cell.scenario.controller.model_copy(update={"options": dict(options)})
+    return _cell(name, cell.scenario.model_copy(update={"controller": controller}), inputs.made, inputs)
+
+
 def _provenance() -> dict[str, Any]:
     """What makes the results: this package, and the plugins with their content."""
     try:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 from controllers.registry import controller_config
@@ -51,6 +52,13 @@ class AsComfortable:
         saving = self.saving(cost)
         less = f"{abs(saving):.1%} {'less' if saving >= 0.0 else 'more'} than {what}"
         return f"{less} at equal comfort" if self.comparable else f"{less}; no set-point is as comfortable"
+
+    def to_json(self, cost: float, currency: str) -> dict[str, Any]:
+        """What a record of a comparison holds of it, for a controller of this `cost`."""
+        figures = {name: self.kpis[name] for name in (COST, DISCOMFORT)}
+        found = {"shift_K": self.shift_K, "kpis": figures, "comparable": self.comparable}
+        saving = self.saving(cost)
+        return found | {"saving": saving if isfinite(saving) else None, "in_words": self.in_words(cost, currency)}
 
     def beaten(self, cost: float) -> bool | None:
         """Whether a controller of this `cost` is cheaper; None: dearer, and more comfortable than any set-point."""

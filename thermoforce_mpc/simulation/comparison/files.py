@@ -26,6 +26,7 @@ from thermoforce_mpc.simulation.folder.run_folder import write_json
 HEADINGS = {
     "cost_tot": "cost, {currency}/m²",
     "tdis_tot": "discomfort, K·h",
+    "saving": "saving at equal comfort, %",
     "ener_tot": "energy, kWh/m²",
     "emis_tot": "CO₂, kg/m²",
     "pele_tot": "electric peak, kW/m²",
@@ -99,7 +100,9 @@ def shown_figures(row: Row) -> list[str]:
         if value is None:
             texts.append("–")
             continue
-        digits = {"cost_tot": ".4f", "tdis_tot": ".2f", "plan_ms": ".1f", "fallbacks": "d"}.get(key, ".4g")
+        digits = {"cost_tot": ".4f", "tdis_tot": ".2f", "saving": ".1f", "plan_ms": ".1f", "fallbacks": "d"}.get(
+            key, ".4g"
+        )
         texts.append(f"{value:{digits}}" + ("*" if row.get(_BEST.get(key, ""), False) else ""))
     return texts
 
@@ -155,8 +158,8 @@ def _zone_lines(members: Sequence[Row]) -> list[str]:
 def _csv(rows: Sequence[Row]) -> str:
     zones = dict.fromkeys(f"tdis_tot[{zone}]" for row in rows for zone in row["zones"])
     columns = [
-        "window", "price", "uncertainty", "controller", "status", *KPIS, *zones, "best_cost", "best_discomfort",
-        "pareto", "fallbacks", "plan_ms", "controller_s", "plant_s", "reason",
+        "window", "price", "uncertainty", "controller", "status", *KPIS, "saving", *zones, "best_cost",
+        "best_discomfort", "pareto", "fallbacks", "plan_ms", "controller_s", "plant_s", "reason",
     ]  # fmt: skip
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")

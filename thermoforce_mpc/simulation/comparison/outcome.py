@@ -22,7 +22,8 @@ Row = dict[str, Any]
 def outcome_rows(records: Iterable[Mapping[str, Any]]) -> list[Row]:
     """One row per cell, in the order given; units as in the KPIs of BOPTEST, times in s and ms.
 
-    `zones` has the discomfort of each zone by name, K·h; it is empty where there is one zone.
+    `zones` has the discomfort of each zone by name, K·h; it is empty where there is one zone. `saving` is the cost
+    saved against a thermostat that is as comfortable, %, and `equal_comfort` that in words, where it was searched.
 
     `best_cost`, `best_discomfort` and `pareto` (no other cell dominates it) refer to the cells of one group.
     Failed cells have None for every figure and a `reason`.
@@ -88,6 +89,7 @@ def verdicts(rows: Iterable[Row]) -> list[str]:
         baselines = [row for row in finished if not row["needs_model"]]
         for row in finished:
             if row["needs_model"]:
+                lines += [f"{title}: {row['controller']} costs {row['equal_comfort']}"] * bool(row["equal_comfort"])
                 lines += [f"{title}: {text}" for text in _losses(row, baselines)]
     return lines
 
@@ -142,6 +144,7 @@ def _row(record: Mapping[str, Any]) -> Row:
     is_done = record["status"] == DONE
     kpis = record["kpis"] if is_done else {}
     seconds = record["seconds"] if is_done else {}
+    equal = record.get("equal_comfort", {}) if is_done else {}
     return {
         "window": record["window"],
         "price": record["price"],
@@ -151,6 +154,8 @@ def _row(record: Mapping[str, Any]) -> Row:
         "status": record["status"],
         **{name: kpis.get(name) for name in KPIS},
         "zones": zone_kpis(kpis),
+        "saving": None if (saving := equal.get("saving")) is None else 100.0 * saving,
+        "equal_comfort": equal.get("in_words", ""),
         "best_cost": False,
         "best_discomfort": False,
         "pareto": False,

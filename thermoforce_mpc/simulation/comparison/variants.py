@@ -143,7 +143,7 @@ def variant_scenario(base: Scenario, variant: Variant, window: str, price: str, 
     data = merge(data, over)
     own = base.controller.options if variant.controller == base.controller.name else {}
     data["controller"] = {"name": variant.controller, "options": merge(own, variant.options)}
-    data["baselines"] = ()
+    data |= {"baselines": (), "equal_comfort": None}
     return validate(Scenario, data, f"variant of '{variant.controller}'")
 
 
