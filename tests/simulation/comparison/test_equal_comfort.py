@@ -2,11 +2,32 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 
 import pytest
+from click.testing import CliRunner
 
-from thermoforce_mpc.simulation.comparison.equal_comfort import AsComfortable, as_comfortable
+from controllers.registry import controller_config
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.simulation.comparison import searching
+from thermoforce_mpc.simulation.comparison.cells import Inputs, expand
+from thermoforce_mpc.simulation.comparison.equal_comfort import (
+    AsComfortable,
+    as_comfortable,
+    searches_equal_comfort,
+    shifted_options,
+)
+from thermoforce_mpc.simulation.comparison.outcome import outcome_rows, verdicts
+from thermoforce_mpc.simulation.comparison.searching import EqualComfort
+from thermoforce_mpc.simulation.comparison.store import Store
+from thermoforce_mpc.simulation.comparison.tasks import record_of
+from thermoforce_mpc.simulation.comparison.variants import Variant
+
+TESTCASE = "bestest_hydronic_heat_pump"
 
 
 class House:
@@ -58,3 +79,61 @@ def test_where_no_set_point_is_as_comfortable_it_is_the_best_there_is(house):
 
 def test_what_costs_nothing_has_no_share_to_save():
     assert math.isnan(AsComfortable(0.0, {"cost_tot": 0.0, "tdis_tot": 0.0}, True).saving(1.0))
+
+
+def test_set_points_move_to_where_zones_are_more_comfortable():
+    heated = load_testcase("bestest_hydronic_heat_pump")
+    options = shifted_options({"step_s": 600.0}, heated, 0.25)
+    assert options["step_s"] == 600.0
+    config = controller_config("thermostat", options, heated)
+    assert list(config.setpoints_C.values()) == [pytest.approx(21.3 + 0.25)]
+    both = load_testcase("bestest_air")
+    plain, moved = (controller_config("thermostat", options, both) for options in ({}, shifted_options({}, both, 0.25)))
+    assert moved.cooling_setpoint_C == pytest.approx(plain.cooling_setpoint_C - 0.25)
+    (name,) = both.layout.names.actuators
+    before = plain.setpoints_C.get(name, plain.setpoint_C)
+    assert moved.setpoints_C[name] == pytest.approx(before + 0.25)
+
+
+def test_it_is_searched_where_runs_take_seconds_or_where_asked_for():
+    assert searches_equal_comfort(Scenario(testcase=TESTCASE))
+    assert not searches_equal_comfort(Scenario(testcase=TESTCASE, equal_comfort=False))
+    service = {"kind": "boptest", "url": "http://127.0.0.1:1"}
+    assert not searches_equal_comfort(Scenario(testcase=TESTCASE, plant=service))
+    assert searches_equal_comfort(Scenario(testcase=TESTCASE, plant=service, equal_comfort=True))
+
+
+def test_cells_beside_thermostats_are_searched_once(tmp_path, monkeypatch):
+    """Native control stands for a controller with a model, which is identified elsewhere."""
+    inputs, testcase, store = Inputs(), load_testcase(TESTCASE), Store(tmp_path)
+    variants = {"thermostat": Variant(controller="thermostat"), "mine": Variant(controller="native")}
+    cells = expand(Scenario(testcase=TESTCASE, days=0.5), variants, ("44",), ("constant",), inputs=inputs)
+    store.create()
+    records = [record_of(cell) | {"needs_model": cell.variant == "mine"} for cell in cells]
+    said: list[str] = []
+    search = EqualComfort(store, inputs, testcase, said.append)
+    thermostat, mine = search.beside(cells, records)
+    assert "equal_comfort" not in thermostat
+    found = mine["equal_comfort"]
+    assert found["comparable"]
+    assert found["kpis"]["tdis_tot"] <= mine["kpis"]["tdis_tot"] + 0.1
+    assert found["saving"] == pytest.approx(1.0 - mine["kpis"]["cost_tot"] / found["kpis"]["cost_tot"])
+    assert found["in_words"] in said[0]
+    rows = outcome_rows([thermostat, mine])
+    assert [row["saving"] for row in rows] == [None, pytest.approx(100.0 * found["saving"])]
+    assert any(found["in_words"] in line for line in verdicts(rows))
+    monkeypatch.setattr(searching, "record_of", lambda cell: pytest.fail("it is stored"))
+    assert search.beside(cells, records)[1]["equal_comfort"] == found
+
+
+@pytest.mark.slow
+def test_a_run_says_what_it_saves_at_equal_comfort(tmp_path):
+    words = ["--testcase", TESTCASE, "--days", "0.5", "--set", "identification.days=1.5", "--out", str(tmp_path / "r")]
+    done = CliRunner().invoke(cli, ["run", *words])
+    assert done.exit_code == 0, done.output
+    said = json.loads((tmp_path / "r" / "kpis.json").read_text())["equal_comfort"]
+    assert re.match(
+        r"thermoforce_mpc costs [\d.]+% (less|more) than a thermostat [+-]\d\.\d\d K from its set-point", said
+    )
+    assert said in done.output
+    assert said in (tmp_path / "r" / "report.html").read_text()
