@@ -12,6 +12,7 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.machine.part_load import LevelCost
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import linear_operator
@@ -68,6 +69,18 @@ def test_notes_of_a_kind_are_told_once(tmp_path):
     assert "3 of 400 by linear interpolation (and 2 more of its kind)" in told
     assert told.count("note: probing went on") == 1
     assert "notes above" in told
+
+
+def test_what_heat_costs_at_the_levels_that_were_tried_is_told(tmp_path):
+    tried = LevelCost(0.25, 0.88, 0.1, 1.57, 0.17).numbers()
+    model = building(GOOD, GOOD)
+    cards = tuple(replace(card, uncertainty={**card.uncertainty, **tried}) for card in model.cards)
+    folder = replace(model, cards=cards).save(tmp_path / "model")
+    told = CliRunner().invoke(cli, ["inspect", str(folder)], catch_exceptions=False).output
+    assert (
+        told.count("Tried: at level 0.25 heat costs 0.88 ± 0.10 times as much as at full level; heat per level 1.57")
+        == 2
+    )
 
 
 @pytest.mark.parametrize(("verdicts", "may"), [((GOOD, GOOD), True), ((GOOD, POOR), False), ((POOR, GOOD), False)])

@@ -195,6 +195,11 @@ def _show_card(card: ModelCard, console: Console, notes_shown: Set[str]) -> None
         say(f"  note: {note}")
     if notes_shown & set(card.notes):
         say("  and the notes above that are of the same measurements")
+    from thermoforce_mpc.model.machine.part_load import level_costs
+
+    for cost in level_costs(card.uncertainty):
+        heat = f"; heat per level {cost.heat:.2f} ± {cost.heat_sd:.2f} times that of full level"
+        say(f"Tried: {cost}{heat}", soft_wrap=True)
     _show_competence(card, console)
 
 
