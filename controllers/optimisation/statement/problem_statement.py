@@ -105,8 +105,8 @@ def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
     if s.peak:
         cost += q["weights"][1] * POWER_UNIT_W * alg.highest("peak", total - q["reached"] / POWER_UNIT_W)
     if s.capped:
-        over = alg.at_least("over", total - q["limit"] / POWER_UNIT_W)
-        cost += q["weights"][2] * POWER_UNIT_W * ca.dot(lengths, over)
+        over_cap = alg.at_least("over_cap", total - q["limit"] / POWER_UNIT_W)
+        cost += q["weights"][2] * POWER_UNIT_W * ca.dot(lengths, over_cap)
     for term in s.terms:
         plan = PlanExpressions(alg, u, q["T_free"] + forced, power, slack, q["last_u"], s.step_s)
         term(plan)
