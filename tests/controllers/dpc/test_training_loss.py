@@ -107,7 +107,7 @@ def test_the_loss_is_the_cost_of_the_statement_in_units_of_full_level(sign, meas
         for b in range(B):
             worth = float(course.relative[b, FIRST + N : FIRST + N + 24].mean())
             problem = problem_of(found, b, operator, power, F0[b], levels, worth)
-            brought = model.evaluate(problem, model.held_numbers(problem), u[[b]])
+            brought = model.evaluate(problem, model.numbers(problem), u[[b]])
             costs.append(brought.cost)
             assert float(ended[b].sum()) == pytest.approx(brought.forced_K[0, -1], rel=1e-9)
         full_W = power.parts(found.T_out_C)
