@@ -17,7 +17,6 @@ from mpc_problems import (
 )
 
 from controllers.checks import ControllerConfigError
-from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import ProblemShape, Weights, blocked_moves, every_step
 from controllers.optimisation.solution import checked_solution

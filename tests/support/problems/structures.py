@@ -110,8 +110,8 @@ CASES = {
     ),
     "everything": Case(
         **SEVERAL, machinery=SHARES | {"cycles_below": (0.9, 0.0, 0.0), "exclusive": ((2, 3),), "lowest_level":
-        [1.0, 1.0, 1.0, 0.4]}, signed=2, peak=True, capped=True, bend=True, capacity=True, chosen_steps=3, blocked=(1, 2,
-        1, 2), convex=False,
+        [1.0, 1.0, 1.0, 0.4]}, signed=2, peak=True, capped=True, bend=True, capacity=True, chosen_steps=3,
+        blocked=(1, 2, 1, 2), convex=False,
     ),
 }  # fmt: skip
 
