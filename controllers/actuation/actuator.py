@@ -1,9 +1,9 @@
 """Conversion of a planned level into actuator blocks: on/off blocks at one level, or one level held for the step.
 
 A machine gives heat most cheaply at one level: a heat pump with a large fixed loss while on near full speed, one whose
-water gets hotter with the level near its lowest. In `modulating` mode levels above that are held for the step, and lower
-ones are made of blocks at it; in `duty` mode there is no higher one. This module converts the share of on-time into
-blocks that respect minimum on and off times across steps, and carries the unrealised remainder over to the next step.
+water gets hotter with the level near its lowest. In `modulating` mode levels above that are held for the step, and
+lower ones are made of blocks at it; in `duty` mode there is no higher one. This module converts the share of on-time
+into blocks that respect minimum on and off times across steps, and carries the unrealised remainder over to the next.
 With a lowest level of 0 any level is held (the paper's setting). In `supply` mode the level is the heat that the
 machine's water gives, which all its valves share: one that needs less is open for a part of the step.
 """

@@ -61,7 +61,7 @@ def choose_actuation(
     if config.mode != "auto":
         actuation = Actuation(config)
         return ActuationChoice(actuation, f"{actuation.in_words}, as configured", planned)
-    # Blocks at full level are the choice here, not all that the actuator can do; heat at a part level shows in its meter.
+    # Blocks at full level are the choice here, not all that the actuator can do: heat at part load shows in its meter.
     blocks = Actuation(config.model_copy(update={"mode": "duty"}), part_levels=heat_input.law is not None)
     if shared:
         laws = part_load(power, heat_input.law)

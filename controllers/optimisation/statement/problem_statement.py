@@ -12,8 +12,8 @@ For zones z, actuators a and machines m, over steps k of the plan,
                 Σ_m P_mk ≤ p_0 + p,   p ≥ 0                      p: peak power above the highest so far, p_0
                 Σ_m P_mk ≤ cap_k + o_k,   o_k ≥ 0                soft power cap
 
-Levels below 0 cool, at a price and power of their own. Below its lowest level l_a an actuator switches, on at that level
-for the share on_ak ≥ 0 of the step; above it, by e_ak ≥ max(0, u_ak − l_a), it holds the level and is on:
+Levels below 0 cool, at a price and power of their own. Below its lowest level l_a an actuator switches, on at that
+level for the share on_ak ≥ 0 of the step; above it, by e_ak ≥ max(0, u_ak − l_a), it holds the level and is on:
 
                 on_ak = (u_ak − e_ak) / l_a,   c_ak = l_a e_ak + e_ak²,   v_ak = drive_ak u_ak − sag_ak e_ak.
 

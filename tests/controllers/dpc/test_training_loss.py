@@ -85,7 +85,7 @@ def problem_of(
 @pytest.mark.parametrize("measured", [False, True])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_the_loss_is_the_cost_of_the_statement_in_units_of_full_level(sign, measured, levels):
-    """With the power that the machine draws: above its lowest level a plan counts the fixed part as dearer, not this."""
+    """With the power that the machine draws: a plan counts the fixed part as dearer above its lowest level."""
     lowest, highest = levels
     power = PowerModel(MachineLoad((1000.0, -10.0, 2500.0, 20.0), (-10.0, 15.0), lowest_level=lowest))
     heat = MachineLoad((1100.0, 30.0, 9000.0, 100.0), (-15.0, 20.0), lowest_level=lowest)
