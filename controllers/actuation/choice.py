@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from controllers.actuation.actuator import Actuation, ActuationConfig
+from controllers.checks import ControllerConfigError
 from thermoforce_mpc.model.machine.part_load import (
     SWITCH_FROM,
     LevelCost,
@@ -49,9 +50,17 @@ def choose_actuation(
         power: power of the machine, as identified.
         heat_input: heat of the actuator over its level.
         costs: what heat costs at levels below full.
-        shared: the machine feeds other actuators too, whose levels say what it costs; by the laws it is then switched
-            or any level held.
+        shared: the machine feeds other actuators too, whose levels say what it costs. By the laws it is then switched
+            or any level held, as where there are no `costs`.
+
+    Raises:
+        ControllerConfigError: levels above blocks are to be held, and the machine feeds other actuators too.
     """
+    if shared and config.mode == "modulating" and config.lowest_level > 0.0:
+        raise ControllerConfigError(
+            f"controller.options.actuation.lowest_level: {config.lowest_level:g} of an actuator that shares its machine, "
+            "whose blocks lie together; use mode: duty, or lowest_level: 0"
+        )
     planned = power
     if costs and not shared and (config.mode == "auto" or (config.mode == "modulating" and config.lowest_level > 0.0)):
         T_out_C = np.asarray(heat_input.reference_C)
@@ -63,15 +72,13 @@ def choose_actuation(
         return ActuationChoice(actuation, f"{actuation.in_words}, as configured", planned)
     # Blocks at full level are the choice here, not all that the actuator can do; a meter shows heat at a part level.
     blocks = Actuation(config.model_copy(update={"mode": "duty"}), part_levels=heat_input.law is not None)
-    if shared:
+    if shared or not costs:
         laws = part_load(power, heat_input.law)
         if laws is None:
             return ActuationChoice(blocks, f"{blocks.in_words}: the data hold off and full level only", power)
         if laws.at_half <= 1.0 + SWITCH_FROM:
             blocks = Actuation(config.model_copy(update={"mode": "modulating", "lowest_level": 0.0}))
         return ActuationChoice(blocks, f"{blocks.in_words}: {laws}", power)
-    if not costs:
-        return ActuationChoice(blocks, f"{blocks.in_words}: the data hold off and full level only", power)
     best = cheapest(costs)
     if best is None:
         told = min(costs, key=lambda one: one.cost)

@@ -98,8 +98,8 @@ class QPMember:
         self._model = PlanModel(operator, replace(shape.by_steps, terms=(power_of_steps,)))
         if not self._model.convex or self._model.structure.chosen:
             raise ControllerConfigError(
-                f"{name}: buildings that share power need a convex problem; use actuation mode duty and a model "
-                "without feedback"
+                f"{name}: buildings that share power need a convex problem; use a model without feedback, and "
+                "actuators that do not exclude one another"
             )
         self.name, self._config = name, config
         if problem.power_per_u2_W is not None:  # rows of power are linear in u: its chord, too high at part load

@@ -129,11 +129,10 @@ class MPCConfig(StrictModel):
     )
     solver: Literal["auto", "ipopt", "qp", "sqp", "milp", "search"] = Field(
         "auto",
-        description="ipopt: nonlinear programme; qp: quadratic programme, where power and heat are linear in u; sqp: "
-        "sequential quadratic programming, where the gain sees the predicted temperature; milp: choices between off "
-        "and on in the first hours by mixed-integer programming (modulating from a lowest level, actuators that "
-        "exclude one another); search: the paper's candidate trajectories; auto: milp with choices, else ipopt up to "
-        "two zones, qp or sqp beyond",
+        description="ipopt: nonlinear programme; qp: quadratic programme, where the problem is convex; sqp: sequential "
+        "quadratic programming, where the gain sees the predicted temperature; milp: which of actuators that exclude "
+        "one another acts in the first hours, by mixed-integer programming; search: the paper's candidate "
+        "trajectories; auto: milp with such choices, else ipopt up to two zones, qp or sqp beyond",
     )
     terms: Annotated[str | None, ADDED_LATER] = Field(
         None,

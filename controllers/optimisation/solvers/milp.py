@@ -146,7 +146,8 @@ class MilpSolver:
                 "solver: ipopt, or a model of feedback: false"
             )
         s, quadratic = self.model.structure, self.model.functions.local.sparsity_out(2).nnz()
-        if s.terms and quadratic > s.N * (s.A + 3 * len(s.signed)):  # of u², with u = v − cold
+        # Of u², with u = v − cold, and of how far levels are above the lowest.
+        if s.terms and quadratic > s.N * (s.A + 3 * len(s.signed) + len(s.stepped)):
             raise ControllerConfigError(
                 "solver milp: a term of the user is quadratic, which HiGHS leaves out; use solver: ipopt"
             )

@@ -87,16 +87,18 @@ class Numbers:
         price_of = p.price_per_W[machine_of]
         bend_W = np.zeros(drive.shape) if p.power_per_u2_W is None else p.power_per_u2_W
         per_u_W, fixed_W, fixed_cost = self._switching(p, bend_W)
+        # Where energy earns, over a step of the plan, nothing sags: it would pay to give less heat for more power.
+        heat_cost = self._sum(price_of * per_u_W)
         low_K, high_K = self._inside(p)
         values: dict[str, Array | float] = {
             "begin": self._begin(p.forced_state_K),
             "forced": p.forced_state_K[self._z, self._a],
             "drive": self._mean(drive),
-            "sag": self._mean(sag),
+            "sag": np.where(heat_cost < 0.0, 0.0, self._mean(sag)),
             "worth": self._sum(worth),
             "kept": float((p.terminal_price_per_K * self._faded * p.forced_state_K).sum()),
             "per_u": self._mean(per_u_W),
-            "heat_cost": self._sum(price_of * per_u_W),
+            "heat_cost": heat_cost,
             "bend": self._mean(bend_W),
             "bend_cost": self._sum(np.maximum(price_of, 0.0) * bend_W),
             "T_free": p.T_free_C[:, self._lasts],
@@ -173,7 +175,7 @@ class Numbers:
     def _drive(self, p: MPCProblem) -> tuple[Array, Array]:
         """Drive of the modes per level, and what of it each level above the lowest lacks, (A, control steps).
 
-        With a known gain. Where energy earns, nothing lacks: it would pay to give less heat for more power.
+        With a known gain.
         """
         s, machinery = self._s, self._shape.machinery
         n = p.n_steps
@@ -188,6 +190,5 @@ class Numbers:
                 at_lowest = pair.heat_input(np.full(n, lowest), T_out_C)
                 slope = (full - at_lowest) / (highest - lowest)
                 drive[a] = m * at_lowest / lowest
-                earns = p.price_per_W[machinery.machine_of[a]] < 0.0
-                sag[a] = np.where(earns, 0.0, np.maximum(drive[a] - m * slope, 0.0))
+                sag[a] = np.maximum(drive[a] - m * slope, 0.0)
         return drive, sag

@@ -13,7 +13,7 @@ For zones z, actuators a and machines m, over steps k of the plan,
                 Σ_m P_mk ≤ cap_k + o_k,   o_k ≥ 0                soft power cap
 
 Levels below 0 cool, at a price and power of their own. Below its lowest level l_a an actuator switches, on at that
-level for the share on_ak of the step; above it, by e_ak ≥ max(0, u_ak − l_a), it holds the level and is on:
+level for the share on_ak ≥ 0 of the step; above it, by e_ak ≥ max(0, u_ak − l_a), it holds the level and is on:
 
                 on_ak = (u_ak − e_ak) / l_a,   c_ak = l_a e_ak + e_ak²,   v_ak = drive_ak u_ak − sag_ak e_ak.
 
@@ -105,8 +105,8 @@ def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
     if s.peak:
         cost += q["weights"][1] * POWER_UNIT_W * alg.highest("peak", total - q["reached"] / POWER_UNIT_W)
     if s.capped:
-        over = alg.at_least("over", total - q["limit"] / POWER_UNIT_W)
-        cost += q["weights"][2] * POWER_UNIT_W * ca.dot(lengths, over)
+        over_cap = alg.at_least("over_cap", total - q["limit"] / POWER_UNIT_W)
+        cost += q["weights"][2] * POWER_UNIT_W * ca.dot(lengths, over_cap)
     for term in s.terms:
         plan = PlanExpressions(alg, u, q["T_free"] + forced, power, slack, q["last_u"], s.step_s)
         term(plan)
@@ -120,6 +120,7 @@ def _over(alg: Algebra, q: Parameters, s: Structure, heat: ca.SX) -> tuple[ca.SX
     if rows:
         lowest = ca.repmat(q["lowest"][rows], 1, s.N)
         over[rows, :] = alg.at_least("over", heat[rows, :] - lowest)
+        alg.require("", heat[rows, :] - over[rows, :])  # else what sags would cool while the level is 0
         curve[rows, :] = lowest * over[rows, :] + over[rows, :] ** 2
     return over, curve
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
+from controllers.checks import ControllerConfigError
 
 HOUR = 3600.0
 
@@ -28,18 +29,21 @@ def mean_level(blocks) -> float:
 
 
 @given(
-    st.lists(st.floats(0, 1), min_size=1, max_size=40), st.sampled_from([300.0, 900.0]), st.sampled_from([900.0, HOUR])
+    st.lists(st.floats(0, 1), min_size=1, max_size=40),
+    st.sampled_from([300.0, 900.0]),
+    st.sampled_from([900.0, HOUR]),
+    st.sampled_from([{}, {"mode": "modulating", "lowest_level": 0.4}]),
 )
-def test_duty_blocks_fill_the_step_and_respect_minimum_times(levels, block_s, step_s):
-    actuation = Machine(block_s=block_s, min_on_s=900.0, min_off_s=900.0)
+def test_blocks_fill_the_step_and_respect_minimum_times(levels, block_s, step_s, mode):
+    actuation = Machine(block_s=block_s, min_on_s=900.0, min_off_s=900.0, **mode)
     states = []
     for u in levels:
         blocks = actuation.realise(u, step_s)
         assert sum(b.duration_s for b in blocks) == pytest.approx(step_s)
         for block in blocks:
-            assert block.u in ((0.0,), (1.0,))
+            assert block.u[0] in ((0.0, max(u, 0.4)) if mode else (0.0, 1.0))
             assert block.duration_s % block_s == 0
-            states += [block.u] * round(block.duration_s / block_s)
+            states += [block.u[0] > 0.0] * round(block.duration_s / block_s)
     # Runs of one state, but for the first (the machine had been off before) and the last, which the test cuts.
     runs, length = [], 1
     for before, now in itertools.pairwise(states):
@@ -70,10 +74,41 @@ def test_a_running_machine_keeps_running_at_the_start_of_the_next_step():
     assert [b.u[0] for b in first + second] == [0.0, 1.0, 1.0, 0.0]
 
 
-@pytest.mark.parametrize(("u", "held"), [(0.0, 0.0), (0.1, 0.0), (0.2, 0.3), (0.3, 0.3), (0.77, 0.77), (1.0, 1.0)])
-def test_modulating_is_off_or_at_least_the_lowest_level(u, held):
-    (block,) = Machine(mode="modulating", lowest_level=0.3).realise(u, HOUR)
-    assert (block.u, block.duration_s) == ((held,), HOUR)
+@pytest.mark.parametrize(
+    ("u", "expected"),
+    [
+        (0.0, [(0.0, HOUR)]),
+        (0.1, [(0.0, 2 / 3 * HOUR), (0.3, 1 / 3 * HOUR)]),
+        (0.2, [(0.0, 1 / 3 * HOUR), (0.3, 2 / 3 * HOUR)]),
+        (0.3, [(0.3, HOUR)]),
+        (0.77, [(0.77, HOUR)]),
+        (1.0, [(1.0, HOUR)]),
+    ],
+)
+def test_modulating_holds_levels_from_the_lowest_and_makes_lower_ones_of_blocks_at_it(u, expected):
+    blocks = Machine(mode="modulating", lowest_level=0.3).realise(u, HOUR)
+    assert [(block.u[0], block.duration_s) for block in blocks] == expected
+
+
+def test_a_held_level_and_blocks_follow_one_another_without_a_stop():
+    """A machine that holds 0.8 goes on in blocks at its lowest level, and one in blocks goes up while it is on."""
+    actuation = Machine(mode="modulating", lowest_level=0.4, block_s=300.0)
+    steps = [actuation.realise(u, HOUR) for u in (0.8, 0.2, 0.2, 0.6)]
+    assert [block.u[0] for blocks in steps for block in blocks] == [0.8, 0.4, 0.0, 0.0, 0.4, 0.6]
+
+
+def test_with_a_lowest_level_of_zero_any_level_is_held():
+    machine = Machine(mode="modulating", lowest_level=0.0)
+    for u in (0.0, 0.02, 0.5, 1.0):
+        assert [(block.u[0], block.duration_s) for block in machine.realise(u, 300.0)] == [(u, 300.0)]
+    assert (machine.actuation.switches, machine.actuation.lowest_level) == (False, 1.0)
+
+
+@pytest.mark.parametrize("mode", [{"mode": "duty"}, {"mode": "modulating", "lowest_level": 0.3}])
+def test_a_step_that_holds_no_two_blocks_is_refused_where_blocks_are_made(mode):
+    with pytest.raises(ControllerConfigError, match=r"cannot share a step of 300 s; .* lowest_level: 0"):
+        Actuation(ActuationConfig(block_s=300.0, **mode)).check_step(300.0)
+    Actuation(ActuationConfig(block_s=300.0, mode="modulating", lowest_level=0.0)).check_step(300.0)
 
 
 def test_blocks_shorter_than_the_minimum_are_finished_in_the_next_step():

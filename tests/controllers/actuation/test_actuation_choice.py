@@ -1,4 +1,4 @@
-"""The choice between on/off blocks and modulation, from the identified laws."""
+"""The level at which a machine is switched, from what heat costs at part load or from the identified laws."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.machine.part_load import LevelCost
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.plants.testcases import load_testcase
@@ -33,9 +34,52 @@ def law(fixed: float, per_u: float, lowest: float = 0.2, seen: bool = True) -> M
     return MachineLoad((fixed, 0.0, per_u, 0.0), (-10.0, 20.0), lowest, levels_seen=seen)
 
 
-def choose(power: MachineLoad, heat: MachineLoad | None = None, **options):
+def cost(level: float, cost: float) -> LevelCost:
+    return LevelCost(level, cost, 0.03, 1.0, 0.02)
+
+
+def choose(power: MachineLoad, heat: MachineLoad | None = None, costs=(), *, shared: bool = False, **options):
     heat_input = IDENTITY if heat is None else HeatInput(heat=heat)
-    return choose_actuation(ActuationConfig(**options), PowerModel(power), heat_input)
+    return choose_actuation(ActuationConfig(**options), PowerModel(power), heat_input, costs, shared=shared)
+
+
+FIXED_SPEED = law(1300, 1700)
+
+
+@pytest.mark.parametrize(
+    ("costs", "lowest", "words"),
+    [
+        ((), None, "on/off blocks at 1.00: the data hold off and full level only"),
+        (((0.25, 1.6), (0.5, 1.2)), None, "on/off blocks at 1.00: at level 0.50 heat costs 1.20 ± 0.03 times as much"),
+        (((0.25, 1.1), (0.5, 0.85)), 0.5, "levels from 0.50 held for the step, on/off blocks below: at level 0.50"),
+        (((0.25, 0.7), (0.5, 0.85)), 0.25, "levels from 0.25 held for the step, on/off blocks below: at level 0.25"),
+        (((0.25, 1.01),), 0.25, "levels from 0.25 held"),
+        (((0.25, 1.03),), None, "on/off blocks at 1.00: at level 0.25"),
+    ],
+    ids=["unseen", "fixed speed", "inverter", "hot water", "the same but for noise", "dearer"],
+)
+def test_a_machine_is_switched_where_heat_costs_least(costs, lowest, words):
+    choice = choose(FIXED_SPEED, None, [cost(*one) for one in costs])
+    assert words in choice.why
+    assert choice.actuation.modulates is (lowest is not None)
+    assert choice.actuation.block_level == (lowest or 1.0)
+    if lowest is None:
+        assert choice.power.load == FIXED_SPEED, "blocks at full level draw what was identified there"
+
+
+@pytest.mark.parametrize("heat", [None, law(1700, 8300)], ids=["levels", "measured heat"])
+def test_plans_count_with_the_cost_of_heat_that_was_found(heat):
+    costs = [cost(0.5, 0.85), cost(0.25, 0.8)]
+    choice = choose(FIXED_SPEED, heat, costs)
+    full_W, share = 3000.0, (lambda u: u) if heat is None else (lambda u: float(heat(u, 0.0)) / 10000.0)
+    assert choice.power.at_lowest_level(0.25)(np.array(1.0), 0.0) == pytest.approx(full_W, rel=1e-3)
+    for one in costs:
+        planned_W = float(choice.power.at_lowest_level(0.25)(np.array(one.level), 0.0))
+        assert planned_W == pytest.approx(one.cost * share(one.level) * full_W, rel=0.03)
+    named = choose(FIXED_SPEED, heat, costs, mode="modulating", lowest_level=0.5)
+    assert named.power.load == choice.power.load
+    for stays in ({"mode": "duty"}, {"mode": "modulating", "lowest_level": 0.0}):
+        assert choose(FIXED_SPEED, heat, costs, **stays).power.load == FIXED_SPEED
 
 
 @pytest.mark.parametrize(
@@ -44,37 +88,44 @@ def choose(power: MachineLoad, heat: MachineLoad | None = None, **options):
         (law(1300, 1700), law(1000, 9000), False, r"on/off blocks at 1\.00: 43 % of full power and 10 % of full heat"),
         (law(600, 5000), None, False, r"11 % of full power .* 1\.11 times the power per heat"),
         (law(0, 5600), None, True, r"modulating, any level held for the step: 0 % of full power"),
-        (law(200, 5400), None, True, r"modulating, any level held"),
         (law(500, 2500), law(1700, 8300), True, r"modulating, any level held"),
-        (law(0, 3000), law(2500, 7500), True, r"modulating, off or at least 0\.20 held .* 0\.80 times"),
+        (law(0, 3000), law(2500, 7500), True, r"modulating, any level held .* 0\.80 times"),
         (law(0, 3000, 1.0, seen=False), None, False, r"the data hold off and full level only"),
     ],
-    ids=["heat pump", "fan", "boiler", "pump", "both fixed", "inverter", "unseen"],
+    ids=["heat pump", "fan", "boiler", "both fixed", "inverter", "unseen"],
 )
-def test_the_laws_decide(power, heat, modulates, words):
-    choice = choose(power, heat)
+def test_the_laws_decide_of_a_machine_that_feeds_several(power, heat, modulates, words):
+    choice = choose(power, heat, [cost(0.5, 0.7)], shared=True)
     assert choice.actuation.modulates is modulates
+    assert not (modulates and choice.actuation.switches), "it cannot hold levels of one actuator above blocks of it"
     assert re.search(words, choice.why), choice.why
+    assert choice.power.load == power
 
 
 def test_a_named_mode_stays():
     assert choose(law(1300, 1700), mode="modulating").actuation.modulates
-    assert not choose(law(0, 3000), mode="duty").actuation.modulates
+    assert not choose(law(0, 3000), None, [cost(0.5, 0.7)], mode="duty").actuation.modulates
     assert "as configured" in choose(law(0, 3000), mode="duty").why
 
 
-def test_a_machine_without_a_fixed_part_is_a_quadratic_programme_at_any_level():
+def test_the_cost_on_the_card_of_a_model_is_in_the_plan():
     model = simple_model()
     boiler = replace(model, power=(PowerModel(law(0.0, 4300.0)),))
     controller = ThermoForceMPC(boiler, MPCConfig(step_s=None), free_response=object())
-    assert controller.solver.model.convex
+    assert controller.actuation_in_words.startswith("on/off blocks at 1.00")
+    told = replace(model.only.card, uncertainty=model.only.card.uncertainty | cost(0.25, 0.8).numbers())
+    controller = ThermoForceMPC(replace(boiler, cards=(told,)), MPCConfig(step_s=None), free_response=object())
+    assert controller.actuation_in_words.startswith("modulating, levels from 0.25 held")
+    assert controller.solver.model.structure.stepped == (0,)
     assert not controller.solver.model.structure.chosen
-    assert controller.actuation_in_words.startswith("modulating, any level")
-    actuators = Actuators(controller.model.layout, [choose(law(0.0, 4300.0)).actuation])
-    (block,) = actuators.realise([0.07], 3600.0, actuators.now(None, beginning())).together()
-    assert block.u == (0.07,)
-    (block,) = actuators.realise([1e-7], 3600.0, actuators.now(None, beginning())).together()
-    assert block.u == (0.0,), "what a solver leaves of zero does not run the pump"
+
+
+def test_what_a_solver_leaves_of_zero_does_not_run_a_pump_that_holds_any_level():
+    choice = choose(law(0.0, 4300.0), mode="modulating", lowest_level=0.0)
+    actuators = Actuators(simple_model().layout, [choice.actuation])
+    for u, held in ((0.07, 0.07), (1e-7, 0.0)):
+        (block,) = actuators.realise([u], 3600.0, actuators.now(None, beginning())).together()
+        assert block.u == (held,)
 
 
 def test_set_points_modulate_and_rules_follow_the_map():
@@ -92,8 +143,8 @@ def test_set_points_modulate_and_rules_follow_the_map():
 def test_probing_sees_part_load_where_it_is_to_be_decided():
     pump = Scenario(testcase="bestest_hydronic_heat_pump")
     probing, identification = identification_settings(pump, load_testcase(pump.testcase))
-    assert (probing.levels, probing.trial_levels) == ((0.0, 1.0), (0.5,))
-    assert identification.lowest_level == 0.5
+    assert (probing.levels, probing.trial_levels) == ((0.0, 1.0), (0.5, 0.25))
+    assert identification.lowest_level == 0.25
     named = Scenario(testcase=pump.testcase, controller={"options": {"actuation": {"mode": "duty"}}})
     probing, identification = identification_settings(named, load_testcase(pump.testcase))
     assert (probing.trial_levels, identification.lowest_level) == ((), None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -171,8 +171,19 @@ def _of_two_rooms(**changes: object) -> QPMember:
     return QPMember("rooms", operator, ProblemShape(every_step(N), problem.machinery), problem, _CONFIG)
 
 
-def test_power_that_grows_faster_than_heat_keeps_its_share_of_the_limit() -> None:
-    curved = _of_two_rooms(power_per_u2_W=np.full((2, N), 2000.0))
+def _of_two_machines(**changes: object) -> QPMember:
+    """The same with a machine in each room, which holds levels from 0.4 or 0.6 on and switches below."""
+    rng = np.random.default_rng(4)
+    operator = random_building(rng, 2, (1, 1))
+    machinery = machinery_of(operator, (0, 1), lowest_level=np.array([0.4, 0.6]))
+    problem = random_building_problem(rng, operator, machinery)
+    problem = replace(problem, T_free_C=np.full((2, N), 15.0), lower_C=np.full((2, N), 17.0), **changes)
+    return QPMember("rooms", operator, ProblemShape(every_step(N), machinery), problem, _CONFIG)
+
+
+@pytest.mark.parametrize("of", [_of_two_rooms, _of_two_machines])
+def test_power_that_grows_faster_than_heat_keeps_its_share_of_the_limit(of: Callable[..., QPMember]) -> None:
+    curved = of(power_per_u2_W=np.full((2, N), 2000.0))
     nothing = np.zeros(N)
     free = curved.answer(nothing, nothing, 0.0)
     assert free is not None
@@ -226,9 +237,8 @@ def test_one_iteration_leaves_a_limit_that_holds() -> None:
 
 def test_a_problem_that_is_not_convex_is_refused() -> None:
     rng = np.random.default_rng(1)
-    operator = building_operator(1, 0, rng)
-    problem = replace(building_problem(operator, rng), power_cap=None)
-    held = replace(problem.machinery, lowest_level=np.array([0.3]))
-    shape = ProblemShape(blocked_moves(problem.n_steps, 900.0, 6.0, 2.0), held)
+    operator = random_building(rng, 2, (1, 1))
+    either = machinery_of(operator, (0, 1), exclusive=((0, 1),))
+    problem = random_building_problem(rng, operator, either)
     with pytest.raises(ControllerConfigError, match="convex"):
-        QPMember("house", operator, shape, replace(problem, machinery=held), _CONFIG)
+        QPMember("house", operator, ProblemShape(every_step(N), either), problem, _CONFIG)

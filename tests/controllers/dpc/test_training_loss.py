@@ -85,6 +85,7 @@ def problem_of(
 @pytest.mark.parametrize("measured", [False, True])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_the_loss_is_the_cost_of_the_statement_in_units_of_full_level(sign, measured, levels):
+    """With the power that the machine draws: a plan counts the fixed part as dearer above its lowest level."""
     lowest, highest = levels
     power = PowerModel(MachineLoad((1000.0, -10.0, 2500.0, 20.0), (-10.0, 15.0), lowest_level=lowest))
     heat = MachineLoad((1100.0, 30.0, 9000.0, 100.0), (-15.0, 20.0), lowest_level=lowest)
@@ -107,8 +108,12 @@ def test_the_loss_is_the_cost_of_the_statement_in_units_of_full_level(sign, meas
         for b in range(B):
             worth = float(course.relative[b, FIRST + N : FIRST + N + 24].mean())
             problem = problem_of(found, b, operator, power, F0[b], levels, worth)
-            brought = model.evaluate(problem, model.held_numbers(problem), u[[b]])
-            costs.append(brought.cost)
+            brought = model.evaluate(problem, model.numbers(problem), u[[b]])
+            drawn_W = power.at_lowest_level(lowest)(u[b], found.T_out_C[b, FIRST : FIRST + N])
+            energy_cost = problem.price_per_W[0] * drawn_W
+            if lowest >= highest:
+                np.testing.assert_allclose(brought.energy_cost, energy_cost)
+            costs.append(brought.cost + float((energy_cost - brought.energy_cost).sum()))
             assert float(ended[b].sum()) == pytest.approx(brought.forced_K[0, -1], rel=1e-9)
         full_W = power.parts(found.T_out_C)
         full = N * (found.price_per_kWh * STEP_S / 3.6e6 * (full_W[0] + full_W[1])).mean()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
@@ -29,7 +28,7 @@ def test_the_scenario_says_what_the_paper_prints():
 
 
 def test_a_machine_with_a_fixed_part_is_planned_at_any_level_without_a_choice():
-    options = {"mode": "modulating", "lowest_level": 0.0, "proportional": True}
+    options = {"mode": "modulating", "lowest_level": 0.0}
     testcase = load_testcase("bestest_hydronic_heat_pump")
     config = controller_config("thermoforce_paper", {}, testcase)
     assert config.actuation == ActuationConfig(**options)
@@ -43,9 +42,3 @@ def test_a_machine_with_a_fixed_part_is_planned_at_any_level_without_a_choice():
     assert np.any((plan.u > 0.01) & (plan.u < 0.29)), "also levels below 0.3"
     assert [block.duration_s for block in plan.blocks] == [HOUR_S]
     assert plan.blocks[0].u[0] == pytest.approx(plan.u[0, 0], abs=1e-3)
-
-
-@pytest.mark.parametrize("wrong", [{"mode": "duty"}, {"mode": "modulating", "lowest_level": 0.3}])
-def test_a_proportional_level_belongs_to_levels_from_zero(wrong):
-    with pytest.raises(ValidationError, match="proportional belongs to mode modulating with lowest_level 0"):
-        ActuationConfig(proportional=True, **wrong)

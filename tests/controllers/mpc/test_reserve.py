@@ -13,8 +13,9 @@ from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence, HorizonScore
 from thermoforce_mpc.model.operator.parameters import linear_operator
 
-MODULATING = Actuation(ActuationConfig(mode="modulating", lowest_level=0.0), proportional=True)
+MODULATING = Actuation(ActuationConfig(mode="modulating", lowest_level=0.0))
 BLOCKS = Actuation(ActuationConfig(mode="duty"))
+LOW_BLOCKS = Actuation(ActuationConfig(mode="modulating", lowest_level=0.4))
 
 
 def operator(K_per_h: float, step_s: float = 900.0):
@@ -48,6 +49,7 @@ def test_a_fast_zone_keeps_more_for_each_thing_that_a_plan_cannot_see():
     assert reserve_K(fast, MODULATING, card(0.2)) == pytest.approx(0.1)
     assert reserve_K(fast, MODULATING, card(0.2, 0.1)) > reserve_K(fast, MODULATING, card(0.2))
     assert 0.05 < reserve_K(fast, BLOCKS, card()) < 0.2
+    assert reserve_K(fast, LOW_BLOCKS, card()) == pytest.approx(0.4 * reserve_K(fast, BLOCKS, card()))
     assert reserve_K(operator(3.0), BLOCKS, card()) > reserve_K(fast, BLOCKS, card())
     cooling = replace(fast, gains=-fast.gains, sign=-1)
     assert reserve_K(cooling, BLOCKS, card()) == reserve_K(fast, BLOCKS, card())

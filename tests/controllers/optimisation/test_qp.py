@@ -7,10 +7,16 @@ from dataclasses import replace
 import numpy as np
 import numpy_problem
 import pytest
-from mpc_problems import N, linear_programme_optimum, random_operator, random_problem
+from mpc_problems import (
+    N,
+    linear_programme_optimum,
+    machinery_of,
+    random_building,
+    random_operator,
+    random_problem,
+)
 
 from controllers.checks import ControllerConfigError
-from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import ProblemShape, Weights, blocked_moves, every_step
 from controllers.optimisation.solution import checked_solution
@@ -107,9 +113,10 @@ def test_a_failed_solve_does_not_spoil_the_next():
 
 
 def test_a_problem_that_is_not_convex_is_refused_with_advice():
-    pair = random_operator(np.random.default_rng(0), 1)
-    with pytest.raises(ControllerConfigError, match=r"use actuation mode duty .*or solver: ipopt"):
-        QPSolver(single(pair), ProblemShape(every_step(N), EquipmentLayout.one(lowest_level=0.3)), QPConfig())
+    rng = np.random.default_rng(0)
+    pair, two = random_operator(rng, 1), random_building(rng, 2, (1, 1))
+    with pytest.raises(ControllerConfigError, match=r"exclude one another.* use a model .*or solver: ipopt"):
+        QPSolver(two, ProblemShape(every_step(N), machinery_of(two, (0, 1), exclusive=((0, 1),))), QPConfig())
     heat = MachineLoad((1000.0, 0.0, 9000.0, 0.0), (-10.0, 20.0), lowest_level=0.3)
     with pytest.raises(ControllerConfigError, match=r"known for a lowest level of 0\.3, not 1"):
         QPSolver(single(replace(pair, heat_input=HeatInput(heat=heat))), ProblemShape(every_step(N)), QPConfig())

@@ -29,24 +29,39 @@ def test_ipopt_finds_the_optimum_of_the_linear_programme(order):
         assert float(numpy_problem.cost(problem, operator, solution.u)) == pytest.approx(best, rel=1e-5, abs=1e-5)
 
 
-def test_the_numpy_objective_counts_the_fixed_part_while_on():
+@pytest.mark.parametrize(
+    ("level", "share", "at"),
+    [(0.25, 0.5, 0.5), (0.5, 1.0, 0.5), (0.75, 1.0, 0.75)],
+    ids=["switched", "at the lowest level", "held"],
+)
+def test_the_numpy_objective_counts_the_fixed_part_while_on(level, share, at):
     rng = np.random.default_rng(0)
     problem = random_problem(rng, 1, lowest=0.5)
-    u = np.full((1, N), 0.75)
-    expected = (problem.price_per_kWh * (problem.power_fixed_W + 0.75 * problem.power_per_u_W) / 1000).sum()
+    problem = replace(problem, power_per_u2_W=4.5 * problem.power_fixed_W)
+    u = np.full((1, N), level)
+    power_W = share * (problem.power_fixed_W + at * problem.power_per_u_W + at**2 * problem.power_per_u2_W)
+    np.testing.assert_allclose(numpy_problem.power_W(problem, u), power_W)
+    expected = (problem.price_per_kWh * power_W / 1000).sum()
     operator = single(random_operator(rng, 1))
     slack = numpy_problem.slack_K(problem, problem.T_free_C + numpy_problem.forced_K(problem, operator, u))
     assert float(numpy_problem.cost(problem, operator, u)) == pytest.approx(expected + 5.0 * slack.sum())
 
 
-def test_ipopt_is_never_worse_than_the_candidates_when_levels_are_held():
+def test_a_fixed_part_that_is_not_worth_a_higher_level_counts_in_proportion_to_it():
+    """Power per heat falls above the lowest level, where only a curve would say how far: it counts as at that level."""
+    problem = random_problem(np.random.default_rng(0), 1, lowest=0.5)
+    at_lowest_W = problem.power_fixed_W + 0.5 * problem.power_per_u_W
+    np.testing.assert_allclose(numpy_problem.power_W(problem, np.full((1, N), 0.75)), 1.5 * at_lowest_W)
+    bent = replace(problem, power_per_u2_W=2.0 * problem.power_fixed_W)  # half of the fixed part is worth it
+    expected = (0.5 + 0.5 * 1.5 + 0.75**2 * 2.0) * problem.power_fixed_W + 0.75 * problem.power_per_u_W
+    np.testing.assert_allclose(numpy_problem.power_W(bent, np.full((1, N), 0.75)), expected)
+
+
+def test_ipopt_is_never_worse_than_the_candidates_of_a_machine_that_switches_and_holds():
     rng = np.random.default_rng(3)
     operator = single(random_operator(rng, 2))
     shape = ProblemShape(every_step(N), EquipmentLayout.one(lowest_level=0.3))
-    ipopt = IpoptSolver(operator, shape, IpoptConfig())
-    search = CandidateSearch(
-        operator, ProblemShape(every_step(N), EquipmentLayout.one(lowest_level=0.3)), SearchConfig()
-    )
+    ipopt, search = IpoptSolver(operator, shape, IpoptConfig()), CandidateSearch(operator, shape, SearchConfig())
     for _ in range(5):
         problem = random_problem(rng, 2, lowest=0.3, curvature=1e-6)
         ours, theirs = ipopt.solve(problem), search.solve(problem)

@@ -45,16 +45,13 @@ def is_numpys(found: Evaluation, problem: MPCProblem, operator: BuildingOperator
 
 @EACH
 def test_levels_cost_and_bring_what_numpy_says(case):
-    """By control steps, as they are held, and as a plan is solved: later levels are shares of the highest."""
     for operator, problem, shape, programme, rng in drawn(case):
         model = programme.by_steps
-        solved = numpy_problem.solved_as(problem, model.held_steps)
         for _ in range(5):
             u = random_levels(rng, problem, shape)
             found = model.evaluate(problem, model.numbers(problem), u)
             assert not found.broken
-            is_numpys(found, solved, operator, u)
-            is_numpys(model.evaluate(problem, model.held_numbers(problem), u), problem, operator, u)
+            is_numpys(found, problem, operator, u)
             assert model.costs(model.numbers(problem), np.stack([u, u])).tolist() == [found.cost] * 2
 
 
@@ -102,14 +99,14 @@ def test_levels_start_a_solver_with_all_variables_and_the_cost_of_the_check(case
 def test_convex_is_what_is_convex(case):
     _, _, _, model, _ = next(drawn(case))
     assert model.convex is case.convex
-    assert bool(model.choices.size) is bool("exclusive" in case.machinery or model.shape.machinery.held.any())
+    assert bool(model.choices.size) is bool("exclusive" in case.machinery)
 
 
 @EACH
 def test_what_leaves_a_limit_is_said(case):
-    """Full level or full cooling of all actuators, while levels are held and later."""
+    """Full level or full cooling of all actuators, while it is decided which of them acts and later."""
     for _, problem, shape, model, _ in drawn(case, 1):
-        m, p, early = problem.machinery, model.numbers(problem), np.arange(shape.n_steps) < shape.n_held
+        m, p, early = problem.machinery, model.numbers(problem), shape.move_of_step < shape.n_chosen_moves
         capacity = np.ones((len(m.machines), early.size)) if problem.capacity is None else problem.capacity
         for levels, steps in itertools.product((m.u_max, np.where(m.u_min < 0.0, m.u_min, m.u_max)), (early, ~early)):
             u = levels[:, None] * steps

@@ -237,8 +237,12 @@ def test_messages_name_the_actuator():
         replace(problem.machinery, machines=("machine 0", "machine 1", "machine 2"))
     with pytest.raises(ControllerConfigError, match="actuator 0: levels from 0 to -1"):
         replace(problem.machinery, u_max=np.array([-1.0, 1.0]))
-    with pytest.raises(ControllerConfigError, match=r"actuator 0: a level that heats and cools .* cannot be held"):
+    with pytest.raises(
+        ControllerConfigError, match=r"actuator 0: a level that heats and cools .* does not switch below"
+    ):
         replace(problem.machinery, u_min=np.array([-1.0, 0.0]), lowest_level=np.array([0.3, 1.0]))
+    with pytest.raises(ControllerConfigError, match=r"actuator 1: it shares machine machine 0, so it cannot hold"):
+        machinery_of(operator, (0, 0), lowest_level=np.array([1.0, 0.3]))
     turned = replace(problem.machinery, actuators=("actuator 1", "actuator 0"))
     with pytest.raises(ControllerConfigError, match="same in the same order"):
         QPSolver(operator, ProblemShape(every_step(N), turned), QPConfig())

@@ -75,9 +75,13 @@ def test_duty_switches_in_blocks_keeps_minimum_times_and_is_off_below_its_thresh
     assert share(Run(kp=0.5, offset_K=0.0, lead_h=0.0, off_below=0.15), 20.8, 0.0) == 0.0
 
 
-def test_a_modulating_machine_runs_at_least_at_its_lowest_level():
-    held = {"mode": "modulating", "lowest_level": 0.7}
-    assert share(Run(kp=0.5, offset_K=0.0, lead_h=0.0, actuation=held), 20.2, 0.0) == 0.7
+@pytest.mark.parametrize(("T_zone_C", "expected"), [(20.2, [(0.0, 300.0), (0.7, 600.0)]), (19.4, [(0.8, 900.0)])])
+def test_a_modulating_machine_runs_at_least_at_its_lowest_level(T_zone_C, expected):
+    pi = Run(kp=0.5, offset_K=0.0, lead_h=0.0, actuation={"mode": "modulating", "lowest_level": 0.7})
+    blocks = pi.plan(observation(T_zone_C, 0.0)).blocks
+    assert [(block.u[0], block.duration_s) for block in blocks] == [
+        (pytest.approx(level), seconds) for level, seconds in expected
+    ]
 
 
 def test_cooling_follows_the_upper_bound():

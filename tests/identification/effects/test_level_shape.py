@@ -15,9 +15,9 @@ from thermoforce_mpc.data import Layout
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.effects.level_laws import laws_of
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.machine.part_load import CostAtPartLoad
+from thermoforce_mpc.model.machine.part_load import LevelCost, level_costs
 from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
+from thermoforce_mpc.model.operator.heat_input import IDENTITY
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.models.identifying import identification_settings
@@ -64,52 +64,64 @@ def recorded(law, u, power):
 def test_the_temperature_tells_the_cost_of_heat_at_part_load(law, power, modulates):
     given = recorded(law, levels((0.5, 0.25)), power)
     model = identify(given, config=CONFIG).only
-    found = CostAtPartLoad.of(model.card.uncertainty)
-    true_heat = float(law(np.array(found.level))) / found.level
-    true_cost = float(power(np.array(found.level))) / 3000.0 / float(law(np.array(found.level)))
-    assert abs(found.heat - true_heat) < 2.5 * found.heat_sd, found
-    assert abs(found.cost - true_cost) < 2.5 * found.cost_sd, found
-    (law_of_level,) = (law for law in laws_of([given], Layout.single(), 0, IDENTITY, CONFIG) if "part" in law.name)
-    assert found.heat_sd < 0.8 * law_of_level.sd, "the data told more than the prior"
-    choice = choose_actuation(ActuationConfig(), model.power, model.operator.heat_input, found)
+    low, middle = level_costs(model.card.uncertainty)
+    priors = {one.name: one.sd for one in laws_of([given], Layout.single(), 0, IDENTITY, CONFIG)}
+    for found, level, name in ((low, 0.25, "heat_at_low_level"), (middle, 0.5, "heat_at_middle_level")):
+        assert found.level == pytest.approx(level)
+        true_heat = float(law(np.array(level))) / level
+        true_cost = float(power(np.array(level))) / 3000.0 / float(law(np.array(level)))
+        assert abs(found.heat - true_heat) < 2.5 * found.heat_sd, found
+        assert abs(found.cost - true_cost) < 2.5 * found.cost_sd, found
+        assert found.heat_sd < 0.8 * priors[name], "the data told more than the prior"
+    choice = choose_actuation(ActuationConfig(), model.power, model.operator.heat_input, (low, middle))
     assert choice.actuation.modulates is modulates, choice.why
-    assert "the temperature says" in choice.why
+    assert "heat costs" in choice.why
 
 
 def test_an_electric_heater_is_not_switched_for_an_estimate_below_what_it_can_be():
     # Errors of the record that look like 0.75 of the heat per level at part load.
     given = recorded(lambda u: np.where((u > 0) & (u < 1), 0.75 * u, u), levels((0.5, 0.25)), lambda u: 3000.0 * u)
     model = identify(given, config=CONFIG).only
-    found = CostAtPartLoad.of(model.card.uncertainty)
-    assert found.heat == 1.0
-    assert choose_actuation(ActuationConfig(), model.power, model.operator.heat_input, found).actuation.modulates
+    costs = level_costs(model.card.uncertainty)
+    assert [found.heat for found in costs] == [1.0, 1.0]
+    assert choose_actuation(ActuationConfig(), model.power, model.operator.heat_input, costs).actuation.modulates
 
 
 @pytest.mark.slow
-def test_nothing_is_said_of_part_load_that_was_not_seen_or_is_metered():
-    unseen = identify(recorded(lambda u: u, levels((1.0,)), lambda u: 3000.0 * u), config=CONFIG).only
-    assert CostAtPartLoad.of(unseen.card.uncertainty) is None
-    metered = identify(record(ROOM, 3.0, u=levels((0.5, 0.25)), noise_K=0.02), config=CONFIG, floor_area_m2=190.0).only
-    assert CostAtPartLoad.of(metered.card.uncertainty) is None
+def test_where_heat_is_metered_the_meter_says_what_it_costs():
+    """The house gives 1600 W while it is on and 8400 W per level, which costs 3 kW in proportion to the level."""
+    given = record(ROOM, 3.0, u=levels((0.5, 0.25)), noise_K=0.02)
+    given = replace(given, power_W=3000.0 * given.u[0])
+    model = identify(given, config=CONFIG, floor_area_m2=190.0).only
+    for found, level in zip(level_costs(model.card.uncertainty), (0.25, 0.5), strict=True):
+        heat = (1600.0 + 8400.0 * level) / 10000.0 / level
+        assert (found.level, found.heat) == (pytest.approx(level), pytest.approx(heat, rel=0.03))
+        assert found.cost == pytest.approx(1.0 / heat, rel=0.05)
+        assert found.heat_sd < 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seen", [(1.0,), (0.5,)], ids=["full level only", "no full level"])
+def test_nothing_is_said_of_part_load_that_was_not_seen(seen):
+    u = levels(seen)
+    given = recorded(lambda u: u, np.minimum(u, max(seen)), lambda u: 3000.0 * u)
+    assert level_costs(identify(given, config=CONFIG).only.card.uncertainty) == ()
 
 
 def test_not_knowing_the_heat_makes_part_load_dearer_and_ends_in_blocks():
     power = PowerModel(MachineLoad((0.0, 0.0, 3000.0, 0.0), (-10.0, 20.0), 0.25))
-    dear = CostAtPartLoad(0.25, 1.0, 0.3, 1.14, 0.3)
-    for estimated, heat_input, modulates in (
-        (dear, IDENTITY, False),
-        (replace(dear, cost=1.05), IDENTITY, True),
-        (dear, HeatInput(MachineLoad((0.0, 0.0, 9000.0, 0.0), (-10.0, 20.0), 0.25)), True),  # metered heat counts
-    ):
-        assert choose_actuation(ActuationConfig(), power, heat_input, estimated).actuation.modulates is modulates
-    assert choose_actuation(ActuationConfig(mode="modulating"), power, IDENTITY, dear).actuation.modulates
+    dear = LevelCost(0.25, 1.14, 0.3, 1.0, 0.3)
+    for found, modulates in ((dear, False), (replace(dear, cost=1.01), True)):
+        assert choose_actuation(ActuationConfig(), power, IDENTITY, (found,)).actuation.modulates is modulates
+    assert choose_actuation(ActuationConfig(mode="modulating"), power, IDENTITY, (dear,)).actuation.modulates
 
 
 def test_laws_leave_off_and_full_level_as_they_are():
     u, config = np.array([0.0, 0.1, 0.4, 0.8, 1.0]), CONFIG.model_copy(update={"radiator_exponent": 1.3})
     given = recorded(lambda u: u, levels((0.5, 0.25)), lambda u: 3000.0 * u)
-    part, radiator = laws_of([given], Layout.single(), 0, IDENTITY, config)
-    np.testing.assert_array_equal(part.phi(u, 0.0 * u), [0.0, 0.1, 0.4, 0.8, 0.0])
+    low, middle, radiator = laws_of([given], Layout.single(), 0, IDENTITY, config)
+    np.testing.assert_array_equal(low.phi(u, 0.0 * u), [0.0, 0.1, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(middle.phi(u, 0.0 * u), [0.0, 0.0, 0.4, 0.8, 0.0])
     # An exponent 1 % larger, to first order.
     np.testing.assert_allclose(u + 0.01 * radiator.phi(u, 0.0 * u), u**1.01, atol=1e-4)
 
@@ -137,7 +149,7 @@ def test_a_run_asks_for_what_its_test_case_does_not_meter():
     metered = load_testcase("bestest_hydronic_heat_pump")
     scenario = Scenario(testcase=metered.name)
     probing, config = identification_settings(scenario, metered)
-    assert (probing.trial_levels, probing.trial_steps, config.part_load) == ((0.5,), 4, False)
+    assert (probing.trial_levels, probing.trial_steps, config.part_load) == ((0.5, 0.25), 4, False)
     measured = metered.measurements.model_copy(update={"heat": ()})
     blind = metered.model_copy(update={"measurements": measured})
     probing, config = identification_settings(scenario, blind)

@@ -1,11 +1,6 @@
-"""The objective of the problem a second time, in numpy and mode by mode: what the statement is judged by.
-
-Levels are held in all steps; of an instance as it is solved (`SolvedAs`), later ones are shares of the highest.
-"""
+"""The objective of the problem a second time, in numpy and mode by mode: what the statement is judged by."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -17,29 +12,13 @@ from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import OUTDOOR
 
 
-@dataclass(frozen=True, eq=False)
-class SolvedAs(MPCProblem):
-    """An instance whose levels are held in the first `held_steps` steps; None: in all."""
-
-    held_steps: int | None = None
-
-
-def solved_as(problem: MPCProblem, held_steps: int | None) -> SolvedAs:
-    """The instance with levels that are held in the first steps only."""
-    return SolvedAs(**{item.name: getattr(problem, item.name) for item in fields(MPCProblem)}, held_steps=held_steps)
-
-
-def _held_steps(p: MPCProblem) -> int | None:
-    return p.held_steps if isinstance(p, SolvedAs) else None
-
-
 def _heating(p: MPCProblem, u: Array) -> Array:
     return np.maximum(u, 0.0) if p.machinery.signed.size else u
 
 
 def on_share(p: MPCProblem, u: Array) -> Array:
     """Share of each step that each actuator is on with a level above 0: `u` (..., A, N) → (..., A, N)."""
-    return np.minimum(_heating(p, u) / p.machinery.switched_at(p.n_steps, _held_steps(p)), 1.0)
+    return np.minimum(_heating(p, u) / p.machinery.lowest_level[:, None], 1.0)
 
 
 def running(p: MPCProblem, u: Array) -> Array:
@@ -53,48 +32,78 @@ def running(p: MPCProblem, u: Array) -> Array:
     return np.stack(rows, axis=-2)
 
 
+def _bends(p: MPCProblem) -> Array:
+    return np.zeros(p.power_per_u_W.shape) if p.power_per_u2_W is None else p.power_per_u2_W
+
+
+def _fixed_W(p: MPCProblem) -> tuple[Array, Array]:
+    """Fixed parts (M, N) that are drawn while on, and what counts in proportion to the level instead, per u (A, N).
+
+    Of a stepped actuator no more is fixed than what bends at its lowest level: of a larger one power per heat would
+    still fall above that level.
+    """
+    m = p.machinery
+    fixed, per_u = p.power_fixed_W.copy(), np.zeros(p.power_per_u_W.shape)
+    for a in np.flatnonzero(m.stepped):
+        most = _bends(p)[a] * m.lowest_level[a] ** 2
+        fixed[m.machine_of[a]] = np.minimum(p.power_fixed_W[m.machine_of[a]], most)
+        per_u[a] = np.maximum(p.power_fixed_W[m.machine_of[a]] - most, 0.0) / m.lowest_level[a]
+    return fixed, per_u
+
+
+def _bent_W(p: MPCProblem, u: Array) -> tuple[Array, Array]:
+    """Power over u² of each actuator (..., A, N), and what of it counts where energy earns.
+
+    Below its lowest level a stepped actuator is at that level for a share of the step.
+    """
+    m, heating = p.machinery, _heating(p, u)
+    lowest = m.lowest_level[:, None]
+    level = np.where(m.stepped[:, None], np.maximum(heating, lowest), heating)
+    share = np.where(m.stepped[:, None], on_share(p, u), 1.0)
+    return share * _bends(p) * level**2, share * _bends(p) * level * np.where(m.stepped[:, None], lowest, 0.0)
+
+
 def power_W(p: MPCProblem, u: Array) -> Array:
     """Mean electric power of each machine over each step for levels `u` (..., A, N), W, shape (..., M, N)."""
-    heating = _heating(p, u)
-    per_u = p.power_per_u_W * heating
+    fixed, more_per_u = _fixed_W(p)
+    per_u = (p.power_per_u_W + more_per_u) * _heating(p, u) + _bent_W(p, u)[0]
     if p.cooling is not None:
         per_u = per_u + p.cooling.power_per_u_W * np.maximum(-u, 0.0)
-    if p.power_per_u2_W is not None:
-        per_u = per_u + p.power_per_u2_W * heating**2
-    return p.power_fixed_W * running(p, u) + p.machinery.fed_by @ per_u
+    return fixed * running(p, u) + p.machinery.fed_by @ per_u
 
 
 def energy_cost(p: MPCProblem, u: Array) -> Array:
     """Cost of energy of the building over each step for levels `u` (..., A, N), currency, shape (..., N)."""
-    heating, price = _heating(p, u), p.price_per_W[p.machinery.machine_of]
-    per_u = price * p.power_per_u_W * heating + p.cooling_cost_per_u * np.maximum(-u, 0.0)
-    if p.power_per_u2_W is not None:
-        per_u = per_u + np.maximum(price, 0.0) * p.power_per_u2_W * heating**2
-    return (p.fixed_cost * running(p, u)).sum(axis=-2) + per_u.sum(axis=-2)
+    price = p.price_per_W[p.machinery.machine_of]
+    (fixed, more_per_u), (bent, earning) = _fixed_W(p), _bent_W(p, u)
+    per_u = price * (p.power_per_u_W + more_per_u) * _heating(p, u) + p.cooling_cost_per_u * np.maximum(-u, 0.0)
+    per_u = per_u + price * np.where(price < 0.0, earning, bent)
+    fixed_cost = p.price_per_W * fixed
+    fixed_cost = np.where(p.machinery.shared[:, None], np.maximum(fixed_cost, 0.0), fixed_cost)
+    return (fixed_cost * running(p, u)).sum(axis=-2) + per_u.sum(axis=-2)
 
 
 def modes_K(p: MPCProblem, operator: BuildingOperator, u: Array) -> Array:
     """Forced state of every pair at the end of each step for levels `u` (..., A, N), K, shape (..., Z, A, N, r)."""
-    if _held_steps(p) is None or not p.machinery.held.any():
+    if not (p.machinery.stepped & (p.price_per_kWh < 0.0).any(axis=-1)[p.machinery.machine_of]).any():
         return operator.rollout(p.forced_state_K, u, p.features)
-    return _stepped(p, operator, np.stack([_heat(p, operator, u, a) for a in range(u.shape[-2])]))
-
-
-def _heat(p: MPCProblem, operator: BuildingOperator, u: Array, a: int) -> Array:
-    """v of one actuator (..., N): of its level where it is held, and later of its highest level for a share."""
-    heat_input, T_out_C = operator.of_actuator(a).heat_input, p.features[operator.home[a], :, OUTDOOR]
-    highest, held = p.machinery.u_max[a], heat_input(u[..., a, :], T_out_C)
-    switched = u[..., a, :] / highest * heat_input(np.full(p.n_steps, highest), T_out_C)
-    return np.where((np.arange(p.n_steps) < _held_steps(p)) | ~p.machinery.held[a], held, switched)
-
-
-def _stepped(p: MPCProblem, operator: BuildingOperator, heat: Array) -> Array:
-    """Forced states (Z, A, N, r) of v (A, N), step by step."""
+    heat = np.stack([_heat(p, operator, u, a) for a in range(u.shape[-2])])
     forced, states = p.forced_state_K, []
     for k in range(p.n_steps):
         forced = operator.advance(forced, operator.modulated(heat[:, k], p.features[:, k], forced))
         states.append(forced)
     return np.stack(states, axis=2)
+
+
+def _heat(p: MPCProblem, operator: BuildingOperator, u: Array, a: int) -> Array:
+    """v of one actuator (N,): a stepped one gives what it would by switching at its lowest level where energy earns."""
+    m, heat_input, T_out_C = p.machinery, operator.of_actuator(a).heat_input, p.features[operator.home[a], :, OUTDOOR]
+    held = heat_input(u[a], T_out_C)
+    if not m.stepped[a]:
+        return held
+    lowest = m.lowest_level[a]
+    switched = u[a] / lowest * heat_input(np.full(p.n_steps, lowest), T_out_C)
+    return np.where(p.price_per_kWh[m.machine_of[a]] < 0.0, switched, held)
 
 
 def forced_K(p: MPCProblem, operator: BuildingOperator, u: Array) -> Array:

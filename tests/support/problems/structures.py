@@ -40,7 +40,7 @@ class Case:
     bend: bool = False
     capacity: bool = False
     negative_price: bool = False
-    held_steps: int | None = None
+    chosen_steps: int | None = None
     blocked: tuple[int, ...] = ()
     convex: bool = True
 
@@ -48,7 +48,7 @@ class Case:
 TWO: dict[str, Any] = {"zones": 2, "signs": (1, 1), "machine_of": (0, 0)}
 SEVERAL: dict[str, Any] = {"zones": 3, "signs": (1, 1, 1, -1), "machine_of": (0, 0, 1, 2)}
 SHARES = {"share": (0.7, 0.6, 0.0, 0.5)}
-HELD = {"lowest_level": [0.3, 0.3]}
+STEPPED: dict[str, Any] = {"machinery": {"lowest_level": [0.3]}, "heat": (0,)}
 EXCLUSIVE = {"exclusive": ((0, 1),)}
 CASES = {
     "one zone": Case(order=3),
@@ -79,32 +79,39 @@ CASES = {
     "power over u²": Case(**TWO, bend=True, negative_price=True),
     "power over u² under a cap": Case(**TWO, bend=True, capped=True, convex=False),
     "power over u² in the peak": Case(bend=True, peak=True, convex=False),
-    "held": Case(machinery={"lowest_level": [0.3]}, heat=(0,)),
-    "held at first": Case(machinery={"lowest_level": [0.3]}, heat=(0,), held_steps=3, blocked=(1, 1, 2, 2, 2)),
-    "held below full level": Case(machinery={"lowest_level": [0.3], "u_max": [0.8]}, heat=(0,), held_steps=3),
-    "held on a shared machine": Case(**TWO, machinery=HELD | {"share": [0.6, 0.5]}, heat=(0, 1), held_steps=3),
-    "held on a machine that cycles": Case(
-        **TWO, machinery=HELD | {"share": [0.3, 0.4], "cycles_below": (0.5,)}, held_steps=3
+    "stepped": Case(**STEPPED),
+    "stepped, blocked": Case(**STEPPED, blocked=(1, 1, 2, 2, 2)),
+    "stepped below full level": Case(machinery={"lowest_level": [0.3], "u_max": [0.8]}, heat=(0,)),
+    "stepped within a capacity": Case(machinery={"lowest_level": [0.3], "share": [1.3]}, heat=(0,), capacity=True),
+    "stepped, power over u²": Case(machinery={"lowest_level": [0.8]}, bend=True),
+    "stepped, power over u², of measured heat": Case(**STEPPED, bend=True, blocked=(1, 1, 2, 2, 2)),
+    "stepped at negative prices": Case(**STEPPED, negative_price=True),
+    "stepped at negative prices, power over u²": Case(
+        machinery={"lowest_level": [0.7]}, heat=(0,), bend=True, negative_price=True, blocked=(1, 1, 2, 2, 2)
     ),
+    "stepped beside others": Case(**SEVERAL, machinery={"lowest_level": [1.0, 1.0, 0.4, 0.7]}, heat=(2,), bend=True),
+    "stepped under a cap": Case(**STEPPED, capped=True),
+    "two stepped under a cap, power over u²": Case(
+        2, (1, 1), (0, 1), machinery={"lowest_level": [0.3, 0.7]}, heat=(0,), capped=True, bend=True, convex=False
+    ),
+    "stepped in the peak": Case(machinery={"lowest_level": [0.7]}, peak=True, bend=True, convex=False),
     "exclusive": Case(2, (1, -1), (0, 1), machinery=EXCLUSIVE),
-    "exclusive at first": Case(2, (1, -1), (0, 1), machinery=EXCLUSIVE, held_steps=2, blocked=(1, 1, 2, 2)),
-    "exclusive and signed": Case(2, (1, 1), (0, 1), machinery=EXCLUSIVE, signed=0, held_steps=2),
-    "one held and one in blocks exclude one another": Case(
-        2, (1, 1), (0, 1), machinery={"lowest_level": [0.3, 1.0]} | EXCLUSIVE, heat=(0,), held_steps=2
+    "exclusive at first": Case(2, (1, -1), (0, 1), machinery=EXCLUSIVE, chosen_steps=2, blocked=(1, 1, 2, 2)),
+    "exclusive and signed": Case(2, (1, 1), (0, 1), machinery=EXCLUSIVE, signed=0, chosen_steps=2),
+    "one stepped and one in blocks exclude one another": Case(
+        2, (1, 1), (0, 1), machinery={"lowest_level": [0.3, 1.0]} | EXCLUSIVE, heat=(0,), chosen_steps=2
     ),
     "feedback": Case(feedback=True, convex=False),
     "feedback with a priced peak": Case(feedback=True, peak=True, blocked=(1, 1, 2, 2), convex=False),
-    "feedback, held at first": Case(
-        machinery={"lowest_level": [0.3]}, heat=(0,), feedback=True, held_steps=3, convex=False
-    ),
+    "feedback, stepped": Case(**STEPPED, feedback=True, blocked=(1, 1, 2, 2), convex=False),
     "everything convex": Case(
-        **SEVERAL, machinery=SHARES | {"cycles_below": (0.9, 0.0, 0.0)}, signed=2, peak=True, capped=True,
-        capacity=True, blocked=(1, 1, 1, 2, 3),
+        **SEVERAL, machinery=SHARES | {"cycles_below": (0.9, 0.0, 0.0), "lowest_level": [1.0, 1.0, 1.0, 0.4]}, signed=2,
+        peak=True, capped=True, capacity=True, blocked=(1, 1, 1, 2, 3),
     ),
     "everything": Case(
         **SEVERAL, machinery=SHARES | {"cycles_below": (0.9, 0.0, 0.0), "exclusive": ((2, 3),), "lowest_level":
-        [0.3, 0.4, 1.0, 1.0]}, signed=2, peak=True, capped=True, bend=True, capacity=True, held_steps=3, blocked=(1, 2,
-        1, 2), convex=False,
+        [1.0, 1.0, 1.0, 0.4]}, signed=2, peak=True, capped=True, bend=True, capacity=True, chosen_steps=3,
+        blocked=(1, 2, 1, 2), convex=False,
     ),
 }  # fmt: skip
 
@@ -149,12 +156,12 @@ def instance(case: Case, rng: np.random.Generator) -> tuple[BuildingOperator, MP
         features[..., 0] = problem.T_free_C
         problem = replace(problem, features=features)
     problem = replace(problem, weights=replace(problem.weights, peak=2e-4 if case.peak else 0.0))
-    shape = ProblemShape(moves, machinery, case.peak, case.capped, case.held_steps, case.bend)
+    shape = ProblemShape(moves, machinery, case.peak, case.capped, case.chosen_steps, case.bend)
     return operator, problem, shape
 
 
 def random_levels(rng: np.random.Generator, problem: MPCProblem, shape: ProblemShape) -> Array:
-    """Levels (A, N) that a plan may hold: within capacities, lowest levels and exclusion, the same over a move."""
+    """Levels (A, N) that a plan may hold: within capacities and exclusion, the same over a move."""
     m, n = problem.machinery, shape.n_steps
     u = rng.uniform(m.u_min[:, None], m.u_max[:, None], (len(m.actuators), n))
     u = np.select([rng.uniform(size=u.shape) < 0.2, rng.uniform(size=u.shape) < 0.2], [0.0, m.u_max[:, None]], u)
@@ -164,11 +171,11 @@ def random_levels(rng: np.random.Generator, problem: MPCProblem, shape: ProblemS
     load = m.fed_by @ (m.share[:, None] * np.maximum(u, 0.0))
     fits = np.minimum(least / np.maximum(load, 1e-9), 1.0)[m.machine_of]
     u = np.where(u > 0.0, u * fits, u)
-    first = np.arange(n) < shape.n_held
+    first = shape.move_of_step < shape.n_chosen_moves
     for group in m.exclusive:
         rows = list(group)
         acts = rng.choice(rows, shape.n_moves)[shape.move_of_step]
         u[rows] = np.where(first & (np.array(rows)[:, None] != acts), 0.0, u[rows])
         shares = np.abs(u[rows]) / np.where(u[rows] > 0, m.u_max[rows, None], -m.u_min[rows, None] + (u[rows] == 0))
         u[rows] = np.where(first, u[rows], u[rows] / np.maximum(shares.sum(axis=0), 1.0))
-    return np.where(m.held[:, None] & first & (u < m.lowest_level[:, None]), 0.0, u)
+    return u
