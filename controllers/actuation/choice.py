@@ -58,8 +58,8 @@ def choose_actuation(
     """
     if shared and config.mode == "modulating" and config.lowest_level > 0.0:
         raise ControllerConfigError(
-            f"controller.options.actuation.lowest_level: {config.lowest_level:g} of an actuator that shares its machine, "
-            "whose blocks lie together; use mode: duty, or lowest_level: 0"
+            f"controller.options.actuation.lowest_level: {config.lowest_level:g} of an actuator that shares its "
+            "machine, whose blocks lie together; use mode: duty, or lowest_level: 0"
         )
     planned = power
     if costs and not shared and (config.mode == "auto" or (config.mode == "modulating" and config.lowest_level > 0.0)):
