@@ -154,7 +154,8 @@ def _cell(name: str, scenario: Scenario, provenance: Mapping[str, Any], hash_of:
             identification_key = digest({**provenance, "source": source_fingerprint(), "task": model})
     options = controller_config(controller, controller_options(scenario, controller), testcase).model_dump(mode="json")
     files = {path: hash_of(path) for path in named_files(controller, options)}
-    decides = scenario.model_dump(mode="json") | {
+    # What a controller is compared with decides nothing of its run.
+    decides = scenario.model_dump(mode="json", exclude={"equal_comfort"}) | {
         "testcase": testcase.model_dump(mode="json"),
         "plant": _plant_by_content(scenario.plant, hash_of),
         "controller": {"name": controller, "options": options, "files": files},
