@@ -15,6 +15,7 @@ from controllers.mpc.controller import MPCState
 from controllers.mpc.margin_rules import OF_LOOPS, LearnedMargin, learned_K, of_plans
 from controllers.mpc.margins import Margins
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation
+from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 ALLOWED_K = 0.0135
@@ -68,12 +69,17 @@ def test_a_miss_is_made_up_for_at_once_whatever_was_given_back():
     assert learned(-1.0, before_K=-0.2) == -0.2
 
 
-def test_margins_in_all_are_never_less_than_nothing():
+def before_a_plan() -> tuple[ThermoForceMPC, Observation, PredictionContext]:
+    """A controller, what it observes, and what it predicts from that."""
     mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
     house = SimpleHouse()
     house.reset(10 * DAY_S, 24 * HOUR_S)
     seen = Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S))
-    context = mpc.predictor.context(seen)
+    return mpc, seen, mpc.predictor.context(seen)
+
+
+def test_margins_in_all_are_never_less_than_nothing():
+    mpc, seen, context = before_a_plan()
     given = replace(LearnedMargin.nothing(1), reserve_K=np.array([[-5.0], [0.0]]))
     problem = mpc.instance(context, seen.history, Margins(learned=given))
     np.testing.assert_array_equal(problem.lower_C, context.boundary.lower_C[:, 1:])
@@ -163,11 +169,7 @@ def test_a_plan_keeps_what_was_missed_inside_the_bound_that_it_protects():
 
 
 def test_the_bounds_of_a_problem_move_inside_by_what_was_learned():
-    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
-    house = SimpleHouse()
-    house.reset(10 * DAY_S, 24 * HOUR_S)
-    seen = Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S))
-    context = mpc.predictor.context(seen)
+    mpc, seen, context = before_a_plan()
     plain, kept = (
         mpc.instance(context, seen.history, margins)
         for margins in (None, Margins(learned=replace(LearnedMargin.nothing(1), reserve_K=np.array([[0.2], [0.0]]))))
