@@ -67,6 +67,12 @@ def test_a_colder_baseline_is_no_saving():
     assert found.beaten(1.05) is False
 
 
+def test_a_house_that_is_too_warm_is_searched_at_lower_set_points():
+    found = House(-2.0, warm_K=-0.5).beside(0.4)
+    assert found.comparable
+    assert found.shift_K <= -0.45 + 1e-6, "there 0.5 K·h are left, and lower ones cost less still"
+
+
 @pytest.mark.parametrize("house", [House(0.3, warm_K=0.3, least_KH=5.0), House(0.0, warm_K=0.0, least_KH=2.0)])
 def test_where_no_set_point_is_as_comfortable_it_is_the_best_there_is(house):
     found = house.beside(1.0)

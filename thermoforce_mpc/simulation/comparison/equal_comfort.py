@@ -2,7 +2,7 @@
 
 A baseline at a set-point of its own is warmer or colder than the controller, so their costs say little of each other.
 Discomfort falls with the set-point until zones get too warm; the least set-point that is comfortable enough is searched
-by doubling steps and bisection.
+by doubled steps to where it falls, and bisection.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ THERMOSTAT = "thermostat"
 
 # What a thermostat may be less comfortable, K·h.
 ALLOWED_KH = 0.1
-# First step of the set-point, the step at which the search ends, and the farthest from where it began, K.
-_FIRST_K, _LAST_K, _FARTHEST_K = 0.2, 0.05, 1.6
+# Step of the set-point, K; the first steps of the search and the farthest from where it begins, as numbers of steps.
+_STEP_K, _FIRST, _FARTHEST = 0.05, 4, 32
 
 Kpis = Mapping[str, float]
 
@@ -74,36 +74,41 @@ def as_comfortable(run: Callable[[float], Kpis], default: Kpis, discomfort_Kh: f
         default: those without.
         discomfort_Kh: discomfort of the controller, K·h.
     """
-    tried = {0.0: default}
+    tried = {0: default}  # by number of steps
 
-    def at(shift_K: float) -> Kpis:
-        shift_K = round(shift_K, 6)
-        if shift_K not in tried:
-            tried[shift_K] = run(shift_K)
-        return tried[shift_K]
+    def discomfort_of(steps: int) -> float:
+        if steps not in tried:
+            tried[steps] = run(steps * _STEP_K)
+        return tried[steps][DISCOMFORT]
 
-    def enough(shift_K: float) -> bool:
-        return at(shift_K)[DISCOMFORT] <= discomfort_Kh + ALLOWED_KH
+    def enough(steps: int) -> bool:
+        return discomfort_of(steps) <= discomfort_Kh + ALLOWED_KH
 
-    sign = -1.0 if enough(0.0) else 1.0
-    inner, step = 0.0, _FIRST_K
-    while abs(inner + sign * step) <= _FARTHEST_K and enough(inner + sign * step) == (sign < 0):
-        gains = at(inner + sign * step)[DISCOMFORT] < at(inner)[DISCOMFORT]
-        inner += sign * step
-        if sign > 0 and not gains:  # warmer helps no more
-            break
-        step *= 2.0
-    outer = inner + sign * step
-    if abs(outer) <= _FARTHEST_K:
-        while abs(outer - inner) > _LAST_K + 1e-9:
-            middle = 0.5 * (inner + outer)
-            inner, outer = (middle, outer) if enough(middle) == (sign < 0) else (inner, middle)
-    fine = [shift for shift in tried if enough(shift)]
-    if fine:
-        shift_K = min(fine, key=lambda shift: tried[shift][COST])
-        return AsComfortable(shift_K, tried[shift_K], True)
-    shift_K = min(tried, key=lambda shift: tried[shift][DISCOMFORT])
-    return AsComfortable(shift_K, tried[shift_K], False)
+    def nearer(sign: int) -> int:
+        """The shift reached by doubled steps in one direction while discomfort falls and is too much."""
+        shift, step = 0, _FIRST
+        while not enough(shift) and abs(shift + sign * step) <= _FARTHEST:
+            if not discomfort_of(shift + sign * step) < discomfort_of(shift):
+                break
+            shift, step = shift + sign * step, 2 * step
+        return shift
+
+    # Too cold is what a higher set-point mends, too warm by the sun a lower one.
+    warm = nearer(1)
+    if not enough(warm):
+        warm = nearer(-1)
+    if not enough(warm):
+        least = min(tried, key=lambda steps: tried[steps][DISCOMFORT])
+        return AsComfortable(least * _STEP_K, tried[least], False)
+    step = _FIRST
+    while warm - step >= -_FARTHEST and enough(warm - step):
+        warm, step = warm - step, 2 * step
+    cold = max((steps for steps in tried if steps < warm), default=warm)
+    while warm - cold > 1:
+        middle = (warm + cold) // 2
+        warm, cold = (middle, cold) if enough(middle) else (warm, middle)
+    cheapest = min((steps for steps in tried if enough(steps)), key=lambda steps: tried[steps][COST])
+    return AsComfortable(cheapest * _STEP_K, tried[cheapest], True)
 
 
 def shifted_options(options: Mapping[str, Any], testcase: TestCase, shift_K: float) -> dict[str, Any]:
