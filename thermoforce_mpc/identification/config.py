@@ -72,8 +72,8 @@ class IdentificationConfig(StrictModel):
     )
     power_curve: bool = Field(
         False,
-        description="fit power that grows faster than heat, by a term in u²; set where the plan sets a machine's water. "
-        "Where levels were tried, what heat costs there has its place",
+        description="fit power that grows faster than heat, by a term in u²; set where the plan sets a machine's "
+        "water. Where levels were tried, what heat costs there has its place",
     )
     cross_effects: bool = Field(True, description="effects of an actuator on zones other than its home")
     sun_on_sensor: bool = Field(
