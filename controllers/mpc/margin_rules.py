@@ -13,7 +13,7 @@ shared machine's capacity that is left unused: at its limit what one takes too m
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,7 +152,7 @@ class LearnedMargin:
 
     reserve_K: Array
     tightest_C: Array
-    nearest_K: Array
+    nearest_K: Array = field(default_factory=lambda: np.full((2, 1), np.inf))
     since_s: float | None = None
 
     @classmethod

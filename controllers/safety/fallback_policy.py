@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -69,7 +69,7 @@ class GoodPlan:
     u: Array
     T_zone_C: Array
     band_K: Array
-    margin_K: Array
+    margin_K: Array = field(default_factory=lambda: np.zeros((2, 1)))
 
     def age(self, time_s: float, step_s: float) -> int:
         """Age of the plan in steps of `step_s` seconds."""

@@ -137,12 +137,10 @@ def test_a_biased_outdoor_sensor_leaves_no_lasting_offset(correct):
 def lasting_offset_K(model, house: SimpleHouse, correct: bool, free=None) -> float:
     """Mean of what one-step predictions were off on the last day of a closed loop, K."""
     # Blocks shorter than the step would add their own rounding: the level is held here.
-    (power,) = model.power
-    model = replace(model, power=(replace(power, load=replace(power.load, lowest_level=0.01)),))
     config = MPCConfig(
         step_s=None,
         horizon_h=24,
-        actuation={"mode": "modulating", "lowest_level": 0.01},
+        actuation={"mode": "modulating", "lowest_level": 0.0},
         estimator=EstimatorConfig(correct=correct),
         offset_h=None,
         watch={"enabled": False},

@@ -49,14 +49,14 @@ FIXED_SPEED = law(1300, 1700)
 @pytest.mark.parametrize(
     ("costs", "lowest", "words"),
     [
-        ((), None, "on/off blocks at 1.00: the data hold off and full level only"),
+        ((), None, "on/off blocks at 1.00: 43 % of full power and 0 % of full heat are a fixed part while on"),
         (((0.25, 1.6), (0.5, 1.2)), None, "on/off blocks at 1.00: at level 0.50 heat costs 1.20 ± 0.03 times as much"),
         (((0.25, 1.1), (0.5, 0.85)), 0.5, "levels from 0.50 held for the step, on/off blocks below: at level 0.50"),
         (((0.25, 0.7), (0.5, 0.85)), 0.25, "levels from 0.25 held for the step, on/off blocks below: at level 0.25"),
         (((0.25, 1.01),), 0.25, "levels from 0.25 held"),
-        (((0.25, 1.03),), None, "on/off blocks at 1.00: at level 0.25"),
+        (((0.25, 1.04),), None, "on/off blocks at 1.00: at level 0.25"),
     ],
-    ids=["unseen", "fixed speed", "inverter", "hot water", "the same but for noise", "dearer"],
+    ids=["by the laws", "fixed speed", "inverter", "hot water", "the same but for noise", "dearer"],
 )
 def test_a_machine_is_switched_where_heat_costs_least(costs, lowest, words):
     choice = choose(FIXED_SPEED, None, [cost(*one) for one in costs])
@@ -112,7 +112,7 @@ def test_the_cost_on_the_card_of_a_model_is_in_the_plan():
     model = simple_model()
     boiler = replace(model, power=(PowerModel(law(0.0, 4300.0)),))
     controller = ThermoForceMPC(boiler, MPCConfig(step_s=None), free_response=object())
-    assert controller.actuation_in_words.startswith("on/off blocks at 1.00")
+    assert controller.actuation_in_words.startswith("modulating, any level held for the step: 0 % of full power")
     told = replace(model.only.card, uncertainty=model.only.card.uncertainty | cost(0.25, 0.8).numbers())
     controller = ThermoForceMPC(replace(boiler, cards=(told,)), MPCConfig(step_s=None), free_response=object())
     assert controller.actuation_in_words.startswith("modulating, levels from 0.25 held")
