@@ -147,8 +147,7 @@ class _Model:
 
     def evaluate(self, u: Array) -> Evaluation:
         """What levels (A, N) bring, by the statement of the plan."""
-        model = self._controller.evaluator
-        return model.evaluate(self._problem, model.numbers(self._problem), u)
+        return self._controller.evaluator.brings(self._problem, u)
 
     def course(self, name: str, u: Array) -> Course:
         """What the model predicts under levels (A, N)."""

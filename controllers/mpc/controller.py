@@ -313,9 +313,9 @@ class ThermoForceMPC(ActuatedController):
     def _brought(self, evaluator: Evaluator, problem: MPCProblem, solution: Solution) -> Evaluation:
         """What levels bring, whatever solver they are from, with the limit that they leave.
 
-        Of choices only a solver knows: later levels of its plan stand for shares of higher ones.
+        Where actuators exclude one another none is told: which of them acts is seen to when levels become blocks.
         """
-        brought = evaluator.evaluate(problem, evaluator.numbers(problem), solution.u, solution.own_values)
+        brought = evaluator.brings(problem, solution.u, solution.own_values)
         return replace(brought, broken="") if evaluator.structure.chosen else brought
 
     def _realise(

@@ -33,7 +33,12 @@ _BY_SHORTFALL = _SHORTFALL[::-1].copy(), _Z[::-1].copy()
 _SPREAD_LEVEL = 0.1
 _SPREAD_Z = float(norm.isf(_SPREAD_LEVEL))
 # Averaging window of the expected violation, h: heat given now arrives within it; later violations can be corrected.
-AHEAD_H = 6.0
+_AHEAD_H = 6.0
+
+
+def steps_soon(step_s: float) -> int:
+    """Number of steps of `step_s` seconds in the averaging window, at least one."""
+    return max(1, round(_AHEAD_H * HOUR_S / step_s))
 
 
 def backoff_K(forecast: FreeForecast, step_s: float, level: float, violation_K: float | None, *, below: bool) -> Array:
@@ -52,7 +57,7 @@ def backoff_K(forecast: FreeForecast, step_s: float, level: float, violation_K: 
     if violation_K is None:
         return np.asarray(chance)
     sd = np.maximum(sign * (T_C - forecast.quantile_C(spread_at)), 0.0) / _SPREAD_Z
-    soon = sd[..., : max(1, round(AHEAD_H * HOUR_S / step_s))].mean(axis=-1, keepdims=True)
+    soon = sd[..., : steps_soon(step_s)].mean(axis=-1, keepdims=True)
     # Solve sd · shortfall(z) = violation.
     z = np.interp(violation_K / np.maximum(soon, 1e-9), *_BY_SHORTFALL)
     return np.asarray(np.maximum(chance, z * sd))

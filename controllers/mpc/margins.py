@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from controllers.actuation.actuators import Actuators
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.margin_rules import (
-    AHEAD_H,
     OF_LOOPS,
     LearnedMargin,
     backoff_K,
@@ -33,6 +32,7 @@ from controllers.mpc.margin_rules import (
     learned_share,
     of_plans,
     reserve_K,
+    steps_soon,
 )
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, FreeForecast, Observation, Record
@@ -127,7 +127,7 @@ class MarginRules:
             boundary: the bounds, N steps.
             learned: what was learned of them.
         """
-        c, rows, soon = self._config, [], max(1, round(AHEAD_H * HOUR_S / self._step_s))
+        c, rows, soon = self._config, [], steps_soon(self._step_s)
         for z in range(len(operator.zones)):
             own = self._layout.actuators_of(z)
             signs = {self._layout.signs[a] for a in own}

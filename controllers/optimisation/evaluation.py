@@ -66,6 +66,10 @@ class Evaluator:
         """The parameters of an instance."""
         return self._numbers.of(problem)
 
+    def brings(self, problem: MPCProblem, u: Array, own: Array | None = None) -> Evaluation:
+        """Evaluate levels `u` (A, N), with `own` variables of the user, in an instance."""
+        return self.evaluate(problem, self.numbers(problem), u, own)
+
     def evaluate(self, problem: MPCProblem, p: Array, u: Array, own: Array | None = None) -> Evaluation:
         """Evaluate levels `u` (A, N), with `own` variables of the user, at parameters `p`."""
         given = np.zeros(sum(self._checks.own.values())) if own is None else own

@@ -67,13 +67,14 @@ class EquipmentLayout:
                     f"actuator {actuator}: a level that heats and cools (from {self.u_min[a]:g}) does not switch below "
                     f"{self.lowest_level[a]:g}: its lowest level must be the highest, {self.u_max[a]:g}"
                 )
-            if self.lowest_level[a] < self.u_max[a] and np.count_nonzero(self.machine_of == self.machine_of[a]) > 1:
+            if not 0 <= self.machine_of[a] < M:
+                raise ControllerConfigError(f"actuator {actuator}: machine {self.machine_of[a]} is not among {M}")
+        for a, actuator in enumerate(self.actuators):
+            if self.stepped[a] and self.shared[self.machine_of[a]]:
                 raise ControllerConfigError(
                     f"actuator {actuator}: it shares machine {self.machines[self.machine_of[a]]}, so it cannot hold "
                     f"levels above {self.lowest_level[a]:g}: its lowest level must be the highest, {self.u_max[a]:g}"
                 )
-            if not 0 <= self.machine_of[a] < M:
-                raise ControllerConfigError(f"actuator {actuator}: machine {self.machine_of[a]} is not among {M}")
         if self.cycles_below and (len(self.cycles_below) != M or not all(0 <= load <= 1 for load in self.cycles_below)):
             raise ControllerConfigError(
                 f"cycles_below of {M} machines: found {self.cycles_below}, expected 0 to 1 each"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -299,17 +300,11 @@ def _execute(
         baselines = {other: follow(contestant(other)) for other in scenario.baselines if other != name}
         equal = None
         if THERMOSTAT in baselines and find_entry(name).needs_model and searches_equal_comfort(scenario):
-
-            def at(shift_K: float) -> Mapping[str, float]:
-                options = shifted_options(controller_options(scenario, THERMOSTAT), testcase, shift_K)
-                thermostat = build_controller(THERMOSTAT, options, testcase)
-                allowed = limits_of(thermostat, testcase.area_m2, min(testcase.layout.lowest))
-                # Not part of the run that a journal tells: it is searched again where that is resumed.
-                inside = plant.inside if isinstance(plant, JournaledPlant) else plant
-                return run_closed_loop(inside, thermostat, period, scenario.price, allowed=allowed).kpis
-
+            # Not part of the run that a journal tells: it is searched again where that is resumed.
+            inside = plant.inside if isinstance(plant, JournaledPlant) else plant
+            run_at = partial(_shifted_thermostat, inside, period, scenario, testcase)
             with display.working("Searching the thermostat that is as comfortable"):
-                equal = as_comfortable(at, baselines[THERMOSTAT].kpis, result.kpis[DISCOMFORT])
+                equal = as_comfortable(run_at, baselines[THERMOSTAT].kpis, result.kpis[DISCOMFORT])
         usable = {who: model for who, model in models.items() if not isinstance(model, str)}
         origins = origins_of(identified, name)
         if actuation and origins:
@@ -317,6 +312,16 @@ def _execute(
         if isinstance(plant, JournaledPlant) and plant.differing:
             display.say(f"{counted(plant.differing, 'step')} planned otherwise than then; what acted then counts")
         return ScenarioResult(scenario, plant.info, result, baselines, usable, origins, forecaster, equal)
+
+
+def _shifted_thermostat(
+    plant: Plant, period: Period, scenario: Scenario, testcase: TestCase, shift_K: float
+) -> Mapping[str, float]:
+    """KPIs of the scenario's thermostat with other set-points."""
+    options = shifted_options(controller_options(scenario, THERMOSTAT), testcase, shift_K)
+    thermostat, lowest = build_controller(THERMOSTAT, options, testcase), testcase.layout.lowest
+    allowed = limits_of(thermostat, testcase.area_m2, min(lowest))
+    return run_closed_loop(plant, thermostat, period, scenario.price, allowed=allowed, lowest=lowest).kpis
 
 
 def _identified(

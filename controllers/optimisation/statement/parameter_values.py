@@ -34,7 +34,6 @@ class Numbers:
         self._faded, self._lengths = poles**n, np.array(s.lengths)
         alone = ~machinery.shared[machinery.machine_of]
         self._lasts = self._firsts + self._lengths - 1
-        self._share_alone = np.where(alone, machinery.share, 0.0)[:, None]
         each = [[difference_equation(g.poles, g.gains, kind) for g in groups] for kind in s.kinds]
         sizes = np.array(sorted(set(s.lengths)))[:, None, None]
         pole, gain = poles[self._z, self._a], gains_[self._z, self._a]
@@ -49,9 +48,7 @@ class Numbers:
             "u_max": machinery.u_max,
             "u_min": machinery.u_min,
             "lowest": machinery.lowest_level,
-            "on_per_v": np.repeat(
-                np.maximum(1.0 / machinery.lowest_level[:, None], self._share_alone), self._firsts.size, axis=1
-            ),
+            "on_per_v": np.maximum(1.0 / machinery.lowest_level, np.where(alone, machinery.share, 0.0)),
             **(gain_weights(operator.of_actuator(0)) if s.hidden else {}),
         }
         self._places, at = {}, 0

@@ -63,14 +63,14 @@ class Stated:
 def parameter_sizes(s: Structure) -> dict[str, tuple[int, int]]:
     """Rows and columns of every parameter of the statement, in their order."""
     G, P, E = len(s.groups), len(s.pairs), sum(len(actuators) for _, actuators in s.groups)
-    heat = ("drive", "sag", "on_per_v", "worth", "per_u", "heat_cost", "bend", "bend_cost")
+    heat = ("drive", "sag", "worth", "per_u", "heat_cost", "bend", "bend_cost")
     sizes = {
         **{"denominator": (G, s.r * len(s.kinds)), "numerator": (s.r * len(s.kinds), E), "begin": (G, s.r)},
         **{"poles": (P, s.r * len(set(s.lengths))), "gains": (P, s.r * len(set(s.lengths))), "forced": (P, s.r)},
         **dict.fromkeys((*heat, "cold_power", "cold_cost"), (s.A, s.N)),
         **dict.fromkeys(("T_free", "lower", "upper"), (s.Z, s.N)),
         **dict.fromkeys(("fixed", "fixed_cost", "capacity"), (s.M, s.N)),
-        **dict.fromkeys(("share", "runs_for", "u_max", "u_min", "lowest", "last_u"), (s.A, 1)),
+        **dict.fromkeys(("share", "runs_for", "u_max", "u_min", "lowest", "on_per_v", "last_u"), (s.A, 1)),
         **{"comfort": (s.Z, 1), "weights": (3, 1), "reached": (1, 1), "kept": (1, 1), "limit": (1, s.N)},
     }
     if s.hidden:
@@ -82,7 +82,7 @@ def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
     """State the plan of a structure `s` with parameters `q` in an algebra."""
     heat, cool = alg.levels(s)
     over, curve = _over(alg, q, s, heat)
-    on = q["on_per_v"] * (heat - over)
+    on = ca.repmat(q["on_per_v"], 1, s.N) * (heat - over)
     runs = _running(alg, q, s, heat, on)
     _exclude(alg, q, s, heat, cool, alg.acting(q, s, heat, cool))
     u, lengths = heat - cool, ca.DM(s.lengths).T

@@ -187,17 +187,15 @@ def _costs(found: Estimates, histories: Sequence[Record], power: PowerModel, hea
         np.concatenate([values(h) for h in histories])
         for values in (lambda h: h.u[0], lambda h: h.T_out_C[:-1], lambda h: h.power_W[0], lambda h: h.heat_W[0])
     )
-    metered = heat_input.law is not None
-    kept = np.isfinite(u) & np.isfinite(T_out) & np.isfinite(power_W) & (np.isfinite(heat_W) | (not metered))
+    law = heat_input.law
+    kept = np.isfinite(u) & np.isfinite(T_out) & np.isfinite(power_W) & (np.isfinite(heat_W) | (law is None))
     u, T_out, power_W, heat_W = u[kept], T_out[kept], power_W[kept], heat_W[kept]
     full, level = u >= 1.0 - LEVEL_EDGE, np.maximum(u, LEVEL_EDGE)
     if np.count_nonzero(full) < _LEAST_STEPS:
         return []
     # Per level, relative to full level in the same weather; the laws say how full level depends on it.
     power_per_level = _relative(power_W / level, power(np.ones(u.size), T_out), full)
-    heat_per_level = None
-    if heat_input.law is not None:
-        heat_per_level = _relative(heat_W / level, heat_input.law(np.ones(u.size), T_out), full)
+    heat_per_level = None if law is None else _relative(heat_W / level, law(np.ones(u.size), T_out), full)
     costs: list[LevelCost] = []
     for name, above, most in reversed(PART_LOADS):
         near = _within(u, above, most)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from thermoforce_mpc.scenario.testcase import TestCase
@@ -42,11 +43,8 @@ class EqualComfort:
             own = dict(record)
             if record["status"] == DONE and record["needs_model"] and cell.group in thermostats:
                 thermostat, at_its_own = thermostats[cell.group]
-                equal = as_comfortable(
-                    lambda shift_K, of=thermostat: self._shifted(of, shift_K),  # type: ignore[misc]
-                    at_its_own["kpis"],
-                    record["kpis"][DISCOMFORT],
-                )
+                run = partial(self._shifted, thermostat)
+                equal = as_comfortable(run, at_its_own["kpis"], record["kpis"][DISCOMFORT])
                 own["equal_comfort"] = equal.to_json(record["kpis"][COST], self.testcase.currency)
                 self.say(f"{cell.title}: {own['equal_comfort']['in_words']}")
             found.append(own)
