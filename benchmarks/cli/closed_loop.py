@@ -13,6 +13,7 @@ from thermoforce_mpc.cli.options import FiniteRange, Opening, execution_options
 
 @click.command("buildings")
 @click.option("--houses", type=click.IntRange(1), default=40, show_default=True, help="Number of generated houses.")
+@click.option("--offices", type=click.IntRange(0), default=6, show_default=True, help="Number of random offices.")
 @click.option("--seed", type=click.IntRange(0), default=2026, show_default=True, help="Seed of the population.")
 @execution_options()
 @click.option(
@@ -23,16 +24,19 @@ from thermoforce_mpc.cli.options import FiniteRange, Opening, execution_options
 @QUICK
 @JSON
 def buildings_command(
-    houses: int, seed: int, engine: Opening, out: Path | None, quick: bool, json_file: Path | None
+    houses: int, offices: int, seed: int, engine: Opening, out: Path | None, quick: bool, json_file: Path | None
 ) -> None:
     """Run the default configuration on generated houses, against a thermostat and the houses' own control.
 
-    Two weeks a house: the coldest and a sunny one in spring. Costs in EUR/m² and discomfort in K·h of the week.
+    Two weeks a house: the coldest and a sunny one in spring. Offices follow, beside thermostats with a setback at night.
+    Costs in EUR/m² and discomfort in K·h of the week.
     """
     from benchmarks.closed_loop.buildings import run_buildings_bench
 
     with engine(say) as where:
-        result = run_buildings_bench(houses=houses, seed=seed, engine=where, quick=quick, out=out, progress=say)
+        result = run_buildings_bench(
+            houses=houses, offices=offices, seed=seed, engine=where, quick=quick, out=out, progress=say
+        )
     show(result, json_file)
 
 

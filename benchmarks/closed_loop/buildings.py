@@ -1,5 +1,7 @@
 """`tf-mpc bench buildings`: the default configuration on generated houses, against a thermostat and native control.
 
+Offices follow, see `closed_loop.offices`.
+
 For each house and window the house is probed for three days, a model identified and the controller run, all with their
 defaults; then the thermostat and the house's own control run on the same house and weather, and the thermostat at the
 set-point at which it is as comfortable as the controller. Where identification refuses the record, the house's own
@@ -19,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import run_all
+from benchmarks.closed_loop.offices import office_targets, run_offices
 from controllers.registry import build_controller
 from thermoforce_mpc.data import DAY_S, HOUR_S, ZERO_C_K, Array, Period, PlanStatus
 from thermoforce_mpc.errors import DataError, InputError
@@ -158,18 +161,20 @@ class Outcome:
 def run_buildings_bench(
     *,
     houses: int = 40,
+    offices: int = 6,
     seed: int = REPORTED_SEED,
     engine: Engine,
     quick: bool = False,
     out: Path | None = None,
     progress: Callable[[str], None] = lambda _line: None,
 ) -> dict[str, Any]:
-    """Run all houses of population `seed` on both windows.
+    """Run all houses and offices of population `seed` on both windows.
 
     Args:
         houses: number of houses.
+        offices: number of offices, see `closed_loop.offices`.
         engine: where the houses are run; the result does not depend on it.
-        quick: four houses at most.
+        quick: four houses and one office at most.
         out: folder for a plot of each window and `outcomes.json` with every figure.
         progress: callback for progress lines.
 
@@ -183,7 +188,9 @@ def run_buildings_bench(
     n = min(houses, _QUICK_HOUSES) if quick else houses
     cases = [Case(seed, index, week, draw=out is not None) for index in range(n) for week in WEEKS]
     outcomes = run_cases(cases, engine, progress)
-    result = results_json("buildings", [o.row() for o in outcomes] + _summary(outcomes), targets(outcomes))
+    of_offices = run_offices(min(offices, 1) if quick else offices, seed, engine, progress)
+    rows = [o.row() for o in outcomes] + _summary(outcomes) + [o.row() for o in of_offices]
+    result = results_json("buildings", rows, targets(outcomes) + (office_targets(of_offices) if of_offices else []))
     if out is not None:
         for outcome in outcomes:
             if outcome.plot:

@@ -102,7 +102,12 @@ class DPC(ThermoForceMPC):
 
             assert isinstance(self.config, DPCConfig)
             self._policy = train_policy(
-                self._model_at_step.actuator(0), self._actuators.each[0], self.config, self.step_s, self._progress
+                self._model_at_step.actuator(0),
+                self._actuators.each[0],
+                self.config,
+                self.step_s,
+                self._layout.floor_area_m2[0],
+                self._progress,
             )
         return PolicySolver(self._policy, operator, shape)
 

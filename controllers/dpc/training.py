@@ -81,7 +81,12 @@ class Course:
 
 
 def train_policy(
-    zone: ZoneModel, actuation: Actuation, config: DPCConfig, step_s: float, progress: Progress | None = None
+    zone: ZoneModel,
+    actuation: Actuation,
+    config: DPCConfig,
+    step_s: float,
+    floor_area_m2: float = math.nan,
+    progress: Progress | None = None,
 ) -> Policy:
     """Train a policy for an actuator on its zone.
 
@@ -93,6 +98,7 @@ def train_policy(
         actuation: how the actuator is run.
         config: options.
         step_s: control step, s.
+        floor_area_m2: of the zone, m²; NaN where it is not known.
         progress: called with the number of iterations done and their loss.
 
     Raises:
@@ -116,6 +122,7 @@ def train_policy(
     leads = torch.from_numpy(lead_steps(step_s))
     n, reach = max(1, round(t.rollout_h * HOUR_S / step_s)), int(leads[-1])
     length = max(n, round(_COURSE_DAYS * DAY_S / step_s))
+    comfort_price = float(config.objective.comfort_weights([floor_area_m2])[0]) * step_s / HOUR_S
     losses: list[float] = []
     at = length
     for iteration in range(t.iterations):
@@ -123,7 +130,7 @@ def train_policy(
             course = course_of(drawer.draw(t.buildings, length + reach), params, power, step_s)
             at, F = 0, states_near_band(course, module, highest)
         F = F * (1.0 + _PERTURBED * torch.randn(F.shape[0], 1, generator=noise, dtype=torch.float64))
-        loss, F = rollout(network, module, course, F, at, n, leads, (lowest, highest), config, step_s)
+        loss, F = rollout(network, module, course, F, at, n, leads, (lowest, highest), comfort_price, step_s)
         optimiser.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(network.parameters(), 1.0)
@@ -175,10 +182,13 @@ def rollout(
     n: int,
     leads: Tensor,
     levels: tuple[float, float],
-    config: DPCConfig,
+    comfort_price: float,
     step_s: float,
 ) -> tuple[Tensor, Tensor]:
-    """Mean loss of `n` steps in closed loop from forced states `F` (B, r) at step `first`, and the states after."""
+    """Mean loss of `n` steps in closed loop from forced states `F` (B, r) at step `first`, and the states after.
+
+    `comfort_price`: of a kelvin of violation in a step, currency/K.
+    """
     poles, gains, (lowest, highest), (step_K, coarse_K) = module.poles, module.gains, levels, scales_K(module.numpy())
     # Inputs of all steps where nothing acts at all (B, n, 4 J), and what the forced state adds to them.
     at = torch.arange(first, first + n)[:, None] + leads - 1
@@ -202,7 +212,7 @@ def rollout(
     T = course.T_free[:, rows] + torch.stack(forced, dim=1)
     slack = torch.relu(course.lower[:, rows] - T) + torch.relu(T - course.upper[:, rows])
     energy = (u / lowest).clamp(max=1.0) * course.cost_fixed[:, rows] + u * course.cost_per_u[:, rows]
-    cost = (energy + config.objective.comfort_weight * step_s / HOUR_S * slack).sum(1).mean()
+    cost = (energy + comfort_price * slack).sum(1).mean()
     lasts = (1.0 - poles ** round(_WORTH_H * HOUR_S / step_s)) / (1.0 - poles)
     heat = (F * lasts).sum(1) / (gains * lasts).sum()
     worth = course.relative[:, first + n : first + n + int(leads[-1])].mean(1)

@@ -4,7 +4,8 @@ Every hour a prediction is recorded: free forecast, forced state and features. W
 levels that were applied since, since a plan is replaced many times in 6 h. The error is divided by what was promised:
 the 80 % band of the free forecast together with the uncertainty of the gain on the model's card. The band counts with
 at most `widest` times the median band of the last week, because calibration widens it after errors and would excuse
-them.
+them. Where zone or weather leave the temperatures that the model was identified at, its effect is known worse by what
+water over room temperature and a heating curve or heat pump change per kelvin (`_PER_K`).
 
 The promise that is tested: given the past, an error beyond z promised half-widths on one side is not more probable than
 for a Student t distribution with 2 degrees of freedom and the same 80 % band (tails heavier than any seen in healthy
@@ -47,6 +48,10 @@ _T2_90, _NORMAL_90 = 1.8856, 1.2816
 _LEAST_P = 1e-5
 # Days of bands whose median is the usual promise, and hours of errors that are kept.
 _USUAL_DAYS, _KEPT_H = 7, 72.0
+# Share of its heat by which an emitter may change per K of the zone, and its supply per K outdoors: water 25 K over the
+# room, and a heating curve of 25 K over 20 K.
+_PER_K = {"T_zone_C": 0.04, "T_out_C": 0.05}
+_MOST_UNKNOWN = 0.6
 # Hourly comparisons of meters before a change can be seen.
 _LEAST_RATIOS = 12
 # Share of predictions inside their band, and share of those expected that came due, to hand control back.
@@ -189,9 +194,21 @@ class Watch:
         band = float(item.above_K[lead] if error > 0 else item.below_K[lead])
         usual = float(np.median(track.bands[track.bands[:, 0] <= item.time_s, 1 + lead]))
         effect = float(forced - idle)
-        gain = _NORMAL_90 * self._gain_sd[lead] * effect
+        unknown = self._beyond_identified(history.slice(start, start + n))
+        gain = _NORMAL_90 * math.hypot(self._gain_sd[lead], unknown) * effect
         promise = math.hypot(min(band, self.config.widest * usual), gain, self._least_K[lead])
         return Judged(float(history.time_s[start + n]), lead, error, promise, effect)
+
+    def _beyond_identified(self, record: Record) -> float:
+        """Share of the effect that may differ since mean temperatures leave those that the model was identified at."""
+        share = 0.0
+        for name, per_K in _PER_K.items():
+            low, high = self._model.card.ranges.get(name, (-math.inf, math.inf))
+            values = np.asarray(getattr(record, name), dtype=np.float64)
+            if np.isfinite(values).any():
+                mean = float(np.nanmean(values))
+                share += per_K * max(low - mean, mean - high, 0.0)
+        return min(share, _MOST_UNKNOWN)
 
     def _broken_promise(self, track: Track) -> str:
         """What the evidence says against the model; empty below the threshold."""
@@ -232,7 +249,8 @@ class Watch:
         before = [value for time_s, value in state.ratios if now - time_s > LEADS_H[-1] * HOUR_S]
         ratios = tuple(item for item in state.ratios if now - item[0] <= _USUAL_DAYS * DAY_S)
         state = replace(state, ratios=(*ratios, (now, ratio)))
-        limit = self.config.machine_factor
+        last = history.last(min(history.n_steps, round(LEADS_H[-1] * HOUR_S / self.step_s)))
+        limit = self.config.machine_factor * (1.0 + self._beyond_identified(last))
         # A map that never fitted this machine is no change of the machine.
         if len(before) < _LEAST_RATIOS:
             return "", state

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from controllers.actuation.actuator import ActuationConfig
@@ -17,7 +19,7 @@ from controllers.optimisation.solvers.qp_backends import QPConfig
 from controllers.optimisation.solvers.sqp import SQPConfig
 from controllers.safety.fallback_policy import FallbackConfig
 from controllers.safety.overrides import GateConfig, GuardConfig
-from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution.keys import ADDED_LATER
 from thermoforce_mpc.identification.estimation.adaptation import AdaptationConfig
@@ -56,10 +58,19 @@ class FreeResponseConfig(StrictModel):
         return self
 
 
+# Floor area of a zone whose area the model does not know, m²: that of BOPTEST's heat pump case.
+_AREA_M2 = 192.0
+
+
 class ObjectiveConfig(StrictModel):
     """Weights of the objective besides energy cost at the tariff."""
 
-    comfort_weight: float = Field(5.0, gt=0, description="penalty on comfort violation, currency/(K·h)")
+    comfort_weight_per_m2: float = Field(
+        0.026,
+        gt=0,
+        description="penalty on comfort violation, currency/(K·h) per m² of the zone's floor (as of 192 m² where the "
+        "model does not know it); it counts as at least 5 times the heat that holds the zone 1 K warmer for a day",
+    )
     carbon_price_per_kg: float = Field(0.0, ge=0, description="price of emitted CO2, currency/kg")
     peak_price_per_kW: float = Field(
         0.0, ge=0, description="price of mean power over a step above the highest so far, currency/kW"
@@ -75,6 +86,11 @@ class ObjectiveConfig(StrictModel):
         description="value of heat stored at the end of the horizon, as a share of its cost in the last step",
     )
     curvature: float = Field(1e-6, ge=0, description="weight on u² per step, currency; makes the optimum unique")
+
+    def comfort_weights(self, floor_area_m2: Sequence[float]) -> Array:
+        """Penalty on comfort violation in zones of `floor_area_m2` (Z,), NaN where not known, currency/(K·h) (Z,)."""
+        areas = np.asarray(floor_area_m2, dtype=np.float64)
+        return self.comfort_weight_per_m2 * np.where(np.isnan(areas), _AREA_M2, areas)
 
 
 class DeadlineConfig(StrictModel):

@@ -12,18 +12,22 @@ from controllers.mpc.config import MPCConfig
 from controllers.mpc.margins import Bounds, MarginRules, Margins
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import Cooling, MPCProblem, PowerCap, Weights
-from thermoforce_mpc.data import J_PER_KWH, Array, Boundary, Record
+from thermoforce_mpc.data import DAY_S, J_PER_KWH, Array, Boundary, Record
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
+# A zone's discomfort counts as at least this many times the heat that would have avoided it over a day.
+_COMFORT_OVER_HEAT = 5.0
+
 
 class Instance(NamedTuple):
-    """One instance of the problem, and its comfort bounds with the margins inside them."""
+    """One instance of the problem, its comfort bounds with the margins inside them, and what was changed in it."""
 
     problem: MPCProblem
     bounds: Bounds
+    news: str
 
 
 class Formulation:
@@ -118,6 +122,8 @@ class Formulation:
         highest_W = np.array(layout.weights) * fixed_W[fed_by, -1] + per_u_W[:, -1] * highest
         if bent:
             highest_W = highest_W + per_u2_W[:, -1] * highest**2
+        dearest = price.max(axis=1)[fed_by]
+        comfort, news = self._comfort_weights(operator, context.features[:, -1], dearest * highest_W)
         bounds, cap_kW = self.margins.bounds(operator, context.free, boundary, margins.learned), aims.power_cap_kW
         problem = MPCProblem(
             forced_state_K=context.forced_K,
@@ -130,7 +136,7 @@ class Formulation:
             power_per_u_W=per_u_W,
             step_s=self._step_s,
             machinery=self.machinery,
-            weights=Weights(aims.comfort_weight, aims.curvature, aims.peak_price_per_kW / 1000.0),
+            weights=Weights(comfort, aims.curvature, aims.peak_price_per_kW / 1000.0),
             terminal_price_per_K=self._terminal_price(operator, context.features[:, -1], price[fed_by, -1] * highest_W),
             peak_so_far_W=peak_W,
             cooling=self._cooling(boundary, np.maximum(boundary.price_per_kWh[:, :-1] + carbon, 0.0)),
@@ -141,12 +147,40 @@ class Formulation:
             capacity=self.margins.capacity(operator, T_out, margins.unused),
             last_u=self._last_u(history),
         )
-        return Instance(problem, bounds)
+        return Instance(problem, bounds, news)
 
     def expected_power_W(self, a: int, record: Record) -> Array:
         """Electric power (n,), W, for the levels of actuator `a` in a record of its own."""
         levels = np.clip(record.u[0], self._layout.lowest[a], 1.0)
         return self._expected[self._layout.machine_of[a]](levels, record.T_out_C[:-1], record.T_return_C[0])
+
+    def _comfort_weights(self, operator: BuildingOperator, features: Array, price_W: Array) -> tuple[Array, str]:
+        """Penalty on comfort violation (Z,), currency/(K·h), and which of them were raised so that heat stays cheaper.
+
+        What avoids a K·h costs the heat of a day at full level over what it adds to the zone, from rest. `features`
+        (Z, 4) are those of the last step, `price_W` (A,) is the highest price per kWh times power at full level, W.
+        """
+        weights = self._config.objective.comfort_weights(self._layout.floor_area_m2)
+        steps = np.arange(1.0, round(DAY_S / self._step_s) + 1.0)
+        heat, names = np.full(weights.shape, np.inf), self._layout.names.zones
+        for a, z in enumerate(self._layout.home):
+            pair = operator.of_actuator(a)
+            drive = float(pair.drive(self.machinery.u_max[a : a + 1], features[z][None])[0])
+            mean_K = (
+                pair.sign
+                * float((pair.steady_gains_K * (1.0 - pair.poles ** steps[:, None])).sum(axis=1).mean())
+                * drive
+            )
+            if mean_K > 0.0:
+                heat[z] = min(heat[z], max(price_W[a], 0.0) / 1000.0 / mean_K)
+        least = np.where(np.isfinite(heat), _COMFORT_OVER_HEAT * heat, 0.0)
+        raised = [
+            (f"{names[z]}: " if len(names) > 1 else "")
+            + f"a K·h of discomfort counts {least[z]:.3g} instead of {weights[z]:.3g}, since the heat that avoids it "
+            f"costs {heat[z]:.3g}"
+            for z in np.flatnonzero(least > weights)
+        ]
+        return np.maximum(weights, least), "; ".join(raised)
 
     def _last_u(self, history: Record) -> Array:
         """Levels of the last step of the record (A,), within their bounds; 0 where they are not known."""

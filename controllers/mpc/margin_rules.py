@@ -63,6 +63,26 @@ def backoff_K(forecast: FreeForecast, step_s: float, level: float, violation_K: 
     return np.asarray(np.maximum(chance, z * sd))
 
 
+# Share of full level that is taken to be free for correcting what the forecast missed.
+_FREE_SHARE = 0.5
+
+
+def with_recourse_K(backoff: Array, operator: OperatorParameters) -> Array:
+    """Back-off (N,), K, from an actuator's own bound, where later plans know more and can still act.
+
+    From the step on by whose end half of full level moves the zone as far as the back-off of that lead, what a forecast
+    misses is made up for when it is seen: no more is kept for later leads than for that one.
+    """
+    full = float(operator.heat_input.full_share(0.0))
+    moves_K = _FREE_SHARE * full * np.abs(np.cumsum(operator.impulse(backoff.size)))
+    enough = np.flatnonzero(moves_K >= backoff)
+    if not enough.size:
+        return backoff
+    kept = backoff.copy()
+    kept[enough[0] :] = np.minimum(kept[enough[0] :], backoff[enough[0]])
+    return kept
+
+
 # Effect of an hour at full level from which a zone is fast, K: a slab gives a few tenths, radiators and air several.
 _FAST_K = 0.6
 # Mean share of on-time that is assumed for the swing.
@@ -140,8 +160,10 @@ def of_plans(allowed_K: float) -> Learning:
 OF_LOOPS = Learning(4.0, 1.0, 0.001)
 # Share of the room to spare of a day that is given back, and how far beyond its margin a zone was near a bound, K.
 _GIVEN_BACK, _NEAR_K = 0.5, 0.15
-# How much wider than at its tightest a bound is set back, K.
+# How much wider than at its tightest a bound is set back, and by how much one gets tighter that begins, K.
 _SET_BACK_K = 0.5
+# Most that a bound is anticipated by where it begins, K.
+_MOST_RECOVERY_K = 2.0
 
 
 @dataclass(frozen=True)
@@ -153,24 +175,52 @@ class LearnedMargin:
             Below 0: so much less than what is kept beforehand.
         tightest_C: the highest lower and the lowest upper bound of each zone that it has met (2, Z), °C.
         nearest_K: how near readings were to each bound, from inside, while there was more to give, since `since_s`, s.
+        recovery_K: reserve inside each bound at the instant at which it begins, after a setback (2, Z), K.
+        now_C: the bounds at the last step (2, Z), °C, NaN where they are not known.
     """
 
     reserve_K: Array
     tightest_C: Array
     nearest_K: Array = field(default_factory=lambda: np.full((2, 1), np.inf))
     since_s: float | None = None
+    recovery_K: Array = field(default_factory=lambda: np.zeros((2, 1)))
+    now_C: Array = field(default_factory=lambda: np.full((2, 1), np.nan))
 
     @classmethod
     def nothing(cls, zones: int) -> LearnedMargin:
         """At the begin of a run."""
         tightest_C = np.stack([np.full(zones, -np.inf), np.full(zones, np.inf)])
-        return cls(np.zeros((2, zones)), tightest_C, np.full((2, zones), np.inf))
+        of_bounds = (2, zones)
+        return cls(
+            np.zeros(of_bounds),
+            tightest_C,
+            np.full(of_bounds, np.inf),
+            recovery_K=np.zeros(of_bounds),
+            now_C=np.full(of_bounds, np.nan),
+        )
 
     def meeting(self, lower_C: Array, upper_C: Array) -> LearnedMargin:
         """With the bounds (Z, N), °C, of the instants ahead, NaN where they are not known."""
+        now_C = np.stack([lower_C[:, 0], upper_C[:, 0]])
         lower_C, upper_C = np.fmax.reduce(lower_C, axis=-1), np.fmin.reduce(upper_C, axis=-1)
         tightest_C = np.fmax(self.tightest_C[0], lower_C), np.fmin(self.tightest_C[1], upper_C)
-        return replace(self, tightest_C=np.stack(tightest_C))
+        return replace(self, tightest_C=np.stack(tightest_C), now_C=now_C)
+
+    def after_setback(self, T_C: Array, lower_C: Array, upper_C: Array) -> LearnedMargin:
+        """With a reading (Z,) at the instant at which a bound begins; what is missing there is added for the next time.
+
+        The machine may well have been at full level: the next recovery begins earlier. Half of what there was to spare
+        is given back. Bounds (Z,) of now, °C.
+        """
+        missing_K = np.stack([lower_C - T_C, T_C - upper_C])
+        begins = self.begins(self.now_C, np.stack([lower_C, upper_C])) & np.isfinite(missing_K)
+        change_K = np.where(begins, np.where(missing_K > 0.0, missing_K, _GIVEN_BACK * missing_K), 0.0)
+        return replace(self, recovery_K=np.clip(self.recovery_K + change_K, 0.0, _MOST_RECOVERY_K))
+
+    @staticmethod
+    def begins(before_C: Array, bounds_C: Array) -> NDArray[np.bool_]:
+        """Where a lower and an upper bound (2, …), °C, are tighter than before."""
+        return np.stack([bounds_C[0] - before_C[0], before_C[1] - bounds_C[1]]) > _SET_BACK_K
 
     def after_reading(
         self, inside_K: Array, spare: NDArray[np.bool_], planned_K: Array, time_s: float

@@ -6,10 +6,11 @@
 | back-off | each bound, by lead time | chance levels below 0.5, or `backoff_violation_K` | band of the free forecast |
 | reserve | the bound that actuation protects | fast zones and coarse sensors, unless loops keep room set-points | card of the model |
 | learned | each bound | more: readings were beyond it while there was more to give; less: a day had room to spare | this run |
+| recovery | each bound, where it begins after a setback | the zone was not there in time; less where it was beyond | this run |
 | offset | the prediction | `offset_h` | errors of the last plans, one step ahead |
 | unused capacity | the capacity of a machine | several metered actuators share it | heat that they lacked in this run |
 
-`MarginRules.learn` moves the last three after each step, `MarginRules.bounds` adds the first four; their sum is never
+`MarginRules.learn` moves the last four after each step, `MarginRules.bounds` adds the first five; their sum is never
 below 0. With room set-points what is learned counts only where a bound is set back, and is never less than 0.
 """  # noqa: E501
 
@@ -33,6 +34,7 @@ from controllers.mpc.margin_rules import (
     of_plans,
     reserve_K,
     steps_soon,
+    with_recourse_K,
 )
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, FreeForecast, Observation, Record
@@ -110,6 +112,9 @@ class MarginRules:
         learned = before.learned.meeting(forecast.lower_C, forecast.upper_C)
         if good is None or good.age(observation.time_s, self._step_s) != 1:  # no plan decided the last step
             return replace(before, learned=learned)
+        learned = before.learned.after_setback(
+            observation.T_zone_C, forecast.lower_C[:, 0], forecast.upper_C[:, 0]
+        ).meeting(forecast.lower_C, forecast.upper_C)
         return Margins(
             self._learned_offset_K(before.offset_K, good, observation),
             self._learned_margin(learned, good.margin_K, observation, forecast),
@@ -140,6 +145,11 @@ class MarginRules:
                 )
                 for level, is_lower in ((low, True), (high, False))
             )
+            for a in own:
+                if self._layout.signs[a] > 0:
+                    below = with_recourse_K(below, operator.of_actuator(a))
+                else:
+                    above = with_recourse_K(above, operator.of_actuator(a))
             lower_C, upper_C = boundary.lower_C[z, 1:], boundary.upper_C[z, 1:]
             if any(is_fast(operator.of_actuator(a)) for a in own):
                 # A bound holds until the next instant: such a zone would leave it in the last step before it ends.
@@ -154,6 +164,9 @@ class MarginRules:
             learned_K = learned.inside_K(z, lower_C, upper_C, by_loops=by_loops)
             reserves_K = np.array([self._reserve_K(operator, z, sign) for sign in (1, -1)])
             inside_K = c.comfort_margin_K + np.stack([below, above]) + reserves_K[:, None] + learned_K
+            of_zone_C = np.stack([lower_C, upper_C])
+            before_C = np.concatenate([[[boundary.lower_C[z, 0]], [boundary.upper_C[z, 0]]], of_zone_C[:, :-1]], axis=1)
+            inside_K += np.where(learned.begins(before_C, of_zone_C), learned.recovery_K[:, z, None], 0.0)
             inside_K = np.clip(inside_K, 0.0, half)
             rows.append(
                 (

@@ -19,9 +19,15 @@ from controllers.optimisation.problem import MPCProblem
 from controllers.optimisation.solution import Solution
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, Plan, PlanStatus
+from thermoforce_mpc.data.plan import NOT_ECONOMICAL
 from thermoforce_mpc.data.superposition import compose
+from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import ZONE
 
+# Share of its highest level from which an actuator can do no more.
+_FULL = 0.98
+# Share of full level from which a plan makes loops work.
+_WORKS_FROM = 0.5
 # A bound nearer than this is reported as binding, K.
 _BINDING_K = 0.02
 
@@ -49,8 +55,9 @@ def solved_plan(
     T_zone_C, slack_K = compose(problem.T_free_C, brought.forced_K), brought.slack_K
     doubts, learned = (*readings.doubts, free.doubt), forecast.state.margins
     status = PlanStatus.BRIDGED if any(doubts) else PlanStatus.SOLVED
-    reason = reason_of(problem, names.zones, T_zone_C, slack_K, free)
-    return Plan(
+    reason = reason_of(problem, context.operator, u, T_zone_C, slack_K, free)
+    first = forecast.state.good is None
+    plan = Plan(
         blocks=(),
         status=status if solution.optimal else PlanStatus.ACCEPTABLE,
         why=joined([solution.problem, reason, *doubts, context.bridged]),
@@ -75,6 +82,7 @@ def solved_plan(
             forecast.state, good=_good_plan(readings.time_s, u, T_zone_C, forecast, instance.bounds.whole_K), failures=0
         ),
     )
+    return plan.with_news(instance.news) if first else plan
 
 
 def _good_plan(time_s: float, u: Array, T_zone_C: Array, forecast: Forecast, margin_K: Array) -> GoodPlan:
@@ -103,7 +111,7 @@ def first_demands(
         demands.append(
             room_blocks(
                 u,
-                float(plan.T_zone_C[z, 0]),
+                end_of_move_C(plan.u[a], plan.T_zone_C[z], actuators.layout.lowest[a]),
                 T_now_C=float(readings.zones.T_C[z]),
                 u_last=float(last[0]) if last.size else float("nan"),
                 bounds_C=within_C(float(lower_C[0]), float(upper_C[0]), inside_K),
@@ -115,24 +123,49 @@ def first_demands(
     return demands
 
 
+def end_of_move_C(u: Array, T_zone_C: Array, lowest: float) -> float:
+    """Temperature to which loops are to bring a zone, °C, with levels `u` (N,) and temperatures (N,) of a plan.
+
+    That at the end of the first step; where this heats or cools at half of full level or more, at the end of the steps
+    from now on that do. A loop gives its most only if its set-point is well away, and a fan that stands at night starts
+    only then.
+    """
+    full = 1.0 if u[0] > 0 else -lowest
+    works = u * np.sign(u[0]) >= _WORKS_FROM * full
+    steps = int(np.argmin(works)) if not works.all() else works.size
+    return float(T_zone_C[max(steps, 1) - 1])
+
+
 def reason_of(
-    problem: MPCProblem, zones: Sequence[str], T_zone_C: Array, slack_K: Array, forecast: FreeForecast
+    problem: MPCProblem,
+    operator: BuildingOperator,
+    u: Array,
+    T_zone_C: Array,
+    slack_K: Array,
+    forecast: FreeForecast,
 ) -> str:
     """Which bound is binding, where and when, and the width of the forecast's 80 % band there.
 
     Args:
         problem: the instance, Z zones over N steps.
-        zones: their names (Z,).
+        operator: what acts on them.
+        u: planned levels (A, N).
         T_zone_C: planned temperatures (Z, N), °C.
         slack_K: planned violations (Z, N), K.
         forecast: free response of all zones.
     """
     band = forecast.quantile_C(0.9) - forecast.quantile_C(0.1)
-    lower_C, upper_C = problem.lower_C, problem.upper_C
+    lower_C, upper_C, zones = problem.lower_C, problem.upper_C, operator.zones
     z, when = (int(i) for i in np.unravel_index(int(np.argmax(slack_K)), slack_K.shape))
     if slack_K[z, when] > 1e-3:
-        side = "below" if T_zone_C[z, when] < lower_C[z, when] else "above"
-        what = f"{slack_K[z, when]:.2f} K {side} the comfort band cannot be avoided economically"
+        cold = bool(T_zone_C[z, when] < lower_C[z, when])
+        side, sign = ("below", 1) if cold else ("above", -1)
+        own = [a for a, home in enumerate(operator.home) if home == z and operator.signs[a] == sign]
+        full = problem.machinery.u_max[own, None]
+        # Nothing more can be done where all that would is at full level from now on.
+        spent = bool(own) and bool((u[own, : when + 1] >= _FULL * full).all())
+        why = "cannot be avoided at full level" if spent else NOT_ECONOMICAL
+        what = f"{slack_K[z, when]:.2f} K {side} the comfort band {why}"
     else:
         gap = np.minimum(T_zone_C - lower_C, upper_C - T_zone_C)
         # The first binding bound, not the tightest: it determines the plan of the next hours.

@@ -40,6 +40,7 @@ class ThermalModel:
         machine_of: number of the machine that feeds each actuator (A,).
         shares: share of its machine's capacity that each actuator takes at full level (A,), 0 where it is the only one.
         exclusive: groups of actuators (their numbers) of which at most one may act in a step.
+        floor_area_m2: of each zone, m² (Z,); NaN where it is not known, as by default.
 
     Raises:
         DataError: a part has not as many entries as there are zones, actuators or machines.
@@ -53,15 +54,18 @@ class ThermalModel:
     machine_of: tuple[int, ...] = (0,)
     shares: tuple[float, ...] = (0.0,)
     exclusive: tuple[tuple[int, ...], ...] = ()
+    floor_area_m2: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         zones, actuators, _ = self.operator.shape
+        object.__setattr__(self, "floor_area_m2", self.floor_area_m2 or (float("nan"),) * zones)
         for what, length, expected in (
             ("free", len(self.free), zones),
             ("cards", len(self.cards), actuators),
             ("power", len(self.power), len(self.machines)),
             ("machine_of", len(self.machine_of), actuators),
             ("shares", len(self.shares), actuators),
+            ("floor_area_m2", len(self.floor_area_m2), zones),
         ):
             if length != expected:
                 raise DataError(f"thermal model: {what} has {length} entries, expected {expected}")
@@ -102,7 +106,7 @@ class ThermalModel:
             self.machine_of,
             tuple(head.heat_input.lowest for head in heads),
             self.shares,
-            (float("nan"),) * len(self.operator.zones),
+            self.floor_area_m2,
             self.exclusive,
         )
 
@@ -244,6 +248,7 @@ class ThermalModel:
             self.machine_of,
             self.shares,
             self.exclusive,
+            self.floor_area_m2,
         )
         certificates = [
             {"zone": zone, "actuator": actuator, **proof.to_json()} for (zone, actuator), proof in proofs.items()

@@ -28,15 +28,15 @@ def _generated(name: str) -> TestCase:
 # Test cases that are made instead of read, by what stands before the colon of their name: the function that makes one
 # from its whole name. Other distributions announce theirs in the group `thermoforce_mpc.testcases`.
 MADE_TESTCASES: Registry[Callable[[str], TestCase]] = Registry(
-    "test case", "testcases", {"house": _house, "generated": _generated}, ConfigError, builder
+    "test case", "testcases", {"house": _house, "office": _house, "generated": _generated}, ConfigError, builder
 )
 
 
 def load_testcase(name: str) -> TestCase:
     """Read a test case by name or YAML path, or make it; raises `ConfigError`.
 
-    `energyplus:NAME` is the shipped file `energyplus_NAME.yaml`; `house:Nrooms` and `generated:SEED:INDEX` are drawn; a
-    plugin's has its name.
+    `energyplus:NAME` is the shipped file `energyplus_NAME.yaml`; `house:Nrooms`, `office:Nrooms` and
+    `generated:SEED:INDEX` are drawn; a plugin's has its name.
     """
     prefix = name.partition(":")[0]
     if not is_config("testcases", name) and prefix in MADE_TESTCASES:

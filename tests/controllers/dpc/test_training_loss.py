@@ -89,7 +89,7 @@ def test_the_loss_is_the_cost_of_the_statement_in_units_of_full_level(sign, meas
     lowest, highest = levels
     power = PowerModel(MachineLoad((1000.0, -10.0, 2500.0, 20.0), (-10.0, 15.0), lowest_level=lowest))
     heat = MachineLoad((1100.0, 30.0, 9000.0, 100.0), (-15.0, 20.0), lowest_level=lowest)
-    config = DPCConfig(step_s=None, horizon_h=24.0, objective={"comfort_weight": 7.0})
+    config = DPCConfig(step_s=None, horizon_h=24.0, objective={"comfort_weight_per_m2": 7.0})
     for order in (1, 2, 3):
         rng = np.random.default_rng(order)
         drawn = random_operator(rng, order)

@@ -10,7 +10,7 @@ import pytest
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.drawn_houses.envelope import FACADES, HEIGHT_M
 from thermoforce_mpc.plants.rooms import draw_rooms, house_of_rooms
-from thermoforce_mpc.plants.rooms.draw import KINDS, emulator_fixed_share
+from thermoforce_mpc.plants.rooms.draw import emulator_fixed_share
 from thermoforce_mpc.plants.rooms.plan import facade_lengths
 
 SEED = 7
@@ -90,7 +90,7 @@ def test_envelope_follows_the_plan():
             at = {name: i for i, name in enumerate(FACADES)}
             assert all(room.walls_m2[at[name]] == 0 for name in house.attached)
             assert all(window <= 0.6 * wall + 1e-9 for window, wall in zip(room.windows_m2, room.walls_m2, strict=True))
-            low, high = KINDS[room.kind].glazing
+            low, high = HOUSE.kinds[room.kind].glazing
             assert sum(room.windows_m2) <= high * room.area_m2 + 1e-9
             if sum(room.walls_m2) * 0.6 > high * room.area_m2:
                 assert sum(room.windows_m2) >= low * room.area_m2 - 1e-9

@@ -101,7 +101,7 @@ def test_options_of_the_scenario_are_those_of_its_controller():
 def test_a_run_is_known_by_what_decides_it_not_by_its_name():
     plain = keys(Variant(controller="thermoforce_mpc"))
     assert plain == keys(Variant(controller="thermoforce_mpc"))
-    dearer = keys(Variant(controller="thermoforce_mpc", options={"objective": {"comfort_weight": 9}}))
+    dearer = keys(Variant(controller="thermoforce_mpc", options={"objective": {"comfort_weight_per_m2": 9}}))
     assert dearer[0] != plain[0]
     assert dearer[1] == plain[1], "options of the controller play no part in the identification"
     priced = keys(Variant(controller="thermoforce_mpc"), price="dynamic")
@@ -206,7 +206,7 @@ def test_weather_counts_by_content_not_by_place(tmp_path):
 
 
 def test_an_option_is_found_by_its_last_word():
-    assert numeric_option("thermoforce_mpc", "comfort_weight") == "objective.comfort_weight"
+    assert numeric_option("thermoforce_mpc", "comfort_weight_per_m2") == "objective.comfort_weight_per_m2"
     assert numeric_option("thermoforce_mpc", "horizon_h") == "horizon_h"
     with pytest.raises(ConfigError, match="more than one"):
         numeric_option("thermoforce_mpc", "tolerance")

@@ -459,7 +459,7 @@ def test_the_commands_of_the_page_repeat_their_runs(tmp_path: Path) -> None:
         windows=["44"],
         scenario={"plant": {"forecast_uncertainty": "high"}, "identification": {"days": 2}},
         variants=RULES
-        | {"slow": {"controller": "rc_mpc", "step_s": 3600, "options": {"objective": {"comfort_weight": 1e-5}}}},
+        | {"slow": {"controller": "rc_mpc", "step_s": 3600, "options": {"objective": {"comfort_weight_per_m2": 1e-5}}}},
     )
     file = load_fleet(str(path))[0]
     for run in runs_of(file, buildings_of(file, path), path):

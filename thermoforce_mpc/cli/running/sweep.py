@@ -18,7 +18,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.comparison.variants import comma_list, numeric_option, swept_variants, variants_by_name
 
-_VALUES = "0.5,1,2,5,10,20"
+_VALUES = "0.0026,0.005,0.01,0.026,0.05,0.1"
 
 
 @click.command(short_help="Vary one controller option and plot cost against discomfort.")
@@ -26,7 +26,7 @@ _VALUES = "0.5,1,2,5,10,20"
 @click.option("--controller", default="thermoforce_mpc", show_default=True, metavar="NAME", help="Controller to vary.")
 @click.option(
     "--over",
-    default="comfort_weight",
+    default="comfort_weight_per_m2",
     show_default=True,
     metavar="KEY",
     help="Numeric option (dotted name, or its last part if unique).",

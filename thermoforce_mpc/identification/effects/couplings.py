@@ -82,6 +82,7 @@ def assembled(
         layout.machine_of,
         layout.shares,
         layout.exclusive,
+        layout.floor_area_m2,
     )
 
 

@@ -42,7 +42,8 @@ def encode(
     machines: Sequence[str],
     machine_of: Sequence[int],
     shares: Sequence[float],
-    exclusive: Sequence[Sequence[int]] = (),
+    exclusive: Sequence[Sequence[int]],
+    floor_area_m2: Sequence[float],
 ) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return the parts of a thermal model as values of a JSON document, and its arrays by name."""
     arrays: dict[str, Array] = {}
@@ -51,12 +52,12 @@ def encode(
         arrays |= {f"pair.{z}.{a}.{name}": getattr(pair, name) for name in _OPERATOR_ARRAYS}
         pairs.append({"zone": z, "actuator": a, **_pair_content(pair)})
     zones = []
-    for z, (name, linear) in enumerate(zip(operator.zones, free, strict=True)):
+    for z, (name, linear, area) in enumerate(zip(operator.zones, free, floor_area_m2, strict=True)):
         free_content = None
         if linear is not None:
             arrays |= {f"zone.{z}.{key}": getattr(linear, key) for key in _FREE_ARRAYS}
             free_content = {"step_s": linear.step_s, "sensor_sd_K": linear.sensor_sd_K}
-        zones.append({"name": name, "free": free_content})
+        zones.append({"name": name, "floor_area_m2": area, "free": free_content})
     content = {
         "zones": zones,
         "actuators": [
@@ -120,6 +121,7 @@ def decode(content: Mapping[str, Any], arrays: Mapping[str, Array]) -> dict[str,
             tuple(whole(a, 0, len(actuators) - 1) for a in listed(group))
             for group in listed(content.get("exclusive", []))
         ),
+        "floor_area_m2": tuple(number_or_nan(zone.get("floor_area_m2")) for zone in zones),
     }
 
 

@@ -11,8 +11,10 @@ from scipy.signal import lfilter
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 
-Pattern = Literal["away", "home", "workers", "always"]
-PATTERNS: tuple[Pattern, ...] = ("away", "home", "workers", "always")
+Pattern = Literal["away", "home", "workers", "always", "office"]
+HOUSEHOLDS: tuple[Pattern, ...] = ("away", "home", "workers", "always")
+# Hours of an office, every day (BOPTEST's `multizone_office_simple_air`).
+OFFICE_HOURS = (6.0, 19.0)
 PERSON_W = 80.0
 # Days of the year modulo 7 that are a weekend (BOPTEST: 1 January is a Tuesday).
 _WEEKEND = (4, 5)
@@ -21,10 +23,11 @@ _GAINS_HOURS = 2.0
 
 
 def at_home(pattern: Pattern, time_s: Array) -> NDArray[np.bool_]:
-    """Return presence at `time_s`, shape of `time_s`, by the pattern of a household.
+    """Return presence at `time_s`, shape of `time_s`, by the pattern of a household or an office.
 
-    away: weekdays before 7:00 and from 20:00, weekends (BOPTEST); home: daily 6:00 to 22:00; workers: weekdays 6:00 to
-    8:00 and 17:00 to 22:00, weekends 7:00 to 23:00; always: all the time. The year repeats, as weather and gains do.
+    away: weekdays before 7:00 and from 20:00, weekends (BOPTEST); home: daily 6:00 to 22:00; workers: weekdays 6:00
+    to 8:00 and 17:00 to 22:00, weekends 7:00 to 23:00; always: all the time; office: daily `OFFICE_HOURS`. The year
+    repeats, as weather and gains do.
     """
     time_s = np.asarray(time_s, dtype=np.float64)
     day = np.floor(time_s / DAY_S + 1e-9) % _YEAR_D
@@ -32,6 +35,8 @@ def at_home(pattern: Pattern, time_s: Array) -> NDArray[np.bool_]:
     weekend = np.isin(day % 7, _WEEKEND)
     if pattern == "away":
         return np.asarray(weekend | (hour < 7.0) | (hour >= 20.0))
+    if pattern == "office":
+        return np.asarray((hour >= OFFICE_HOURS[0]) & (hour < OFFICE_HOURS[1]))
     if pattern == "home":
         return np.asarray((hour >= 6.0) & (hour < 22.0))
     if pattern == "workers":

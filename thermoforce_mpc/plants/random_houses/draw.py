@@ -18,7 +18,7 @@ from thermoforce_mpc.plants.drawn_houses.envelope import (
     Facade,
     Mass,
 )
-from thermoforce_mpc.plants.drawn_houses.occupants import PATTERNS, Pattern
+from thermoforce_mpc.plants.drawn_houses.occupants import HOUSEHOLDS, Pattern
 
 Emitter = Literal["floor", "radiator", "air"]
 Machine = Literal["heat pump with fixed loss", "heat pump", "boiler", "electric"]
@@ -188,7 +188,7 @@ def draw_house(seed: int, index: int) -> House:
     warmer, clearer = rng.uniform(-4.0, 4.0), rng.uniform(-0.3, 0.8)
 
     # Occupants: gains after EN ISO 13790 annex G (80 W a person; appliances 1 to 7 W/m²).
-    pattern = PATTERNS[rng.choice(4, p=[0.35, 0.25, 0.20, 0.20])]
+    pattern = HOUSEHOLDS[rng.choice(4, p=[0.35, 0.25, 0.20, 0.20])]
     lower = float(rng.choice([20.0, 21.0, 21.5]))
     always = pattern == "always"
     upper = lower + float(rng.choice([3.0, 4.0]))

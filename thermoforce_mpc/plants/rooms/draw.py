@@ -1,15 +1,12 @@
-"""Seeded draw of a house of rooms. Distributions and sources: docs/how-it-works/house-of-rooms.md, and at each draw."""
+"""Seeded draw of a building of rooms. Distributions and sources: docs/how-it-works/house-of-rooms.md, and in `use`."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
 from thermoforce_mpc.data import ZERO_C_K
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.drawn_houses.envelope import AIR_WH_M3_K, FACADES, HEIGHT_M, MASSES, WATER_J_KG_K, Facade
-from thermoforce_mpc.plants.drawn_houses.occupants import PATTERNS
+from thermoforce_mpc.plants.drawn_houses.envelope import AIR_WH_M3_K, FACADES, HEIGHT_M, WATER_J_KG_K, Facade
 from thermoforce_mpc.plants.embedded import heat_pump as emulator
 from thermoforce_mpc.plants.random_houses.draw import ground_C
 from thermoforce_mpc.plants.rooms.house import (
@@ -19,61 +16,22 @@ from thermoforce_mpc.plants.rooms.house import (
     Door,
     DrawnHouse,
     HeatPump,
-    Kind,
     Room,
-    RoomEmitter,
 )
 from thermoforce_mpc.plants.rooms.plan import Contact, contacts, facade_lengths, lay_out
+from thermoforce_mpc.plants.rooms.use import HOUSE, Kind, RoomEmitter, Use
 
 MOST_ROOMS = 30
 
-
-@dataclass(frozen=True)
-class _KindOf:
-    """What is typical of a kind of room; ranges are those of uniform draws.
-
-    Floor area m², glazing per floor area, lowest temperature in use °C and width of the band K (one of each tuple),
-    appliances relative to those of the house, and people (relative) while at home by day and by night.
-    """
-
-    area_m2: tuple[float, float]
-    glazing: tuple[float, float]
-    lower_C: tuple[float, ...]
-    band_K: tuple[float, ...]
-    appliances: float
-    people_day: float
-    people_night: float
-
-
-KINDS: dict[Kind, _KindOf] = {
-    "living": _KindOf((22.0, 38.0), (0.18, 0.32), (20.5, 21.0, 21.5), (3.0, 4.0), 1.2, 4.0, 0.0),
-    "kitchen": _KindOf((9.0, 16.0), (0.12, 0.22), (20.0, 20.5), (3.0, 4.0), 2.0, 2.0, 0.0),
-    "study": _KindOf((8.0, 14.0), (0.12, 0.22), (20.0, 21.0), (3.0, 4.0), 1.5, 1.0, 0.0),
-    "bath": _KindOf((5.0, 9.0), (0.04, 0.10), (22.0, 23.0), (3.0, 4.0), 1.0, 0.4, 0.0),
-    "hall": _KindOf((6.0, 12.0), (0.02, 0.08), (17.0, 18.0), (5.0, 6.0), 0.3, 0.1, 0.0),
-    "bedroom": _KindOf((10.0, 18.0), (0.12, 0.22), (18.0, 19.0), (5.0, 6.0), 0.5, 0.4, 1.0),
-}
-# Kinds of the first rooms, and those that repeat in larger houses.
-_FIRST: tuple[Kind, ...] = ("living", "bedroom", "bath", "kitchen", "bedroom", "hall", "study", "bedroom", "bath")
-_FURTHER: tuple[Kind, ...] = ("hall", "bedroom", "study", "bedroom", "bath")
-# Where two storeys share the rooms, the ground floor is filled in this order; a second hall comes with the upper one.
-_FROM_THE_GROUND: tuple[Kind, ...] = ("living", "kitchen", "hall", "study", "bath", "bedroom")
-# Share of the time a door stands open, range of the draw, by the more private of its two rooms.
-_OPENNESS: dict[Kind, tuple[float, float]] = {
-    "hall": (0.2, 0.7),
-    "living": (0.3, 0.9),
-    "kitchen": (0.3, 0.9),
-    "study": (0.1, 0.5),
-    "bedroom": (0.05, 0.4),
-    "bath": (0.02, 0.15),
-}
 
 # Output of floor heating that rooms may need, W/m² (EN 1264-2: 100 at a surface of 29 °C), and share of the floor with
 # pipes; resistance from water to screed, m²K/W (Koschenz and Lehmann 2000); surface film, W/m²K (EN 1264-5).
 _FLOOR_LIMIT_W_M2, _COVERED, _PIPE_M2K_W, _FILM_W_M2K = 70.0, 0.85, 0.10, 10.8
 _RADIATOR_EXPONENT = 1.3
-_SPREAD_K: dict[RoomEmitter, float] = {"floor": 5.0, "radiator": 7.0}
-_LIMIT_C: dict[RoomEmitter, float] = {"floor": 45.0, "radiator": 60.0}
+_SPREAD_K: dict[RoomEmitter, float] = {"floor": 5.0, "radiator": 7.0, "air": 5.0}
+_LIMIT_C: dict[RoomEmitter, float] = {"floor": 45.0, "radiator": 60.0, "air": 60.0}
+# Water and metal of a fan coil hold as much heat as it gives in this time, s (as in generated houses).
+_COIL_S = 270.0
 # Air through a door: a closed one leaks about 5 W/K; an open one of 0.9 m by 2 m exchanges 121 W/K^1.5
 # (ρ c Cd/3 W H^1.5 √(g/T), Cd 0.65: Brown and Solvason 1962).
 _OPEN_DOOR_W_K15 = 121.0
@@ -92,8 +50,8 @@ def emulator_fixed_share() -> float:
     return float((emulator.CONSTANT_LOSS_W + emulator.FAN_W + emulator.PUMP_W) / heat_W)
 
 
-def draw_rooms(n_rooms: int, seed: int) -> DrawnHouse:
-    """Draw a house of `n_rooms` rooms; the same arguments give the same house.
+def draw_rooms(n_rooms: int, seed: int, use: Use = HOUSE) -> DrawnHouse:
+    """Draw a house, or an office, of `n_rooms` rooms; the same arguments give the same one.
 
     Every distribution is given here; sources in docs/how-it-works/house-of-rooms.md.
 
@@ -101,27 +59,26 @@ def draw_rooms(n_rooms: int, seed: int) -> DrawnHouse:
         InputError: `n_rooms` is not a whole number from 1 to 30.
     """
     if isinstance(n_rooms, bool) or not isinstance(n_rooms, int | np.integer) or not 1 <= n_rooms <= MOST_ROOMS:
-        raise InputError(f"house of {n_rooms!r} rooms: expected a whole number from 1 to {MOST_ROOMS}")
+        raise InputError(f"{use.name} of {n_rooms!r} rooms: expected a whole number from 1 to {MOST_ROOMS}")
     rng = np.random.default_rng([seed, n_rooms, 3])
-    kinds = _kinds(n_rooms)
+    kinds = _kinds(n_rooms, use)
     storeys = 1 if n_rooms < 4 else 2 if n_rooms >= 12 else int(rng.choice([1, 2], p=[0.4, 0.6]))
-    areas = [rng.uniform(*KINDS[kind].area_m2) for kind in kinds]
-    kinds, levels = _storeys(kinds, areas, storeys)
+    areas = [rng.uniform(*use.kinds[kind].area_m2) for kind in kinds]
+    kinds, levels = _storeys(kinds, areas, storeys, use)
     places = lay_out(rng, levels, rng.uniform(1.1, 1.8))
     flat = [place for storey in places for place in storey]
     touching = contacts(flat, HEIGHT_M)
 
-    # Envelope: houses that a heat pump heats, from passive to partly renovated (TABULA).
-    age = rng.uniform(0.0, 0.75)  # 0: passive house, 1: not refurbished
+    age = rng.uniform(*use.age)
     U_opaque = 0.15 * 8.0 ** (age * rng.uniform(0.85, 1.0))
     U_window, g_value = 0.8 + 2.0 * age, 0.5 + 0.25 * age  # triple to double glazing, EN 673 and EN 410
-    unshaded = rng.uniform(0.45, 0.70)  # frame 0.7 to 0.8, external shading 0.6 to 0.9 (EN ISO 13790)
+    unshaded = rng.uniform(*use.unshaded)
     air_changes = rng.uniform(0.15, 0.35) + 0.45 * age * rng.uniform(0.5, 1.0)
     U_ground = rng.uniform(0.15, 0.30)
     U_wall, U_floor = rng.uniform(1.2, 2.2), rng.uniform(0.6, 1.2)
     attached: tuple[Facade, ...] = ((), ("west",), ("east",), ("west", "east"))[rng.choice(4, p=[0.5, 0.15, 0.15, 0.2])]
     turn = rng.uniform(-45.0, 45.0)
-    mass = list(MASSES)[rng.integers(len(MASSES))]
+    mass = use.masses[rng.integers(len(use.masses))]
     warmer, clearer = rng.uniform(-4.0, 4.0), rng.uniform(-0.3, 0.8)
     design_out = DESIGN_OUT_C + warmer
 
@@ -130,7 +87,7 @@ def draw_rooms(n_rooms: int, seed: int) -> DrawnHouse:
     for i, (kind, place) in enumerate(zip(kinds, flat, strict=True)):
         walls[i] = HEIGHT_M * np.array(facade_lengths(place, places[place.storey]))
         walls[i, [FACADES.index(facade) for facade in attached]] = 0.0
-        glazing = rng.uniform(*KINDS[kind].glazing) * place.area_m2
+        glazing = rng.uniform(*use.kinds[kind].glazing) * place.area_m2
         windows[i] = np.minimum(glazing * walls[i] / max(walls[i].sum(), 1e-9), 0.6 * walls[i])
     area = np.array([place.area_m2 for place in flat])
     under_roof = np.array([place.storey == storeys - 1 for place in flat])
@@ -140,8 +97,8 @@ def draw_rooms(n_rooms: int, seed: int) -> DrawnHouse:
     ground = U_ground * area * at_ground
 
     # Heat load of each room 1 K above its lowest temperature in use, heat to colder neighbours included (EN 12831).
-    lower = [float(rng.choice(KINDS[kind].lower_C)) for kind in kinds]
-    upper = [T + float(rng.choice(KINDS[kind].band_K)) for T, kind in zip(lower, kinds, strict=True)]
+    lower = [float(rng.choice(use.kinds[kind].lower_C)) for kind in kinds]
+    upper = [T + float(rng.choice(use.kinds[kind].band_K)) for T, kind in zip(lower, kinds, strict=True)]
     warm = np.array(lower) + _DESIGN_ABOVE_K
     load = (opaque + glass + AIR_WH_M3_K * HEIGHT_M * area * air_changes) * (warm - design_out)
     load += ground * (warm - ground_C(warmer))
@@ -149,22 +106,23 @@ def draw_rooms(n_rooms: int, seed: int) -> DrawnHouse:
         U = U_wall if contact.kind == "wall" else U_floor
         for i, j in ((contact.first, contact.second), (contact.second, contact.first)):
             load[i] += U * contact.area_m2 * max(warm[i] - warm[j], 0.0)
-    doors = _doors(rng, kinds, touching)
+    doors = _doors(rng, kinds, touching, use)
     for door in doors:
         for i, j in ((door.first, door.second), (door.second, door.first)):
             warmer_by = max(warm[i] - warm[j], 0.0)
             load[i] += (door.leak_W_K + door.open_W_K15 * warmer_by**0.5) * warmer_by
-    emitter_W = np.maximum(load * rng.uniform(1.05, 1.35, n_rooms), _LEAST_EMITTER_W)
+    emitter_W = np.maximum(load * rng.uniform(*use.emitters_over_load, n_rooms), _LEAST_EMITTER_W)
 
-    # Emitters: floors in all rooms, on the ground floor only, or radiators; never floors where the load is too high.
-    style = rng.choice(["floor", "floor below", "radiator"], p=[0.4, 0.2, 0.4])
+    # Emitters: floors in all rooms, on the ground floor only, or others; never floors where the load is too high.
+    style = rng.choice(list(use.emitters), p=list(use.emitters.values()))
+    other: RoomEmitter = "air" if style == "air" else "radiator"
     wanted = at_ground if style == "floor below" else np.full(n_rooms, style == "floor")
     can = emitter_W <= _FLOOR_LIMIT_W_M2 * area
-    emitters: list[RoomEmitter] = ["floor" if floor else "radiator" for floor in wanted & can]
+    emitters: list[RoomEmitter] = ["floor" if floor else other for floor in wanted & can]
     covering = rng.uniform(0.01, 0.10)  # m²K/W
     screed = rng.uniform(0.045, 0.075)
     excess = rng.uniform(18.0, 28.0)  # mean radiator water over 20 °C: sized for a heat pump
-    people_day, people_night = _people(kinds)
+    people_day, people_night = _people(kinds, use)
     names = _names(kinds)
     rooms = []
     for i, kind in enumerate(kinds):
@@ -180,7 +138,7 @@ def draw_rooms(n_rooms: int, seed: int) -> DrawnHouse:
                 ground_W_K=float(ground[i]),
                 lower_C=lower[i],
                 upper_C=upper[i],
-                appliances=KINDS[kind].appliances,
+                appliances=use.kinds[kind].appliances,
                 people_day=float(people_day[i]),
                 people_night=float(people_night[i]),
                 emitter=emitters[i],
@@ -199,14 +157,18 @@ def draw_rooms(n_rooms: int, seed: int) -> DrawnHouse:
     if "radiator" in emitters:
         hottest_C = float(DESIGN_ROOM_C + excess + 0.5 * _SPREAD_K["radiator"])
         curves["radiator"] = Curve(hottest_C, _RADIATOR_EXPONENT, float(shift), _LIMIT_C["radiator"])
+    if "air" in emitters:
+        hottest_C = float(DESIGN_ROOM_C + excess + 0.5 * _SPREAD_K["air"])
+        curves["air"] = Curve(hottest_C, 1.0, float(shift), _LIMIT_C["air"])
 
     loss = float((opaque + glass + AIR_WH_M3_K * HEIGHT_M * area * air_changes).sum())
     house_W = loss * (DESIGN_ROOM_C - design_out) + float(ground.sum()) * (DESIGN_ROOM_C - ground_C(warmer))
-    low, high = ((0.85, 1.0), (1.0, 1.3), (1.3, 1.8))[rng.choice(3, p=[0.2, 0.55, 0.25])]
-    sizing = rng.uniform(low, high)
+    sizes = use.machine_over_load
+    sizing = rng.uniform(*list(sizes)[rng.choice(len(sizes), p=list(sizes.values()))])
     capacity, per_K = sizing * house_W, 0.02  # air-source data sheets
-    pattern = PATTERNS[rng.choice(4, p=[0.35, 0.25, 0.20, 0.20])]
+    pattern = list(use.patterns)[rng.choice(len(use.patterns), p=list(use.patterns.values()))]
     return DrawnHouse(
+        use=use.name,
         seed=seed,
         rooms=tuple(rooms),
         contacts=tuple(touching),
@@ -221,9 +183,9 @@ def draw_rooms(n_rooms: int, seed: int) -> DrawnHouse:
         unshaded=float(unshaded),
         air_changes_1_h=float(air_changes),
         pattern=pattern,
-        people=max(1, round(float(area.sum()) / rng.uniform(30.0, 55.0))),
-        gains_home_W_m2=float(rng.uniform(2.0, 5.0)),  # EN ISO 13790, annex G
-        gains_empty_W_m2=float(rng.uniform(0.7, 1.5)),
+        people=max(1, round(float(area.sum()) / rng.uniform(*use.person_m2))),
+        gains_home_W_m2=float(rng.uniform(*use.gains_W_m2)),
+        gains_empty_W_m2=float(rng.uniform(*use.gains_empty_W_m2)),
         gains_sd=0.5,
         weather_seed=int(rng.integers(1, 2**31)),
         warmer_K=float(warmer),
@@ -243,7 +205,7 @@ def draw_rooms(n_rooms: int, seed: int) -> DrawnHouse:
 def _circuit(
     emitter: RoomEmitter, emitter_W: float, area_m2: float, over_K: float, covering: float, screed_m: float
 ) -> dict[str, float]:
-    """Return the fields of a `Room` of its emitter; `over_K`: mean radiator water over the room at design."""
+    """Return the fields of a `Room` of its emitter; `over_K`: its mean water over the room at design."""
     if emitter == "floor":
         covered = _COVERED * area_m2
         return {
@@ -253,6 +215,15 @@ def _circuit(
             "convective": 0.0,
             "slab_J_K": float(covered * screed_m * 2000.0 * 1000.0),
             "slab_room_W_K": float(covered / (1.0 / _FILM_W_M2K + covering)),
+        }
+    if emitter == "air":
+        return {
+            "emitter_J_K": float(_COIL_S * emitter_W / over_K),
+            "emitter_W_Kn": float(emitter_W / over_K),
+            "emitter_exponent": 1.0,
+            "convective": 1.0,
+            "slab_J_K": 0.0,
+            "slab_room_W_K": 0.0,
         }
     # EN 442: type 22 panels hold 6 l and 28 kg of steel per kW at 50 K, plus 5 l/kW in pipes.
     per_kW = (11.0 * WATER_J_KG_K + 28.0 * 460.0) * (50.0 / over_K) ** _RADIATOR_EXPONENT
@@ -266,19 +237,19 @@ def _circuit(
     }
 
 
-def _kinds(n: int) -> list[Kind]:
-    further = (_FURTHER[i % len(_FURTHER)] for i in range(max(n - len(_FIRST), 0)))
-    return [*_FIRST[:n], *further]
+def _kinds(n: int, use: Use) -> list[Kind]:
+    further = (use.further[i % len(use.further)] for i in range(max(n - len(use.first), 0)))
+    return [*use.first[:n], *further]
 
 
-def _storeys(kinds: list[Kind], areas: list[float], storeys: int) -> tuple[list[Kind], list[list[float]]]:
+def _storeys(kinds: list[Kind], areas: list[float], storeys: int, use: Use) -> tuple[list[Kind], list[list[float]]]:
     """Return the kinds from the ground up and the areas by storey, those of two storeys scaled to the same sum."""
     halls = 0
     keys = []
     for i, kind in enumerate(kinds):
         halls += kind == "hall"
         upstairs = kind == "hall" and halls % 2 == 0
-        keys.append((len(_FROM_THE_GROUND) if upstairs else _FROM_THE_GROUND.index(kind), i))
+        keys.append((len(use.from_the_ground) if upstairs else use.from_the_ground.index(kind), i))
     order = [i for _, i in sorted(keys)]
     if storeys == 1:
         return [kinds[i] for i in order], [[areas[i] for i in order]]
@@ -299,21 +270,21 @@ def _names(kinds: list[Kind]) -> list[str]:
     return names
 
 
-def _people(kinds: list[Kind]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the share of the people at home in each room by day and by night, each of sum 1."""
-    day = np.array([KINDS[kind].people_day for kind in kinds])
-    night = np.array([KINDS[kind].people_night for kind in kinds])
+def _people(kinds: list[Kind], use: Use) -> tuple[np.ndarray, np.ndarray]:
+    """Return the share of the people present in each room by day and by night, each of sum 1."""
+    day = np.array([use.kinds[kind].people_day for kind in kinds])
+    night = np.array([use.kinds[kind].people_night for kind in kinds])
     if not night.any():
         night = day
     return day / day.sum(), night / night.sum()
 
 
-def _doors(rng: np.random.Generator, kinds: list[Kind], touching: list[Contact]) -> tuple[Door, ...]:
+def _doors(rng: np.random.Generator, kinds: list[Kind], touching: list[Contact], use: Use) -> tuple[Door, ...]:
     """Return doors so that every room can be reached, by way of halls and living rooms where there are, and a stair.
 
     A spanning tree of the contacts (Kruskal): walls shorter than a door come last, floors are crossed once.
     """
-    rank: dict[Kind, float] = {"hall": 0.0, "living": 1.0, "kitchen": 2.0, "study": 3.0, "bedroom": 4.0, "bath": 5.0}
+    rank = {kind: of.private for kind, of in use.kinds.items()}
 
     def cost(contact: Contact) -> float:
         a, b = rank[kinds[contact.first]], rank[kinds[contact.second]]
@@ -330,7 +301,7 @@ def _doors(rng: np.random.Generator, kinds: list[Kind], touching: list[Contact])
         low, high = (0.5, 1.0)  # of a stairwell
         if contact.kind == "wall":
             tighter = max((kinds[contact.first], kinds[contact.second]), key=lambda kind: rank[kind])
-            low, high = _OPENNESS[tighter]
+            low, high = use.kinds[tighter].openness
         doors.append(
             Door(
                 contact.first,

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from thermoforce_mpc.plants.drawn_houses.envelope import AIR_WH_M3_K, HEIGHT_M, Facade, Mass
 from thermoforce_mpc.plants.drawn_houses.occupants import Pattern
 from thermoforce_mpc.plants.random_houses.draw import ground_C
 from thermoforce_mpc.plants.rooms.plan import Contact, Place
-
-Kind = Literal["living", "kitchen", "bedroom", "bath", "study", "hall"]
-RoomEmitter = Literal["floor", "radiator"]
+from thermoforce_mpc.plants.rooms.use import Kind, RoomEmitter
 
 # Design outdoor temperature at the unshifted climate, °C (EN 12831-1, Belgian annex: −7 to −9), and rooms that size the
 # machine, °C.
@@ -29,9 +26,9 @@ class Room:
     the house; `people_day`, `people_night` shares of the people at home.
 
     `emitter_W` at design; water and metal of `emitter_J_K` deliver `emitter_W_Kn` · ΔT^`emitter_exponent` W: by a
-    radiator, `convective` of it to the air and the rest to the surfaces; in a floor, all to a slab of `slab_J_K`,
-    coupled to the room by `slab_room_W_K`. `flow_W_K`: heat taken at design flow per K of supply over mean water
-    temperature.
+    radiator or coil, `convective` of it to the air and the rest to the surfaces; in a floor, all to a slab of
+    `slab_J_K`, coupled to the room by `slab_room_W_K`. `flow_W_K`: heat taken at design flow per K of supply over
+    mean water temperature.
     """
 
     name: str
@@ -103,13 +100,14 @@ class HeatPump:
 
 @dataclass(frozen=True)
 class DrawnHouse:
-    """A house of rooms with one heat pump, see `draw_rooms`.
+    """A house of rooms with one heat pump, or an office (`use`), see `draw_rooms`.
 
     `turn_deg`: the 'south' facade looks to 180° + `turn_deg`. `attached`: facades that touch a neighbour's house at
     the same temperature. `U_inside` of walls and floors between rooms, air to air, W/m²K. `air_changes_1_h` mean
     infiltration. `curves` by emitter; others as in `generated.House`.
     """
 
+    use: str
     seed: int
     rooms: tuple[Room, ...]
     contacts: tuple[Contact, ...]
@@ -138,7 +136,7 @@ class DrawnHouse:
     @property
     def name(self) -> str:
         """Name from which the house can be drawn again, see `house_of_rooms`."""
-        return f"house:{len(self.rooms)}rooms:{self.seed}"
+        return f"{self.use}:{len(self.rooms)}rooms:{self.seed}"
 
     @property
     def floor_area_m2(self) -> float:

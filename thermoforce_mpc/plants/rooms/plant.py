@@ -28,13 +28,14 @@ from thermoforce_mpc.plants.records import means_between
 from thermoforce_mpc.plants.rooms import physics, schedule
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
 from thermoforce_mpc.plants.rooms.house import DrawnHouse
+from thermoforce_mpc.plants.rooms.use import USES
 from thermoforce_mpc.plants.shell import CLOCK_S, Samples
 from thermoforce_mpc.scenario.building import Price
 
 # Seed of the houses `house:Nrooms`.
 SEED = 15
 
-_NAME = re.compile(r"house:(\d+)rooms?(?::(\d+))?")
+_NAME = re.compile(r"(house|office):(\d+)rooms?(?::(\d+))?")
 
 
 @dataclass(frozen=True)
@@ -52,18 +53,18 @@ class HouseSnapshot:
 
 
 def house_of_rooms(name: str) -> HouseOfRooms:
-    """Return the house `house:Nrooms`, N from 1 to 30, or `house:Nrooms:SEED` of another seed.
+    """Return the house `house:Nrooms`, N from 1 to 30, or `house:Nrooms:SEED` of another seed; `office:…` likewise.
 
     Raises:
         InputError: `name` has another form, or N is out of range.
     """
     match = _NAME.fullmatch(name)
-    if match is None or not 1 <= int(match[1]) <= MOST_ROOMS:
+    if match is None or not 1 <= int(match[2]) <= MOST_ROOMS:
         raise InputError(
-            f"house '{name}': expected house:Nrooms or house:Nrooms:SEED with N from 1 to {MOST_ROOMS}, "
+            f"house '{name}': expected house:Nrooms, house:Nrooms:SEED or office:… with N from 1 to {MOST_ROOMS}, "
             "such as house:5rooms"
         )
-    return HouseOfRooms(draw_rooms(int(match[1]), int(match[2] or SEED)))
+    return HouseOfRooms(draw_rooms(int(match[2]), int(match[3] or SEED), USES[match[1]]))
 
 
 class HouseOfRooms(DrawnHousePlant):

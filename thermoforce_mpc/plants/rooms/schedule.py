@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.plants.drawn_houses.occupants import PERSON_W, at_home, hour_of_day, set_back, varying
 from thermoforce_mpc.plants.random_houses.schedule import PREHEAT_H, SET_BACK_K
-from thermoforce_mpc.plants.rooms.house import DrawnHouse, Kind, Room
+from thermoforce_mpc.plants.rooms.house import DrawnHouse, Room
+from thermoforce_mpc.plants.rooms.use import Kind
 
 # Comfort bounds of a room that is not used, °C (BOPTEST's of an empty house).
 UNUSED_LOWER_C, UNUSED_UPPER_C = 15.0, 30.0
@@ -18,16 +19,19 @@ _NIGHT_FROM_H, _NIGHT_TO_H = 22.0, 6.0
 
 
 def at_home_or_asleep(house: DrawnHouse, time_s: Array) -> NDArray[np.bool_]:
-    """Return whether people are in the house at `time_s`: by its pattern of presence, and from 22 to 6 h."""
-    return np.asarray(at_home(house.pattern, time_s) | _night(hour_of_day(time_s)))
+    """Return whether people are in at `time_s`: by the pattern of presence, and in a house from 22 to 6 h."""
+    present = at_home(house.pattern, time_s)
+    return present if house.use == "office" else np.asarray(present | _night(hour_of_day(time_s)))
 
 
 def in_use(house: DrawnHouse, kind: Kind, time_s: Array) -> NDArray[np.bool_]:
-    """Return whether rooms of `kind` are in use at `time_s`, shape of `time_s`; only while people are in the house.
+    """Return whether rooms of `kind` are in use at `time_s`, shape of `time_s`; only while people are in.
 
-    Bedrooms 20 to 9 h; baths 6 to 9 h and 18 to 22 h; others 6 to 22 h.
+    In a house: bedrooms 20 to 9 h; baths 6 to 9 h and 18 to 22 h; others 6 to 22 h.
     """
     hour = hour_of_day(time_s)
+    if house.use == "office":
+        return at_home(house.pattern, time_s)
     if kind == "bedroom":
         used = (hour < 9.0) | (hour >= 20.0)
     elif kind == "bath":

@@ -8,7 +8,7 @@ from thermoforce_mpc.scenario.testcase import TestCase, Weather
 
 
 def house_testcase(name: str) -> TestCase:
-    """Return the test case of `house:Nrooms` or `house:Nrooms:SEED`; raises `InputError` for another name."""
+    """Return the test case of a house or an office, see `house_of_rooms`; raises `InputError` for another name."""
     house = house_of_rooms(name)
     zones = {
         zone: Zone(

@@ -7,12 +7,15 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from thermoforce_mpc.data.plan import NOT_ECONOMICAL
 from thermoforce_mpc.errors import counted
 from thermoforce_mpc.simulation.closed_loop import RunResult
 
 if TYPE_CHECKING:
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
+# Share of the steps from which accepted discomfort is told.
+_WORTH_TELLING = 0.01
 # Solvers by the first word of their status.
 _SOLVERS = {
     "ipopt": "Ipopt",
@@ -33,6 +36,7 @@ class Planning:
         steps: control steps.
         plans: steps with a plan of a solver, by solver, most first; what an override did with it is not counted here.
         failed: steps in which a solver was started and gave no plan.
+        uncomfortable: plans that accept discomfort, since what would avoid it costs more.
         export_calls: calls of the exported operator for those plans, one for each horizon and actuator.
         trained, used: parameters of the operator, and those of them that affect a prediction; 0 without a model.
     """
@@ -40,6 +44,7 @@ class Planning:
     steps: int
     plans: Mapping[str, int]
     failed: int
+    uncomfortable: int
     export_calls: int
     trained: int
     used: int
@@ -56,17 +61,22 @@ class Planning:
             words = f"planned {' and '.join(filter(None, (', '.join(by[:-1]), by[-1])))}"
             words += " over the exported operator" if self.export_calls else ""
             words += f": {counted(self.trained, 'trained parameter')}, {self.used} used" if self.trained else ""
-        return f"{words}; {counted(self.failed, 'solve')} without a plan" if self.failed else words
+        words += f"; {counted(self.failed, 'solve')} without a plan" if self.failed else ""
+        if self.uncomfortable > _WORTH_TELLING * self.steps:
+            words += f"; in {self.uncomfortable / self.steps:.0%} of the steps discomfort {NOT_ECONOMICAL}"
+            words += " (controller.options.objective.comfort_weight_per_m2)"
+        return words
 
 
 def planning_of(result: RunResult, model: ThermalModel | None) -> Planning:
     """The counts of a closed loop; `model`: what its controller planned with, if anything."""
-    plans, failed, calls = Counter[str](), 0, 0
+    plans, failed, uncomfortable, calls = Counter[str](), 0, 0, 0
     for step in result.steps:
         solver, _, how = step.plan.solver_status.partition(":")
         if step.plan.u.size:
             plans[solver or "another solver"] += 1
             calls += step.plan.export_calls
+            uncomfortable += NOT_ECONOMICAL in step.plan.why
         else:
             failed += bool(how) or solver == "raised"
     operator = None if model is None else model.operator
@@ -74,6 +84,7 @@ def planning_of(result: RunResult, model: ThermalModel | None) -> Planning:
         steps=len(result.steps),
         plans=dict(plans.most_common()),
         failed=failed,
+        uncomfortable=uncomfortable,
         export_calls=calls,
         trained=operator.n_trained if operator else 0,
         used=operator.n_used if operator else 0,
