@@ -118,7 +118,7 @@ class Formulation:
         highest_W = np.array(layout.weights) * fixed_W[fed_by, -1] + per_u_W[:, -1] * highest
         if bent:
             highest_W = highest_W + per_u2_W[:, -1] * highest**2
-        bounds, cap_kW = self.margins.bounds(operator, context.free, boundary, margins.learned), aims.power_cap_kW
+        bounds = self.margins.bounds(operator, context.free, boundary, margins.learned)
         problem = MPCProblem(
             forced_state_K=context.forced_K,
             features=context.features,
@@ -134,14 +134,29 @@ class Formulation:
             terminal_price_per_K=self._terminal_price(operator, context.features[:, -1], price[fed_by, -1] * highest_W),
             peak_so_far_W=peak_W,
             cooling=self._cooling(boundary, np.maximum(boundary.price_per_kWh[:, :-1] + carbon, 0.0)),
-            power_cap=None
-            if cap_kW is None
-            else PowerCap(np.full(boundary.n_steps, 1000.0 * cap_kW), aims.power_cap_price_per_kWh),
+            power_cap=self._cap(fixed_W[0], per_u_W[0], per_u2_W[0]),
             power_per_u2_W=per_u2_W if bent else None,
             capacity=self.margins.capacity(operator, T_out, margins.unused),
             last_u=self._last_u(history),
         )
         return Instance(problem, bounds)
+
+    def _cap(self, fixed_W: Array, per_u_W: Array, per_u2_W: Array) -> PowerCap | None:
+        """The power cap over the steps; power of the first actuator and its machine: (N,), W.
+
+        Blocks of an actuator that is alone take what whole blocks take, at most. Of several actuators one takes more
+        while another takes less.
+        """
+        aims, each, step_s = self._config.objective, self._actuators.each, self._step_s
+        if aims.power_cap_kW is None:
+            return None
+        limit_W = np.full(fixed_W.shape, 1000.0 * aims.power_cap_kW)
+        if len(each) == 1 and each[0].switches:
+            level = each[0].block_level
+            block_W = fixed_W + per_u_W * level + per_u2_W * (0.0 if self._straight else level**2)
+            on_s = [each[0].longest_on_s(share * step_s, step_s) for share in limit_W / block_W]
+            limit_W = np.where(limit_W < block_W, np.array(on_s) / step_s * block_W, limit_W)
+        return PowerCap(limit_W, aims.power_cap_price_per_kWh)
 
     def expected_power_W(self, a: int, record: Record) -> Array:
         """Electric power (n,), W, for the levels of actuator `a` in a record of its own."""
