@@ -70,7 +70,7 @@ def test_a_plan_counts_with_the_blocks_that_a_step_can_hold_under_the_cap():
     np.testing.assert_allclose(limits_W(simple_model(), one, 0.65 * kW), 0.5 * FULL_W)
     np.testing.assert_allclose(limits_W(simple_model(), one, 0.2 * kW), 0.0, err_msg="half a minimum time takes more")
     np.testing.assert_allclose(limits_W(simple_model(), one, 1.2 * kW), 1.2 * FULL_W)
-    np.testing.assert_allclose(limits_W(two_model(), two, 0.65 * kW), 0.65 * FULL_W, err_msg="they take turns")
+    np.testing.assert_allclose(limits_W(two_model(), two, 0.65 * kW), (0.65 - 0.125) * FULL_W, err_msg="half a block")
 
 
 def test_what_takes_the_place_of_a_plan_is_not_held_to_the_cap():
