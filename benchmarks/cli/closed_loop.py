@@ -28,7 +28,7 @@ def buildings_command(
 ) -> None:
     """Run the default configuration on generated houses, against a thermostat and the houses' own control.
 
-    Two weeks a house: the coldest and a sunny one in spring. Offices follow, beside thermostats with a setback at night.
+    Two weeks a house: the coldest and a sunny one in spring. Offices follow, beside thermostats that are off at night.
     Costs in EUR/m² and discomfort in K·h of the week.
     """
     from benchmarks.closed_loop.buildings import run_buildings_bench

@@ -24,6 +24,8 @@ from thermoforce_mpc.scenario.settings import StrictModel
 
 # Shares below this mean off; also the tolerance on measured mean levels.
 _OFF = 1e-3
+# Shares of a step nearer than this are one.
+_SAME = 1e-6
 
 
 class ActuationConfig(StrictModel):
@@ -134,6 +136,14 @@ class Actuation:
             return "modulating, any level held for the step"
         return f"modulating, levels from {self.config.lowest_level:.2f} held for the step, on/off blocks below"
 
+    def must_stay_on(self, state: ActuationState) -> bool:
+        """Whether the minimum on time of a machine in `state` has not passed."""
+        return self.switches and state.on and state.held_s < self.config.min_on_s
+
+    def half_block(self, step_s: float) -> float:
+        """Mean level of half a block over a step, by which blocks round a level up."""
+        return 0.5 * self.config.block_s / step_s * self.block_level if self.switches else 0.0
+
     def check_step(self, step_s: float) -> None:
         """Raise `ControllerConfigError` where a step of `step_s` seconds is shorter than two blocks."""
         c = self.config
@@ -171,27 +181,44 @@ class Actuation:
         return _UNKNOWN  # full before, or unknown: may have switched off in the last step
 
     def realise(
-        self, u: float | None, step_s: float, state: ActuationState, water: float = 0.0
+        self,
+        u: float | None,
+        step_s: float,
+        state: ActuationState,
+        water: float = 0.0,
+        most: float = math.inf,
     ) -> tuple[tuple[Block, ...], ActuationState]:
         """Blocks of total length `step_s` whose mean level is as near to `u` (in [0, `highest`]) as the limits allow.
 
-        `u` None is native control; `water`: level of an open valve, by `supply` (0: as this one needs it).
-        Returns the blocks and the machine's state after them.
+        `u` None is native control; `water`: level of an open valve, by `supply` (0: as this one needs it); `most`: mean
+        level that only a minimum on time exceeds. Returns the blocks and the machine's state after them.
         """
         if u is None:
             return (Block(None, step_s),), ActuationState(native=True)
         if self.by_supply:
-            return self._valve_blocks(u, step_s, state, water or self.water(u))
+            return self._valve_blocks(u, step_s, state, water or self.water(u), most)
         if not self.switches:
-            return (Block(min(u, 1.0) if u > _OFF else 0.0, step_s),), state
-        return self._on_off_blocks(u, step_s, state)
+            return (Block(min(u, most, 1.0) if u > _OFF else 0.0, step_s),), state
+        return self._on_off_blocks(u, step_s, state, most)
+
+    def longest_on_s(self, most_s: float, step_s: float) -> float:
+        """Longest on-time of a step of `step_s` seconds, at most `most_s`, that blocks can keep up, s.
+
+        A run of the minimum on time may begin at the end of one step and end in the next. Where even half of it takes
+        more than `most_s` there is none.
+        """
+        c = self.config
+        if most_s >= step_s:
+            return step_s
+        on_s = math.floor(most_s / c.block_s + _SAME) * c.block_s
+        return on_s if 2.0 * on_s >= c.min_on_s else 0.0
 
     def water(self, u: float) -> float:
         """Least level at which an open valve can give `u` over a step."""
         return min(max(u, self.config.lowest_level, _OFF), 1.0)
 
     def _valve_blocks(
-        self, u: float, step_s: float, state: ActuationState, water: float
+        self, u: float, step_s: float, state: ActuationState, water: float, most: float
     ) -> tuple[tuple[Block, ...], ActuationState]:
         """Open for about the share of the step in which level `water` gives `u`.
 
@@ -202,20 +229,22 @@ class Actuation:
         c = self.config
         within = np.arange(c.min_on_s, step_s - c.min_off_s + 1e-6, c.block_s)
         wanted_s = u / water * step_s if u > _OFF else 0.0
-        on_s = min([0.0, *within.tolist(), step_s], key=lambda open_s: abs(open_s - wanted_s))
+        allowed = [open_s for open_s in (*within.tolist(), step_s) if open_s * water <= (most + _SAME) * step_s]
+        on_s = min([0.0, *allowed], key=lambda open_s: abs(open_s - wanted_s))
         parts = ((water, on_s), (0.0, step_s - on_s)) if state.on else ((0.0, step_s - on_s), (water, on_s))
         blocks = tuple(Block(level, t) for level, t in parts if t > 0)
         return blocks, ActuationState(bool(blocks[-1].u[0]), blocks[-1].duration_s)
 
     def _on_off_blocks(
-        self, u: float, step_s: float, state: ActuationState
+        self, u: float, step_s: float, state: ActuationState, most: float
     ) -> tuple[tuple[Block, ...], ActuationState]:
         c, on = self.config, state.on
-        on_level = min(max(u, self.block_level), self.highest)
+        on_level = min(max(min(u, most), self.block_level), self.highest)
         share = min(max(u / on_level, 0.0), 1.0)
         # A plan of "off" discards the carried-over on-time: it must not heat a zone that needs no heat.
         wanted_s = share * step_s + state.owed_s if share > _OFF else 0.0
-        stays_s = self._time_in_state(wanted_s, step_s, state)
+        longest_s = self.longest_on_s((most / on_level + _SAME) * step_s, step_s)
+        stays_s = self._time_in_state(wanted_s, longest_s, step_s, state)
         on_s = stays_s if on else step_s - stays_s
         # The remainder exceeds one block only through minimum times; the cap limits its accumulation.
         cap = max(c.block_s, c.min_on_s, c.min_off_s)
@@ -226,11 +255,12 @@ class Actuation:
             return blocks, ActuationState(not on, step_s - stays_s, owed_s)
         return blocks, ActuationState(on, state.held_s + step_s, owed_s)
 
-    def _time_in_state(self, wanted_s: float, step_s: float, state: ActuationState) -> float:
+    def _time_in_state(self, wanted_s: float, longest_s: float, step_s: float, state: ActuationState) -> float:
         """Time before the machine switches, s, for which the on-time of the step is nearest to `wanted_s`.
 
         It switches at most once per step, at a whole block, and not before the minimum time in its state has passed.
-        A run that starts in this step may end the step shorter than its minimum: the next step continues it.
+        A run that starts in this step may end the step shorter than its minimum: the next step continues it. Both are
+        on for `longest_s` at most, unless the machine runs already and its minimum time is longer.
         """
         c = self.config
         left_s = max((c.min_on_s if state.on else c.min_off_s) - state.held_s, 0.0)
@@ -239,7 +269,11 @@ class Actuation:
         if not state.on:
             # On ties the later start: a later plan may drop it.
             candidates.reverse()
-        return min(candidates, key=lambda stays_s: abs((stays_s if state.on else step_s - stays_s) - wanted_s))
+            shortest_s = c.min_on_s - longest_s if longest_s < step_s else 0.0
+            allowed = [s for s in candidates if shortest_s <= step_s - s <= longest_s or s == step_s]
+        else:
+            allowed = [s for s in candidates if s <= longest_s] or candidates[:1]
+        return min(allowed, key=lambda stays_s: abs((stays_s if state.on else step_s - stays_s) - wanted_s))
 
 
 def _last_run(flags: NDArray[np.bool_]) -> int:

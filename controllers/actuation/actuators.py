@@ -14,11 +14,13 @@ with the largest demand.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 
 from controllers.actuation.actuator import Actuation, ActuationState
+from controllers.actuation.power_limit import PowerLimit, PowerRoom
 from thermoforce_mpc.data import Block, Layout, Record
 from thermoforce_mpc.data.clock import CLOCK_TOLERANCE_S
 
@@ -33,12 +35,14 @@ Demand = float | None | tuple[Block, ...]
 class ActuatorBlocks:
     """Blocks of each actuator (A,), each of one actuator, and the states after them (A,).
 
-    `excluded`: actuators that do not meet their demand, each with the one that excludes it.
+    `excluded`: actuators that do not meet their demand, each with the one that excludes it. `over`: what
+    takes the step above a limit of power, in words.
     """
 
     blocks: tuple[tuple[Block, ...], ...]
     states: tuple[ActuationState, ...]
     excluded: Mapping[int, int] = field(default_factory=dict)
+    over: str = ""
 
     def together(self) -> tuple[Block, ...]:
         """The blocks of all actuators: one wherever any of them changes."""
@@ -79,28 +83,21 @@ class Actuators:
             for a, actuation in enumerate(self.each)
         )
 
-    def realise(self, demands: Sequence[Demand], step_s: float, states: Sequence[ActuationState]) -> ActuatorBlocks:
+    def realise(
+        self,
+        demands: Sequence[Demand],
+        step_s: float,
+        states: Sequence[ActuationState],
+        limit: PowerLimit | None = None,
+    ) -> ActuatorBlocks:
         """Blocks of length `step_s` that come as near to `demands` (A,) as the limits allow, and the states after."""
         wanted = [self._demand_size(a, demand, states[a]) for a, demand in enumerate(demands)]
         excluded = self.layout.excluded(wanted)
         native = {a for a in excluded if demands[excluded[a]] is None}
         exclusions = {a: by for a, by in excluded.items() if a in native or demands[a]}
         demands = [None if a in native else 0.0 if a in excluded else demand for a, demand in enumerate(demands)]
-        realised = [self._realise_one(a, demand, step_s, states[a]) for a, demand in enumerate(demands)]
-        for fed in self._shared:
-            levels = {
-                a: float(level)
-                for a in fed
-                if isinstance(level := demands[a], float | int) and not self.each[a].modulates
-            }
-            if len(levels) > 1:
-                for a, blocks_and_state in self._realise_shared(levels, step_s, states, excluded).items():
-                    realised[a] = blocks_and_state
-        for fed in self._water:
-            valve_levels = {a: float(level) for a in fed if isinstance(level := demands[a], float | int)}
-            water = max((self.each[a].water(level) for a, level in valve_levels.items()), default=0.0)
-            for a, level in valve_levels.items():
-                realised[a] = self.each[a].realise(level, step_s, states[a], water)
+        room = PowerRoom(limit)
+        realised = self._realise_each(demands, step_s, states, excluded, room)
         # Exclusion comes before minimum times, for which one may be on without a demand.
         acts = [
             None if demands[a] is None else any(block.u[0] for block in blocks) * (1.0 + (wanted[a] or 0.0))
@@ -108,9 +105,13 @@ class Actuators:
         ]
         for a in self.layout.excluded(acts):
             realised[a] = (Block(0.0, step_s),), ActuationState(on=False, held_s=step_s)
+            room.take(a, 0.0)
         exclusions = {a: by for a, by in exclusions.items() if not any(block.u[0] for block in realised[a][0])}
         return ActuatorBlocks(
-            tuple(blocks for blocks, _ in realised), tuple(state for _, state in realised), exclusions
+            tuple(blocks for blocks, _ in realised),
+            tuple(state for _, state in realised),
+            exclusions,
+            room.over_in_words(self.layout.names),
         )
 
     def excluded_in_words(self, acted: ActuatorBlocks) -> list[str]:
@@ -128,16 +129,44 @@ class Actuators:
         """How much actuator `a` is wanted, see `Layout.excluded`; one that must stay on comes before all others."""
         if demand is None or isinstance(demand, tuple):
             return None if demand is None else max(abs(block.u[0] or 0.0) for block in demand)
-        actuation = self.each[a]
-        must_stay = actuation.switches and state.on and state.held_s < actuation.config.min_on_s
-        return demand / actuation.highest + must_stay
+        return demand / self.each[a].highest + self.each[a].must_stay_on(state)
 
-    def _realise_one(
-        self, a: int, demand: Demand, step_s: float, state: ActuationState
-    ) -> tuple[tuple[Block, ...], ActuationState]:
-        if isinstance(demand, tuple):
-            return demand, state
-        return self.each[a].realise(demand, step_s, state)
+    def _realise_each(
+        self,
+        demands: Sequence[Demand],
+        step_s: float,
+        states: Sequence[ActuationState],
+        excluded: Collection[int],
+        room: PowerRoom,
+    ) -> list[tuple[tuple[Block, ...], ActuationState]]:
+        """Blocks and states of all actuators (A,), one after another where power is limited.
+
+        First those that the limit does not move, then those that must stay on, then those to which most is owed.
+        """
+        levels = {a: float(level) for a, level in enumerate(demands) if isinstance(level, float | int)}
+        shared = [{a: levels[a] for a in fed if a in levels and not self.each[a].modulates} for fed in self._shared]
+        shared = [of_machine for of_machine in shared if len(of_machine) > 1]
+        water = {
+            a: max((self.each[b].water(levels[b]) for b in fed if b in levels), default=0.0)
+            for fed in self._water
+            for a in fed
+        }
+        realised: dict[int, tuple[tuple[Block, ...], ActuationState]] = {}
+        alone = [a for a in range(len(demands)) if not any(a in of_machine for of_machine in shared)]
+        for a in sorted(alone, key=lambda a: (room.limits(a), *self._precedence(a, states[a]))):
+            demand, most = demands[a], room.most(a, self.each[a].half_block(step_s))
+            if isinstance(demand, tuple):
+                realised[a] = demand, states[a]
+            else:
+                realised[a] = self.each[a].realise(demand, step_s, states[a], water.get(a, 0.0), most)
+            room.take(a, _mean_level(realised[a][0]), most)
+        for of_machine in shared:
+            realised |= self._realise_shared(of_machine, step_s, states, excluded, room)
+        return [realised[a] for a in range(len(demands))]
+
+    def _precedence(self, a: int, state: ActuationState) -> tuple[bool, float]:
+        """Sorts actuators of which not all can have what they ask for."""
+        return not self.each[a].must_stay_on(state), -state.owed_s
 
     def _realise_shared(
         self,
@@ -145,6 +174,7 @@ class Actuators:
         step_s: float,
         states: Sequence[ActuationState],
         excluded: Collection[int],
+        room: PowerRoom,
     ) -> dict[int, tuple[tuple[Block, ...], ActuationState]]:
         """Blocks of the actuators of one machine at mean `levels`, beside those of the one that is on longest."""
         wanted_s = {
@@ -153,15 +183,24 @@ class Actuators:
         }
         lead = max(levels, key=lambda a: (wanted_s[a], a not in excluded, states[a].on))
         running = _machine_state([states[a] for a in levels])
-        blocks, after = self.each[lead].realise(levels[lead], step_s, replace(running, owed_s=states[lead].owed_s))
+        most = room.most(lead, self.each[lead].half_block(step_s))
+        begun = replace(running, owed_s=states[lead].owed_s)
+        blocks, after = self.each[lead].realise(levels[lead], step_s, begun, most=most)
+        room.take(lead, _mean_level(blocks), most)
         runs_s = sum(block.duration_s for block in blocks if block.u[0])
         realised = {lead: (blocks, after)}
         block_s = {a: self.each[a].config.block_s for a in levels}
         on_s = {a: min(round(max(wanted_s[a], 0.0) / block_s[a]) * block_s[a], runs_s) for a in levels if a != lead}
-        slots, most = self._assign_slots(lead, on_s, runs_s)
+        for a in sorted(on_s, key=lambda a: -states[a].owed_s):
+            full = self.each[a].config.level
+            within_s = room.most(a, self.each[a].half_block(step_s)) / full * step_s
+            if within_s < on_s[a]:
+                on_s[a] = math.floor(within_s / block_s[a]) * block_s[a]
+            room.take(a, on_s[a] / step_s * full)
+        slots, load = self._assign_slots(lead, on_s, runs_s)
         acting = [lead, *(a for a, seconds in on_s.items() if seconds)]
-        if most > 1.0 and all(self.each[a].part_levels for a in acting):
-            return self._at_part_levels(levels, step_s, running, lead)
+        if load > 1.0 and all(self.each[a].part_levels for a in acting):
+            return self._at_part_levels(levels, step_s, running, lead, most)
         starts_on, idle = bool(blocks[0].u[0]), Block(0.0, step_s - runs_s)
         for a, of_run in slots.items():
             level, slot_s = self.each[a].config.level, runs_s / len(of_run)
@@ -191,7 +230,7 @@ class Actuators:
         return is_on, max(loads)
 
     def _at_part_levels(
-        self, levels: Mapping[int, float], step_s: float, running: ActuationState, lead: int
+        self, levels: Mapping[int, float], step_s: float, running: ActuationState, lead: int, most: float
     ) -> dict[int, tuple[tuple[Block, ...], ActuationState]]:
         """One run for all actuators of a machine, each at the level that gives its mean of `levels`.
 
@@ -199,7 +238,7 @@ class Actuators:
         """
         load = min(sum(self.layout.shares[a] * level for a, level in levels.items()), 1.0)
         on = max(levels[lead], load * self.each[lead].config.level)
-        blocks, after = self.each[lead].realise(on, step_s, running)
+        blocks, after = self.each[lead].realise(on, step_s, running, most=most)
         runs_s = sum(block.duration_s for block in blocks if block.u[0])
         after, realised = replace(after, owed_s=0.0), {}
         for a, level in levels.items():
@@ -212,6 +251,13 @@ def _machine_state(states: Sequence[ActuationState]) -> ActuationState:
     """State of a machine from those of its actuators: it runs while one of them is on, since the first came on."""
     running = [state.held_s for state in states if state.on]
     return ActuationState(bool(running), max(running) if running else min(state.held_s for state in states))
+
+
+def _mean_level(blocks: Sequence[Block]) -> float | None:
+    """Mean level of blocks of one actuator; None under native control."""
+    if any(block.u[0] is None for block in blocks):
+        return None
+    return sum((block.u[0] or 0.0) * block.duration_s for block in blocks) / sum(block.duration_s for block in blocks)
 
 
 def merged(blocks: Sequence[Sequence[Block]]) -> tuple[Block, ...]:

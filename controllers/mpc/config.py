@@ -73,12 +73,20 @@ class ObjectiveConfig(StrictModel):
     )
     carbon_price_per_kg: float = Field(0.0, ge=0, description="price of emitted CO2, currency/kg")
     peak_price_per_kW: float = Field(
-        0.0, ge=0, description="price of mean power over a step above the highest so far, currency/kW"
+        0.0,
+        ge=0,
+        description="price of the mean power of all machines together over a control step above the highest so far, "
+        "currency/kW",
     )
     power_cap_kW: float | None = Field(
-        None, gt=0, description="soft cap of the building's mean power over a step, kW; null: none"
+        None,
+        gt=0,
+        description="cap of the mean power of all machines together over a control step (at the default step a "
+        "metered quarter hour), kW: on/off blocks keep it unless the plan pays for more; null: none",
     )
-    power_cap_price_per_kWh: float = Field(1.0, ge=0, description="price of energy above the cap, currency/kWh")
+    power_cap_price_per_kWh: float = Field(
+        1.0, ge=0, description="price of energy that a plan takes above the cap, currency/kWh"
+    )
     terminal_value: float = Field(
         0.0,
         ge=0,

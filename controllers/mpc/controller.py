@@ -19,7 +19,7 @@ from controllers.mpc.planner import Planners, build_solver, plan_shape
 from controllers.mpc.prediction import Failure, Forecast, Prediction
 from controllers.mpc.readings import Readings, ReadingsFilter
 from controllers.mpc.realisation import Realisation
-from controllers.mpc.solved import first_demands, solved_plan
+from controllers.mpc.solved import Solved, first_demands, power_limit, solved_plan
 from controllers.mpc.state import MPCState
 from controllers.optimisation.evaluation import Evaluation, Evaluator
 from controllers.optimisation.problem import MPCProblem, ProblemShape
@@ -287,7 +287,7 @@ class ThermoForceMPC(ActuatedController):
 
     def _solve(
         self, instance: Instance | Failure, forecast: Forecast | Failure, readings: Readings
-    ) -> Computation[Plan | Failure]:
+    ) -> Computation[Solved | Failure]:
         """The plan of a checked solution, without blocks."""
         if isinstance(forecast, Failure):
             return forecast
@@ -308,7 +308,8 @@ class ThermoForceMPC(ActuatedController):
         if brought is None or brought.broken:
             why = refused or f"the solver's levels leave a limit: {brought.broken if brought else ''}"
             return Failure(why, forecast.state, solution.status, {**seconds, "solve": solve_s})
-        return solved_plan(instance, solution, brought, solve_s, forecast, readings)
+        limit = power_limit(self.config.objective.power_cap_kW, instance.problem, solution, brought, planner.evaluator)
+        return Solved(solved_plan(instance, solution, brought, solve_s, forecast, readings), limit)
 
     def _brought(self, evaluator: Evaluator, problem: MPCProblem, solution: Solution) -> Evaluation:
         """What levels bring, whatever solver they are from, with the limit that they leave.
@@ -320,7 +321,7 @@ class ThermoForceMPC(ActuatedController):
 
     def _realise(
         self,
-        result: Plan | Failure,
+        result: Solved | Failure,
         readings: Readings,
         overrides: Mapping[int, Override],
         situation: Situation,
@@ -329,8 +330,9 @@ class ThermoForceMPC(ActuatedController):
         if isinstance(result, Failure):
             doubtful = [self._watched.doubtful(result.state, a) for a in range(len(self._fallbacks))]
             return self._realisation.fall_back(result, overrides, doubtful, readings.doubts, situation)
-        demands = first_demands(self.config, self._actuators, self.step_s, result, readings)
-        return self._realisation.realise(result, demands, overrides, situation)
+        plan, limit = result
+        demands = first_demands(self.config, self._actuators, self.step_s, plan, readings)
+        return self._realisation.realise(plan, demands, overrides, situation, limit)
 
     def _guess(self, good: GoodPlan | None, time_s: float) -> Array | None:
         """Warm start (A, N): the plan of the previous step, shifted by one step; None without one."""

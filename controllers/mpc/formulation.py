@@ -124,7 +124,7 @@ class Formulation:
             highest_W = highest_W + per_u2_W[:, -1] * highest**2
         dearest = price.max(axis=1)[fed_by]
         comfort, news = self._comfort_weights(operator, context.features[:, -1], dearest * highest_W)
-        bounds, cap_kW = self.margins.bounds(operator, context.free, boundary, margins.learned), aims.power_cap_kW
+        bounds = self.margins.bounds(operator, context.free, boundary, margins.learned)
         problem = MPCProblem(
             forced_state_K=context.forced_K,
             features=context.features,
@@ -140,14 +140,33 @@ class Formulation:
             terminal_price_per_K=self._terminal_price(operator, context.features[:, -1], price[fed_by, -1] * highest_W),
             peak_so_far_W=peak_W,
             cooling=self._cooling(boundary, np.maximum(boundary.price_per_kWh[:, :-1] + carbon, 0.0)),
-            power_cap=None
-            if cap_kW is None
-            else PowerCap(np.full(boundary.n_steps, 1000.0 * cap_kW), aims.power_cap_price_per_kWh),
+            power_cap=self._cap(fixed_W, per_u_W, per_u2_W),
             power_per_u2_W=per_u2_W if bent else None,
             capacity=self.margins.capacity(operator, T_out, margins.unused),
             last_u=self._last_u(history),
         )
         return Instance(problem, bounds, news)
+
+    def _cap(self, fixed_W: Array, per_u_W: Array, per_u2_W: Array) -> PowerCap | None:
+        """The power cap over the steps, as far as blocks use it; power of machines (M, N) and actuators (A, N), W.
+
+        One actuator takes what whole blocks take. Several take turns: half the smallest block is left on average.
+        """
+        aims, each, step_s = self._config.objective, self._actuators.each, self._step_s
+        if aims.power_cap_kW is None:
+            return None
+        limit_W = np.full(fixed_W.shape[1], 1000.0 * aims.power_cap_kW)
+        level = np.array([actuation.block_level for actuation in each])[:, None]
+        machine_of = self.machinery.machine_of
+        alone = ~self.machinery.shared[machine_of, None]
+        block_W = alone * fixed_W[machine_of] + per_u_W * level + per_u2_W * (0.0 if self._straight else level**2)
+        if len(each) == 1 and each[0].switches:
+            on_s = [each[0].longest_on_s(share * step_s, step_s) for share in limit_W / block_W[0]]
+            limit_W = np.where(limit_W < block_W[0], np.array(on_s) / step_s * block_W[0], limit_W)
+        elif all(actuation.switches and not actuation.modulates for actuation in each):
+            share = np.array([actuation.config.block_s / step_s for actuation in each])[:, None]
+            limit_W = np.maximum(limit_W - 0.5 * (share * block_W).min(axis=0), 0.0)
+        return PowerCap(limit_W, aims.power_cap_price_per_kWh)
 
     def expected_power_W(self, a: int, record: Record) -> Array:
         """Electric power (n,), W, for the levels of actuator `a` in a record of its own."""

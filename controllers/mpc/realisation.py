@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from controllers.actuation.actuators import Actuators, Demand
+from controllers.actuation.power_limit import PowerLimit
 from controllers.mpc.prediction import Failure
 from controllers.mpc.readings import joined
 from controllers.mpc.state import MPCState
@@ -49,7 +50,12 @@ class Realisation:
         self._layout = actuators.layout
 
     def realise(
-        self, plan: Plan, demands: Sequence[Demand], overrides: Mapping[int, Override], situation: Situation
+        self,
+        plan: Plan,
+        demands: Sequence[Demand],
+        overrides: Mapping[int, Override],
+        situation: Situation,
+        limit: PowerLimit | None = None,
     ) -> Plan:
         """The plan with its blocks.
 
@@ -58,15 +64,16 @@ class Realisation:
             demands: what it asks of each actuator (A,).
             overrides: what takes its place, by number of the actuator.
             situation: what the guard decides from.
+            limit: power that the plan allows in its first step; what takes the plan's place is not held to it.
         """
-        begun = self._with_blocks(plan, demands, overrides)
+        begun = self._with_blocks(plan, demands, overrides, limit and limit.without(overrides))
         planned = {
             a: sum((block.u[a] or 0.0) * block.duration_s for block in begun.blocks) / self._step_s
             for a, demand in enumerate(demands)
             if a not in overrides and isinstance(demand, float)  # the plant's own control acts on the bounds
         }
         guarded = self._guard.overrides(replace(situation, planned=planned))
-        return self._with_guard(begun, plan, demands, overrides, guarded) if guarded else begun
+        return self._with_guard(begun, plan, demands, overrides, guarded, limit) if guarded else begun
 
     def stand_back(self, overrides: Mapping[int, Override], state: MPCState) -> Plan:
         """A step in which every actuator is overridden; nothing is planned, and the last plan is not followed later."""
@@ -119,12 +126,18 @@ class Realisation:
         u, why = fallback.rule(observation, situation.zones.T_C)
         return Override(u, unplanned_status(u), why)
 
-    def _with_blocks(self, plan: Plan, demands: Sequence[Demand], overrides: Mapping[int, Override]) -> Plan:
+    def _with_blocks(
+        self,
+        plan: Plan,
+        demands: Sequence[Demand],
+        overrides: Mapping[int, Override],
+        limit: PowerLimit | None = None,
+    ) -> Plan:
         """The plan with the blocks of `demands` (A,), of actuators with an override those of its level."""
         assert isinstance(plan.state, MPCState)
         levels = [overrides[a].level if a in overrides else demand for a, demand in enumerate(demands)]
         acting = [overrides[a].status if a in overrides else status for a, status in enumerate(plan.acting)]
-        acted = self._actuators.realise(levels, self._step_s, plan.state.actuation)
+        acted = self._actuators.realise(levels, self._step_s, plan.state.actuation, limit)
         excluded = self._actuators.excluded_in_words(acted)
         for a in acted.excluded:
             if acted.states[a].native:
@@ -136,7 +149,7 @@ class Realisation:
             blocks=acted.together(),
             status=status,
             acting=tuple(acting),
-            why=joined([*excluded, *told, plan.why]),
+            why=joined([*excluded, *told, acted.over, plan.why]),
             state=replace(plan.state, actuation=acted.states),
         )
 
@@ -147,6 +160,7 @@ class Realisation:
         demands: Sequence[Demand],
         overrides: Mapping[int, Override],
         guarded: Mapping[int, Override],
+        limit: PowerLimit | None,
     ) -> Plan:
         """The plan with the guard's levels; `begun`: with its own blocks.
 
@@ -164,7 +178,8 @@ class Realisation:
                 guarded.pop(b, None)
                 excluded.append(self._layout.names.of_actuator(b, f"excluded by {names[a]}"))
         state = replace(plan.state, good=None)
-        redone = self._with_blocks(replace(plan, why="", state=state), levels, overrides)
+        limit = limit and limit.without({*overrides, *guarded})
+        redone = self._with_blocks(replace(plan, why="", state=state), levels, overrides, limit)
         if redone.blocks == begun.blocks:  # minimum on or off time: the machine cannot do more
             return begun
         told = [self._layout.names.of_actuator(a, override.why) for a, override in guarded.items()]

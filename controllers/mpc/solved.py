@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from controllers.actuation.actuators import Actuators, Demand
+from controllers.actuation.power_limit import PowerLimit
 from controllers.actuation.room_setpoints import room_blocks, within_C
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.formulation import Instance
 from controllers.mpc.prediction import Forecast
 from controllers.mpc.readings import Readings, joined
 from controllers.mpc.state import MPCState
-from controllers.optimisation.evaluation import Evaluation
+from controllers.optimisation.evaluation import Evaluation, Evaluator
 from controllers.optimisation.problem import MPCProblem
 from controllers.optimisation.solution import Solution
 from controllers.safety.fallback_policy import GoodPlan
@@ -30,6 +33,41 @@ _FULL = 0.98
 _WORKS_FROM = 0.5
 # A bound nearer than this is reported as binding, K.
 _BINDING_K = 0.02
+
+
+class Solved(NamedTuple):
+    """A plan without blocks, and the limit of power that they are to keep; None where power has none."""
+
+    plan: Plan
+    limit: PowerLimit | None
+
+
+def power_limit(
+    cap_kW: float | None, problem: MPCProblem, solution: Solution, brought: Evaluation, evaluator: Evaluator
+) -> PowerLimit | None:
+    """The limit of power in the first step; None without a cap and a price of peaks.
+
+    Args:
+        cap_kW: the cap, kW.
+        problem: what was solved.
+        solution: its levels.
+        brought: what they bring.
+        evaluator: what other levels of the first step would take.
+    """
+    if cap_kW is None and not problem.weights.peak:
+        return None
+    numbers, highest_W = evaluator.numbers(problem), float(brought.power_W.sum(axis=0).max())
+
+    def power_W(levels: Array) -> float:
+        u = np.concatenate([levels[:, None], solution.u[:, 1:]], axis=1)
+        return float(evaluator.evaluate(problem, numbers, u, solution.own_values).power_W[:, 0].sum())
+
+    return PowerLimit(
+        cap_W=math.inf if cap_kW is None else 1000.0 * cap_kW,
+        peak_W=max(problem.peak_so_far_W, highest_W) if problem.weights.peak else math.inf,
+        planned=solution.u[:, 0].copy(),
+        power_W=power_W,
+    )
 
 
 def solved_plan(

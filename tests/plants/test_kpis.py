@@ -11,7 +11,7 @@ from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded.schedule import bounds_C
-from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess, peak_power, zone_kpis
+from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess, peak_power, window_means, zone_kpis
 
 TIME = np.arange(0, 7200 + 1, 30.0)
 
@@ -177,3 +177,8 @@ def test_a_hole_in_a_series_is_no_kpi():
             air_quality=[],
             area_m2=1.0,
         )
+
+
+def test_means_are_over_whole_windows_whatever_the_instants():
+    time_s = np.array([0.0, 300.0, 1200.0, 1800.0, 2000.0])
+    np.testing.assert_allclose(window_means(time_s, np.array([3.0, 6.0, 0.0, 9.0]), 900.0), [5.0, 2.0])

@@ -17,10 +17,10 @@ from thermoforce_mpc.errors import DataError
 if TYPE_CHECKING:  # loaded only where tables go out
     import pandas as pd
 
-# Arrays of a `Plan` over its horizon.
 NOT_ECONOMICAL = "cannot be avoided economically"
 """What a plan says of discomfort that it accepts though heat could avoid it."""
 
+# Arrays of a `Plan` over its horizon.
 _PLANNED = ("u", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "slack_K", "power_W")
 
 Levels = float | None | Sequence[float | None]

@@ -202,11 +202,17 @@ def peak_power(time_s: Array, power_W: Array, *, of_steps: bool = False) -> floa
     `of_steps`: see `Supply`.
     """
     means_W = power_W[1:] if of_steps else (power_W[1:] + power_W[:-1]) / 2
-    energy_J = np.zeros(time_s.size)
-    np.cumsum((time_s[1:] - time_s[:-1]) * means_W, out=energy_J[1:])
     span_s = float(time_s[-1] - time_s[0])
-    if span_s < PEAK_WINDOW_S + _CLOCK_S:  # one window
-        return float(energy_J[-1]) / span_s
-    edges = np.arange(time_s[0], time_s[-1] + _CLOCK_S, PEAK_WINDOW_S)
-    at_edges = np.interp(edges, time_s, energy_J)
-    return float(np.max(np.diff(at_edges) / np.diff(edges)))
+    return float(np.max(window_means(time_s, means_W, min(PEAK_WINDOW_S, span_s))))
+
+
+def window_means(time_s: Array, means: Array, window_s: float) -> Array:
+    """Return the means over whole consecutive windows of `window_s` from the first instant, in the unit of `means`.
+
+    `means` (n − 1,) are those between the instants `time_s` (n,), s.
+    """
+    integral = np.zeros(time_s.size)
+    np.cumsum((time_s[1:] - time_s[:-1]) * means, out=integral[1:])
+    edges = np.arange(time_s[0], time_s[-1] + _CLOCK_S, window_s)
+    at_edges = np.interp(edges, time_s, integral)
+    return np.asarray(np.diff(at_edges) / np.diff(edges))

@@ -37,6 +37,7 @@ from thermoforce_mpc.simulation.composition import (
     controller_options,
     scored_period,
 )
+from thermoforce_mpc.simulation.folder.capped import Capped
 from thermoforce_mpc.simulation.folder.planning import Planning, planning_of
 from thermoforce_mpc.simulation.folder.run_book import RunBook
 from thermoforce_mpc.simulation.folder.run_folder import (
@@ -221,11 +222,13 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
             area_m2=testcase.area_m2,
             model=outcome.models.get(outcome.result.controller),
         )
-    _print_summary(outcome, folder, testcase, display)
+    _print_summary(outcome, folder, testcase, kpis["power_cap"], display)
     return folder
 
 
-def _print_summary(outcome: ScenarioResult, folder: Path, testcase: TestCase, display: RunDisplay) -> None:
+def _print_summary(
+    outcome: ScenarioResult, folder: Path, testcase: TestCase, power_cap: Mapping[str, Any], display: RunDisplay
+) -> None:
     """Print the KPI table and what was out of the ordinary."""
     plant, window = outcome.plant, _window(outcome.result.period)
     title = f"{plant.kind} plant, {plant.weather}\n{window}, {outcome.scenario.price} tariff"
@@ -233,6 +236,8 @@ def _print_summary(outcome: ScenarioResult, folder: Path, testcase: TestCase, di
     display.kpi_table(outcome.kpis, title, testcase.currency, gates)
     if equal := _equal_in_words(outcome, testcase):
         display.say(equal)
+    for name, figures in power_cap.items():
+        display.say(f"{name}: {Capped(**figures).in_words()}")
     display.say(f"{outcome.result.controller}: {outcome.planning[outcome.result.controller].in_words()}")
     levels = outcome.result.fallback_levels()
     fallbacks = {level: n for level, n in levels.items() if n and level not in ("solved", "rule", "gate")}

@@ -28,8 +28,10 @@ def whole(tmp_path_factory):
         words = ["--model", root / "model", "--baselines", "thermostat", "--days", "1", "--out", root / "whole"]
         words += ["--set", "controller.options.gate.enabled=false", "--set", "step_s=3600"]
         words += ["--set", "controller.options.free_response.name=persistence"]
+        words += ["--set", "controller.options.objective.power_cap_kW=4.5"]
         done = call("run", "--testcase", "bestest_hydronic_heat_pump", *words)
         assert done.exit_code == 0, done.output
+        assert "above the cap of 4.5 kW: 0 of 24 steps of 60 min, highest 4.30 kW" in done.output
     return root / "whole"
 
 
@@ -57,6 +59,12 @@ def test_the_report_of_a_whole_run_is_the_same_again(whole, tmp_path):
     assert done.exit_code == 0, done.output
     again, page = (tmp_path / "again.html").read_text(), (whole / "report.html").read_text()
     assert "cut off" not in again
+    figures = json.loads((whole / "kpis.json").read_text())["power_cap"]
+    assert {name: (found["above"], found["steps"]) for name, found in figures.items()} == {
+        "thermoforce_mpc": (0, 24), "thermostat": (0, 24)
+    }  # fmt: skip
+    assert page.count("above the cap of 4.5 kW: 0 of 24 steps of 60 min") == 2
+    assert again.count("above the cap of 4.5 kW: 0 of 24 steps of 60 min") == 2
     found, expected = island(again), island(page)
     assert found["own"] == expected["own"]
     assert found["baselines"] == expected["baselines"]

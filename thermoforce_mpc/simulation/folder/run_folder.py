@@ -24,6 +24,7 @@ from thermoforce_mpc.files import storage_errors, write_whole
 from thermoforce_mpc.registry import plugins
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held
+from thermoforce_mpc.simulation.folder.capped import capped_figures
 from thermoforce_mpc.simulation.folder.planning import Planning
 from thermoforce_mpc.version import VERSION
 
@@ -197,6 +198,7 @@ def write_results(
         "baselines": {name: baseline.kpis for name, baseline in baselines.items()},
         "equal_comfort": equal,
         "gate": {name: asdict(gate) for name, gate in gates_held(result, baselines).items()},
+        "power_cap": capped_figures(scenario, result, baselines),
     }
     write_json(folder / "kpis.json", kpis)
     manifest = {

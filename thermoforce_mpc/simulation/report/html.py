@@ -12,6 +12,7 @@ import numpy as np
 from thermoforce_mpc.data import HOUR_S, Layout
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.closed_loop import RunResult, gates_held
+from thermoforce_mpc.simulation.folder.capped import Capped
 from thermoforce_mpc.simulation.folder.planning import planning_of
 from thermoforce_mpc.simulation.report.answers import answers_json
 from thermoforce_mpc.simulation.report.courses import Course, course_of, most_blocks
@@ -81,6 +82,7 @@ def write_report(
         forecast=forecast_errors(result),
         free_forecast=free_forecast_scores(result),
         watch=[spell.in_words() for spell in watch_spells(result)],
+        capped={name: Capped(**figures).in_words() for name, figures in kpis.get("power_cap", {}).items()},
         apart=apart(courses, everyone),
         scaled={name: course.scaled for name, course in courses.items() if course.scaled != 1.0},
         events=stretches[:_MOST_EVENTS],

@@ -16,6 +16,7 @@ from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.closed_loop import RunResult
+from thermoforce_mpc.simulation.folder.capped import capped_figures
 from thermoforce_mpc.simulation.folder.run_folder import is_complete
 from thermoforce_mpc.simulation.journal.told_results import ToldRun, told_run
 from thermoforce_mpc.simulation.views.explaining import words_of
@@ -61,6 +62,7 @@ def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[st
         "scored_days": result.period.scored_s / DAY_S,
         "price": run.scenario.price,
         "controller": result.controller,
+        "power_cap": capped_figures(run.scenario, result, {baseline.controller: baseline for baseline in baselines}),
         "equal_comfort": (_json(folder / "kpis.json") or {}).get("equal_comfort", ""),
     }
     file = write_report(
