@@ -11,7 +11,7 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.plants.drawn_houses.envelope import MASSES
-from thermoforce_mpc.plants.drawn_houses.occupants import PATTERNS, at_home
+from thermoforce_mpc.plants.drawn_houses.occupants import HOUSEHOLDS, at_home
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, house_testcase, physics
 from thermoforce_mpc.plants.random_houses.draw import MACHINES, heat_pump_cop
 from thermoforce_mpc.plants.random_houses.plant import year_of
@@ -74,7 +74,7 @@ def test_a_house_is_the_same_to_the_last_bit_on_every_processor(index, area_m2):
 def test_forty_houses_cover_every_class():
     houses = [draw_house(SEED, i) for i in range(40)]
     assert {h.mass for h in houses} == set(MASSES)
-    assert {h.pattern for h in houses} == set(PATTERNS)
+    assert {h.pattern for h in houses} == set(HOUSEHOLDS)
     assert {h.machine for h in houses} == set(MACHINES)
     assert {h.emitter for h in houses} == {"floor", "radiator", "air"}
     assert {h.resolution_K for h in houses} == {0.0, 0.1, 0.5}
