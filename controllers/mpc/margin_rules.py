@@ -222,6 +222,13 @@ class LearnedMargin:
         """Where a lower and an upper bound (2, …), °C, are tighter than before."""
         return np.stack([bounds_C[0] - before_C[0], before_C[1] - bounds_C[1]]) > _SET_BACK_K
 
+    def at_begin_K(self, z: int, now_C: Array, bounds_C: Array) -> Array:
+        """Reserve inside the bounds (2, N) of zone `z`, °C, where they begin, K; 0 elsewhere. `now_C` (2,): of now."""
+        begins = self.begins(np.column_stack([now_C, bounds_C[:, :-1]]), bounds_C)
+        # One column for all zones: a state from before it was learned.
+        recovery_K = np.broadcast_to(self.recovery_K, self.reserve_K.shape)[:, z, None]
+        return np.where(begins, recovery_K, 0.0)
+
     def after_reading(
         self, inside_K: Array, spare: NDArray[np.bool_], planned_K: Array, time_s: float
     ) -> LearnedMargin:

@@ -164,9 +164,8 @@ class MarginRules:
             learned_K = learned.inside_K(z, lower_C, upper_C, by_loops=by_loops)
             reserves_K = np.array([self._reserve_K(operator, z, sign) for sign in (1, -1)])
             inside_K = c.comfort_margin_K + np.stack([below, above]) + reserves_K[:, None] + learned_K
-            of_zone_C = np.stack([lower_C, upper_C])
-            before_C = np.concatenate([[[boundary.lower_C[z, 0]], [boundary.upper_C[z, 0]]], of_zone_C[:, :-1]], axis=1)
-            inside_K += np.where(learned.begins(before_C, of_zone_C), learned.recovery_K[:, z, None], 0.0)
+            now_C = np.array([boundary.lower_C[z, 0], boundary.upper_C[z, 0]])
+            inside_K += learned.at_begin_K(z, now_C, np.stack([lower_C, upper_C]))
             inside_K = np.clip(inside_K, 0.0, half)
             rows.append(
                 (

@@ -27,8 +27,8 @@ from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import ZONE
 
-# Share of its highest level from which an actuator can do no more.
-_FULL = 0.98
+# Share of its highest level within which an actuator is taken to be at a limit.
+_NEARLY = 0.02
 # Share of full level from which a plan makes loops work.
 _WORKS_FROM = 0.5
 # A bound nearer than this is reported as binding, K.
@@ -198,11 +198,7 @@ def reason_of(
     if slack_K[z, when] > 1e-3:
         cold = bool(T_zone_C[z, when] < lower_C[z, when])
         side, sign = ("below", 1) if cold else ("above", -1)
-        own = [a for a, home in enumerate(operator.home) if home == z and operator.signs[a] == sign]
-        full = problem.machinery.u_max[own, None]
-        # Nothing more can be done where all that would is at full level from now on.
-        spent = bool(own) and bool((u[own, : when + 1] >= _FULL * full).all())
-        why = "cannot be avoided at full level" if spent else NOT_ECONOMICAL
+        why = _cannot_be_avoided(problem, operator, z, sign, u[:, : when + 1])
         what = f"{slack_K[z, when]:.2f} K {side} the comfort band {why}"
     else:
         gap = np.minimum(T_zone_C - lower_C, upper_C - T_zone_C)
@@ -223,3 +219,16 @@ def reason_of(
 
 def _of(zones: Sequence[str], z: int) -> str:
     return "" if len(zones) == 1 else f" in {zones[z]}"
+
+
+def _cannot_be_avoided(problem: MPCProblem, operator: BuildingOperator, z: int, sign: int, u: Array) -> str:
+    """Why zone `z` is not moved further in the direction `sign` by levels `u` (A, n) up to the discomfort.
+
+    Nothing more can be done where its actuators of that sign are at full level from now on, and the others do nothing.
+    """
+    own = [a for a, home in enumerate(operator.home) if home == z]
+    with_it = np.array(operator.signs, dtype=np.float64)[own] == sign
+    most = np.where(with_it, problem.machinery.u_max[own], problem.machinery.u_min[own])
+    if (np.abs(u[own] - most[:, None]) > _NEARLY * problem.machinery.u_max[own, None]).any():
+        return NOT_ECONOMICAL
+    return "cannot be avoided at full level" if most.any() else "cannot be avoided with nothing on"

@@ -31,7 +31,7 @@ from thermoforce_mpc.state_file import StateFormat
 
 FORMAT = StateFormat(STATE_CLASSES)
 STORED = Path(__file__).parent / "stored_states"
-# The controller that stored_states/control.npz is of.
+# The controller that stored_states/control.npz is of, and its key in that release.
 OPTIONS = {
     "step_s": HOUR_S,
     "horizon_h": 3.0,
@@ -41,6 +41,7 @@ OPTIONS = {
     "gate": {"enabled": False},
     "free_response": {"name": "residual", "options": {"backbone": "shipped"}},
 }
+KEY = "c56e67eb951da01b"
 
 
 def told(value) -> str:
@@ -97,9 +98,11 @@ def test_every_class_that_a_field_may_hold_is_in_the_table():
 
 def test_the_state_that_the_last_release_kept_is_gone_on_from():
     controller = ThermoForceMPC(simple_model(), MPCConfig.model_validate(OPTIONS))
-    kept = KeptState(STORED / "control.npz", controller_key(controller.model, controller.config)).load(
-        pd.Timestamp("2025-01-12T01:00Z")
+    now = pd.Timestamp("2025-01-12T01:00Z")
+    assert KeptState(STORED / "control.npz", controller_key(controller.model, controller.config)).load(now) is None, (
+        "its options had a comfort weight for all zones"
     )
+    kept = KeptState(STORED / "control.npz", KEY).load(now)
     assert kept.applied == (Applied(DAY_S, HOUR_S, (0.5,)), Applied(DAY_S + HOUR_S, HOUR_S, (None,)))
     state = kept.after
     assert (state.first_s, state.last_s, state.peak_W) == (10 * DAY_S, 10 * DAY_S + 11 * HOUR_S, 2508.3333333333335)

@@ -105,7 +105,7 @@ def test_pairs_are_found_by_name():
     other = replace(other, gains=0.1 * other.gains)
     operator = BuildingOperator(("bath", "hall"), ("valve", "fan"), ((own, None), (other, own)), (0, 1))
     model = replace(of_one(), operator=operator, free=(None, None), cards=(*of_one().cards,) * 2,
-                    machine_of=(0, 0), shares=(0.5, 0.5))  # fmt: skip
+                    machine_of=(0, 0), shares=(0.5, 0.5), floor_area_m2=(60.0, 20.0))  # fmt: skip
     x = situation()[2]
     direct = tf.step_function(model, 3600.0, actuator="valve")(0.0, 1.0, x[0])
     through = tf.step_function(model, 3600.0, actuator="valve", zone="hall")(0.0, 1.0, x[0])

@@ -178,6 +178,10 @@ def test_probing_heats_and_cools_inside_the_band(probed):
     assert out.max() < 0.3, "K beyond the band"
 
 
+def test_a_model_knows_the_floor_area_that_it_was_identified_for(model):
+    assert model.floor_area_m2 == model.layout.floor_area_m2 == (48.0,)
+
+
 def test_probing_by_rooms_asks_for_nothing_that_only_levels_need():
     class WithoutPast(LightOffice):
         def past(self, step_s):
@@ -254,6 +258,27 @@ def test_a_room_that_fell_below_its_reserve_does_not_wait_for_its_heat(model):
 
     assert first_band(LearnedMargin.nothing(1))[0] == pytest.approx(15.03)
     assert first_band(replace(LearnedMargin.nothing(1), reserve_K=np.array([[1.0], [0.0]])))[0] == pytest.approx(16.03)
+
+
+def test_loops_are_sent_to_the_end_of_a_move_of_several_steps(model):
+    config = controller_config("thermoforce_mpc", {"free_response": {"name": "rc"}}, load_testcase("bestest_air"))
+    assert isinstance(config, MPCConfig)
+    office = LightOffice()
+    office.reset(30 * DAY_S, DAY_S)
+    night = Observation(office.past(900.0), office.forecast(DAY_S, 900.0))
+    learned = LearnedMargin.nothing(1).meeting(night.boundary.lower_C, night.boundary.upper_C)
+    state = MPCState(night.time_s, margins=Margins(learned=learned))
+    readings = Readings(night, night.boundary, Zones((Sensed(16.0),)), None)
+
+    def sent_to_C(*u: float) -> float:
+        T_C = np.array([[17.0, 18.0, 19.0]])
+        plan = Plan((), PlanStatus.SOLVED, "", u=np.array([u]), T_free_C=T_C, T_forced_K=0.0 * T_C, state=state)
+        actuators = Actuators(model.layout, [Actuation(config.actuation)])
+        ((*_, last),) = first_demands(config, actuators, 900.0, plan, readings)
+        return last.band_C[0][0]
+
+    assert sent_to_C(0.9, 0.8, 0.1) == 18.0
+    assert sent_to_C(0.3, 0.8, 0.1) == 17.0
 
 
 @pytest.mark.parametrize("solver", ["auto", "ipopt"])

@@ -86,6 +86,19 @@ def test_training_lowers_the_cost_and_its_seed_gives_the_same_policy() -> None:
     assert not all((a == b).all() for a, b in zip(first.weights, other.weights, strict=True))
 
 
+def test_discomfort_counts_in_training_per_floor_area() -> None:
+    def first_loss(area_m2: float) -> float:
+        losses: list[float] = []
+        sized = replace(model(), floor_area_m2=(area_m2,))
+        _ = DPC(sized, configured(1), progress=lambda done, loss: losses.append(loss)).policy
+        return losses[0]
+
+    ones, twos, threes = (first_loss(192.0 * times) for times in (1, 2, 3))
+    assert first_loss(float("nan")) == ones
+    assert twos - ones == pytest.approx(threes - twos)
+    assert twos > 1.1 * ones
+
+
 def test_what_is_trained_is_what_acts() -> None:
     """The compiled policy in closed loop ends where the torch rollout ends."""
     from controllers.dpc import training
@@ -105,7 +118,7 @@ def test_what_is_trained_is_what_acts() -> None:
     found = Drawer(zone.free, HOUR_S, 1, 5).draw(3, n + 24)
     course = training.course_of(found, operator, zone.power, HOUR_S)
     started = training.states_near_band(course, module, 1.0)
-    _, ended = training.rollout(network, module, course, started, 0, n, leads, (1.0, 1.0), configured(), HOUR_S)
+    _, ended = training.rollout(network, module, course, started, 0, n, leads, (1.0, 1.0), 5.0, HOUR_S)
     for b in range(3):
         features = np.zeros((n, 4))
         ahead = np.stack([found.T_free_C[b], found.lower_C[b], found.upper_C[b]])

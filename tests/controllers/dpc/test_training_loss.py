@@ -10,13 +10,12 @@ import torch
 from mpc_problems import random_operator
 
 from controllers.dpc import training
-from controllers.dpc.config import DPCConfig
 from controllers.dpc.policy import lead_steps
 from controllers.dpc.situations import Situations
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape, Weights, every_step
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import single
@@ -27,6 +26,9 @@ from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 
 STEP_S, B, FIRST, N = 3600.0, 3, 4, 10
 WORTH_STEPS = 48
+# Of a K·h, and of a kelvin in a step.
+COMFORT_WEIGHT = 7.0
+COMFORT_PRICE = COMFORT_WEIGHT * STEP_S / HOUR_S
 LEADS = torch.from_numpy(lead_steps(STEP_S))
 
 
@@ -76,7 +78,7 @@ def problem_of(
         power_per_u_W=per_u_W[None],
         step_s=STEP_S,
         machinery=EquipmentLayout.one(highest, lowest),
-        weights=Weights(7.0, 0.0),
+        weights=Weights(COMFORT_WEIGHT, 0.0),
         terminal_price_per_K=(worth * lasts / (operator.gains @ lasts))[None, None],
     )
 
@@ -89,7 +91,6 @@ def test_the_loss_is_the_cost_of_the_statement_in_units_of_full_level(sign, meas
     lowest, highest = levels
     power = PowerModel(MachineLoad((1000.0, -10.0, 2500.0, 20.0), (-10.0, 15.0), lowest_level=lowest))
     heat = MachineLoad((1100.0, 30.0, 9000.0, 100.0), (-15.0, 20.0), lowest_level=lowest)
-    config = DPCConfig(step_s=None, horizon_h=24.0, objective={"comfort_weight_per_m2": 7.0})
     for order in (1, 2, 3):
         rng = np.random.default_rng(order)
         drawn = random_operator(rng, order)
@@ -100,7 +101,7 @@ def test_the_loss_is_the_cost_of_the_statement_in_units_of_full_level(sign, meas
         module = ForcedResponseOperator(operator).requires_grad_(False)
         course = training.course_of(found, operator, power, STEP_S)
         loss, ended = training.rollout(
-            Given(u / highest), module, course, torch.from_numpy(F0), FIRST, N, LEADS, levels, config, STEP_S
+            Given(u / highest), module, course, torch.from_numpy(F0), FIRST, N, LEADS, levels, COMFORT_PRICE, STEP_S
         )
 
         shape, costs = ProblemShape(every_step(N), EquipmentLayout.one(highest, lowest)), []

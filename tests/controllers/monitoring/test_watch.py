@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from faults import FaultyHouse, draught_K
-from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, native_level, simple_model
+from simple_house import FIXED_W, GAIN_K, PER_U_W, POLE, OutdoorResponse, SimpleHouse, native_level, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.monitoring.watch import Watch, e_value
 from controllers.monitoring.watch_effect import effect_fault, missing_effect
-from controllers.monitoring.watch_state import Judged, Track, WatchConfig, WatchState
+from controllers.monitoring.watch_state import Issued, Judged, Track, WatchConfig, WatchState
 from controllers.monitoring.watch_tests import applied_levels, level_fault, machine_ratio
 from controllers.mpc.config import MPCConfig
 from controllers.registry import controller_config
@@ -305,6 +305,78 @@ def test_an_old_plan_is_followed_only_while_its_own_promise_holds():
 
     assert followed(21.2) == 0.4
     assert followed(21.4) is None, "off by four times the promised half-width, though less than trust_K"
+
+
+# Temperatures that are told to the watch, and those that its model was identified at.
+ZONE_C, OUT_C = 21.0, 3.0
+INSIDE = {"T_zone_C": (20.0, 22.0), "T_out_C": (0.0, 5.0)}
+WARMER_ZONE = INSIDE | {"T_zone_C": (25.0, 26.0)}
+COLDER_ZONE = INSIDE | {"T_zone_C": (15.0, 17.0)}
+WARMER_OUTDOORS = INSIDE | {"T_out_C": (5.0, 9.0)}
+
+
+def watch_of(ranges: dict[str, tuple[float, float]]) -> Watch:
+    """The watch over the simple model, its step response known without error."""
+    zone = simple_model().only
+    sure = replace(zone, card=replace(zone.card, ranges=ranges))
+    return Watch(WatchConfig(), sure, 48, lambda record: zone.power(record.u[0], record.T_out_C[:-1]))
+
+
+def judged_after(ranges: dict[str, tuple[float, float]], error_K: float = 0.0) -> tuple[Judged, float]:
+    """The prediction 1 h ahead of an hour at full level that missed by `error_K`, and the evidence from it."""
+    watch, operator = watch_of(ranges), simple_model().only.operator
+    n = watch.leads[-1]
+    band = np.full(len(watch.leads), 0.2)
+    issued = Issued(0.0, operator, np.zeros(1), np.zeros((n, 4)), np.full(len(watch.leads), ZONE_C), band, band)
+    track = Track(pending=(issued,), bands=np.array([[0.0, *band]]))
+    T_C = np.array([ZONE_C, ZONE_C + GAIN_K + error_K])
+    nothing = np.full(1, np.nan)
+    history = Record(HOUR_S * np.arange(2.0), T_C, np.full(2, OUT_C), np.zeros(2), np.ones(1), nothing, nothing)
+    (after,) = watch.validate(WatchState(tracks=(track,)), history, None, None).tracks
+    (row,) = after.judged
+    return Judged(*row), after.worst[0]
+
+
+@pytest.mark.parametrize(
+    ("ranges", "share"),
+    [
+        ({}, 0.0),
+        (INSIDE, 0.0),
+        (WARMER_ZONE, 0.04 * (25.0 - ZONE_C - 0.5 * GAIN_K)),
+        (COLDER_ZONE, 0.04 * (ZONE_C + 0.5 * GAIN_K - 17.0)),
+        (WARMER_OUTDOORS, 0.05 * 2.0),
+        (WARMER_ZONE | {"T_out_C": (5.0, 9.0)}, 0.04 * (25.0 - ZONE_C - 0.5 * GAIN_K) + 0.05 * 2.0),
+        (INSIDE | {"T_out_C": (40.0, 50.0)}, 0.6),
+    ],
+    ids=["no ranges", "inside", "colder zone", "warmer zone", "colder outdoors", "both", "at most"],
+)
+def test_a_promise_is_wider_where_the_model_was_not_identified(ranges, share):
+    promise_K = judged_after(ranges)[0].promise_K
+    assert promise_K == pytest.approx(math.hypot(0.2, 0.1, 1.2816 * share * GAIN_K))
+
+
+def test_an_error_beyond_the_promise_is_no_evidence_where_the_model_was_not_identified():
+    far = {"T_zone_C": (20.0, 22.0), "T_out_C": (40.0, 50.0)}
+    known, unknown = judged_after(INSIDE)[0].promise_K, judged_after(far)[0].promise_K
+    assert unknown > 1.5 * known
+    inside, outside = (judged_after(ranges, 2.0 * known)[1] for ranges in (INSIDE, far))
+    assert judged_after({}, 2.0 * known)[1] == inside
+    assert inside == pytest.approx(e_value(2.0))
+    assert outside == pytest.approx(e_value(2.0 * known / unknown))
+    assert outside < 0.7 * inside
+
+
+@pytest.mark.parametrize(("ranges", "alarm"), [({}, True), (INSIDE, True), (INSIDE | {"T_out_C": (40.0, 50.0)}, False)])
+def test_meters_may_differ_by_more_where_the_model_was_not_identified(ranges, alarm):
+    """A machine that takes 1.6 times what it did: more than 1.35 and less than that times 1.6."""
+    n, before = 6, tuple((hour * HOUR_S, 1.0) for hour in range(-20, -7))
+    hours = HOUR_S * np.arange(n + 1.0)
+    power_W = np.full(n, 1.6 * (FIXED_W + PER_U_W))
+    zone, out = np.full(n + 1, ZONE_C), np.full(n + 1, OUT_C)
+    history = Record(hours, zone, out, 0.0 * out, np.ones(n), power_W, np.nan * power_W)
+    state = WatchState(asked=tuple((float(at), 1.0) for at in hours[:-1]), ratios=before)
+    found = watch_of(ranges).validate(state, history, None, None).alarm
+    assert found.startswith("the machine's power was 160%") if alarm else found == ""
 
 
 @pytest.mark.slow

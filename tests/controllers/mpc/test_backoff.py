@@ -1,13 +1,20 @@
-"""Back-off: the chance level where forecasts are good, the expected violation where they are not."""
+"""Back-off: the chance level where forecasts are good, the expected violation elsewhere, less with recourse."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import norm
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
-from controllers.mpc.margin_rules import backoff_K
-from thermoforce_mpc.data import FreeForecast
+from controllers import MPCConfig, ThermoForceMPC
+from controllers.mpc.margin_rules import backoff_K, with_recourse_K
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Observation, Record
+from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
 LEVELS = np.arange(1, 10) / 10
 STEP_S = 900.0
@@ -67,3 +74,69 @@ def test_the_upper_bound_is_backed_off_from_by_the_upper_quantiles():
 def test_a_certain_forecast_needs_none():
     flat = FreeForecast(LEVELS, np.full((9, 48), 20.0))
     np.testing.assert_array_equal(backoff_K(flat, STEP_S, 0.1, 0.01, below=True), 0.0)
+
+
+GROWING_K = np.linspace(0.1, 2.0, 96)
+
+
+def quarter_hourly(K_per_h: float, pole: float = 0.99) -> OperatorParameters:
+    return linear_operator([pole], [0.25 * K_per_h], step_s=STEP_S)
+
+
+def test_no_more_is_kept_than_where_half_of_full_level_makes_up_for_it():
+    zone = quarter_hourly(0.5)
+    moves_K = 0.5 * np.cumsum(zone.impulse(96))
+    kept = with_recourse_K(GROWING_K, zone)
+    first = int(np.argmax(moves_K >= GROWING_K))
+    assert 0 < first < 10
+    np.testing.assert_array_equal(kept[: first + 1], GROWING_K[: first + 1])
+    np.testing.assert_array_equal(kept[first:], GROWING_K[first])
+
+
+def test_a_faster_zone_keeps_less_and_one_that_cannot_correct_keeps_all():
+    fast, middle, slow = (with_recourse_K(GROWING_K, quarter_hourly(K_per_h)) for K_per_h in (4.0, 0.3, 0.02))
+    np.testing.assert_array_equal(fast, np.full(96, GROWING_K[0]))
+    assert fast[-1] < middle[-1] < slow[-1]
+    np.testing.assert_array_equal(slow, GROWING_K)
+
+
+def test_recourse_never_adds():
+    rng = np.random.default_rng(1)
+    for K_per_h in (0.05, 0.3, 1.0, 5.0):
+        backoff = rng.uniform(0.0, 0.6, 96)
+        assert (with_recourse_K(backoff, quarter_hourly(K_per_h)) <= backoff).all()
+
+
+def test_recourse_is_that_of_the_heat_at_hand_and_of_either_sign():
+    zone = quarter_hourly(0.5)
+    cooling = replace(zone, gains=-zone.gains, sign=-1)
+    np.testing.assert_array_equal(with_recourse_K(GROWING_K, cooling), with_recourse_K(GROWING_K, zone))
+    # 1500 W at the -10 °C that gains are for, 2500 W at the 0 °C that are reckoned with.
+    heat = MachineLoad((0.0, 0.0, 2500.0, 100.0), (-20.0, 15.0), lowest_level=1.0)
+    colder, stronger = replace(zone, heat_input=HeatInput(heat, -10.0)), replace(zone, gains=zone.gains / 0.6)
+    np.testing.assert_array_equal(with_recourse_K(GROWING_K, colder), with_recourse_K(GROWING_K, stronger))
+    assert with_recourse_K(GROWING_K, stronger)[-1] < with_recourse_K(GROWING_K, zone)[-1]
+
+
+class Widening(OutdoorResponse):
+    """The exact forecast with a band that is 0.1 K wider every hour."""
+
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
+        exact = super().forecast(free_C, history, boundary).median_C
+        half_K = 0.1 * np.arange(1.0, exact.size + 1)
+        return FreeForecast(np.array([0.1, 0.5, 0.9]), np.stack([exact - half_K, exact, exact + half_K]), "widening")
+
+
+def test_only_the_bound_that_actuation_protects_is_kept_less():
+    config = MPCConfig(step_s=None, horizon_h=24.0, backoff_violation_K=None, comfort_margin_K=0.0, backoff_max_K=9.0)
+    mpc = ThermoForceMPC(simple_model(), config, free_response=Widening())
+    house = SimpleHouse()
+    house.reset(10 * DAY_S, DAY_S)
+    seen = Observation(house.past(HOUR_S), house.forecast(DAY_S, HOUR_S))
+    problem = mpc.instance(mpc.predictor.context(seen), seen.history)
+    below_K = problem.lower_C[0] - seen.boundary.lower_C[0, 1:]
+    above_K = seen.boundary.upper_C[0, 1:] - problem.upper_C[0]
+    # Half of 0.4 K in the first hour is more than the back-off of its lead.
+    np.testing.assert_allclose(below_K, below_K[0])
+    assert 0.0 < below_K[0] < 0.2
+    assert (np.diff(above_K[:7]) > 0.0).all()

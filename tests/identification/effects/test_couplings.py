@@ -62,12 +62,14 @@ def coupled():
     return identify([two_rooms(coupled=True)], config=LINEAR, layout=LAYOUT)
 
 
-def test_every_zone_keeps_its_order():
+def test_every_zone_keeps_its_order_and_area():
     zones = [
         ZoneModel(linear_operator(poles, [0.1] * len(poles), step_s=HOUR_S), None, None, ModelCard())
         for poles in ([0.9], [0.3, 0.98])
     ]
-    building = assembled(LAYOUT, zones, [None, None], [None, None], IdentificationConfig())
+    layout = replace(LAYOUT, floor_area_m2=(100.0, 60.0))
+    building = assembled(layout, zones, [None, None], [None, None], IdentificationConfig())
+    assert building.floor_area_m2 == (100.0, 60.0)
     assert [pair.order for *_, pair in building.operator.each()] == [1, 2]
     assert building.operator.shape == (2, 2, 2)
 

@@ -13,6 +13,7 @@ from controllers.mpc.config import MPCConfig
 from controllers.optimisation.solution import Solution, failed
 from controllers.optimisation.solvers.qp import QPSolver
 from controllers.rules.thermostat import Thermostat
+from thermoforce_mpc.data.plan import NOT_ECONOMICAL
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.simulation.folder.planning import planning_of
@@ -49,7 +50,7 @@ def closed_loop(model, build=None, **options) -> RunResult:
 def test_every_plan_counts_once_and_calls_the_export_once(solver, word, feedback):
     model = networked(feedback=feedback)
     counts = planning_of(closed_loop(model, solver=solver), model)
-    assert counts.in_words() == (
+    assert counts.in_words().startswith(
         f"planned 12 times by {word} over the exported operator: 195 trained parameters, 195 used"
     )
     assert (counts.steps, counts.export_calls, counts.failed) == (12, 12, 0)
@@ -83,6 +84,32 @@ def test_solvers_that_took_turns_and_solves_that_failed_are_told_apart():
         "planned 7 times by PIQP and 4 times by Ipopt over the exported operator: 195 trained parameters, 195 used; "
         "1 solve without a plan"
     )
+
+
+def accepting(run: RunResult, plans: int) -> RunResult:
+    """The run whose last plans accept discomfort that heat would avoid; those before cannot avoid theirs."""
+    whys = ["0.2 K below the comfort band cannot be avoided at full level"] * len(run.steps)
+    whys[len(run.steps) - plans :] = [f"0.2 K below the comfort band {NOT_ECONOMICAL} in 1 h"] * plans
+    steps = [replace(step, plan=replace(step.plan, why=why)) for step, why in zip(run.steps, whys, strict=True)]
+    return replace(run, steps=steps)
+
+
+def test_discomfort_that_plans_accept_is_told():
+    model, found = simple_model(), closed_loop(simple_model())
+    told, quiet = (planning_of(accepting(found, plans), model) for plans in (3, 0))
+    assert (told.uncomfortable, quiet.uncomfortable) == (3, 0)
+    assert told.in_words().endswith(
+        "; in 25% of the steps discomfort cannot be avoided economically "
+        "(controller.options.objective.comfort_weight_per_m2)"
+    )
+    assert "discomfort" not in quiet.in_words()
+    assert told.to_json()["uncomfortable"] == 3
+
+
+def test_a_hundredth_of_the_steps_is_not_worth_telling():
+    some = replace(planning_of(closed_loop(simple_model()), None), steps=200)
+    assert "discomfort" not in replace(some, uncomfortable=2).in_words()
+    assert "in 2% of the steps discomfort" in replace(some, uncomfortable=3).in_words()
 
 
 def test_rules_plan_nothing():

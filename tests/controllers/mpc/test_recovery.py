@@ -1,0 +1,132 @@
+"""What a zone lacks at the instant at which a bound begins is learned for the next one, and for nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from faults import FaultyHouse
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
+from two_houses import two_model, two_observation
+
+from controllers import MPCConfig, ThermoForceMPC
+from controllers.mpc.margin_rules import LearnedMargin
+from controllers.mpc.margins import Margins
+from controllers.mpc.state import MPCState
+from thermoforce_mpc.data import DAY_S, HOUR_S, Measurement, Observation
+from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+
+NIGHT, DAY = (15.0, 30.0), (21.0, 24.0)
+
+
+def after(T_C: float, before=NIGHT, now=DAY, known_K=(0.0, 0.0)) -> list[float]:
+    """What is learned of the lower and the upper bound by a reading at bounds `now`, after those `before`."""
+    lower, upper = (np.array([pair]) for pair in zip(before, now, strict=True))
+    state = replace(LearnedMargin.nothing(1).meeting(lower, upper), recovery_K=np.array(known_K)[:, None])
+    return state.after_setback(np.array([T_C]), lower[:, 1], upper[:, 1]).recovery_K[:, 0].tolist()
+
+
+def test_what_is_missing_where_a_bound_begins_is_added():
+    assert after(20.6) == pytest.approx([0.4, 0.0])
+    assert after(20.6, known_K=(0.3, 0.0)) == pytest.approx([0.7, 0.0])
+    assert after(10.0) == [2.0, 0.0], "at most 2 K"
+
+
+def test_half_of_what_was_to_spare_is_given_back():
+    assert after(21.2, known_K=(0.4, 0.0)) == pytest.approx([0.3, 0.0])
+    assert after(22.5, known_K=(0.4, 0.0)) == [0.0, 0.0], "never below nothing"
+    assert after(21.0, known_K=(0.4, 0.0)) == pytest.approx([0.4, 0.0])
+
+
+def test_cooling_is_learned_as_heating_is():
+    assert after(24.5) == pytest.approx([0.0, 0.5])
+    assert after(23.8, known_K=(0.0, 0.5)) == pytest.approx([0.0, 0.4])
+
+
+@pytest.mark.parametrize(
+    ("T_C", "before", "now"),
+    [
+        (20.6, DAY, DAY),
+        (14.6, DAY, NIGHT),
+        (20.6, (20.7, 24.0), DAY),
+        (20.6, (np.nan, np.nan), DAY),
+        (20.6, NIGHT, (np.nan, np.nan)),
+        (np.nan, NIGHT, DAY),
+    ],
+    ids=["in the day", "at its end", "a small step", "unknown before", "unknown now", "no reading"],
+)
+def test_elsewhere_nothing_is_learned(T_C, before, now):
+    assert after(T_C, before, now, known_K=(0.4, 0.3)) == [0.4, 0.3]
+
+
+def test_each_zone_learns_for_itself():
+    lower, upper = np.array([[15.0, 21.0], [15.0, 15.0]]), np.array([[30.0, 24.0], [30.0, 30.0]])
+    state = LearnedMargin.nothing(2).meeting(lower, upper)
+    learned = state.after_setback(np.array([20.5, 14.0]), lower[:, 1], upper[:, 1])
+    assert learned.recovery_K.tolist() == [[0.5, 0.0], [0.0, 0.0]]
+
+
+def problem(margins: Margins | None, start_h: float = 0.0):
+    """One of the next 24 h; the band of the simple house is wide from 7 to 20 h."""
+    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    house = SimpleHouse()
+    house.reset(10 * DAY_S + start_h * HOUR_S, DAY_S)
+    seen = Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S))
+    return mpc.instance(mpc.predictor.context(seen), seen.history, margins)
+
+
+@pytest.mark.parametrize(("start_h", "begins_in_h"), [(0.0, 20), (19.0, 1), (20.0, 24)])
+def test_it_is_kept_where_a_bound_begins_and_not_in_the_rest_of_the_day(start_h, begins_in_h):
+    plain = problem(None, start_h)
+    kept = problem(Margins(learned=replace(LearnedMargin.nothing(1), recovery_K=np.array([[0.4], [0.3]]))), start_h)
+    expected = np.zeros(24)
+    expected[begins_in_h - 1] = 1.0
+    np.testing.assert_allclose(kept.lower_C[0] - plain.lower_C[0], 0.4 * expected, atol=1e-9)
+    np.testing.assert_allclose(plain.upper_C[0] - kept.upper_C[0], 0.3 * expected, atol=1e-9)
+
+
+def test_a_state_from_before_it_was_learned_is_planned_with():
+    mpc = ThermoForceMPC(two_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    seen, now = two_observation(), LearnedMargin.nothing(2)
+    old = LearnedMargin(now.reserve_K, now.tightest_C, now.nearest_K)
+    context = mpc.predictor.context(seen)
+    found, expected = (mpc.instance(context, seen.history, Margins(learned=of)) for of in (old, now))
+    np.testing.assert_array_equal(found.lower_C, expected.lower_C)
+
+
+def recovery_K(state: object) -> list[float]:
+    assert isinstance(state, MPCState)
+    return state.margins.learned.recovery_K[:, 0].tolist()
+
+
+def test_a_controller_learns_it_at_the_step_that_ends_where_the_bound_begins():
+    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    house, state = SimpleHouse(T_start_C=19.5), None
+    house.reset(10 * DAY_S + 18 * HOUR_S, 0.0)
+    found = {}
+    for hour in (18, 19, 20, 21):
+        plan = mpc.plan(Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S)), state)
+        found[hour], state, missing_K = recovery_K(plan.state), plan.state, 21.0 - house.T
+        if hour == 20:
+            assert found[20] == pytest.approx([missing_K, 0.0])
+            assert missing_K > 0.5
+        house.advance(1.0, HOUR_S)
+    assert found[18] == found[19] == [0.0, 0.0]
+    assert found[21] == found[20]
+
+
+def test_a_machine_that_is_weaker_than_its_model_is_late_the_first_evening_only():
+    """Its meters say nothing of it, and plans count with what it gave in the model."""
+
+    def without_meters(house: FaultyHouse, seen: Measurement) -> Measurement:
+        return replace(seen, u=np.nan if house.asked is None else house.asked, power_W=np.nan, heat_W=np.nan)
+
+    house = FaultyHouse(gives=lambda house, u: u and 0.85 * u, shows=without_meters)
+    config = MPCConfig(step_s=None, horizon_h=24.0, watch={"enabled": False})
+    mpc = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
+    result = run_closed_loop(house, mpc, replace(house.period("x"), scored_s=6 * DAY_S))
+    at = {step.time_s: float(step.T_zone_C[0]) for step in result.steps}
+    evenings = [21.0 - at[result.period.start_s + day * DAY_S + 20 * HOUR_S] for day in range(6)]
+    assert evenings[0] > 0.1
+    assert max(evenings[2:]) < 0.5 * evenings[0]

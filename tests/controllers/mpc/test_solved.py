@@ -1,0 +1,97 @@
+"""What a plan says of discomfort that it accepts, and the temperature to which it sends a building's own loops."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
+from two_houses import two_model, two_observation
+
+from controllers import MPCConfig, ThermoForceMPC
+from controllers.mpc.solved import end_of_move_C, reason_of
+from controllers.optimisation.machines import EquipmentLayout
+from controllers.optimisation.problem import Cooling
+from thermoforce_mpc.data import DAY_S, HOUR_S, Observation
+from thermoforce_mpc.data.plan import NOT_ECONOMICAL
+
+SPENT, OFF = "cannot be avoided at full level", "cannot be avoided with nothing on"
+HOURS = 24
+
+
+def why(u, *, below=True, at=3, machinery: EquipmentLayout | None = None, zone: int | None = None) -> str:
+    """What is said of 0.5 K beyond a bound at the end of step `at` of a plan with levels `u`; `zone`: that of two."""
+    model = simple_model() if zone is None else two_model()
+    mpc = ThermoForceMPC(model, MPCConfig(step_s=None, horizon_h=float(HOURS)), free_response=OutdoorResponse())
+    seen = observation() if zone is None else two_observation(HOURS)
+    context = mpc.predictor.context(seen)
+    problem = mpc.instance(context, seen.history)
+    if machinery is not None:
+        nothing = np.zeros((1, HOURS))
+        problem = replace(problem, machinery=machinery, cooling=Cooling(nothing, nothing))
+    T, slack = np.full((len(u), HOURS), 22.0), np.zeros((len(u), HOURS))
+    T[zone or 0, at], slack[zone or 0, at] = 10.0 if below else 40.0, 0.5
+    return reason_of(problem, mpc.planning_operator, np.array(u), T, slack, context.free)
+
+
+def observation(T_start_C: float = 21.0) -> Observation:
+    house = SimpleHouse(T_start_C)
+    house.reset(10 * DAY_S, 0.0)
+    return Observation(house.past(HOUR_S), house.forecast(DAY_S, HOUR_S))
+
+
+def levels(*first: float, rest: float = 0.0) -> list[list[float]]:
+    return [[*first, *[rest] * (HOURS - len(first))]]
+
+
+def test_what_full_level_cannot_avoid_is_no_matter_of_money():
+    assert f"0.50 K below the comfort band {SPENT} in 4 h" in why(levels(1.0, 1.0, 0.99, 1.0))
+    assert NOT_ECONOMICAL in why(levels(1.0, 1.0, 0.9, 1.0)), "a step of it was to spare"
+    assert NOT_ECONOMICAL in why(levels(0.0, 1.0, 1.0, 1.0)), "it could have begun earlier"
+    assert SPENT in why(levels(0.5, 0.5, 0.5, 0.5), machinery=EquipmentLayout.one(0.5)), (
+        "full level is what actuation gives"
+    )
+    assert SPENT in why(levels(1.0), at=0)
+
+
+def test_a_heated_zone_that_is_too_warm_can_only_be_heated_less():
+    assert f"0.50 K above the comfort band {OFF}" in why(levels(0.0), below=False)
+    assert NOT_ECONOMICAL in why(levels(0.0, 0.6), below=False)
+    assert OFF in why(levels(0.0, 0.0, 0.0, 0.0, rest=1.0), below=False), "what comes later is no cause"
+
+
+def test_levels_of_both_signs_are_full_at_either_end():
+    both = EquipmentLayout.one(u_min=-0.6)
+    assert SPENT in why(levels(-0.6, -0.6, -0.6, -0.6), below=False, machinery=both)
+    assert NOT_ECONOMICAL in why(levels(-0.6, -0.3, -0.6, -0.6), below=False, machinery=both)
+
+
+def test_a_zone_is_judged_by_its_own_actuator():
+    both = levels(1.0, 1.0, 1.0, 1.0) + levels(0.2)
+    assert f"{SPENT} in bath in 4 h" in why(both, zone=0)
+    assert f"{NOT_ECONOMICAL} in hall in 4 h" in why(both, zone=1)
+
+
+def test_a_plan_that_starts_too_cold_says_that_its_machine_does_what_it_can():
+    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    plan = mpc.plan(observation(17.0))
+    assert SPENT in plan.why
+    assert NOT_ECONOMICAL not in plan.why
+
+
+@pytest.mark.parametrize(
+    ("u", "expected_C"),
+    [
+        ([0.9, 0.5, 0.4, 0.9], 20.0),
+        ([0.4, 0.9, 0.9, 0.9], 19.0),
+        ([0.9, 0.9, 0.9, 0.9], 22.0),
+        ([-0.6, -0.3, -0.2, 0.0], 20.0),
+        ([-0.2, -0.6, -0.6, 0.0], 19.0),
+        ([0.9, -0.6, 0.9, 0.9], 19.0),
+        ([0.0, 0.9, 0.9, 0.9], 19.0),
+    ],
+    ids=["until it is done", "a little", "all along", "cooled", "a little cooled", "turned", "idle"],
+)
+def test_loops_are_sent_to_the_end_of_the_steps_that_work(u, expected_C):
+    assert end_of_move_C(np.array(u), np.array([19.0, 20.0, 21.0, 22.0]), -0.6) == expected_C
