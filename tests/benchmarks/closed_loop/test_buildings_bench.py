@@ -10,6 +10,7 @@ from click.testing import CliRunner
 
 from benchmarks.closed_loop import buildings
 from benchmarks.closed_loop.buildings import Case, Outcome, run_buildings_bench, run_case, targets
+from benchmarks.closed_loop.offices import OfficeCase, OfficeOutcome
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.execution import LocalEngine
@@ -134,13 +135,39 @@ def test_command_line_prints_every_window_and_says_what_is_missed(monkeypatch, t
         kinds = [outcome(plot=b"png"), outcome(mpc=(1.2, 9.0)), outcome(refused="it explains 2 %", statuses={})]
         return [kinds[i % 3] for i, _ in enumerate(cases)]
 
+    def no_office(n, seed, engine, progress):
+        asked.append((n, engine.width, seed))
+        office = OfficeCase("office:3rooms:500", "cold_week")
+        return [OfficeOutcome(office, "an office", {}, {}, {}, {}, "RuntimeError: broken")]
+
     monkeypatch.setattr(buildings, "run_cases", cases_run)
+    monkeypatch.setattr(buildings, "run_offices", no_office)
     out = tmp_path / "plots"
-    options = ["--houses", "3", "--seed", "5", "--jobs", "1", "--out", str(out), "--json", str(tmp_path / "r.json")]
+    options = [
+        "--houses",
+        "3",
+        "--offices",
+        "2",
+        "--seed",
+        "5",
+        "--jobs",
+        "1",
+        "--out",
+        str(out),
+        "--json",
+        str(tmp_path / "r.json"),
+    ]
     shown = CliRunner().invoke(cli, ["bench", "buildings", *options])
     assert shown.exit_code == 0, shown.output
-    assert asked == [(6, 1, 5)]
-    for text in ("solved 600, guard 3", "DOES NOT HOLD", "it explains 2 %", "plans: guard", "1.200 / 9.00"):
+    assert asked == [(6, 1, 5), (2, 1, 5)]
+    for text in (
+        "solved 600, guard 3",
+        "DOES NOT HOLD",
+        "it explains 2 %",
+        "plans: guard",
+        "1.200 / 9.00",
+        "office:3rooms:500",
+    ):
         assert text in shown.output
     result = json.loads((tmp_path / "r.json").read_text())
     assert result["bench"] == "buildings"
@@ -162,9 +189,12 @@ def test_quick_runs_a_few_houses_and_none_is_refused(monkeypatch):
         seen.extend(cases)
         return [outcome() for _ in cases]
 
+    offices: list[int] = []
     monkeypatch.setattr(buildings, "run_cases", cases_run)
-    run_buildings_bench(quick=True, engine=LocalEngine(1))
-    assert len(seen) == 8
+    monkeypatch.setattr(buildings, "run_offices", lambda n, *others: offices.append(n) or [])
+    result = run_buildings_bench(quick=True, engine=LocalEngine(1))
+    assert (len(seen), offices) == (8, [1])
+    assert not any("office" in target["name"] for target in result["targets"]), "none was run"
     assert not seen[0].draw
     with pytest.raises(InputError, match="0 houses"):
         run_buildings_bench(houses=0, engine=LocalEngine(1))

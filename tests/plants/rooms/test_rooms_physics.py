@@ -12,15 +12,16 @@ from thermoforce_mpc.plants.drawn_houses.envelope import STEP_S
 from thermoforce_mpc.plants.random_houses.draw import heat_pump_cop
 from thermoforce_mpc.plants.rooms import DrawnHouse, HouseOfRooms, draw_rooms, physics
 from thermoforce_mpc.plants.rooms.house import curve_supply_C
+from thermoforce_mpc.plants.rooms.use import HOUSE, OFFICE
 
 SEED = 7
 ROWS = 35041
 
 
 def house_with(emitters: set[str], n: int = 5, storeys: int | None = None) -> DrawnHouse:
-    """The first drawn house whose rooms have just these emitters."""
+    """The first drawn house, or office with air, whose rooms have just these emitters."""
     for seed in range(SEED, SEED + 300):
-        house = draw_rooms(n, seed)
+        house = draw_rooms(n, seed, OFFICE if "air" in emitters else HOUSE)
         if {room.emitter for room in house.rooms} == emitters and storeys in (None, house.storeys):
             return house
     raise AssertionError(f"no house with {emitters}")
@@ -66,7 +67,7 @@ class Still:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("emitters", [{"floor"}, {"radiator"}, {"floor", "radiator"}])
+@pytest.mark.parametrize("emitters", [{"floor"}, {"radiator"}, {"floor", "radiator"}, {"air"}])
 def test_the_energy_balance_closes(emitters):
     plant = HouseOfRooms(house_with(emitters))
     plant.reset(40 * DAY_S, 0.0)
@@ -120,7 +121,7 @@ def test_radiator_output_follows_en_442_and_its_water_carries_it():
         assert q == pytest.approx(room.flow_W_K * (supply_C(house, "radiator", 2.0) - water), rel=1e-3)
 
 
-@pytest.mark.parametrize("emitters", [{"floor"}, {"radiator"}])
+@pytest.mark.parametrize("emitters", [{"floor"}, {"radiator"}, {"air"}])
 def test_level_is_the_share_of_the_heat_an_open_circuit_would_take(emitters):
     still = Still(strong(house_with(emitters)))
     q = np.zeros(still.n)
@@ -138,19 +139,20 @@ def test_level_is_the_share_of_the_heat_an_open_circuit_would_take(emitters):
     assert (q == 0).all()
 
 
-def test_full_level_at_design_is_the_emitters_design_heat_and_the_curves_reserve():
-    house = strong(house_with({"radiator"}))
+@pytest.mark.parametrize("emitter", ["radiator", "air"])
+def test_full_level_at_design_is_the_emitters_design_heat_and_the_curves_reserve(emitter):
+    house = strong(house_with({emitter}))
     still = Still(house)
     for i, room in enumerate(house.rooms):
         still.T[:] = room.lower_C + 1.0
-        plain = house.curves["radiator"].design_C
+        plain = house.curves[emitter].design_C
         assert physics.open_circuit_W(still.h, i, still.T, plain) == pytest.approx(room.emitter_W, rel=1e-6)
-    assert supply_C(house, "radiator", house.design_out_C) == pytest.approx(plain + house.curves["radiator"].shift_K)
-    assert supply_C(house, "radiator", -40.0) == 60.0
-    assert supply_C(house, "radiator", 25.0) == pytest.approx(20.0 + house.curves["radiator"].shift_K)
+    assert supply_C(house, emitter, house.design_out_C) == pytest.approx(plain + house.curves[emitter].shift_K)
+    assert supply_C(house, emitter, -40.0) == 60.0
+    assert supply_C(house, emitter, 25.0) == pytest.approx(20.0 + house.curves[emitter].shift_K)
 
 
-@pytest.mark.parametrize("emitters", [{"floor"}, {"radiator"}, {"floor", "radiator"}])
+@pytest.mark.parametrize("emitters", [{"floor"}, {"radiator"}, {"floor", "radiator"}, {"air"}])
 def test_open_valves_share_the_capacity(emitters):
     house = house_with(emitters)
     small = replace(house, heat_pump=replace(house.heat_pump, capacity_W=0.4 * house.design_load_W))
@@ -211,7 +213,7 @@ def test_above_its_lowest_level_the_machine_runs_through_and_below_it_cycles():
     assert power == pytest.approx(machine.fixed_W + heat / heat_pump_cop(machine.carnot, 2.0, supply))
 
 
-@pytest.mark.parametrize("emitters", [{"floor"}, {"radiator"}, {"floor", "radiator"}])
+@pytest.mark.parametrize("emitters", [{"floor"}, {"radiator"}, {"floor", "radiator"}, {"air"}])
 def test_more_level_of_one_valve_never_cools_any_room(emitters):
     house = strong(house_with(emitters))
     rng = np.random.default_rng(1)
