@@ -69,7 +69,7 @@ class ObjectiveConfig(StrictModel):
         0.026,
         gt=0,
         description="penalty on comfort violation, currency/(K·h) per m² of the zone's floor (as of 192 m² where the "
-        "model does not know it); it counts as at least 5 times the heat that holds the zone 1 K warmer for a day",
+        "model does not know it); a K·h counts as at least 5 times the heat that avoids it, in the mean of a day",
     )
     carbon_price_per_kg: float = Field(0.0, ge=0, description="price of emitted CO2, currency/kg")
     peak_price_per_kW: float = Field(

@@ -227,7 +227,9 @@ _OWN = {
         windows=_of_weather,
     ),
     "rooms": PlantEntry(
-        "drawn house of rooms, a valve each, one heat pump (--testcase house:5rooms)", _rooms, windows=_weeks
+        "drawn house or office of rooms, a valve each, one heat pump (--testcase house:5rooms, office:5rooms)",
+        _rooms,
+        windows=_weeks,
     ),
     "generated": PlantEntry(
         "generated house of one zone, by seed and number (--testcase generated:2026:0)",
