@@ -80,7 +80,9 @@ def test_schema_command(tmp_path):
     assert "did you mean 'scenario'" in str(tf_mpc("schema", "scenarios").exception)
 
 
-@pytest.mark.parametrize("testcase", [*named_configs("testcases"), "energyplus:heating_chicago", "house:3rooms", "office:3rooms"])
+@pytest.mark.parametrize(
+    "testcase", [*named_configs("testcases"), "energyplus:heating_chicago", "house:3rooms", "office:3rooms"]
+)
 def test_a_scenario_to_start_from_is_whole_and_valid(tmp_path, testcase):
     done = tf_mpc("init", str(tmp_path / "new"), "--testcase", testcase)
     assert done.exit_code == 0, done.output
