@@ -308,7 +308,7 @@ class ThermoForceMPC(ActuatedController):
         if brought is None or brought.broken:
             why = refused or f"the solver's levels leave a limit: {brought.broken if brought else ''}"
             return Failure(why, forecast.state, solution.status, {**seconds, "solve": solve_s})
-        limit = power_limit(self.config.objective.power_cap_kW, instance.problem, solution, brought, planner.evaluator)
+        limit = power_limit(instance, solution, brought, planner.evaluator)
         return Solved(solved_plan(instance, solution, brought, solve_s, forecast, readings), limit)
 
     def _brought(self, evaluator: Evaluator, problem: MPCProblem, solution: Solution) -> Evaluation:

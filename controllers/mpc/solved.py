@@ -42,19 +42,17 @@ class Solved(NamedTuple):
     limit: PowerLimit | None
 
 
-def power_limit(
-    cap_kW: float | None, problem: MPCProblem, solution: Solution, brought: Evaluation, evaluator: Evaluator
-) -> PowerLimit | None:
+def power_limit(instance: Instance, solution: Solution, brought: Evaluation, evaluator: Evaluator) -> PowerLimit | None:
     """The limit of power in the first step; None without a cap and a price of peaks.
 
     Args:
-        cap_kW: the cap, kW.
-        problem: what was solved.
+        instance: what was solved.
         solution: its levels.
         brought: what they bring.
         evaluator: what other levels of the first step would take.
     """
-    if cap_kW is None and not problem.weights.peak:
+    problem = instance.problem
+    if math.isinf(instance.cap_W) and not problem.weights.peak:
         return None
     numbers, highest_W = evaluator.numbers(problem), float(brought.power_W.sum(axis=0).max())
 
@@ -63,7 +61,7 @@ def power_limit(
         return float(evaluator.evaluate(problem, numbers, u, solution.own_values).power_W[:, 0].sum())
 
     return PowerLimit(
-        cap_W=math.inf if cap_kW is None else 1000.0 * cap_kW,
+        cap_W=instance.cap_W,
         peak_W=max(problem.peak_so_far_W, highest_W) if problem.weights.peak else math.inf,
         planned=solution.u[:, 0].copy(),
         power_W=power_W,
