@@ -330,8 +330,9 @@ def _identified(
     """The models of all contestants; kept in the run folder where there is one."""
     if not (book and isinstance(plant, JournaledPlant)):
         return identify_all(scenario, testcase, plant, display)
-    # What happens while probing is not journaled: the models are what comes of it.
-    return kept_models(plant, book.folder, lambda: identify_all(scenario, testcase, plant.inside, display))
+    # Probing has journals of its own: the journal of the run has the models, which are what comes of it.
+    folder = book.folder
+    return kept_models(plant, folder, lambda: identify_all(scenario, testcase, plant.inside, display, folder))
 
 
 def _headline(plant: Plant, period: Period, scenario: Scenario) -> str:
