@@ -187,7 +187,8 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
             book.discard()
             raise
         write_partial(folder, records, str(error))
-        raise PlantError(f"{error}\nWhat was recorded until then is in {folder}") from error
+        going_on = f"What was recorded until then is in {folder}; `tf-mpc resume {folder}` goes on from there"
+        raise PlantError(f"{error}\n{going_on}") from error
     except BaseException as error:
         with suppress(StorageError, OSError):  # the error that ended the run is the one to tell
             if book.has_begun:

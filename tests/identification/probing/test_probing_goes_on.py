@@ -110,7 +110,7 @@ def test_probing_ends_early_where_the_effect_is_known_well(monkeypatch):
     assert 1.5 * 96 <= record.n_steps < 4 * 96
     assert record.n_steps % 48 == 0
     assert model.only.card.competence.relative_sd < 0.1
-    assert model.only.card.notes[-1] == f"probing ended after {record.n_steps / 96:g} days: enough is known"
+    assert model.only.card.notes[-1] == f"probing ended after {record.n_steps / 96:.3g} days: enough is known"
     _, whole, _ = _identified(Watched(), 4.0, end_early=False)
     assert whole.n_steps == 4 * 96
     np.testing.assert_array_equal(whole.u[0, : record.n_steps], record.u[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -19,6 +20,7 @@ from waiting import LONG_S, wait_for
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.protocols import OutlivingPlant
 from thermoforce_mpc.simulation import report
 from thermoforce_mpc.simulation import run as simulation_run
@@ -85,8 +87,17 @@ def whole(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "whole"
     done = run(House(), folder)
     assert done.exit_code == 0, done.output
-    assert "probing ended after 2 days" in done.output
+    assert "after 2 days of probing enough is known\nprobing ended after 2 days: enough is known" in done.output
     return folder
+
+
+@pytest.mark.slow
+def test_why_probing_ended_is_in_the_log_the_manifest_and_on_the_card(whole):
+    log = [json.loads(line)["message"] for line in (whole / "log.jsonl").read_text(encoding="utf-8").splitlines()]
+    assert log[:2] == ["after 2 days of probing enough is known", "probing ended after 2 days: enough is known"]
+    manifest = json.loads((whole / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["identification"]["notes"][-1] == log[1]
+    assert load_model(whole / "model").only.card.notes[-1] == log[1]
 
 
 def killed_while_probing(whole: Path, share: float, folder: Path) -> Path:
@@ -105,7 +116,7 @@ def test_a_plant_that_failed_on_day_2_is_probed_on_from_there(whole, tmp_path):
     folder = tmp_path / "run"
     failed = run(House(fail_at_s=ON_DAY_2_S), folder)
     assert isinstance(failed.exception, PlantError)
-    assert "What was recorded until then is in" in str(failed.exception)
+    assert f"`tf-mpc resume {folder}` goes on from there" in str(failed.exception)
     recorded = (folder / PROBING).read_bytes()
     assert (whole / PROBING).read_bytes().startswith(recorded)
     done = resumed(House(), folder)
@@ -178,6 +189,13 @@ def test_a_comparison_takes_the_probing_of_an_earlier_run(whole, tmp_path):
     assert "2 days of probing (days 6 to 8) on simple simple_house" in model.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
+def test_a_probing_that_did_not_end_is_taken_as_far_as_it_came(whole, tmp_path):
+    done = run(House(), tmp_path / "run", "--probing", killed_while_probing(whole, 0.8, tmp_path / "killed"))
+    assert done.exit_code == 0, done.output
+    assert re.search(r"probing ended after 1\.58 days: its run was ended before its time", done.output)
+
+
 def refused(folder: Path, testcase: str = TESTCASE) -> BaseException:
     """The refusal of `--probing folder`; the run leaves nothing behind."""
     out = folder.parent / "refused"
@@ -192,8 +210,7 @@ def test_a_probing_that_cannot_be_used_is_refused_with_file_and_reason(whole, tm
     other = refused(whole, "house:3rooms")
     assert isinstance(other, JournalError)
     assert f"{whole / PROBING}: is a probing of {TESTCASE}, not of house:3rooms" in str(other)
-    unended = refused(killed_while_probing(whole, 0.8, tmp_path / "unended"))
-    assert "has not ended, after 1.6 days: go on with `tf-mpc resume`" in str(unended)
+    assert "was ended before its first step" in str(refused(killed_while_probing(whole, 0.015, tmp_path / "begun")))
     without = tmp_path / "without"
     without.mkdir()
     assert isinstance(refused(without), ConfigError)

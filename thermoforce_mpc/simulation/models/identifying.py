@@ -76,7 +76,7 @@ class IdentificationTask:
         told = told_probing(keep) if keep else None
         if told is None:
             return f"Probing for {self.days:g} days and identifying"
-        return f"Probing goes on after {told.days:.3g} recorded days" if told.probed is None else "Identifying"
+        return "Identifying" if told.has_ended else f"Probing goes on after {told.days:.3g} recorded days"
 
     def to_json(self) -> dict[str, Any]:
         """All fields as JSON values, for a hash key or a file."""
@@ -274,12 +274,12 @@ def taken_probing(task: IdentificationTask, keep: Path | None = None) -> Probed 
 
     Raises:
         ConfigError: the task names a place without a probing.
-        JournalError: a journal is damaged, has not ended, or is of another test case; names the file.
+        JournalError: a journal is damaged, holds no step, or is of another test case; names the file.
     """
     if task.probed is not None:
         return find_probing(Path(task.probed), task.testcase, task.how_probed)
     told = told_probing(keep) if keep else None
-    return told.probed if told else None
+    return told.probed if told and told.has_ended else None
 
 
 def model_for(scenario: Scenario, testcase: TestCase, plant: Plant, controller: str | None = None) -> ThermalModel:

@@ -52,13 +52,19 @@ class ToldProbing:
             )
 
     @property
-    def probed(self) -> Probed | None:
-        """The probing; None where it has not ended."""
-        head, end = self.head, self.entries[-1]
-        if end.kind != "end":
-            return None
+    def has_ended(self) -> bool:
+        """Whether it need not go on."""
+        return self.entries[-1].kind == "end"
+
+    @property
+    def probed(self) -> Probed:
+        """The probing; raises `JournalError` where no step was probed."""
+        if not self.days:
+            raise JournalError(f"{self.path}: was ended before its first step; name another run")
+        plant, end = self.head["plant"], self.entries[-1].content
         with making_sense(self.path):
-            return Probed(_record(self.entries), PlantInfo(**head["plant"]), str(end.content["why"]))
+            why = str(end["why"]) if self.has_ended else "its run was ended before its time"
+            return Probed(_record(self.entries), PlantInfo(**plant), why)
 
 
 def _record(entries: Sequence[Entry]) -> Record:
@@ -78,7 +84,7 @@ def told_probing(path: Path) -> ToldProbing | None:
 
 
 def find_probing(place: Path, testcase: TestCase, how: Json) -> Probed:
-    """The probing of an earlier run: that which was probed as `how` says, or the only one.
+    """The probing of an earlier run, as far as it came: that which was probed as `how` says, or the only one.
 
     Args:
         place: folder of the run, its folder `probing`, or one of the journals in that.
@@ -87,7 +93,7 @@ def find_probing(place: Path, testcase: TestCase, how: Json) -> Probed:
 
     Raises:
         ConfigError: there is none, or several and none is as `how` says.
-        JournalError: it is damaged, has not ended, or is of another test case; names the file.
+        JournalError: it is damaged, holds no step, or is of another test case; names the file.
     """
     found = [told for path in _journals(place) if (told := told_probing(path))]
     alike = [told for told in found if told.head["how"] == how] or found
@@ -102,8 +108,6 @@ def find_probing(place: Path, testcase: TestCase, how: Json) -> Probed:
         raise JournalError(
             f"{told.path}: is a probing of {of['testcase']}, not of {testcase.name} as it is now; probe again"
         )
-    if told.probed is None:
-        raise JournalError(f"{told.path}: has not ended, after {told.days:.2g} days: go on with `tf-mpc resume` first")
     return told.probed
 
 

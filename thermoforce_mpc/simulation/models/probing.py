@@ -59,7 +59,7 @@ class Look:
 
     def in_words(self) -> str:
         """What is lacking, a line; with several actuators one more for each that lacks something."""
-        after = f"after {self.days:.2g} days of probing"
+        after = f"after {self.days:.3g} days of probing"
         if self.model is None:
             return f"{after} nothing is known: {self.refused}"
         n = len(self.model.cards)
@@ -130,7 +130,7 @@ class Identifying:
             DataError: the record is not sufficient for identification.
         """
         look = look or self.look(probed.record, probed.plant)
-        ended = f"probing ended after {look.days:g} days: {probed.why}"
+        ended = f"probing ended after {look.days:.3g} days: {probed.why}"
         self._tell(ended + (f"; lacking: {', '.join(look.lacks)}" if len(look.lacks) > 1 else ""))
         if look.model is None:
             raise DataError(f"{look.refused} ({ended})")
