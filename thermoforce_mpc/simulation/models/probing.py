@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -76,7 +76,8 @@ class ProbingProgress:
     """Where a probing stands.
 
     `days` probed of `planned_days`; `information_nats` of the record, and `expected_sd`: relative standard deviation of
-    the effect of a day at full level that the design expects from it, see `Designer.known`.
+    the effect of a day at full level that the design expects from it, see `Designer.known`; both for the actuator of
+    which least is known.
     """
 
     days: float
@@ -176,7 +177,7 @@ def probe_until_known(
         config=probing,
         identification=identifying.config,
     )
-    progress = _Progress(run, days, on_progress)
+    progress = _Progress(run, identifying.testcase.layout.home, days, on_progress)
 
     def enough(record: Record) -> bool:
         if run.days < _LEAST_DAYS:
@@ -196,15 +197,18 @@ def probe_until_known(
 
 
 class _Progress:
-    """Tells hourly how far a probing is."""
+    """Tells hourly how far a probing is; `home`: zone of each actuator."""
 
-    def __init__(self, run: Probing, days: float, on_progress: Callable[[ProbingProgress], None] | None) -> None:
+    def __init__(
+        self, run: Probing, home: Sequence[int], days: float, on_progress: Callable[[ProbingProgress], None] | None
+    ) -> None:
         self.planned_days = days
-        self._run, self._on_progress = run, on_progress
+        self._run, self._home, self._on_progress = run, home, on_progress
 
     def __call__(self, share: float) -> None:
         run = self._run
         hourly = max(1, round(HOUR_S / run.config.step_s))
         if self._on_progress and run.record.n_steps % hourly == 0:
-            expected = run.designer.known(run.record)
-            self._on_progress(ProbingProgress(run.days, self.planned_days, *expected))
+            each = (run.designer.known(run.record.part(zone, [a])) for a, zone in enumerate(self._home))
+            least = max(each, key=lambda known: known[1])
+            self._on_progress(ProbingProgress(run.days, self.planned_days, *least))
