@@ -61,9 +61,12 @@ class PlantSpec(StrictModel):
 
 
 class ProbingSpec(StrictModel):
-    """Source of the operator: a saved model, or days of probing before the warm-up of the scored window."""
+    """Source of the operator: a saved model, or the probing of an earlier run or before the scored window's warm-up."""
 
     model: str | None = Field(None, description="folder of a saved model; probing is skipped", examples=["my_model"])
+    probed: str | None = Field(
+        None, description="folder of a run whose probing is taken; nothing is probed", examples=["runs/my_run"]
+    )
     days: float = Field(3.0, ge=1, le=60, description="days of probing")
     most_days: float = Field(
         10.0, ge=1, le=60, description="days of probing after which it ends though the model is below the bar"
@@ -77,6 +80,12 @@ class ProbingSpec(StrictModel):
     options: dict[str, Any] = Field(
         default_factory=dict, description="identification options: order, gamma, ...", examples=[{"order": 2}]
     )
+
+    @model_validator(mode="after")
+    def _has_one_source(self) -> ProbingSpec:
+        if self.model is not None and self.probed is not None:
+            raise ValueError("model and probed each take the place of probing: give one of them")
+        return self
 
 
 class ControllerSpec(StrictModel):

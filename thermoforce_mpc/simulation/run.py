@@ -188,7 +188,8 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
             book.discard()
             raise
         write_partial(folder, records, str(error))
-        raise PlantError(f"{error}\nWhat was recorded until then is in {folder}") from error
+        going_on = f"What was recorded until then is in {folder}; `tf-mpc resume {folder}` goes on from there"
+        raise PlantError(f"{error}\n{going_on}") from error
     except BaseException as error:
         with suppress(StorageError, OSError):  # the error that ended the run is the one to tell
             if book.has_begun:
@@ -335,8 +336,9 @@ def _identified(
     """The models of all contestants; kept in the run folder where there is one."""
     if not (book and isinstance(plant, JournaledPlant)):
         return identify_all(scenario, testcase, plant, display)
-    # What happens while probing is not journaled: the models are what comes of it.
-    return kept_models(plant, book.folder, lambda: identify_all(scenario, testcase, plant.inside, display))
+    # Probing has journals of its own: the journal of the run has the models, which are what comes of it.
+    folder = book.folder
+    return kept_models(plant, folder, lambda: identify_all(scenario, testcase, plant.inside, display, folder))
 
 
 def _headline(plant: Plant, period: Period, scenario: Scenario) -> str:
