@@ -1,6 +1,7 @@
 """The engine as a plant: steps of a controller, its clock, its record, its end."""
 
 import multiprocessing
+import time
 
 import numpy as np
 import pytest
@@ -147,3 +148,23 @@ def test_its_own_weather_is_not_replaced_in_silence():
     scenario = Scenario(testcase="energyplus:heating_chicago", plant={"weather": "Brussels.mos"})
     with pytest.raises(ConfigError, match=r"plant\.weather"):
         validate_scenario(scenario)
+
+
+@needs_engine
+@pytest.mark.parametrize(
+    ("hangs_at", "what"), [(-1, "EnergyPlus' warm-up before day 20"), (15, "EnergyPlus' step from day 20.0521")]
+)
+def test_an_engine_that_hangs_is_ended_in_time(monkeypatch, caplog, hangs_at, what):
+    from hanging_zone import HangingZone
+
+    from thermoforce_mpc.plants.energyplus import plant, process
+
+    monkeypatch.setattr(plant, "LiveZone", lambda job: HangingZone(job, hangs_at))
+    monkeypatch.setattr(process, "START_S", 20.0 if hangs_at > 0 else 2.0)
+    with plant.EnergyPlusPlant(HEATED, patience_s=2.0) as hanging:
+        began = time.monotonic()
+        with pytest.raises(PlantError, match=f"{what} took more than 2 s and was ended.*patience_min"):
+            hanging.reset(20.25 * DAY_S, 0.25 * DAY_S)
+        assert time.monotonic() - began < 20.0
+        assert f"{what} takes 1 s already; it is ended after 2 s" in caplog.text
+    assert not multiprocessing.active_children()
