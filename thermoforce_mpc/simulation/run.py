@@ -50,6 +50,7 @@ from thermoforce_mpc.simulation.folder.run_folder import (
     write_results,
 )
 from thermoforce_mpc.simulation.folder.run_log import log_step, logging_to
+from thermoforce_mpc.simulation.journal.journal import JournalError
 from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
 from thermoforce_mpc.simulation.models.identifying import IdentifiedModel
@@ -187,7 +188,7 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
             book.discard()
             raise
         write_partial(folder, records, str(error))
-        raise PlantError(f"{error}\nWhat was recorded until then is in {folder}") from error
+        raise PlantError(f"{error}\nWhat was recorded until then is in {folder}{_report_so_far(folder)}") from error
     except BaseException as error:
         with suppress(StorageError, OSError):  # the error that ended the run is the one to tell
             if book.has_begun:
@@ -223,6 +224,15 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
         )
     _print_summary(outcome, folder, testcase, display)
     return folder
+
+
+def _report_so_far(folder: Path) -> str:
+    """Write the report of a run that failed; where it is, '' where no step has ended."""
+    from thermoforce_mpc.simulation.views.report_again import report_again
+
+    with suppress(JournalError, StorageError):  # the error that ended the run is the one to tell
+        return f", with a report: {report_again(folder)[0].name}"
+    return ""
 
 
 def _print_summary(outcome: ScenarioResult, folder: Path, testcase: TestCase, display: RunDisplay) -> None:

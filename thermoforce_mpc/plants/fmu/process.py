@@ -130,7 +130,7 @@ class WorkerProcess:
         size = os.fstat(self._said.fileno()).st_size
         said = os.pread(self._said.fileno(), _SAID_BYTES, max(size - _SAID_BYTES, 0)) if hasattr(os, "pread") else b""
         text = said.decode(errors="replace").strip()
-        return f"; its last output:\n{text}" if text else ""
+        return f"\nIts last output:\n{text}" if text else ""
 
 
 def missing_library(error: str) -> str:

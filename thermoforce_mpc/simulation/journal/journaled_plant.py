@@ -28,7 +28,7 @@ from thermoforce_mpc.data import (
     Record,
 )
 from thermoforce_mpc.errors import NoForecast
-from thermoforce_mpc.protocols import OutlivingPlant, Plant, RoomSetpointPlant
+from thermoforce_mpc.protocols import OutlivingPlant, Plant, RestartingPlant, RoomSetpointPlant
 from thermoforce_mpc.simulation.closed_loop import StepRecord
 from thermoforce_mpc.simulation.journal.journal import Entry, Journal, JournalError, making_sense
 from thermoforce_mpc.simulation.journal.journal_values import (
@@ -101,7 +101,7 @@ class JournaledPlant:
         request: Json = {"start_s": float(start_s), "warmup_s": float(warmup_s), "price": price}
 
         def to_json(measurement: Measurement) -> Json:
-            return measurement_json(measurement) | {"names": names_json(measurement.names)}
+            return self._told(measurement) | {"names": names_json(measurement.names)}
 
         def from_json(content: Mapping[str, Any]) -> Measurement:
             return measurement_of(content, names_of(content["names"]))
@@ -125,7 +125,7 @@ class JournaledPlant:
         if done_entry or (not self._entries and (self._to_come <= 1 or not self._outlives)):
             answer = self._closing_answer(request, call, done_entry)
         else:
-            answer = self._answer("advance", request, lambda: measurement_json(call()), dict, dict)
+            answer = self._answer("advance", request, lambda: self._told(call()), dict, dict)
         self._to_come -= 1
         self._last = measurement_of(answer, self._names)
         return self._last
@@ -134,14 +134,14 @@ class JournaledPlant:
         """The answer to a block that is recorded where the step is `done`, from there while catching up."""
         if done is None:
             self._catch_up()
-            self._advances.append({"asked": request, "answer": measurement_json(call())})
+            self._advances.append({"asked": request, "answer": self._told(call())})
             return cast(Mapping[str, Any], self._advances[-1]["answer"])
         with making_sense(done.where):
             advance = (list(done.content["advances"])[len(self._advances) :] or [{}])[0]
             if advance.get("asked") != request:
                 raise self._mismatch(done, f"'advance' {request}")
             measurement_of(advance["answer"], self._names)
-        self._compare(done, "advance", advance["answer"], lambda: measurement_json(call()))
+        self._compare(done, "advance", advance["answer"], lambda: self._told(call()))
         self._advances.append(advance)
         return cast(Mapping[str, Any], advance["answer"])
 
@@ -258,8 +258,20 @@ class JournaledPlant:
         self._journal.write(kind, {"asked": request, "answer": content})
         return from_json(content)
 
+    def _told(self, measurement: Measurement) -> Json:
+        """A measurement, with how the plant was started again since its reset."""
+        restarts = self._plant.restarts if isinstance(self._plant, RestartingPlant) else ()
+        return measurement_json(measurement) | ({"restarts": list(restarts)} if restarts else {})
+
     def _compare(self, entry: Entry, kind: str, recorded: object, call: Callable[[], object]) -> None:
-        """Have a simulated plant answer again, as it did then; one that outlives the process is not asked."""
+        """Have a simulated plant answer again, as it did then; one that outlives the process is not asked.
+
+        One that was started again then is started again now, whether it fails once more or not.
+        """
+        if isinstance(self._plant, RestartingPlant):
+            restarts = recorded.get("restarts", ()) if isinstance(recorded, Mapping) else ()
+            with making_sense(entry.where):
+                self._plant.restart_as([str(words) for words in restarts])
         if not self._outlives and call() != recorded:
             raise JournalError(
                 f"{entry.where}: the plant answers '{kind}' otherwise than it did then. "
