@@ -231,7 +231,8 @@ def _report_so_far(folder: Path) -> str:
     from thermoforce_mpc.simulation.views.report_again import report_again
 
     with suppress(JournalError, StorageError):  # the error that ended the run is the one to tell
-        return f", with a report: {report_again(folder)[0].name}"
+        report_again(folder)
+        return ", with a report: report.html"
     return ""
 
 
