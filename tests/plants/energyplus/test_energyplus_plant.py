@@ -2,10 +2,12 @@
 
 import multiprocessing
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from waiting import wait_for
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
@@ -168,3 +170,18 @@ def test_an_engine_that_hangs_is_ended_in_time(monkeypatch, caplog, hangs_at, wh
         assert time.monotonic() - began < 20.0
         assert f"{what} takes 1 s already; it is ended after 2 s" in caplog.text
     assert not multiprocessing.active_children()
+
+
+@needs_engine
+def test_an_engine_that_hangs_ends_with_a_run_that_is_killed(tmp_path):
+    from hanging_zone import hang
+
+    mark = tmp_path / "hangs"
+    run = multiprocessing.get_context("spawn").Process(target=hang, args=(str(mark),))
+    run.start()
+    wait_for("the engine's warm-up", lambda: mark.exists() and mark.read_text())
+    engine = Path("/proc") / mark.read_text()
+    assert engine.exists()
+    run.kill()
+    run.join()
+    wait_for("the end of the engine's process", lambda: not engine.exists())
