@@ -1,13 +1,17 @@
 """The engine as a plant: steps of a controller, its clock, its record, its end."""
 
 import multiprocessing
+import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from waiting import wait_for
+from places import ROOT
+from waiting import LONG_S, wait_for
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
@@ -185,3 +189,25 @@ def test_an_engine_that_hangs_ends_with_a_run_that_is_killed(tmp_path):
     run.kill()
     run.join()
     wait_for("the end of the engine's process", lambda: not engine.exists())
+
+
+@needs_engine
+def test_a_script_that_cannot_be_imported_again_ends_with_an_error(tmp_path):
+    """The engine's process imports the script that started it; one without a guard starts itself there."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant\n"
+        "from thermoforce_mpc.plants.testcases import load_testcase\n"
+        "EnergyPlusPlant(load_testcase('energyplus:heating_chicago')).reset(0.0, 0.0)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, script],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=LONG_S,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert "PlantError: EnergyPlus ended without an answer" in done.stderr
+    assert "if __name__ == '__main__':" in done.stderr

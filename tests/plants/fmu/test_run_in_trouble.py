@@ -52,12 +52,13 @@ def test_a_restart_stands_in_the_folder_and_a_resumed_run_does_the_same(file, tm
     (tmp_path / "cut").mkdir()
     journal = (tmp_path / "whole" / "journal.jsonl").read_bytes()
     (tmp_path / "cut" / "journal.jsonl").write_bytes(journal[: int(0.9 * len(journal))])
-    began = time.monotonic()
+    page = tmp_path / "cut.html"
+    done = CliRunner().invoke(cli, ["report", str(tmp_path / "cut"), "--out", str(page)], catch_exceptions=False)
+    assert RESTARTED in page.read_text().replace("&#39;", "'"), done.output
     done = CliRunner().invoke(cli, ["resume", str(tmp_path / "cut")], catch_exceptions=False)
     assert done.exit_code == 0, done.output
-    assert "already" not in done.output, f"it does not hang again ({time.monotonic() - began:.1f} s)"
-    for name in ("trajectory.csv",):
-        assert (tmp_path / "cut" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    assert "already" not in done.output, "it does not hang again"
+    assert (tmp_path / "cut" / "trajectory.csv").read_bytes() == (tmp_path / "whole" / "trajectory.csv").read_bytes()
     assert RESTARTED in json.loads((tmp_path / "cut" / "manifest.json").read_text())["plant"]["details"]["restarts"]
 
 

@@ -140,12 +140,13 @@ class Live(Generic[U, R]):
         self._pipe.send(Stretch(tuple(r for r, _ in self._answer), tuple(u for _, u in self._answer)))
 
 
-def serve(building: Building[U, R], pipe: Connection) -> None:
-    """Run the simulation of `building` in this process, answering over `pipe`; errors are sent as text."""
+def serve(pipe: Connection) -> None:
+    """Run the simulation of the `Building` that `pipe` brings first, answering over it; errors are sent as text."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
+        building = pipe.recv()
         run_engine(building.model(), building.weather(), Live(building, pipe), building.wiring())
-    except (BrokenPipeError, KeyboardInterrupt):
+    except (BrokenPipeError, EOFError, KeyboardInterrupt):
         return
     except Exception as error:  # any error is reported by the other end
         try:

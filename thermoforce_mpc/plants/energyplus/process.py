@@ -39,11 +39,12 @@ class EngineProcess(Generic[U, R]):
         self._steps = 0
         context = multiprocessing.get_context("spawn")
         self._pipe, other = context.Pipe()
-        self._process = context.Process(target=serve, args=(building, other), daemon=True)
+        self._process = context.Process(target=serve, args=(other,), daemon=True)
         self._process.start()
         other.close()
         self._closed = False
-        self.first: R = self._asked("warm-up before", max(patience_s, START_S)).readings[0]
+        # The building is large: as an argument of the process it would be written without a limit.
+        self.first: R = self._asked("warm-up before", max(patience_s, START_S), building).readings[0]
 
     @property
     def step_s(self) -> float:
@@ -91,8 +92,8 @@ class EngineProcess(Generic[U, R]):
             self._process.join()
         self._process.close()
 
-    def _asked(self, phase: str, limit_s: float, request: Advance[U] | None = None) -> Stretch[U, R]:
-        """The answer to `request` (None: to the start); without one the process is closed."""
+    def _asked(self, phase: str, limit_s: float, request: Advance[U] | Building[U, R]) -> Stretch[U, R]:
+        """The answer to `request`; without one the process is closed."""
         what = f"EnergyPlus' {phase} day {self.now_s / DAY_S:g}"
         try:
             answer = wait_for(lambda: self._exchanged(request), self._process.kill, what, limit_s)
@@ -105,9 +106,8 @@ class EngineProcess(Generic[U, R]):
             return answer
         raise self._failed(f"failed: {answer}")
 
-    def _exchanged(self, request: Advance[U] | None) -> object:
-        if request is not None:
-            self._pipe.send(request)
+    def _exchanged(self, request: object) -> object:
+        self._pipe.send(request)
         return self._pipe.recv()
 
     def _failed(self, what: str) -> PlantError:
