@@ -30,7 +30,11 @@ class PlantSpec(StrictModel):
         "none", description="BOPTEST's forecast uncertainty level for outdoor temperature and solar radiation"
     )
     patience_min: float = Field(
-        15.0, ge=0, le=1440, description="how long a service may be away before the run ends, min (kind: boptest)"
+        15.0,
+        ge=0,
+        le=1440,
+        description="how long a service may be away before the run ends, min (kind: boptest); how long an FMU or "
+        "EnergyPlus may take for a quarter of an hour of the building's time",
     )
     forecast_outage_h: float = Field(
         48.0, ge=0, le=720, description="how long the plant may give no forecast before the run ends, h"

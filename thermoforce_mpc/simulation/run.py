@@ -51,6 +51,7 @@ from thermoforce_mpc.simulation.folder.run_folder import (
     write_results,
 )
 from thermoforce_mpc.simulation.folder.run_log import log_step, logging_to
+from thermoforce_mpc.simulation.journal.journal import JournalError
 from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
 from thermoforce_mpc.simulation.models.identifying import IdentifiedModel
@@ -188,8 +189,8 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
             book.discard()
             raise
         write_partial(folder, records, str(error))
-        going_on = f"What was recorded until then is in {folder}; `tf-mpc resume {folder}` goes on from there"
-        raise PlantError(f"{error}\n{going_on}") from error
+        there = f"What was recorded until then is in {folder}{_report_so_far(folder)}"
+        raise PlantError(f"{error}\n{there}; `tf-mpc resume {folder}` goes on from there") from error
     except BaseException as error:
         with suppress(StorageError, OSError):  # the error that ended the run is the one to tell
             if book.has_begun:
@@ -225,6 +226,16 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
         )
     _print_summary(outcome, folder, testcase, kpis["power_cap"], display)
     return folder
+
+
+def _report_so_far(folder: Path) -> str:
+    """Write the report of a run that failed; where it is, '' where no step has ended."""
+    from thermoforce_mpc.simulation.views.report_again import report_again
+
+    with suppress(JournalError, StorageError):  # the error that ended the run is the one to tell
+        report_again(folder)
+        return ", with a report: report.html"
+    return ""
 
 
 def _print_summary(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar, cast
 
 from thermoforce_mpc.data import SINGLE, Bands, Block, Boundary, Levels, Measurement, Period, PlantInfo, Record
-from thermoforce_mpc.protocols import OutlivingPlant, Plant, RoomSetpointPlant
+from thermoforce_mpc.protocols import OutlivingPlant, Plant, RestartingPlant, RoomSetpointPlant
 from thermoforce_mpc.simulation.journal.journal import Entry, Journal, JournalError, making_sense
 from thermoforce_mpc.simulation.journal.journal_values import (
     Json,
@@ -72,7 +72,7 @@ class RecordedPlant:
         request: Json = {"start_s": float(start_s), "warmup_s": float(warmup_s), "price": price}
 
         def to_json(measurement: Measurement) -> Json:
-            return measurement_json(measurement) | {"names": names_json(measurement.names)}
+            return self._told(measurement) | {"names": names_json(measurement.names)}
 
         def from_json(content: Mapping[str, Any]) -> Measurement:
             return measurement_of(content, names_of(content["names"]))
@@ -135,8 +135,8 @@ class RecordedPlant:
 
         def call() -> Json:
             if band_C is None:
-                return measurement_json(self._plant.advance(u, duration_s))
-            return measurement_json(cast(RoomSetpointPlant, self._plant).advance(u, duration_s, band_C))
+                return self._told(self._plant.advance(u, duration_s))
+            return self._told(cast(RoomSetpointPlant, self._plant).advance(u, duration_s, band_C))
 
         return call
 
@@ -165,8 +165,20 @@ class RecordedPlant:
         self._journal.write(kind, {"asked": request, "answer": content})
         return from_json(content)
 
+    def _told(self, measurement: Measurement) -> Json:
+        """A measurement, with how the plant was started again since its reset."""
+        restarts = self._plant.restarts if isinstance(self._plant, RestartingPlant) else ()
+        return measurement_json(measurement) | ({"restarts": list(restarts)} if restarts else {})
+
     def _compare(self, entry: Entry, kind: str, recorded: object, call: Callable[[], object]) -> None:
-        """Have a simulated plant answer again, as it did then; one that outlives the process is not asked."""
+        """Have a simulated plant answer again, as it did then; one that outlives the process is not asked.
+
+        One that was started again then is started again now, whether it fails once more or not.
+        """
+        if isinstance(self._plant, RestartingPlant):
+            restarts = recorded.get("restarts", ()) if isinstance(recorded, Mapping) else ()
+            with making_sense(entry.where):
+                self._plant.restart_as([str(words) for words in restarts])
         if not self._outlives and call() != recorded:
             raise JournalError(
                 f"{entry.where}: the plant answers '{kind}' otherwise than it did then. "
