@@ -127,7 +127,16 @@ class ThermoForceMPC(ActuatedController):
             shape_of,
         )
         expected_power = self._formulation.expected_power_W
-        watches = [Watch(c.watch, zone, n_steps, partial(expected_power, a)) for a, zone in enumerate(zone_models)]
+        watches = [
+            Watch(
+                c.watch,
+                zone,
+                n_steps,
+                partial(expected_power, a),
+                shared=len(layout.fed_by(layout.machine_of[a])) > 1,
+            )
+            for a, zone in enumerate(zone_models)
+        ]
         self._gate = CompetenceGate(c.gate, [zone.card for zone in zone_models], self._fallbacks)
         self._watched = WatchedPredictions(
             watches, self._planners.of, model, enabled=c.watch.enabled and not self._gate.closes_all
