@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controllers.actuation.actuators import Actuators, Demand
 from controllers.actuation.power_limit import PowerLimit
@@ -197,10 +198,9 @@ def reason_of(
         cold = bool(T_zone_C[z, when] < lower_C[z, when])
         side, sign = ("below", 1) if cold else ("above", -1)
         own = [a for a, home in enumerate(operator.home) if home == z and operator.signs[a] == sign]
-        full = problem.machinery.u_max[own, None]
-        # Nothing more can be done where all that would is at full level from now on.
-        spent = bool(own) and bool((u[own, : when + 1] >= _FULL * full).all())
-        why = "cannot be avoided at full level" if spent else NOT_ECONOMICAL
+        # Nothing more can be done where all that would, or its machine, is at its limit from now on.
+        spent = bool(own) and bool(_at_limit(problem, u)[own, : when + 1].all())
+        why = "cannot be avoided at full power" if spent else NOT_ECONOMICAL
         what = f"{slack_K[z, when]:.2f} K {side} the comfort band {why}"
     else:
         gap = np.minimum(T_zone_C - lower_C, upper_C - T_zone_C)
@@ -217,6 +217,16 @@ def reason_of(
     hours = (when + 1) * problem.step_s / HOUR_S
     where = _of(zones, z)
     return f"{what}{where} in {hours:g} h (80 % band of the free forecast there: {band[z, when]:.2f} K)"
+
+
+def _at_limit(problem: MPCProblem, u: Array) -> NDArray[np.bool_]:
+    """Where actuators are at full level, or the machine that they share at its capacity, (A, N)."""
+    machinery = problem.machinery
+    capacity = np.ones(problem.power_fixed_W.shape) if problem.capacity is None else problem.capacity
+    load = np.stack([machinery.share[fed] @ u[fed] for fed in machinery.fed_by])
+    shared = machinery.shared[machinery.machine_of, None]
+    at_capacity = shared & (load >= _FULL * capacity)[machinery.machine_of]
+    return np.asarray((u >= _FULL * machinery.u_max[:, None]) | at_capacity)
 
 
 def _of(zones: Sequence[str], z: int) -> str:
