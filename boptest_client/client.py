@@ -19,6 +19,7 @@ from boptest_client.errors import (
     InternalError,
     Moved,
     ProtocolError,
+    ServiceError,
     ServiceTimeout,
     UnknownTest,
 )
@@ -27,6 +28,8 @@ from boptest_client.types import Point, Scenario
 
 _LOG = logging.getLogger(__name__)
 _POLL_S = 0.2
+# Time for the first answer of a service, s: its address may be wrong.
+_FIRST_ANSWER_S = 10.0
 _CLOCK_TOLERANCE_S = 1e-3
 _STATUSES = ("Running", "Queued")
 # After these, it is not known whether the service acted on the request.
@@ -69,9 +72,9 @@ class BoptestClient:
 
         Raises:
             BadAddress: `url` is not an http(s) address.
+            ServiceTimeout: nothing answers there within 10 s, or the test was still queued after `start_timeout_s`.
             UnknownTest: the service does not offer the test case (the message lists what it offers), or has no test
                 `testid`.
-            ServiceTimeout: the test was still queued after `start_timeout_s`.
             TransportError: the service cannot be reached.
         """
         self.testcase = testcase
@@ -80,6 +83,7 @@ class BoptestClient:
         self.time_s = math.nan
         """Time at which the test stands, s: that of the last answer."""
         self._step_s = math.nan
+        self._find()
         if testid is not None:
             self.testid = testid
             self.status()
@@ -330,6 +334,21 @@ class BoptestClient:
             self.stop()
         except BoptestError as failed:
             _LOG.warning("the test was not stopped, the service will drop it when idle: %s", failed)
+
+    def _find(self) -> None:
+        """Ask for anything: the requests that follow may take minutes, this one not."""
+        passing = (ConnectError, ConnectionLost)
+        try:
+            self._transport.patiently(
+                lambda: self._transport.call("GET", "version", most_s=_FIRST_ANSWER_S), passing=passing, refusals=0
+            )
+        except (ServiceError, ProtocolError):
+            _LOG.info("%s answers, but tells no version", self.url)
+        except BaseException as error:
+            self._transport.close()
+            if isinstance(error, ServiceTimeout):
+                raise ServiceTimeout(error.endpoint, f"{error.message}; is a BOPTEST service running there?") from error
+            raise
 
     def _select(self) -> str:
         path = f"testcases/{self.testcase}/select"

@@ -164,7 +164,7 @@ class Transport:
         connect_s, read_s = min(self.config.connect_timeout_s, most_s), min(self.config.read_timeout_s, most_s)
         in_all_s = min(connect_s + read_s, most_s)
         late = ServiceTimeout(endpoint, f"no complete answer within {in_all_s:g} s")
-        with self._adapter.cut_after(in_all_s) as cut:
+        with self._adapter.cut_after(in_all_s, endpoint) as cut:
             try:
                 response = self._session.request(
                     method,
@@ -274,8 +274,11 @@ class _CuttableAdapter(HTTPAdapter):
         return connection
 
     @contextmanager
-    def cut_after(self, seconds: float) -> Iterator[threading.Event]:
-        """Close all connections after `seconds` unless the block has ended; the event is set if they were closed."""
+    def cut_after(self, seconds: float, endpoint: str) -> Iterator[threading.Event]:
+        """Close all connections after `seconds` unless the block has ended; the event is set if they were closed.
+
+        After half of them it is said that `endpoint` has not answered.
+        """
         cut = threading.Event()
 
         def act() -> None:
@@ -284,13 +287,18 @@ class _CuttableAdapter(HTTPAdapter):
                 with suppress(OSError):
                     open_socket.shutdown(socket.SHUT_RDWR)
 
-        timer = threading.Timer(seconds, act)
-        timer.daemon = True
-        timer.start()
+        def say() -> None:
+            _LOG.warning("%s: no answer for %.3g s already; it is waited for %g s", endpoint, seconds / 2.0, seconds)
+
+        timers = (threading.Timer(seconds / 2.0, say), threading.Timer(seconds, act))
+        for timer in timers:
+            timer.daemon = True
+            timer.start()
         try:
             yield cut
         finally:
-            timer.cancel()
+            for timer in timers:
+                timer.cancel()
 
 
 def _service_error(endpoint: str, status: int, message: str) -> ServiceError:

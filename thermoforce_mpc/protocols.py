@@ -5,7 +5,7 @@ Each free response, controller and connection is one file, listed in one registr
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from thermoforce_mpc.data import (
@@ -95,6 +95,23 @@ class OutlivingPlant(Plant, Protocol):
         `periods` are the windows that were asked for by name. The next `advance` gives the answer of a step that was
         simulated and whose answer was lost. Raises `PlantError` where the plant stands elsewhere.
         """
+        ...
+
+
+@runtime_checkable
+class RestartingPlant(Plant, Protocol):
+    """Simulated plant that starts its simulation again, in another way, where it fails: an FMU.
+
+    What was returned before stays; the plant goes on from the repeated course, which differs a little.
+    """
+
+    @property
+    def restarts(self) -> tuple[str, ...]:
+        """When and how it was started again since the reset, in words."""
+        ...
+
+    def restart_as(self, restarts: Sequence[str]) -> None:
+        """Be started again in the next reset or advance, so that `restarts` are these: a run that is repeated."""
         ...
 
 

@@ -70,13 +70,24 @@ class Watch:
     All state is in `WatchState`.
     """
 
-    def __init__(self, config: WatchConfig, model: ZoneModel, n_steps: int, power: Callable[[Record], Array]) -> None:
+    def __init__(
+        self,
+        config: WatchConfig,
+        model: ZoneModel,
+        n_steps: int,
+        power: Callable[[Record], Array],
+        *,
+        shared: bool = False,
+    ) -> None:
         """Watch predictions of `n_steps` steps at the step of `model`.
 
         Args:
             power: electric power (n,) W expected for the levels of a record (n steps).
+            shared: the machine feeds other actuators too: how warm its water is goes by them, and so the heat of a
+                level; `machine_factor` counts twice.
         """
         self.config, self._model, self._power = config, model, power
+        self._machine_factor = config.machine_factor ** (2 if shared else 1)
         self.step_s = model.operator.step_s
         leads = [max(1, round(lead * HOUR_S / self.step_s)) for lead in LEADS_H]
         self.leads = tuple(n for n in dict.fromkeys(leads) if n <= n_steps)
@@ -250,7 +261,7 @@ class Watch:
         ratios = tuple(item for item in state.ratios if now - item[0] <= _USUAL_DAYS * DAY_S)
         state = replace(state, ratios=(*ratios, (now, ratio)))
         last = history.last(min(history.n_steps, round(LEADS_H[-1] * HOUR_S / self.step_s)))
-        limit = self.config.machine_factor * (1.0 + self._beyond_identified(last))
+        limit = self._machine_factor * (1.0 + self._beyond_identified(last))
         # A map that never fitted this machine is no change of the machine.
         if len(before) < _LEAST_RATIOS:
             return "", state

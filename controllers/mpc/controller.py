@@ -127,7 +127,16 @@ class ThermoForceMPC(ActuatedController):
             shape_of,
         )
         expected_power = self._formulation.expected_power_W
-        watches = [Watch(c.watch, zone, n_steps, partial(expected_power, a)) for a, zone in enumerate(zone_models)]
+        watches = [
+            Watch(
+                c.watch,
+                zone,
+                n_steps,
+                partial(expected_power, a),
+                shared=len(layout.fed_by(layout.machine_of[a])) > 1,
+            )
+            for a, zone in enumerate(zone_models)
+        ]
         self._gate = CompetenceGate(c.gate, [zone.card for zone in zone_models], self._fallbacks)
         self._watched = WatchedPredictions(
             watches, self._planners.of, model, enabled=c.watch.enabled and not self._gate.closes_all
@@ -308,7 +317,7 @@ class ThermoForceMPC(ActuatedController):
         if brought is None or brought.broken:
             why = refused or f"the solver's levels leave a limit: {brought.broken if brought else ''}"
             return Failure(why, forecast.state, solution.status, {**seconds, "solve": solve_s})
-        limit = power_limit(self.config.objective.power_cap_kW, instance.problem, solution, brought, planner.evaluator)
+        limit = power_limit(instance, solution, brought, planner.evaluator)
         return Solved(solved_plan(instance, solution, brought, solve_s, forecast, readings), limit)
 
     def _brought(self, evaluator: Evaluator, problem: MPCProblem, solution: Solution) -> Evaluation:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -23,10 +24,14 @@ _COMFORT_OVER_HEAT = 5.0
 
 
 class Instance(NamedTuple):
-    """One instance of the problem, its comfort bounds with the margins inside them, and what was changed in it."""
+    """One instance of the problem, its comfort bounds with the margins inside them, and what was changed in it.
+
+    `cap_W`: what a power cap leaves for all machines in the first step, W; infinite without one.
+    """
 
     problem: MPCProblem
     bounds: Bounds
+    cap_W: float
     news: str
 
 
@@ -122,6 +127,10 @@ class Formulation:
         highest_W = np.array(layout.weights) * fixed_W[fed_by, -1] + per_u_W[:, -1] * highest
         if bent:
             highest_W = highest_W + per_u2_W[:, -1] * highest**2
+        foreign_W = np.zeros(boundary.n_steps)
+        for power in self._expected:
+            if power.foreign is not None:
+                foreign_W = foreign_W + power.foreign(boundary.time_s[:-1], T_out)
         dearest = price.max(axis=1)[fed_by]
         comfort, news = self._comfort_weights(operator, context.features[:, -1], dearest * highest_W)
         bounds = self.margins.bounds(operator, context.free, boundary, margins.learned)
@@ -138,24 +147,28 @@ class Formulation:
             machinery=self.machinery,
             weights=Weights(comfort, aims.curvature, aims.peak_price_per_kW / 1000.0),
             terminal_price_per_K=self._terminal_price(operator, context.features[:, -1], price[fed_by, -1] * highest_W),
-            peak_so_far_W=peak_W,
+            peak_so_far_W=max(peak_W - float(foreign_W.mean()), 0.0),
             cooling=self._cooling(boundary, np.maximum(boundary.price_per_kWh[:, :-1] + carbon, 0.0)),
-            power_cap=self._cap(fixed_W, per_u_W, per_u2_W),
+            power_cap=self._cap(fixed_W, per_u_W, per_u2_W, foreign_W),
             power_per_u2_W=per_u2_W if bent else None,
             capacity=self.margins.capacity(operator, T_out, margins.unused),
             last_u=self._last_u(history),
         )
-        return Instance(problem, bounds, news)
+        cap_kW = aims.power_cap_kW
+        cap_W = math.inf if cap_kW is None else max(1000.0 * cap_kW - float(foreign_W[0]), 0.0)
+        return Instance(problem, bounds, cap_W, news)
 
-    def _cap(self, fixed_W: Array, per_u_W: Array, per_u2_W: Array) -> PowerCap | None:
+    def _cap(self, fixed_W: Array, per_u_W: Array, per_u2_W: Array, foreign_W: Array) -> PowerCap | None:
         """The power cap over the steps, as far as blocks use it; power of machines (M, N) and actuators (A, N), W.
+
+        What else is on their meters, `foreign_W` (N,), is taken off.
 
         One actuator takes what whole blocks take. Several take turns: half the smallest block is left on average.
         """
         aims, each, step_s = self._config.objective, self._actuators.each, self._step_s
         if aims.power_cap_kW is None:
             return None
-        limit_W = np.full(fixed_W.shape[1], 1000.0 * aims.power_cap_kW)
+        limit_W = np.maximum(1000.0 * aims.power_cap_kW - foreign_W, 0.0)
         level = np.array([actuation.block_level for actuation in each])[:, None]
         machine_of = self.machinery.machine_of
         alone = ~self.machinery.shared[machine_of, None]
@@ -169,9 +182,10 @@ class Formulation:
         return PowerCap(limit_W, aims.power_cap_price_per_kWh)
 
     def expected_power_W(self, a: int, record: Record) -> Array:
-        """Electric power (n,), W, for the levels of actuator `a` in a record of its own."""
+        """What the meter of its machine shows (n,), W, for the levels of actuator `a` in a record of its own."""
         levels = np.clip(record.u[0], self._layout.lowest[a], 1.0)
-        return self._expected[self._layout.machine_of[a]](levels, record.T_out_C[:-1], record.T_return_C[0])
+        power = self._expected[self._layout.machine_of[a]]
+        return power.metered(levels, record.time_s[:-1], record.T_out_C[:-1], record.T_return_C[0])
 
     def _comfort_weights(self, operator: BuildingOperator, features: Array, price_W: Array) -> tuple[Array, str]:
         """Penalty on comfort violation (Z,), currency/(K·h), and which of them were raised so that heat stays cheaper.

@@ -163,7 +163,7 @@ _GIVEN_BACK, _NEAR_K = 0.5, 0.15
 # How much wider than at its tightest a bound is set back, and by how much one gets tighter that begins, K.
 _SET_BACK_K = 0.5
 # Most that a bound is anticipated by where it begins, K.
-_MOST_RECOVERY_K = 2.0
+_MOST_RECOVERY_K = 1.0
 
 
 @dataclass(frozen=True)
@@ -206,15 +206,16 @@ class LearnedMargin:
         tightest_C = np.fmax(self.tightest_C[0], lower_C), np.fmin(self.tightest_C[1], upper_C)
         return replace(self, tightest_C=np.stack(tightest_C), now_C=now_C)
 
-    def after_setback(self, T_C: Array, lower_C: Array, upper_C: Array) -> LearnedMargin:
+    def after_setback(self, T_C: Array, lower_C: Array, upper_C: Array, spare: NDArray[np.bool_]) -> LearnedMargin:
         """With a reading (Z,) at the instant at which a bound begins; what is missing there is added for the next time.
 
-        The machine may well have been at full level: the next recovery begins earlier. Half of what there was to spare
-        is given back. Bounds (Z,) of now, °C.
+        The machine may well have been at full level in the end: the next recovery begins earlier. Half of what there
+        was to spare is given back. Bounds (Z,) of now, °C; `spare` (2, Z): whether there was more to give in the hours
+        before, else nothing is added.
         """
         missing_K = np.stack([lower_C - T_C, T_C - upper_C])
         begins = self.begins(self.now_C, np.stack([lower_C, upper_C])) & np.isfinite(missing_K)
-        change_K = np.where(begins, np.where(missing_K > 0.0, missing_K, _GIVEN_BACK * missing_K), 0.0)
+        change_K = np.where(begins, np.where(missing_K > 0.0, spare * missing_K, _GIVEN_BACK * missing_K), 0.0)
         return replace(self, recovery_K=np.clip(self.recovery_K + change_K, 0.0, _MOST_RECOVERY_K))
 
     @staticmethod

@@ -43,6 +43,8 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Share of the highest level from which an actuator counts as fully used.
 _FULLY_USED = 0.95
+# Hours before a bound begins in which a recovery could have begun.
+_BEFORE_H = 6.0
 # Largest offset added to a prediction, K: beyond, the model is wrong rather than off.
 _OFFSET_K = 0.3
 
@@ -113,7 +115,10 @@ class MarginRules:
         if good is None or good.age(observation.time_s, self._step_s) != 1:  # no plan decided the last step
             return replace(before, learned=learned)
         learned = before.learned.after_setback(
-            observation.T_zone_C, forecast.lower_C[:, 0], forecast.upper_C[:, 0]
+            observation.T_zone_C,
+            forecast.lower_C[:, 0],
+            forecast.upper_C[:, 0],
+            self.could_begin_earlier(observation.history),
         ).meeting(forecast.lower_C, forecast.upper_C)
         return Margins(
             self._learned_offset_K(before.offset_K, good, observation),
@@ -122,7 +127,11 @@ class MarginRules:
         )
 
     def bounds(
-        self, operator: BuildingOperator, free: FreeForecast, boundary: Boundary, learned: LearnedMargin
+        self,
+        operator: BuildingOperator,
+        free: FreeForecast,
+        boundary: Boundary,
+        learned: LearnedMargin,
     ) -> Bounds:
         """Comfort bounds at the end of each step with all margins inside: the only place where they are added.
 
@@ -181,6 +190,23 @@ class MarginRules:
             name: np.stack(of_zones, axis=1) for name, of_zones in zip(names, zip(*firsts, strict=True), strict=True)
         }
         return Bounds(np.stack(lower), np.stack(upper), first_step, np.stack(whole, axis=1))
+
+    def could_begin_earlier(self, history: Record) -> NDArray[np.bool_]:
+        """Whether what protects the lower and the upper bound of each zone had more to give in the last hours (2, Z).
+
+        An actuator that was at full level, or whose machine was at its capacity, could not have begun earlier.
+        """
+        last = history.last(min(history.n_steps, round(_BEFORE_H * HOUR_S / self._step_s)))
+        used = np.abs(np.nan_to_num(last.u, nan=1.0)).mean(axis=1) if last.n_steps else np.ones(len(self._layout.home))
+        could = np.zeros((2, len(self._layout.names.zones)), dtype=bool)
+        for a, (z, sign) in enumerate(zip(self._layout.home, self._layout.signs, strict=True)):
+            fed = self._layout.fed_by(self._layout.machine_of[a])
+            load = float(self._shares[fed] @ used[fed]) if len(fed) > 1 else 0.0
+            most = max(used[a] / self._actuators.each[a].highest, load)
+            could[0 if sign > 0 else 1, z] |= most < _FULLY_USED
+            if self._layout.lowest[a] < 0.0:
+                could[1, z] |= used[a] / -self._layout.lowest[a] < _FULLY_USED
+        return could
 
     def capacity(self, operator: BuildingOperator, T_out_C: Array, unused: Array) -> Array | None:
         """What the actuators of each machine may take together (M, N), in the unit of their shares; None: 1.

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controllers.actuation.actuators import Actuators, Demand
 from controllers.actuation.power_limit import PowerLimit
@@ -42,19 +43,17 @@ class Solved(NamedTuple):
     limit: PowerLimit | None
 
 
-def power_limit(
-    cap_kW: float | None, problem: MPCProblem, solution: Solution, brought: Evaluation, evaluator: Evaluator
-) -> PowerLimit | None:
+def power_limit(instance: Instance, solution: Solution, brought: Evaluation, evaluator: Evaluator) -> PowerLimit | None:
     """The limit of power in the first step; None without a cap and a price of peaks.
 
     Args:
-        cap_kW: the cap, kW.
-        problem: what was solved.
+        instance: what was solved.
         solution: its levels.
         brought: what they bring.
         evaluator: what other levels of the first step would take.
     """
-    if cap_kW is None and not problem.weights.peak:
+    problem = instance.problem
+    if math.isinf(instance.cap_W) and not problem.weights.peak:
         return None
     numbers, highest_W = evaluator.numbers(problem), float(brought.power_W.sum(axis=0).max())
 
@@ -63,7 +62,7 @@ def power_limit(
         return float(evaluator.evaluate(problem, numbers, u, solution.own_values).power_W[:, 0].sum())
 
     return PowerLimit(
-        cap_W=math.inf if cap_kW is None else 1000.0 * cap_kW,
+        cap_W=instance.cap_W,
         peak_W=max(problem.peak_so_far_W, highest_W) if problem.weights.peak else math.inf,
         planned=solution.u[:, 0].copy(),
         power_W=power_W,
@@ -224,11 +223,22 @@ def _of(zones: Sequence[str], z: int) -> str:
 def _cannot_be_avoided(problem: MPCProblem, operator: BuildingOperator, z: int, sign: int, u: Array) -> str:
     """Why zone `z` is not moved further in the direction `sign` by levels `u` (A, n) up to the discomfort.
 
-    Nothing more can be done where its actuators of that sign are at full level from now on, and the others do nothing.
+    Nothing more can be done where its actuators of that sign, or their machines, are at their limit from now on, and
+    the others do nothing.
     """
-    own = [a for a, home in enumerate(operator.home) if home == z]
+    own, limits = [a for a, home in enumerate(operator.home) if home == z], problem.machinery
     with_it = np.array(operator.signs, dtype=np.float64)[own] == sign
-    most = np.where(with_it, problem.machinery.u_max[own], problem.machinery.u_min[own])
-    if (np.abs(u[own] - most[:, None]) > _NEARLY * problem.machinery.u_max[own, None]).any():
+    most = np.where(with_it, limits.u_max[own], limits.u_min[own])
+    spent = np.abs(u[own] - most[:, None]) <= _NEARLY * limits.u_max[own, None]
+    if not (spent | with_it[:, None] & _at_capacity(problem, u)[own]).all():
         return NOT_ECONOMICAL
-    return "cannot be avoided at full level" if most.any() else "cannot be avoided with nothing on"
+    return "cannot be avoided at full power" if most.any() else "cannot be avoided with nothing on"
+
+
+def _at_capacity(problem: MPCProblem, u: Array) -> NDArray[np.bool_]:
+    """Where the machine that actuators share is at its capacity (A, n)."""
+    machinery = problem.machinery
+    capacity = np.ones(problem.power_fixed_W.shape) if problem.capacity is None else problem.capacity
+    load = (machinery.fed_by * machinery.share) @ u
+    full = load >= (1.0 - _NEARLY) * capacity[:, : u.shape[1]]
+    return np.asarray(machinery.shared[machinery.machine_of, None] & full[machinery.machine_of])

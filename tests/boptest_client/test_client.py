@@ -491,6 +491,26 @@ def test_an_address_that_swallows_connections_is_given_up_after_one_wait():
         assert pauses == [], "no second attempt"
 
 
+def test_an_address_that_takes_connections_and_never_answers_is_given_up_soon(caplog, monkeypatch):
+    """Though a request of a run may take minutes; of ten seconds the test waits one."""
+    monkeypatch.setattr("boptest_client.client._FIRST_ANSWER_S", 1.0)
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen()
+        url = f"http://127.0.0.1:{silent.getsockname()[1]}"
+        began = time.monotonic()
+        with pytest.raises(ServiceTimeout, match=f"GET {url}/version: no .*answer within 1 s; is a BOPTEST"):
+            BoptestClient(url, NAME, config=TransportConfig(connect_timeout_s=0.5))
+        assert time.monotonic() - began < 10.0
+    assert f"GET {url}/version: no answer for 0.5 s already; it is waited for 1 s" in caplog.text
+
+
+def test_a_service_that_tells_no_version_is_one(service):
+    service.faults.append(Fault("version", "500", times=9))
+    with BoptestClient(service.url, NAME, config=QUICK) as client:
+        assert client.status() == "Running"
+
+
 def test_a_test_that_stays_queued_is_given_up_and_stopped(service):
     service.queued_polls = 10_000
     with pytest.raises(ServiceTimeout, match="Queued"):

@@ -110,7 +110,7 @@ def test_bytes_of_any_kind(content, name, status):
     with pytest.MonkeyPatch.context() as patch:
         service = Service()
         patch.setattr(requests.Session, "request", lambda _, *args, **kwargs: service.request(*args, **kwargs))
-        selecting = iter([b'{"testid": "1"}', b'"Running"'])
+        selecting = iter([b'{"version": "1"}', b'{"testid": "1"}', b'"Running"'])
         service.request = lambda *_, **__: _answer(next(selecting))
         client = BoptestClient("http://127.0.0.1:9", "bestest_air", config=HASTY)
         del service.request

@@ -63,6 +63,15 @@ def scenario_options(function: Function) -> Function:
     return function
 
 
+def probed_option(function: Function) -> Function:
+    """Add the option that takes the probing of an earlier run."""
+    return click.option(
+        "--probing",
+        type=click.Path(path_type=Path),
+        help="Run folder whose probing is taken instead of probing, or one of its journals probing/*.jsonl.",
+    )(function)
+
+
 def equal_comfort_option(function: Function) -> Function:
     """Add the option that searches a thermostat that is as comfortable."""
     return click.option(
@@ -181,8 +190,9 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
             keys[key] = options[key]
     if options.get("controller") is not None:
         keys["controller"] = {"name": options["controller"]}
-    if options.get("model") is not None:
-        keys["identification"] = {"model": str(options["model"])}
+    sources = {"model": options.get("model"), "probed": options.get("probing")}
+    if any(sources.values()):
+        keys["identification"] = {key: str(path) for key, path in sources.items() if path is not None}
     if options.get("backbone") is not None:
         keys = merge(
             keys, {"controller": {"options": {"free_response": {"options": {"backbone": options["backbone"]}}}}}

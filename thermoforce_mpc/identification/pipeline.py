@@ -28,6 +28,7 @@ from thermoforce_mpc.identification.effects.couplings import (
     with_metered_shares,
 )
 from thermoforce_mpc.identification.effects.level_laws import OUTDOORS, levels_only, outdoors_in_words, weather_of
+from thermoforce_mpc.identification.effects.own_power import foreign_loads, without_foreign
 from thermoforce_mpc.identification.estimation.joint import JointFit
 from thermoforce_mpc.identification.estimation.records import (
     Pair,
@@ -44,6 +45,7 @@ from thermoforce_mpc.identification.validation.warnings import unexplained
 from thermoforce_mpc.identification.zones.data import ZoneData, ZoneTask
 from thermoforce_mpc.identification.zones.model import identify_zone
 from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.screening import Limits
@@ -119,6 +121,9 @@ def identify(
         check_pairs(pairs)
     histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
     check_steps(histories)
+    foreign = foreign_loads(histories, layout)
+    runs = [without_foreign(run, foreign) for run in runs]
+    histories = [without_foreign(h, foreign) for h in histories]
 
     heat_inputs: list[HeatInput] = []
     notes: list[list[str]] = []
@@ -134,9 +139,11 @@ def identify(
         notes.append([*doubts, *gaps, *pair_gaps, *heat_notes])
     layout = with_metered_shares(layout, heat_inputs, histories)
     runs, sun = without_sun(runs, layout, heat_inputs, config)
-    power, unfitted = _powers(histories, config, layout)
+    power, unfitted = _powers(histories, config, layout, foreign)
     for a, m in enumerate(layout.machine_of):
         law = power[m]
+        other = foreign[m]
+        notes[a] += [] if other is None else [f"power of {layout.names.machines[m]}: {other.in_words()}"]
         if m in unfitted:
             notes[a].append(unfitted[m])
         notes[a] += unexplained(law, layout.names.machines[m])
@@ -211,7 +218,10 @@ def _message_prefix(layout: Layout, a: int) -> str:
 
 
 def _powers(
-    histories: Sequence[Record], config: IdentificationConfig, layout: Layout
+    histories: Sequence[Record],
+    config: IdentificationConfig,
+    layout: Layout,
+    foreign: Sequence[ForeignLoad | None],
 ) -> tuple[list[PowerModel | None], dict[int, str]]:
     """Power of each machine (M,), and by machine why it is None though measured.
 
@@ -225,7 +235,8 @@ def _powers(
     unfitted: dict[int, str] = {}
     for m, name in enumerate(machines):
         try:
-            powers.append(power_of_machine(histories, config, layout, m))
+            power = power_of_machine(histories, config, layout, m)
+            powers.append(power and replace(power, foreign=foreign[m]))
         except DataError as error:
             if len(machines) == 1:
                 raise

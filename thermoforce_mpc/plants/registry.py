@@ -126,14 +126,18 @@ def patience(spec: PlantSpec) -> TransportConfig:
     """How long a service may be away."""
     from boptest_client import TransportConfig
 
-    return TransportConfig(patience_s=60.0 * spec.patience_min)
+    return TransportConfig(patience_s=_patience_s(spec))
+
+
+def _patience_s(spec: PlantSpec) -> float:
+    return 60.0 * spec.patience_min
 
 
 def _fmu(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
     from thermoforce_mpc.plants.fmu import FmuPlant
 
     assert spec.path is not None  # PlantSpec has both or neither
-    return FmuPlant(Path(spec.path), testcase, forecast_error=_error(spec, seed))
+    return FmuPlant(Path(spec.path), testcase, forecast_error=_error(spec, seed), patience_s=_patience_s(spec))
 
 
 def _rooms(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
@@ -151,13 +155,21 @@ def _generated(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> 
 def _small_office(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
     from thermoforce_mpc.plants.energyplus.office_plant import SmallOfficePlant
 
-    return SmallOfficePlant(testcase, highly_dynamic=_tariff(spec), forecast_error=_error(spec, seed))
+    return SmallOfficePlant(testcase, **_on_engine(spec, seed))
 
 
 def _energyplus(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
     from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant
 
-    return EnergyPlusPlant(testcase, highly_dynamic=_tariff(spec), forecast_error=_error(spec, seed))
+    return EnergyPlusPlant(testcase, **_on_engine(spec, seed))
+
+
+def _on_engine(spec: PlantSpec, seed: int) -> dict[str, Any]:
+    return {
+        "highly_dynamic": _tariff(spec),
+        "forecast_error": _error(spec, seed),
+        "patience_s": _patience_s(spec),
+    }
 
 
 def _emulator(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:

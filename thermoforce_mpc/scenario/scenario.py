@@ -30,7 +30,11 @@ class PlantSpec(StrictModel):
         "none", description="BOPTEST's forecast uncertainty level for outdoor temperature and solar radiation"
     )
     patience_min: float = Field(
-        15.0, ge=0, le=1440, description="how long a service may be away before the run ends, min (kind: boptest)"
+        15.0,
+        ge=0,
+        le=1440,
+        description="how long a service may be away before the run ends, min (kind: boptest); how long an FMU or "
+        "EnergyPlus may take for a quarter of an hour of the building's time",
     )
     forecast_outage_h: float = Field(
         48.0, ge=0, le=720, description="how long the plant may give no forecast before the run ends, h"
@@ -61,9 +65,12 @@ class PlantSpec(StrictModel):
 
 
 class ProbingSpec(StrictModel):
-    """Source of the operator: a saved model, or days of probing before the warm-up of the scored window."""
+    """Source of the operator: a saved model, or the probing of an earlier run or before the scored window's warm-up."""
 
     model: str | None = Field(None, description="folder of a saved model; probing is skipped", examples=["my_model"])
+    probed: str | None = Field(
+        None, description="folder of a run whose probing is taken; nothing is probed", examples=["runs/my_run"]
+    )
     days: float = Field(3.0, ge=1, le=60, description="days of probing")
     most_days: float = Field(
         10.0, ge=1, le=60, description="days of probing after which it ends though the model is below the bar"
@@ -77,6 +84,12 @@ class ProbingSpec(StrictModel):
     options: dict[str, Any] = Field(
         default_factory=dict, description="identification options: order, gamma, ...", examples=[{"order": 2}]
     )
+
+    @model_validator(mode="after")
+    def _has_one_source(self) -> ProbingSpec:
+        if self.model is not None and self.probed is not None:
+            raise ValueError("model and probed each take the place of probing: give one of them")
+        return self
 
 
 class ControllerSpec(StrictModel):

@@ -11,7 +11,12 @@ from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.composition import check_window, controller_options
-from thermoforce_mpc.simulation.models.identifying import identification_settings, saved_model
+from thermoforce_mpc.simulation.models.identifying import (
+    identification_settings,
+    identification_task,
+    saved_model,
+    taken_probing,
+)
 
 
 def validate_scenario(scenario: Scenario) -> TestCase:
@@ -36,16 +41,19 @@ def validate_scenario(scenario: Scenario) -> TestCase:
 def check_contestants(scenario: Scenario, testcase: TestCase) -> None:
     """Build the contestants as far as they can be before probing: what is refused now costs nobody days of it.
 
-    With a saved model that is all of them, without one what they forecast with.
+    With a saved model that is all of them, without one what they forecast with. The probing that is taken is read too.
 
     Raises:
         ConfigError: options, the model or the forecaster cannot be used.
         ArtifactError: the saved model cannot be read.
+        JournalError: the probing of an earlier run cannot be used.
         BackboneError: the forecaster's weights cannot be loaded.
     """
     contestants = [name for name in (scenario.controller.name, *scenario.baselines) if find_entry(name).needs_model]
     model = saved_model(scenario, testcase) if contestants and scenario.identification.model is not None else None
     for name in contestants:
+        if model is None:
+            taken_probing(identification_task(scenario, testcase, name))
         options = controller_options(scenario, name)
         config = controller_config(name, options, testcase)
         _check_terms(config)

@@ -51,6 +51,7 @@ from thermoforce_mpc.simulation.folder.run_folder import (
     write_results,
 )
 from thermoforce_mpc.simulation.folder.run_log import log_step, logging_to
+from thermoforce_mpc.simulation.journal.journal import JournalError
 from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
 from thermoforce_mpc.simulation.models.identifying import IdentifiedModel
@@ -188,7 +189,8 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
             book.discard()
             raise
         write_partial(folder, records, str(error))
-        raise PlantError(f"{error}\nWhat was recorded until then is in {folder}") from error
+        there = f"What was recorded until then is in {folder}{_report_so_far(folder)}"
+        raise PlantError(f"{error}\n{there}; `tf-mpc resume {folder}` goes on from there") from error
     except BaseException as error:
         with suppress(StorageError, OSError):  # the error that ended the run is the one to tell
             if book.has_begun:
@@ -224,6 +226,16 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
         )
     _print_summary(outcome, folder, testcase, kpis["power_cap"], display)
     return folder
+
+
+def _report_so_far(folder: Path) -> str:
+    """Write the report of a run that failed; where it is, '' where no step has ended."""
+    from thermoforce_mpc.simulation.views.report_again import report_again
+
+    with suppress(JournalError, StorageError):  # the error that ended the run is the one to tell
+        report_again(folder)
+        return ", with a report: report.html"
+    return ""
 
 
 def _print_summary(
@@ -335,8 +347,9 @@ def _identified(
     """The models of all contestants; kept in the run folder where there is one."""
     if not (book and isinstance(plant, JournaledPlant)):
         return identify_all(scenario, testcase, plant, display)
-    # What happens while probing is not journaled: the models are what comes of it.
-    return kept_models(plant, book.folder, lambda: identify_all(scenario, testcase, plant.inside, display))
+    # Probing has journals of its own: the journal of the run has the models, which are what comes of it.
+    folder = book.folder
+    return kept_models(plant, folder, lambda: identify_all(scenario, testcase, plant.inside, display, folder))
 
 
 def _headline(plant: Plant, period: Period, scenario: Scenario) -> str:

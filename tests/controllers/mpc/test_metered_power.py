@@ -13,6 +13,7 @@ from controllers import MPCConfig, ThermoForceMPC
 from controllers.actuation.actuator import ActuationState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 FULL_W = FIXED_W + PER_U_W
@@ -71,6 +72,17 @@ def test_a_plan_counts_with_the_blocks_that_a_step_can_hold_under_the_cap():
     np.testing.assert_allclose(limits_W(simple_model(), one, 0.2 * kW), 0.0, err_msg="half a minimum time takes more")
     np.testing.assert_allclose(limits_W(simple_model(), one, 1.2 * kW), 1.2 * FULL_W)
     np.testing.assert_allclose(limits_W(two_model(), two, 0.65 * kW), (0.65 - 0.125) * FULL_W, err_msg="half a block")
+
+
+def test_what_else_is_on_the_meter_leaves_less_of_a_cap_and_of_a_peak():
+    seen, model = alone(), simple_model()
+    other = ForeignLoad((500.0,) * 24, 0.0, 5.0, (-20.0, 30.0), 0.0)
+    beside = replace(model, power=(replace(model.power[0], foreign=other),))
+    kW = FULL_W / 1000.0
+    np.testing.assert_allclose(limits_W(beside, seen, 1.2 * kW + 0.5), limits_W(model, seen, 1.2 * kW))
+    peaks = mpc(beside, peak_price_per_kW=1.0)
+    instance = peaks.instance(peaks.predictor.context(seen), seen.history, peak_W=2000.0)
+    assert instance.peak_so_far_W == pytest.approx(1500.0)
 
 
 def test_what_takes_the_place_of_a_plan_is_not_held_to_the_cap():

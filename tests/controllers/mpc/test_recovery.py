@@ -11,26 +11,37 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from two_houses import two_model, two_observation
 
 from controllers import MPCConfig, ThermoForceMPC
+from controllers.actuation.actuator import Actuation, ActuationConfig
+from controllers.actuation.actuators import Actuators
 from controllers.mpc.margin_rules import LearnedMargin
-from controllers.mpc.margins import Margins
+from controllers.mpc.margins import MarginRules, Margins
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Measurement, Observation
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 NIGHT, DAY = (15.0, 30.0), (21.0, 24.0)
 
 
-def after(T_C: float, before=NIGHT, now=DAY, known_K=(0.0, 0.0)) -> list[float]:
+def after(T_C: float, before=NIGHT, now=DAY, known_K=(0.0, 0.0), spare=(True, True)) -> list[float]:
     """What is learned of the lower and the upper bound by a reading at bounds `now`, after those `before`."""
+    more = np.array(spare)[:, None]
     lower, upper = (np.array([pair]) for pair in zip(before, now, strict=True))
     state = replace(LearnedMargin.nothing(1).meeting(lower, upper), recovery_K=np.array(known_K)[:, None])
-    return state.after_setback(np.array([T_C]), lower[:, 1], upper[:, 1]).recovery_K[:, 0].tolist()
+    return state.after_setback(np.array([T_C]), lower[:, 1], upper[:, 1], more).recovery_K[:, 0].tolist()
 
 
 def test_what_is_missing_where_a_bound_begins_is_added():
     assert after(20.6) == pytest.approx([0.4, 0.0])
     assert after(20.6, known_K=(0.3, 0.0)) == pytest.approx([0.7, 0.0])
-    assert after(10.0) == [2.0, 0.0], "at most 2 K"
+    assert after(10.0) == [1.0, 0.0], "at most 1 K"
+
+
+def test_where_there_was_no_more_to_give_nothing_is_added():
+    assert after(20.6, known_K=(0.3, 0.0), spare=(False, True)) == [0.3, 0.0]
+    assert after(24.5, known_K=(0.3, 0.2), spare=(True, False)) == pytest.approx([0.0, 0.2])
+    assert after(21.2, known_K=(0.4, 0.0), spare=(False, False)) == pytest.approx([0.3, 0.0]), "spare is given back"
 
 
 def test_half_of_what_was_to_spare_is_given_back():
@@ -63,7 +74,7 @@ def test_elsewhere_nothing_is_learned(T_C, before, now):
 def test_each_zone_learns_for_itself():
     lower, upper = np.array([[15.0, 21.0], [15.0, 15.0]]), np.array([[30.0, 24.0], [30.0, 30.0]])
     state = LearnedMargin.nothing(2).meeting(lower, upper)
-    learned = state.after_setback(np.array([20.5, 14.0]), lower[:, 1], upper[:, 1])
+    learned = state.after_setback(np.array([20.5, 14.0]), lower[:, 1], upper[:, 1], np.ones((2, 2), dtype=bool))
     assert learned.recovery_K.tolist() == [[0.5, 0.0], [0.0, 0.0]]
 
 
@@ -100,20 +111,50 @@ def recovery_K(state: object) -> list[float]:
     return state.margins.learned.recovery_K[:, 0].tolist()
 
 
-def test_a_controller_learns_it_at_the_step_that_ends_where_the_bound_begins():
+def evening(level: float) -> tuple[dict[int, list[float]], float]:
+    """What is learned at each hour from 18 to 21 h with the machine at `level`, and what is missing at 20 h, K."""
     mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
-    house, state = SimpleHouse(T_start_C=19.5), None
+    house, state, found, missing_K = SimpleHouse(T_start_C=20.0), None, {}, 0.0
     house.reset(10 * DAY_S + 18 * HOUR_S, 0.0)
-    found = {}
     for hour in (18, 19, 20, 21):
         plan = mpc.plan(Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S)), state)
-        found[hour], state, missing_K = recovery_K(plan.state), plan.state, 21.0 - house.T
-        if hour == 20:
-            assert found[20] == pytest.approx([missing_K, 0.0])
-            assert missing_K > 0.5
-        house.advance(1.0, HOUR_S)
+        found[hour], state = recovery_K(plan.state), plan.state
+        missing_K = 21.0 - house.T if hour == 20 else missing_K
+        house.advance(level, HOUR_S)
+    return found, missing_K
+
+
+def test_a_controller_learns_it_at_the_step_that_ends_where_the_bound_begins():
+    found, missing_K = evening(0.8)
     assert found[18] == found[19] == [0.0, 0.0]
-    assert found[21] == found[20]
+    assert missing_K > 0.5
+    assert found[21] == found[20] == pytest.approx([missing_K, 0.0])
+
+
+def test_after_hours_at_full_level_it_learns_nothing():
+    found, missing_K = evening(1.0)
+    assert missing_K > 0.3
+    assert found[21] == found[20] == [0.0, 0.0]
+
+
+def test_loops_that_cool_learn_as_those_that_heat():
+    """Levels below 0 cool; the machine of a signed level was not at its most in either direction, or in one."""
+    zone = simple_model().only
+    both = replace(zone.operator, heat_input=HeatInput(lowest=-0.6))
+    model = ThermalModel.of_zone(replace(zone, operator=both))
+    rules = MarginRules(
+        MPCConfig(), model, Actuators(model.layout, [Actuation(ActuationConfig(mode="room_setpoints"))])
+    )
+
+    def could(level: float) -> list[bool]:
+        house = SimpleHouse()
+        house.reset(10 * DAY_S, 0.0)
+        house.advance(0.0, 6 * HOUR_S)
+        record = house.past(HOUR_S)
+        return rules.could_begin_earlier(replace(record, u=np.full_like(record.u, level)))[:, 0].tolist()
+
+    assert could(-0.3) == [True, True]
+    assert could(-0.6) == [True, False]
 
 
 def test_a_machine_that_is_weaker_than_its_model_is_late_the_first_evening_only():

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
-from two_houses import two_model, two_observation
+from two_houses import TwoHouses, two_model, two_observation
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.mpc.solved import end_of_move_C, reason_of
@@ -16,17 +16,27 @@ from controllers.optimisation.problem import Cooling
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL
 
-SPENT, OFF = "cannot be avoided at full level", "cannot be avoided with nothing on"
+SPENT, OFF = "cannot be avoided at full power", "cannot be avoided with nothing on"
 HOURS = 24
 
 
-def why(u, *, below=True, at=3, machinery: EquipmentLayout | None = None, zone: int | None = None) -> str:
-    """What is said of 0.5 K beyond a bound at the end of step `at` of a plan with levels `u`; `zone`: that of two."""
-    model = simple_model() if zone is None else two_model()
+def why(u, *, below=True, at=3, machinery: EquipmentLayout | None = None, zone: int | None = None,
+        capacity: float | None = None) -> str:  # fmt: skip
+    """What is said of 0.5 K beyond a bound at the end of step `at` of a plan with levels `u`.
+
+    `zone`: that of two; `capacity`: of a machine that they share.
+    """
+    model = simple_model() if zone is None else two_model(shared=capacity is not None)
     mpc = ThermoForceMPC(model, MPCConfig(step_s=None, horizon_h=float(HOURS)), free_response=OutdoorResponse())
     seen = observation() if zone is None else two_observation(HOURS)
+    if capacity is not None:
+        plant = TwoHouses(shared=True)
+        plant.reset(10 * DAY_S, 0.0)
+        seen = Observation(plant.past(HOUR_S), plant.forecast(DAY_S, HOUR_S))
     context = mpc.predictor.context(seen)
     problem = mpc.instance(context, seen.history)
+    if capacity is not None:
+        problem = replace(problem, capacity=np.full((1, HOURS), capacity))
     if machinery is not None:
         nothing = np.zeros((1, HOURS))
         problem = replace(problem, machinery=machinery, cooling=Cooling(nothing, nothing))
@@ -71,6 +81,14 @@ def test_a_zone_is_judged_by_its_own_actuator():
     both = levels(1.0, 1.0, 1.0, 1.0) + levels(0.2)
     assert f"{SPENT} in bath in 4 h" in why(both, zone=0)
     assert f"{NOT_ECONOMICAL} in hall in 4 h" in why(both, zone=1)
+
+
+def test_a_machine_at_its_capacity_has_no_more_for_any_of_its_rooms():
+    """Each takes half of it at full level."""
+    both = levels(0.5, 0.5, 0.5, 0.5) + levels(0.7, 0.7, 0.7, 0.7)
+    assert f"{SPENT} in bath" in why(both, zone=0, capacity=0.6)
+    assert NOT_ECONOMICAL in why(both, zone=0, capacity=0.7)
+    assert NOT_ECONOMICAL in why(both, zone=0, below=False, capacity=0.6), "it could be heated less"
 
 
 def test_a_plan_that_starts_too_cold_says_that_its_machine_does_what_it_can():

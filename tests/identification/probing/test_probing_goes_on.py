@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from simple_house import SimpleHouse, outdoor_C
@@ -62,14 +64,14 @@ def _identified(house, days, **options):
 
 def test_probing_goes_on_day_by_day_until_the_bar_is_reached(monkeypatch):
     # A day is enough on this house: the bar is made one that the first day misses.
-    verdicts = iter([False, True])
-    monkeypatch.setattr(competence, "is_settled", lambda verdict: next(verdicts))
+    verdicts = iter(["it knows too little", ""])
+    monkeypatch.setattr(competence, "lacking", lambda verdict: next(verdicts))
     house = Watched()
     model, record, progress = _identified(house, 1.0, most_days=10.0)
     assert model.only.card.competence.competent
     assert record.n_steps == 192
     assert house.resets == 1, "on the same run of the plant"
-    assert any("probing went on from 1 to 2 days" in note for note in model.only.card.notes)
+    assert model.only.card.notes[-1] == "probing ended after 2 days: enough is known"
     assert "2 days of probing" in model.only.card.source
     assert [round(24 * p.days) for p in progress] == list(range(1, 49)), "every hour"
     assert progress[-1].information_nats > progress[23].information_nats > progress[0].information_nats
@@ -84,16 +86,20 @@ def test_probing_goes_on_while_the_effect_is_hardly_known(monkeypatch):
     model, record, _ = _identified(Watched(), 2.0, most_days=3.0)
     assert record.n_steps == 3 * 96
     assert model.only.card.competence.competent, "it may be acted on all the same"
+    note = model.only.card.notes[-1]
+    assert re.fullmatch(
+        r"probing ended after 3 days: the most days are over; the effect is known to ± \d % only, need 1 %", note
+    )
 
 
 def test_probing_never_enters_the_scored_window():
     house = Watched(deaf=True)
     window = house.period("x")
-    with pytest.raises(DataError, match=r"after 3 days of probing"):
+    with pytest.raises(DataError, match=r"probing ended after 3 days: the scored window begins"):
         _identified(house, 1.0, most_days=10.0)
     assert house.latest_s == window.start_s, "one day before the warm-up of two days, and those"
     house = Watched(deaf=True)
-    with pytest.raises(DataError):
+    with pytest.raises(DataError, match=r"probing ended after 2 days: the most days are over"):
         _identified(house, 1.0, most_days=2.0)
     assert house.latest_s == window.start_s - DAY_S
 
@@ -104,7 +110,7 @@ def test_probing_ends_early_where_the_effect_is_known_well(monkeypatch):
     assert 1.5 * 96 <= record.n_steps < 4 * 96
     assert record.n_steps % 48 == 0
     assert model.only.card.competence.relative_sd < 0.1
-    assert any("since the effect was known well" in note for note in model.only.card.notes)
+    assert model.only.card.notes[-1] == f"probing ended after {record.n_steps / 96:.3g} days: enough is known"
     _, whole, _ = _identified(Watched(), 4.0, end_early=False)
     assert whole.n_steps == 4 * 96
     np.testing.assert_array_equal(whole.u[0, : record.n_steps], record.u[0])

@@ -1,10 +1,17 @@
 """The engine as a plant: steps of a controller, its clock, its record, its end."""
 
 import multiprocessing
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from places import ROOT
+from waiting import LONG_S, wait_for
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
@@ -147,3 +154,60 @@ def test_its_own_weather_is_not_replaced_in_silence():
     scenario = Scenario(testcase="energyplus:heating_chicago", plant={"weather": "Brussels.mos"})
     with pytest.raises(ConfigError, match=r"plant\.weather"):
         validate_scenario(scenario)
+
+
+@needs_engine
+@pytest.mark.parametrize(
+    ("hangs_at", "what"), [(-1, "EnergyPlus' warm-up before day 20"), (15, "EnergyPlus' step from day 20.0521")]
+)
+def test_an_engine_that_hangs_is_ended_in_time(monkeypatch, caplog, hangs_at, what):
+    from hanging_zone import HangingZone
+
+    from thermoforce_mpc.plants.energyplus import plant, process
+
+    monkeypatch.setattr(plant, "LiveZone", lambda job: HangingZone(job, hangs_at))
+    monkeypatch.setattr(process, "START_S", 20.0 if hangs_at > 0 else 2.0)
+    with plant.EnergyPlusPlant(HEATED, patience_s=2.0) as hanging:
+        began = time.monotonic()
+        with pytest.raises(PlantError, match=f"{what} took more than 2 s and was ended.*patience_min"):
+            hanging.reset(20.25 * DAY_S, 0.25 * DAY_S)
+        assert time.monotonic() - began < 20.0
+        assert f"{what} takes 1 s already; it is ended after 2 s" in caplog.text
+    assert not multiprocessing.active_children()
+
+
+@needs_engine
+def test_an_engine_that_hangs_ends_with_a_run_that_is_killed(tmp_path):
+    from hanging_zone import hang
+
+    mark = tmp_path / "hangs"
+    run = multiprocessing.get_context("spawn").Process(target=hang, args=(str(mark),))
+    run.start()
+    wait_for("the engine's warm-up", lambda: mark.exists() and mark.read_text())
+    engine = Path("/proc") / mark.read_text()
+    assert engine.exists()
+    run.kill()
+    run.join()
+    wait_for("the end of the engine's process", lambda: not engine.exists())
+
+
+@needs_engine
+def test_a_script_that_cannot_be_imported_again_ends_with_an_error(tmp_path):
+    """The engine's process imports the script that started it; one without a guard starts itself there."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant\n"
+        "from thermoforce_mpc.plants.testcases import load_testcase\n"
+        "EnergyPlusPlant(load_testcase('energyplus:heating_chicago')).reset(0.0, 0.0)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, script],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=LONG_S,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert "PlantError: EnergyPlus ended without an answer" in done.stderr
+    assert "if __name__ == '__main__':" in done.stderr

@@ -18,7 +18,7 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, SIGNALS
-from thermoforce_mpc.errors import ConfigError, InputError, PlantError, WeatherError
+from thermoforce_mpc.errors import ConfigError, InputError, WeatherError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.fmu import FmuPlant
 from thermoforce_mpc.plants.fmu.process import missing_library
@@ -98,29 +98,6 @@ def test_forecast_errors_leave_the_truth_alone(file):
         truth = synthetic_weather().at("T_dry_C", seen.time_s)
         assert np.abs(seen.T_out_C - truth).max() > 0.1
         assert plant.advance(None, HOUR_S).T_out_C == pytest.approx(truth[1], abs=1e-6)
-
-
-@pytest.mark.slow
-def test_a_crash_is_an_error_and_not_our_end(file, monkeypatch):
-    monkeypatch.setenv("FMU_HOUSE_CRASHES_ON_DAY", "30.02")
-    with FmuPlant(file, TESTCASE) as plant:
-        plant.reset(30 * DAY_S, 0.0)
-        with pytest.raises(PlantError, match=r"ended by signal SIGSEGV at day 30(.|\n)*may print whatever"):
-            plant.advance(0.5, HOUR_S)
-        with pytest.raises(PlantError, match="reset the plant"):
-            plant.advance(0.5, HOUR_S)
-        monkeypatch.delenv("FMU_HOUSE_CRASHES_ON_DAY")
-        plant.reset(30 * DAY_S, 0.0)
-        assert plant.advance(0.5, HOUR_S).time_s == 30 * DAY_S + HOUR_S
-
-
-@pytest.mark.slow
-def test_a_step_the_fmu_refuses_is_an_error_with_its_day(file, monkeypatch):
-    monkeypatch.setenv("FMU_HOUSE_FAILS_ON_DAY", "30.02")
-    with FmuPlant(file, TESTCASE) as plant:
-        plant.reset(30 * DAY_S, 0.0)
-        with pytest.raises(PlantError, match=r"could not simulate at day 30: .*DoStep"):
-            plant.advance(0.5, HOUR_S)
 
 
 @pytest.mark.slow

@@ -7,10 +7,18 @@ from pathlib import Path
 import pytest
 
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.comparison.cells import expand
-from thermoforce_mpc.simulation.comparison.input_files import input_files, moved_scenario, paths_of
+from thermoforce_mpc.simulation.comparison.input_files import (
+    input_files,
+    moved_scenario,
+    moved_task,
+    paths_of,
+    paths_of_task,
+)
 from thermoforce_mpc.simulation.comparison.variants import Variant
+from thermoforce_mpc.simulation.models.identifying import identification_task
 
 
 @pytest.fixture
@@ -45,6 +53,21 @@ def test_all_files_are_sent_and_found_under_their_names(scenario, tmp_path, monk
         assert moved.controller.options["free_response"]["options"]["backbone"] == moved.identification.model
         assert moved.controller.options["horizon_h"] == 3
     assert not Path(moved.plant.weather).exists()
+
+
+def test_the_probing_of_a_run_is_sent_without_the_rest_of_its_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("run/probing").mkdir(parents=True)
+    Path("run/probing/rc_mpc.jsonl").write_text("probed", encoding="utf-8")
+    Path("run/report.html").write_text("report", encoding="utf-8")
+    scenario = Scenario(testcase="bestest_hydronic_heat_pump", identification={"probed": "run"})
+    task = identification_task(scenario, load_testcase(scenario.testcase))
+    sent = input_files(paths_of_task(task)).read()
+    Path("run/probing/rc_mpc.jsonl").unlink()
+    with sent.at_hand() as where:
+        copy = Path(moved_task(task, where).probed_files)
+        assert [path.name for path in copy.iterdir()] == ["rc_mpc.jsonl"]
+        assert copy.name == "probing"
 
 
 def test_what_is_chosen_by_name_is_no_file(tmp_path, monkeypatch):

@@ -136,13 +136,16 @@ def test_every_identification_has_a_title_of_its_own():
 
 
 @pytest.mark.parametrize("field", [item.name for item in fields(IdentificationTask)])
-def test_everything_that_learning_is_given_is_in_its_key(field, monkeypatch):
+def test_everything_that_learning_is_given_is_in_its_key(field, monkeypatch, tmp_path):
     variant = {"v": Variant(controller="rc_mpc")}
     (before,) = expand(BASE, variant, ["44"], ["constant"])
     value = getattr(before.task, field)
     if isinstance(value, BaseModel):
         name = {"testcase": "floor_area_m2", "plant": "url", "probing": "above_K", "identification": "gamma"}[field]
         changed = value.model_copy(update={name: "http://elsewhere" if name == "url" else 0.9 * getattr(value, name)})
+    elif field == "probed":
+        (tmp_path / "probing").mkdir()
+        changed = str(tmp_path)
     else:
         changed = value + type(value)(1)
     other = replace(before.task, **{field: changed})

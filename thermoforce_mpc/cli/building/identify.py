@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.cli.options import FiniteRange, scenario_from, scenario_options
+from thermoforce_mpc.cli.options import FiniteRange, probed_option, scenario_from, scenario_options
 from thermoforce_mpc.errors import ArtifactError, DataError
 
 if TYPE_CHECKING:
@@ -23,13 +23,14 @@ _PROBE = "`tf-mpc data probe-plan` writes the cheapest probing by hand that woul
 # Options that make no sense with measurements.
 _OF_PLANTS = (
     "testcase", "config", "period", "days", "price", "url", "fmu", "weather", "prices", "uncertainty",
-    "probe_days", "controller",
+    "probe_days", "probing", "controller",
 )  # fmt: skip
 
 
 @click.command(short_help="Identify and save a model: probe a building, or take measurements from files.")
 @scenario_options
 @click.option("--probe-days", type=float, help="Days of probing, ending a week before --period.  [default: 3]")
+@probed_option
 @click.option("--controller", metavar="NAME", help="Probe at the levels that this controller uses.")
 @click.option("--data", "files", multiple=True, metavar="FILE", help="Measurements instead of probing; repeatable.")
 @click.option("--map", "map_file", type=click.Path(path_type=Path), help="Map of the measurements (YAML).")
@@ -42,6 +43,8 @@ def command(**options: Any) -> None:
     A building that can be run is probed for a few days. The probing signal is designed for identifiability and keeps
     the zone near its comfort band. The probing days end where the warm-up of --period begins. If the model is then
     below the bar (docs/how-it-works/competence.md), probing goes on day by day, up to identification.most_days (10).
+
+    With --probing the model is identified from what an earlier run of the same test case has probed.
 
     With --data the model is identified from measurements in CSV or Parquet files, as --map says
     (docs/how-to/own-data.md); of long ones the 28 days that tell most about acting are used.
@@ -82,8 +85,8 @@ def command(**options: Any) -> None:
     records: list[Record] = []
     with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
         display.say(f"Plant: {plant.info.kind} {plant.info.testcase}\nWeather: {plant.info.weather}")
-        with display.probing(task.days) as progress:
-            model = run_identification(task, plant, records.append, progress)
+        with display.probing(task.in_words()) as progress:
+            model = run_identification(task, plant, records.append, progress, say=display.say)
     _finish(model, records[0], out, display, overwrite=options["overwrite"])
 
 

@@ -14,7 +14,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from thermoforce_mpc.cli.options import equal_comfort_option, execution_options
+from thermoforce_mpc.cli.options import equal_comfort_option, execution_options, probed_option
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.execution import Outcome, TaskProgress, execute, source_fingerprint
 from thermoforce_mpc.execution.progress import summary
@@ -42,7 +42,7 @@ Function = Callable[..., Any]
 
 def comparison_options(function: Function) -> Function:
     """Add the options that select cells, plant and parallel execution."""
-    function = equal_comfort_option(execution_options()(function))
+    function = probed_option(equal_comfort_option(execution_options()(function)))
     for option in reversed(
         [
             click.option("--testcase", metavar="NAME", help="Test case: a name (see `tf-mpc testcases`) or YAML file."),
@@ -143,7 +143,7 @@ def scenario_options_from(options: Mapping[str, Any]) -> dict[str, Any]:
     assignments = list(options["assignments"])
     if options["identification_days"] is not None:
         assignments.insert(0, f"identification.days={options['identification_days']!r}")
-    unchanged = ("testcase", "config", "days", "weather", "seed", "model", "url", "fmu", "equal_comfort")
+    unchanged = ("testcase", "config", "days", "weather", "seed", "model", "probing", "url", "fmu", "equal_comfort")
     return {key: options[key] for key in unchanged} | {"prices": options["tariff_file"], "assignments": assignments}
 
 

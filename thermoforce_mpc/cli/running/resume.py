@@ -12,12 +12,13 @@ import click
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--quiet", is_flag=True, help="Print only the final table.")
 def command(run: Path, quiet: bool) -> None:
-    """Go on with the run in folder RUN, which was killed, interrupted, or ended by a full disk.
+    """Go on with the run in folder RUN, which was killed, interrupted, or ended by a full disk or a plant that failed.
 
     The journal in the folder (journal.jsonl) says what the plant was asked and what it answered. A simulated plant is
     advanced again as it was then, and its answers are compared with the journal; the controller plans again what it
     planned. From there on the run goes on, and its result is that of a run that was never ended. The model is that in
-    the folder: nothing is probed again.
+    the folder. A probing that was ended before its time goes on in the same way (probing/*.jsonl); one that was whole
+    is not made again.
 
     At a BOPTEST service the test is taken up where it stands, if it still exists; a step that was on its way is neither
     lost nor repeated. Ctrl-C and SIGTERM stop the test, so only a run that was killed can go on there.

@@ -9,13 +9,14 @@ from typing import Any
 
 import click
 
-from thermoforce_mpc.cli.options import equal_comfort_option, scenario_from, scenario_options
+from thermoforce_mpc.cli.options import equal_comfort_option, probed_option, scenario_from, scenario_options
 
 
 @click.command(short_help="Run a controller over a scored window and report KPIs.")
 @scenario_options
 @click.option("--controller", metavar="NAME", help="Controller (see `tf-mpc controllers`).")
 @click.option("--model", type=click.Path(path_type=Path), help="Saved model to use instead of probing first.")
+@probed_option
 @click.option("--backbone", metavar="NAME", help="Forecaster: shipped, a local directory, or a hub name.")
 @click.option("--baselines", metavar="A,B", help="Baselines to run; '' for none.  [default: native,thermostat]")
 @equal_comfort_option
@@ -24,7 +25,8 @@ from thermoforce_mpc.cli.options import equal_comfort_option, scenario_from, sce
 def command(**options: Any) -> None:
     """Run a controller over a scored window and report KPIs.
 
-    Builds the plant, probes it for a few days and identifies a model (or loads --model), runs the controller over the
+    Builds the plant, probes it for a few days and identifies a model (or loads --model, or identifies from the probing
+    of an earlier run of the same test case, --probing), runs the controller over the
     window after seven days of warm-up under native control, runs the baselines on the same plant, weather and window,
     and the thermostat at the set-point at which it is as comfortable as the controller. Prints the KPIs of all
     controllers and writes a run folder with an HTML report.
@@ -36,6 +38,7 @@ def command(**options: Any) -> None:
       tf-mpc run --testcase bestest_hydronic_heat_pump --url http://127.0.0.1:8000
       tf-mpc run --testcase bestest_hydronic_heat_pump --fmu wrapped.fmu
       tf-mpc run --config peak_heat_day --set controller.options.horizon_h=36
+      tf-mpc run --config peak_heat_day --probing runs/my_run --set identification.options.order=2
     """
     from thermoforce_mpc.simulation.run import run_scenario
     from thermoforce_mpc.simulation.views.display import RunDisplay

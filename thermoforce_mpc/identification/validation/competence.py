@@ -114,9 +114,13 @@ def judge(
     )
 
 
-def is_settled(verdict: Competence | None) -> bool:
-    """Whether probing need not go on: competent, and the effect is known to 30 %; or not judged."""
-    return verdict is None or (verdict.competent and verdict.relative_sd <= SETTLED_SD)
+def lacking(verdict: Competence | None) -> str:
+    """What is lacking to end probing, in words; empty where competent with the effect known to 30 %, or not judged."""
+    if verdict is None or (verdict.competent and verdict.relative_sd <= SETTLED_SD):
+        return ""
+    if not verdict.competent:
+        return verdict.in_words()
+    return f"the effect is known to ± {100 * verdict.relative_sd:.0f} % only, need {100 * SETTLED_SD:.0f} %"
 
 
 def is_well_known(verdict: Competence | None) -> bool:

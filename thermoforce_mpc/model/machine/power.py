@@ -17,6 +17,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import Array, Record
+from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.load_regression import (
     LEAST_RUNNING,
@@ -63,6 +64,7 @@ class PowerModel:
     `water`: dependence on the return water temperature; None if that was not measured. `cooling`: load over −u at
     levels below 0, where levels are signed; `load` then holds above 0. The level of a machine that feeds several is
     what they take together, as a share of its capacity; below `load.lowest_level` it cycles (`running_share`).
+    `foreign`: what else is on its meter, which is in none of these.
     """
 
     load: MachineLoad
@@ -71,6 +73,12 @@ class PowerModel:
     source: str = "given"
     water: ReturnWater | None = None
     cooling: MachineLoad | None = None
+    foreign: ForeignLoad | None = None
+
+    def metered(self, u: Array, time_s: Array, T_out_C: Array, T_return_C: Array | float = float("nan")) -> Array:
+        """Return what the meter shows over steps that start at `time_s`, s since 1 January; others as `__call__`."""
+        own = self(u, T_out_C, T_return_C)
+        return own if self.foreign is None else own + self.foreign(time_s, T_out_C)
 
     def __call__(self, u: Array, T_out_C: Array, T_return_C: Array | float = float("nan")) -> Array:
         """Return the mean electric power over a step for `u` in [0, 1] at `T_out_C` and `T_return_C` °C, W.

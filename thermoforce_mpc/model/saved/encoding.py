@@ -10,6 +10,7 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence, HorizonScore
 from thermoforce_mpc.model.free_response.rc import RcParameters
+from thermoforce_mpc.model.machine.foreign_load import HOURS, ForeignLoad
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.machine.return_water import ReturnWater
@@ -170,7 +171,20 @@ def _power(data: Mapping[str, Any] | None) -> PowerModel | None:
     return PowerModel(
         _load(data["load"]), number_or_nan(data["rmse_W"]), number_or_nan(data["r2"]), text(data["source"]),
         _water(data["water"]), None if data.get("cooling") is None else _load(data["cooling"]),
+        _foreign(data.get("foreign")),
     )  # fmt: skip
+
+
+def _foreign(data: Mapping[str, Any] | None) -> ForeignLoad | None:
+    if data is None:
+        return None
+    low, high = (number(T) for T in data["T_out_range_C"])
+    by_hour = tuple(number(W) for W in listed(data["by_hour_W"]))
+    if len(by_hour) != HOURS:
+        raise ValueError(f"by_hour_W has {len(by_hour)} entries, expected {HOURS}")
+    return ForeignLoad(
+        by_hour, number(data["per_K_W"]), number(data["reference_C"]), (low, high), number(data["rmse_W"])
+    )
 
 
 def _card(data: Mapping[str, Any]) -> ModelCard:

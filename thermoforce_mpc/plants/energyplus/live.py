@@ -6,6 +6,9 @@ with it, or when the other end closes the pipe. `process.EngineProcess` is the o
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -137,11 +140,13 @@ class Live(Generic[U, R]):
         self._pipe.send(Stretch(tuple(r for r, _ in self._answer), tuple(u for _, u in self._answer)))
 
 
-def serve(building: Building[U, R], pipe: Connection) -> None:
-    """Run the simulation of `building` in this process, answering over `pipe`; errors are sent as text."""
+def serve(pipe: Connection) -> None:
+    """Run the simulation of the `Building` that `pipe` brings first, answering over it; errors are sent as text."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
+        building = pipe.recv()
         run_engine(building.model(), building.weather(), Live(building, pipe), building.wiring())
-    except (BrokenPipeError, KeyboardInterrupt):
+    except (BrokenPipeError, EOFError, KeyboardInterrupt):
         return
     except Exception as error:  # any error is reported by the other end
         try:
@@ -150,3 +155,11 @@ def serve(building: Building[U, R], pipe: Connection) -> None:
             return
     finally:
         pipe.close()
+
+
+def _end_with_parent() -> None:
+    """End this process with the one that started it, also where the engine hangs."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None  # it was started by `EngineProcess`
+    parent.join()
+    os._exit(1)

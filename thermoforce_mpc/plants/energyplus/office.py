@@ -37,6 +37,7 @@ from thermoforce_mpc.plants.energyplus.office_model import (
 from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, EngineProcess, whole_steps
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.shell import Samples, WithProcess
+from thermoforce_mpc.plants.waiting import PATIENCE_S
 
 NAME = "energyplus:small_office"
 ZONE_NAMES = tuple(zone.name for zone in ZONES)
@@ -85,13 +86,18 @@ class SmallOffice(WithProcess[EngineProcess[tuple[float, ...], OfficeReading]]):
     zones, actuators, machines = ZONE_NAMES, ACTUATOR_NAMES, MACHINE_NAMES
 
     def __init__(
-        self, *, highly_dynamic: tariffs.Tariff | None = None, forecast_error: ForecastError | None = None
+        self,
+        *,
+        highly_dynamic: tariffs.Tariff | None = None,
+        forecast_error: ForecastError | None = None,
+        patience_s: float = PATIENCE_S,
     ) -> None:
         """Read the weather and the schedules; the engine starts at `reset`.
 
         Args:
             highly_dynamic: highly dynamic tariff of electricity; default: a synthetic one, see `boundary.tariffs`.
             forecast_error: weather forecast errors; default: a perfect forecast.
+            patience_s: longest time for a quarter of an hour of the building's time, and for the engine's warm-up, s.
 
         Raises:
             ConfigError: the engine is not installed.
@@ -102,7 +108,7 @@ class SmallOffice(WithProcess[EngineProcess[tuple[float, ...], OfficeReading]]):
             raise ConfigError(f"test case '{NAME}': {error}") from error
         self._file = weather_file(WEATHER)
         self.weather = load_weather(self._file)
-        self._forecast_error = forecast_error
+        self._forecast_error, self._patience_s = forecast_error, patience_s
         self._tariffs = tariffs.by_name(highly_dynamic)
         self._price = "constant"
         self._start_s = 0.0
@@ -161,7 +167,7 @@ class SmallOffice(WithProcess[EngineProcess[tuple[float, ...], OfficeReading]]):
             whole_steps(what, duration_s, run.step_s)
         self.close()
         self._price, self._start_s = price, float(start_s)
-        self._process = EngineProcess(run)
+        self._process = EngineProcess(run, self._patience_s)
         # The engine repeats its first day to warm up, so the weather of this reading is that of the next midnight.
         midnight_s, (first,) = run.first_day * DAY_S, _rows_of([self._process.first])
         for signal, column in (("T_out_C", "T_dry_C"), ("solar_W_m2", "global_W_m2")):

@@ -18,6 +18,7 @@ from thermoforce_mpc.plants.checks import check_levels
 from thermoforce_mpc.plants.energyplus.office import SmallOffice
 from thermoforce_mpc.plants.energyplus.office_data import OfficeMeasurement, OfficeRecord
 from thermoforce_mpc.plants.shell import Releasing
+from thermoforce_mpc.plants.waiting import PATIENCE_S
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.testcase import TestCase
 
@@ -31,10 +32,11 @@ class SmallOfficePlant(Releasing):
         *,
         highly_dynamic: tariffs.Tariff | None = None,
         forecast_error: ForecastError | None = None,
+        patience_s: float = PATIENCE_S,
     ) -> None:
         """Arguments as for `SmallOffice`; raises as it does."""
         self.testcase, self._points = testcase, testcase.points
-        self._office = SmallOffice(highly_dynamic=highly_dynamic, forecast_error=forecast_error)
+        self._office = SmallOffice(highly_dynamic=highly_dynamic, forecast_error=forecast_error, patience_s=patience_s)
         self._full_W = self._office.capacity_W[: len(self._points.zones)]
 
     @property

@@ -27,6 +27,7 @@ from thermoforce_mpc.plants.energyplus.zone import GAINS, HVAC, zone_model
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.records import interval_means
 from thermoforce_mpc.plants.shell import PlantShell, Samples, WithProcess
+from thermoforce_mpc.plants.waiting import PATIENCE_S
 from thermoforce_mpc.scenario.testcase import EnergyPlusZone, TestCase
 
 _STEPS_PER_HOUR = 12
@@ -115,12 +116,14 @@ class EnergyPlusPlant(WithProcess[EngineProcess[float, Reading]], PlantShell):
         *,
         highly_dynamic: tariffs.Tariff | None = None,
         forecast_error: ForecastError | None = None,
+        patience_s: float = PATIENCE_S,
     ) -> None:
         """Read the weather; the engine starts at `reset`.
 
         Args:
             highly_dynamic: highly dynamic tariff; default: a synthetic one, see `boundary.tariffs`.
             forecast_error: weather forecast errors; default: a perfect forecast.
+            patience_s: longest time for a quarter of an hour of the building's time, and for the engine's warm-up, s.
 
         Raises:
             ConfigError: the test case has no `energyplus` section or not the zone's actuator, or the engine is not
@@ -144,7 +147,7 @@ class EnergyPlusPlant(WithProcess[EngineProcess[float, Reading]], PlantShell):
         self._spec = replace(self._climate.spec, steps_per_hour=_STEPS_PER_HOUR, engine_steps_per_hour=_STEPS_PER_HOUR)
         self._file = weather_file(self._spec.weather)
         self.weather = load_weather(self._file)
-        self._forecast_error = forecast_error
+        self._forecast_error, self._patience_s = forecast_error, patience_s
         self._tariffs = tariffs.by_name(highly_dynamic)
 
     @property
@@ -180,7 +183,7 @@ class EnergyPlusPlant(WithProcess[EngineProcess[float, Reading]], PlantShell):
             setpoint_C=setpoint + self._zone.native_margin_K * self._climate.sign,
             gains=gains(replace(self._climate, spec=self._spec), first_day, RUN_DAYS, _GAINS_SEED),
         )
-        self._process = EngineProcess(LiveZone(job))
+        self._process = EngineProcess(LiveZone(job), self._patience_s)
         self._now_s = first_day * DAY_S
         # The engine repeats its first day to warm up, so the weather of this reading is that of the next midnight.
         midnight = np.array([self._now_s])

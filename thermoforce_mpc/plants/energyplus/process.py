@@ -9,10 +9,11 @@ from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import InputError, PlantError
 from thermoforce_mpc.plants.energyplus.live import Advance, Building, Stretch, U, serve
 from thermoforce_mpc.plants.energyplus.simulate import R
+from thermoforce_mpc.plants.waiting import PATIENCE_S, PIECE_S, START_S, wait_for
 
 # Length of the engine's run period, days: a year plus warm-up and forecast.
 RUN_DAYS = 400
-_PATIENCE_S = 5.0
+_END_S = 5.0
 
 
 def whole_steps(what: str, duration_s: float, step_s: float) -> int:
@@ -29,17 +30,21 @@ class EngineProcess(Generic[U, R]):
     `first` is the reading after the engine's warm-up, at midnight of the building's first day.
     """
 
-    def __init__(self, building: Building[U, R]) -> None:
-        """Start the process and wait for the end of the engine's warm-up; raises `PlantError`."""
-        self._building = building
+    def __init__(self, building: Building[U, R], patience_s: float = PATIENCE_S) -> None:
+        """Start the process and wait for the end of the engine's warm-up; raises `PlantError`.
+
+        `patience_s`: longest time for a quarter of an hour of the building's time, and for its start (or 60 s), s.
+        """
+        self._building, self._patience_s = building, patience_s
         self._steps = 0
         context = multiprocessing.get_context("spawn")
         self._pipe, other = context.Pipe()
-        self._process = context.Process(target=serve, args=(building, other), daemon=True)
+        self._process = context.Process(target=serve, args=(other,), daemon=True)
         self._process.start()
         other.close()
         self._closed = False
-        self.first: R = self._answer().readings[0]
+        # The building is large: as an argument of the process it would be written without a limit.
+        self.first: R = self._asked("warm-up before", max(patience_s, START_S), building).readings[0]
 
     @property
     def step_s(self) -> float:
@@ -56,18 +61,22 @@ class EngineProcess(Generic[U, R]):
 
         Raises:
             InputError: the duration is no multiple of the engine's step.
-            PlantError: the engine failed, or its run period is over.
+            PlantError: the engine failed or took too long, or its run period is over.
         """
         n = whole_steps("step", duration_s, self.step_s)
         if self._closed:
             raise PlantError("EnergyPlus was closed; reset the plant to start it again")
-        try:
-            self._pipe.send(Advance(demand, n))
-        except OSError as error:
-            raise self._failed("process is not running") from error
-        stretch = self._answer()
-        if len(stretch.readings) != n:
-            raise self._failed(f"simulated {len(stretch.readings)} of {n} steps: its run period is over")
+        if self._steps + n > self._building.n_steps:
+            raise self._failed(f"has {self._building.n_steps - self._steps} of {n} steps left: its run period is over")
+        most = max(int(PIECE_S / self.step_s), 1)
+        pieces = [self._advance(demand, min(most, n - i)) for i in range(0, n, most)]
+        return Stretch(
+            tuple(reading for piece in pieces for reading in piece.readings),
+            tuple(acted for piece in pieces for acted in piece.acted),
+        )
+
+    def _advance(self, demand: U | None, n: int) -> Stretch[U, R]:
+        stretch = self._asked("step from", self._patience_s, Advance(demand, n))
         self._steps += n
         return stretch
 
@@ -77,20 +86,29 @@ class EngineProcess(Generic[U, R]):
             return
         self._closed = True
         self._pipe.close()
-        self._process.join(_PATIENCE_S)
+        self._process.join(_END_S)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
         self._process.close()
 
-    def _answer(self) -> Stretch[U, R]:
+    def _asked(self, phase: str, limit_s: float, request: Advance[U] | Building[U, R]) -> Stretch[U, R]:
+        """The answer to `request`; without one the process is closed."""
+        what = f"EnergyPlus' {phase} day {self.now_s / DAY_S:g}"
         try:
-            answer = self._pipe.recv()
+            answer = wait_for(lambda: self._exchanged(request), self._process.kill, what, limit_s)
         except (EOFError, OSError) as error:
             raise self._failed("ended without an answer") from error
+        except BaseException:
+            self.close()
+            raise
         if isinstance(answer, Stretch):
             return answer
         raise self._failed(f"failed: {answer}")
+
+    def _exchanged(self, request: object) -> object:
+        self._pipe.send(request)
+        return self._pipe.recv()
 
     def _failed(self, what: str) -> PlantError:
         """End the process, since an incomplete step cannot be continued, and return the error to raise."""

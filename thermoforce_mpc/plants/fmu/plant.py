@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +29,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.checks import check_levels, day_period
 from thermoforce_mpc.plants.fmu.archive import read_archive, unpack
-from thermoforce_mpc.plants.fmu.process import WorkerProcess
+from thermoforce_mpc.plants.fmu.run import FmuRun
 from thermoforce_mpc.plants.fmu.scores import Scores
 from thermoforce_mpc.plants.records import (
     acting_means,
@@ -41,10 +41,11 @@ from thermoforce_mpc.plants.records import (
     recorded_levels,
 )
 from thermoforce_mpc.plants.shell import PlantShell, WithProcess
+from thermoforce_mpc.plants.waiting import PATIENCE_S
 from thermoforce_mpc.scenario.testcase import TestCase
 
 
-class FmuPlant(WithProcess[WorkerProcess], PlantShell):
+class FmuPlant(WithProcess[FmuRun], PlantShell):
     """Test case in an FMU, run by FMPy in its own process.
 
     ```python
@@ -55,20 +56,30 @@ class FmuPlant(WithProcess[WorkerProcess], PlantShell):
     ```
 
     Results are sampled every 30 s, as in BOPTEST. Boundary data, KPI signals and scenario days come from the FMU's
-    resources.
+    resources. Where a step fails or takes too long, the FMU is started again, see `FmuRun`.
     """
 
-    def __init__(self, path: Path, testcase: TestCase, *, forecast_error: ForecastError | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        testcase: TestCase,
+        *,
+        forecast_error: ForecastError | None = None,
+        patience_s: float = PATIENCE_S,
+    ) -> None:
         """Read the FMU and check that it has every point of `testcase` in the expected unit; it starts at `reset`.
 
         Args:
             forecast_error: weather forecast errors; default: a perfect forecast.
+            patience_s: longest time for a quarter of an hour of the building's time, and for the FMU's start, s.
 
         Raises:
             ConfigError: the file is not a usable FMU, or `testcase` does not fit it.
         """
         self.testcase = testcase
-        self._forecast_error = forecast_error
+        self._forecast_error, self._patience_s = forecast_error, patience_s
+        self._restarts: list[str] = []  # of the runs before the present one
+        self._told_restarts: Sequence[str] = ()
         self._archive = archive = read_archive(path)
         forecast = {name: Point(name, archive.boundary.unit(name), "", None, None) for name in archive.boundary.series}
         given, outputs = archive.points(archive.inputs), archive.points(archive.outputs)
@@ -96,16 +107,26 @@ class FmuPlant(WithProcess[WorkerProcess], PlantShell):
 
     @property
     def info(self) -> PlantInfo:
-        """FMU file, its name and hash."""
+        """FMU file, its name and hash, and when it was started again."""
         archive = self._archive
+        restarts = "; ".join([*self._restarts, *self.restarts])
         return PlantInfo(
             kind="fmu",
             testcase=archive.name,
-            description=f"FMU {archive.path}, made by {archive.tool}",
+            description=f"FMU {archive.path}, made by {archive.tool}" + (restarts and f"; {restarts}"),
             weather="the test case's own weather",
             version=archive.sha256[:12],
-            details={"path": str(archive.path), "sha256": archive.sha256},
+            details={"path": str(archive.path), "sha256": archive.sha256, "restarts": restarts},
         )
+
+    @property
+    def restarts(self) -> tuple[str, ...]:
+        """See `RestartingPlant.restarts`."""
+        return () if self._process is None else self._process.restarts
+
+    def restart_as(self, restarts: Sequence[str]) -> None:
+        """See `RestartingPlant.restart_as`."""
+        self._told_restarts = restarts
 
     def period(self, name: str) -> Period:
         """Return the scored window of the FMU's scenario `name`, or of a start day.
@@ -121,9 +142,9 @@ class FmuPlant(WithProcess[WorkerProcess], PlantShell):
         self._archive.boundary.at(self._points.forecast_outdoor, np.array([start_s]))  # else a `WeatherError`
 
     def _begin(self) -> None:
-        super().close()
+        self._end()
         folder = Path(self._folder.name)
-        self._process = WorkerProcess(self._archive.job(folder / "fmu", self._kept), folder / "work")
+        self._process = FmuRun(self._archive.job(folder / "fmu", self._kept), folder / "work", self._patience_s)
         self._stretches = [self._process.start(self._now_s)]
 
     def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
@@ -131,7 +152,7 @@ class FmuPlant(WithProcess[WorkerProcess], PlantShell):
 
         Raises:
             InputError: `u`, `band_C` or `duration_s` is out of range, or the plant was not reset.
-            PlantError: the FMU failed.
+            PlantError: the FMU failed, or took too long, at all tolerances.
         """
         return self._advanced(check_levels(u, duration_s, band_C, names=self._names, lowest=self._lowest))
 
@@ -155,12 +176,17 @@ class FmuPlant(WithProcess[WorkerProcess], PlantShell):
 
     def close(self) -> None:
         """End the FMU's process and remove the unpacked files; safe to call twice."""
-        super().close()
+        self._end()
         self._folder.cleanup()
+
+    def _end(self) -> None:
+        self._restarts += self.restarts
+        super().close()
 
     def _run(self, block: Block) -> None:
         asked = inputs(self._points, block, self._T_zone_C, self._last)
-        stretch = self._running.advance(asked, block.duration_s)
+        stretch = self._running.advance(asked, block.duration_s, self._told_restarts)
+        self._told_restarts = ()
         self._stretches.append(stretch)
         self._now_s = float(stretch.time_s[-1])
 

@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import os
 import pickle
+import signal
 import sys
+import threading
 from collections.abc import Mapping, Sequence
+from queue import SimpleQueue
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.plants.fmu.messages import SAMPLE_S, Job, Stretch
+from thermoforce_mpc.plants.fmu.messages import Job, Stretch
 
 
 class _Slave:
@@ -36,12 +39,11 @@ class _Slave:
     def start(self) -> Stretch:
         return Stretch(np.array([self._now_s]), np.array([self._read(self._recorded)]), self._final())
 
-    def advance(self, inputs: Mapping[str, float], duration_s: float) -> Stretch:
+    def advance(self, inputs: Mapping[str, float], time_s: Array) -> Stretch:
+        """Set `inputs`, and simulate from one of the times to the next."""
         for name, value in inputs.items():
             self._write(*self._job.inputs[name], value)
-        n = max(int(duration_s / SAMPLE_S + 1e-9), 1)
-        time_s: Array = self._now_s + np.arange(1.0, n + 1.0) * (duration_s / n)
-        rows = np.empty((n, len(self._recorded)))
+        rows = np.empty((len(time_s), len(self._recorded)))
         for i, reached_s in enumerate(time_s):
             self._fmu.doStep(self._now_s, float(reached_s) - self._now_s)
             self._now_s = float(reached_s)
@@ -73,13 +75,16 @@ class _Slave:
 
 
 def main() -> None:
-    """Answer requests until the other end closes the stream."""
+    """Answer requests until the other end closes the stream, which also ends an FMU that hangs."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the other end too, which then ends this one
     # Output of the FMU must not reach the message channel: standard output is redirected to standard error.
     channel = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    requests = sys.stdin.buffer
+    requests: SimpleQueue[Any] = SimpleQueue()
+    threading.Thread(target=_receive, args=(sys.stdin.buffer, requests), daemon=True).start()
     slave: _Slave | None = None
-    while (request := _receive(requests)) is not None:
+    while True:
+        request = requests.get()
         try:
             if request[0] == "start":
                 slave = _Slave(request[1], request[2])
@@ -94,14 +99,17 @@ def main() -> None:
         channel.flush()
 
 
-def _receive(requests: BinaryIO) -> Any:
+def _receive(stream: BinaryIO, requests: SimpleQueue[Any]) -> None:
+    """Queue what comes; at the end of the stream end the process.
+
+    Libraries are not unloaded: those of others tend to crash then, and nothing is left to save.
+    """
     try:
-        return pickle.load(requests)
-    except EOFError:
-        return None
+        while True:
+            requests.put(pickle.load(stream))
+    finally:
+        os._exit(0)
 
 
 if __name__ == "__main__":
     main()
-    # Exit without unloading libraries: third-party libraries tend to crash then, and nothing is left to save.
-    os._exit(0)

@@ -150,7 +150,8 @@ def _cell(name: str, scenario: Scenario, provenance: Mapping[str, Any], hash_of:
             model = hash_of(scenario.identification.model)
         else:
             task = identification_task(scenario, testcase)
-            model = task.to_json() | {"plant": _plant_by_content(task.plant, hash_of)}
+            probed = hash_of(task.probed_files) if task.probed_files else None
+            model = task.to_json() | {"plant": _plant_by_content(task.plant, hash_of), "probed": probed}
             identification_key = digest({**provenance, "source": source_fingerprint(), "task": model})
     options = controller_config(controller, controller_options(scenario, controller), testcase).model_dump(mode="json")
     files = {path: hash_of(path) for path in named_files(controller, options)}

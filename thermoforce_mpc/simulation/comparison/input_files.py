@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from thermoforce_mpc.execution.keys import digest
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.simulation.comparison.option_files import with_files
 from thermoforce_mpc.simulation.folder.run_folder import file_sha256
+from thermoforce_mpc.simulation.models.identifying import IdentificationTask
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,17 @@ def _is_file(testcase: str) -> bool:
 def moved_plant(spec: PlantSpec, where: Mapping[str, str]) -> PlantSpec:
     """`spec` with the files of `where`."""
     return spec.model_copy(update={field: where.get(path, path) for field, path in spec.files().items()})
+
+
+def paths_of_task(task: IdentificationTask) -> list[str]:
+    """Paths that an identification reads."""
+    return [*task.plant.files().values(), *([task.probed_files] if task.probed_files else [])]
+
+
+def moved_task(task: IdentificationTask, where: Mapping[str, str]) -> IdentificationTask:
+    """`task` with the files of `where`."""
+    probed = where.get(task.probed_files or "", task.probed)
+    return replace(task, plant=moved_plant(task.plant, where), probed=probed)
 
 
 def moved_scenario(scenario: Scenario, where: Mapping[str, str]) -> Scenario:

@@ -27,9 +27,10 @@ from thermoforce_mpc.simulation.comparison.input_files import (
     NO_FILES,
     SentFiles,
     input_files,
-    moved_plant,
     moved_scenario,
+    moved_task,
     paths_of,
+    paths_of_task,
     task_of,
 )
 from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Identified
@@ -57,8 +58,8 @@ def tasks_of(cells: Iterable[Cell]) -> list[Task]:
     for cell in cells:
         needs = file_tasks(paths_of(cell.scenario))
         if cell.task is not None and cell.identification_key is not None:
-            plant = file_tasks(cell.task.plant.files().values())
-            needs += (Task(cell.identification_key, cell.identification_title, identified, cell.task, plant),)
+            read = file_tasks(paths_of_task(cell.task))
+            needs += (Task(cell.identification_key, cell.identification_title, identified, cell.task, read),)
         tasks.append(Task(cell.key, cell.title, record_of, cell, needs))
     return tasks
 
@@ -76,8 +77,8 @@ def identified(task: IdentificationTask, files: SentFiles = NO_FILES) -> Identif
     """
     try:
         with files.at_hand() as where:
-            spec = moved_plant(task.plant, where)
-            with closing(build_plant(spec, task.testcase, task.seed)) as plant:
+            task = moved_task(task, where)
+            with closing(build_plant(task.plant, task.testcase, task.seed)) as plant:
                 model = run_identification(task, plant, on_progress=lambda p: tell(p.days / p.planned_days))
     except DataError as error:
         return Identified(refused=str(error))

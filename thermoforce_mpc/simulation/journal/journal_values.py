@@ -121,8 +121,8 @@ def block_json(block: Block) -> Json:
 
 def block_of(content: Mapping[str, Any]) -> Block:
     """The block of `block_json`."""
-    bands = content.get("band_C")
-    return Block(content["u"], content["duration_s"], bands and [band and (band[0], band[1]) for band in bands])
+    bands = [band and (float(band[0]), float(band[1])) for band in content.get("band_C") or ()]
+    return Block(content["u"], float(content["duration_s"]), bands or None)
 
 
 def period_json(period: Period) -> Json:

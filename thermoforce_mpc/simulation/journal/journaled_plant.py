@@ -1,4 +1,4 @@
-"""A plant whose answers are written to the journal of a run; a resumed run first catches up with its records.
+"""The plant of a closed loop, recorded step by step in the journal of a run.
 
 Everything that a controller gets passes through here, and the same observations give the same plans. A resumed run
 therefore plans again what was planned, and its state is that of the run that was killed, whatever controller it is.
@@ -10,138 +10,63 @@ but the last has a record `advance` of its own between the two, so that the plan
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
-from thermoforce_mpc.data import (
-    SINGLE,
-    Bands,
-    Block,
-    Boundary,
-    Levels,
-    Measurement,
-    Period,
-    Plan,
-    PlantInfo,
-    Record,
-)
+from thermoforce_mpc.data import Bands, Block, Boundary, Levels, Measurement, Plan
 from thermoforce_mpc.errors import NoForecast
-from thermoforce_mpc.protocols import OutlivingPlant, Plant, RoomSetpointPlant
+from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.simulation.closed_loop import StepRecord
-from thermoforce_mpc.simulation.journal.journal import Entry, Journal, JournalError, making_sense
+from thermoforce_mpc.simulation.journal.journal import Entry, Journal, making_sense
 from thermoforce_mpc.simulation.journal.journal_values import (
     Json,
     block_json,
     block_of,
     boundary_json,
     boundary_of,
-    measurement_json,
     measurement_of,
-    names_json,
-    names_of,
-    number,
-    period_json,
     plan_json,
-    record_json,
-    record_of,
 )
+from thermoforce_mpc.simulation.journal.recorded_plant import RecordedPlant
 
-_Answer = TypeVar("_Answer")
 
-
-class JournaledPlant:
-    """`Plant` and `StepKeeper` of a closed loop.
-
-    While there are records left to catch up with, a simulated plant is advanced again and its answers are compared with
-    the journal; a plant that outlives the process (a service) is left alone until the first new request.
-    """
+class JournaledPlant(RecordedPlant):
+    """`Plant` and `StepKeeper` of a closed loop."""
 
     def __init__(self, plant: Plant, journal: Journal, entries: Iterable[Entry] = ()) -> None:
         """Wrap `plant`; `entries` are the records to catch up with."""
-        self._plant, self._journal, self._names = plant, journal, SINGLE
-        self._entries = deque(entries)
-        self._outlives = isinstance(plant, OutlivingPlant)
-        self._away = self._outlives and bool(self._entries)
-        self._periods: dict[str, Period] = {}
-        self._reset: Json = {}
-        self._last: Measurement | None = None
+        super().__init__(plant, journal, entries)
         self._ahead: Json = {}
         self._to_come = 0
         self._advances: list[Json] = []
         self.differing = 0
         """Steps that were planned again otherwise than then: a solve that the clock had cut."""
 
-    @property
-    def inside(self) -> Plant:
-        """The plant itself, for what is not journaled."""
-        return self._plant
-
-    @property
-    def catching_up(self) -> bool:
-        """Whether there are records left."""
-        return bool(self._entries)
-
-    @property
-    def info(self) -> PlantInfo:
-        """That of the plant."""
-        return self._plant.info
-
-    def period(self, name: str) -> Period:
-        """See `Plant.period`."""
-        period = self._answer(
-            "period", {"name": name}, lambda: self._plant.period(name), period_json, lambda content: Period(**content)
-        )
-        self._periods[name] = period
-        return period
-
-    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
-        """See `Plant.reset`."""
-        request: Json = {"start_s": float(start_s), "warmup_s": float(warmup_s), "price": price}
-
-        def to_json(measurement: Measurement) -> Json:
-            return measurement_json(measurement) | {"names": names_json(measurement.names)}
-
-        def from_json(content: Mapping[str, Any]) -> Measurement:
-            return measurement_of(content, names_of(content["names"]))
-
-        self._last = self._answer(
-            "reset", request, lambda: self._plant.reset(start_s, warmup_s, price), to_json, from_json
-        )
-        self._names, self._reset = self._last.names, request
-        return self._last
-
     def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
         """See `Plant.advance` and `RoomSetpointPlant.advance`."""
-
-        def call() -> Measurement:
-            if band_C is None:
-                return self._plant.advance(u, duration_s)
-            return cast(RoomSetpointPlant, self._plant).advance(u, duration_s, band_C)
-
+        call = self._advancing(u, duration_s, band_C)
         request = block_json(Block(u, duration_s, band_C))
         done_entry = self._entries[0] if self._entries and self._entries[0].kind == "done" else None
         if done_entry or (not self._entries and (self._to_come <= 1 or not self._outlives)):
             answer = self._closing_answer(request, call, done_entry)
         else:
-            answer = self._answer("advance", request, lambda: measurement_json(call()), dict, dict)
+            answer = self._answer("advance", request, call, dict, dict)
         self._to_come -= 1
-        self._last = measurement_of(answer, self._names)
-        return self._last
+        return self._arrived(answer)
 
-    def _closing_answer(self, request: Json, call: Callable[[], Measurement], done: Entry | None) -> Mapping[str, Any]:
+    def _closing_answer(self, request: Json, call: Callable[[], Json], done: Entry | None) -> Mapping[str, Any]:
         """The answer to a block that is recorded where the step is `done`, from there while catching up."""
         if done is None:
             self._catch_up()
-            self._advances.append({"asked": request, "answer": measurement_json(call())})
+            self._advances.append({"asked": request, "answer": call()})
             return cast(Mapping[str, Any], self._advances[-1]["answer"])
         with making_sense(done.where):
             advance = (list(done.content["advances"])[len(self._advances) :] or [{}])[0]
             if advance.get("asked") != request:
                 raise self._mismatch(done, f"'advance' {request}")
             measurement_of(advance["answer"], self._names)
-        self._compare(done, "advance", advance["answer"], lambda: measurement_json(call()))
+        self._compare(done, "advance", advance["answer"], call)
         self._advances.append(advance)
         return cast(Mapping[str, Any], advance["answer"])
 
@@ -171,41 +96,9 @@ class JournaledPlant:
             raise NoForecast(str(self._ahead["no_forecast"]), past=bool(self._entries))
         return boundary_of(self._ahead["forecast"], self._names)
 
-    def past(self, step_s: float) -> Record:
-        """See `Plant.past`."""
-
-        def call() -> Record:
-            return self._plant.past(step_s)
-
-        request = {"step_s": float(step_s)}
-        return self._answer("past", request, call, record_json, lambda content: record_of(content, self._names))
-
-    def kpis(self) -> dict[str, float]:
-        """See `Plant.kpis`; asked for once, at the end of a loop."""
-
-        def to_json(kpis: Mapping[str, float]) -> Json:
-            return {name: number(value) for name, value in kpis.items()}
-
-        def from_json(content: Mapping[str, Any]) -> dict[str, float]:
-            return {name: float("nan") if value is None else float(value) for name, value in content.items()}
-
-        return self._answer("kpis", {}, self._plant.kpis, to_json, from_json)
-
     def kpis_so_far(self) -> dict[str, float]:
         """The plant's KPIs for the display; none while a service is not asked."""
         return {} if self._away else self._plant.kpis()
-
-    def close(self) -> None:
-        """Close the plant."""
-        self._plant.close()
-
-    def noted(self, kind: str, make: Callable[[], Json]) -> Mapping[str, Any]:
-        """Record a fact of the run that `make` finds out, or give that of the journal."""
-        if self._entries:
-            return self._next_entry(kind, {}).content
-        content = make()
-        self._journal.write(kind, content)
-        return content
 
     def decided(self, index: int, time_s: float, plan: Plan, blocks: Sequence[Block], refused: str) -> Sequence[Block]:
         """Record a decision before it acts; while catching up, what acted then acts again."""
@@ -237,53 +130,3 @@ class JournaledPlant:
             plan = replace(record.plan, seconds={name: float(s) for name, s in entry.content["seconds"].items()})
             recorded_seconds: dict[str, Any] = {name: float(entry.content[name]) for name in seconds}
         return replace(record, plan=plan, **recorded_seconds)
-
-    def _answer(
-        self,
-        kind: str,
-        request: Mapping[str, Any],
-        call: Callable[[], _Answer],
-        to_json: Callable[[_Answer], Json],
-        from_json: Callable[[Mapping[str, Any]], _Answer],
-    ) -> _Answer:
-        """The answer to a request: the journal's while catching up, else the plant's, which is then recorded."""
-        if self._entries:
-            entry = self._next_entry(kind, request)
-            with making_sense(entry.where):
-                answer = from_json(entry.content["answer"])
-            self._compare(entry, kind, entry.content["answer"], lambda: to_json(call()))
-            return answer
-        self._catch_up()
-        content = to_json(call())
-        self._journal.write(kind, {"asked": request, "answer": content})
-        return from_json(content)
-
-    def _compare(self, entry: Entry, kind: str, recorded: object, call: Callable[[], object]) -> None:
-        """Have a simulated plant answer again, as it did then; one that outlives the process is not asked."""
-        if not self._outlives and call() != recorded:
-            raise JournalError(
-                f"{entry.where}: the plant answers '{kind}' otherwise than it did then. "
-                "Was the run made with another version, weather file or machine? Start it again"
-            )
-
-    def _catch_up(self) -> None:
-        """Take up a plant that outlived the process, before the first new request."""
-        if self._away:
-            assert isinstance(self._plant, OutlivingPlant)
-            if self._last is not None:
-                self._plant.go_on(self._last, periods=self._periods, **self._reset)
-            self._away = False
-
-    def _next_entry(self, kind: str, request: Mapping[str, Any]) -> Entry:
-        """The next record, which must be of `kind` and answer `request`."""
-        entry = self._entries.popleft()
-        if entry.kind != kind or entry.content.get("asked", {}) != request:
-            raise self._mismatch(entry, f"'{kind}' {dict(request)}")
-        return entry
-
-    def _mismatch(self, entry: Entry, now: str) -> JournalError:
-        then = f"'{entry.kind:.20}' {entry.content.get('asked', '')!s:.200}"
-        return JournalError(
-            f"{entry.where}: then it was {then}, now it is {now}: the run does not repeat "
-            "itself. Was it made with another version or other files? Start it again"
-        )

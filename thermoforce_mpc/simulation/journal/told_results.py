@@ -69,10 +69,18 @@ def told_run(folder: Path) -> ToldRun:
             scenario,
             tuple(str(word) for word in first.content["command"]),
             str(first.content.get("version")),
-            next((entry.content["info"] for entry in entries if entry.kind == "plant"), {}),
+            _plant(entries),
             next((entry.content["models"] for entry in entries if entry.kind == "models"), {}),
             results,
         )
+
+
+def _plant(entries: Sequence[Entry]) -> Mapping[str, Any]:
+    """What the plant said of itself, and how it was started again."""
+    info: Mapping[str, Any] = next((entry.content["info"] for entry in entries if entry.kind == "plant"), {})
+    answered = [told for entry in entries for told in (entry.content, *entry.content.get("advances", ()))]
+    restarts = [words for told in answered for words in (told.get("answer") or {}).get("restarts", ())]
+    return {**info, "description": "; ".join([str(info.get("description")), *dict.fromkeys(restarts)])}
 
 
 def _kept_steps(loop: Sequence[Entry]) -> KeptSteps[StepRecord]:

@@ -11,40 +11,29 @@ import numpy as np
 from pydantic import BaseModel
 
 from controllers.registry import controller_config
-from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Period, Record
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.data import Period, Record
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.settings import merge, validate
 from thermoforce_mpc.scenario.testcase import Actuator, TestCase
 from thermoforce_mpc.simulation.composition import check_window, controller_options
+from thermoforce_mpc.simulation.models.kept_probing import (
+    find_probing,
+    keeping_probing,
+    note_end,
+    place_of_journals,
+    told_probing,
+)
+from thermoforce_mpc.simulation.models.probing import Identifying, Probed, ProbingProgress, probe_until_known
 
 if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.identification.config import IdentificationConfig
-    from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig
+    from thermoforce_mpc.identification.probing.probe import ProbingConfig
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Trials of part load, as shares of the highest level, and steps at each where only the temperature tells their heat.
 _TRIAL_SHARES, _UNMETERED_STEPS = (0.5, 0.25), 8
-# Probing does not end early before this many days: a held-out part of 9 h must show the effect.
-_LEAST_DAYS = 1.5
-
-
-@dataclass(frozen=True)
-class ProbingProgress:
-    """Where a probing stands.
-
-    `days` probed of `planned_days`; `information_nats` of the record, and `expected_sd`: relative standard deviation of
-    the effect of a day at full level that the design expects from it, see `Designer.known`; `verdict`: what was found
-    when the data were last judged and after how many days that was, in words.
-    """
-
-    days: float
-    planned_days: float
-    information_nats: float
-    expected_sd: float
-    verdict: str = ""
 
 
 @dataclass(frozen=True)
@@ -54,7 +43,7 @@ class IdentificationTask:
     `period`: scored window, which is not probed; `days`: days of probing, planned to end where its warm-up begins;
     `most_days`: days after which probing ends in any case, see `identify_on`; `end_early`: whether it may end before
     `days`; `step_s`: step of the model, s; `seed`: seed of the probing and of the forecast errors in `plant`, which the
-    probing design uses.
+    probing design uses; `probed`: folder of a run whose probing is taken, see `find_probing`.
     """
 
     testcase: TestCase
@@ -67,6 +56,27 @@ class IdentificationTask:
     seed: int
     probing: ProbingConfig
     identification: IdentificationConfig
+    probed: str | None = None
+
+    @property
+    def how_probed(self) -> dict[str, Any]:
+        """What tells a probing from others of the same building."""
+        values = self.to_json()
+        return {name: values[name] for name in ("seed", "probing", "identification")}
+
+    @property
+    def probed_files(self) -> str | None:
+        """The file or folder that is read of `probed`."""
+        return None if self.probed is None else str(place_of_journals(Path(self.probed)))
+
+    def in_words(self, keep: Path | None = None) -> str:
+        """What is done, for people; `keep`: journal of the probing, see `run_identification`."""
+        if self.probed is not None:
+            return f"Identifying from the probing in {self.probed}"
+        told = told_probing(keep) if keep else None
+        if told is None:
+            return f"Probing for {self.days:g} days and identifying"
+        return "Identifying" if told.has_ended else f"Probing goes on after {told.days:.3g} recorded days"
 
     def to_json(self) -> dict[str, Any]:
         """All fields as JSON values, for a hash key or a file."""
@@ -103,7 +113,6 @@ def identify_on(
     seed: int = 1,
     probing: ProbingConfig | None = None,
     config: IdentificationConfig | None = None,
-    on_step: Callable[[float], None] | None = None,
     on_record: Callable[[Record], None] | None = None,
     on_progress: Callable[[ProbingProgress], None] | None = None,
 ) -> ThermalModel:
@@ -118,7 +127,6 @@ def identify_on(
         end_early: end before `days`, not before 1.5 days, once a model is competent and its effect known well.
         testcase: mode, floor area and default step; by default those of `bestest_hydronic_heat_pump`.
         step_s: step of the model; by default the test case's.
-        on_step: called with the share of the asked days done.
         on_record: called with the record that the model was identified from.
         on_progress: called every hour of the probing.
 
@@ -127,113 +135,28 @@ def identify_on(
         PlantError: the plant failed.
     """
     from thermoforce_mpc.identification.config import IdentificationConfig
-    from thermoforce_mpc.identification.pipeline import identify
-    from thermoforce_mpc.identification.probing.probe import Probing
-    from thermoforce_mpc.identification.validation.competence import is_settled, is_well_known
 
-    testcase, config = testcase or load_testcase("bestest_hydronic_heat_pump"), config or IdentificationConfig()
-    start_s, end_s = before.start_s - before.warmup_s - days * DAY_S, before.start_s
-    if start_s < 0:
-        start_s, end_s = YEAR_S - days * DAY_S, YEAR_S
-    run = Probing(
+    testcase = testcase or load_testcase("bestest_hydronic_heat_pump")
+    identifying = Identifying(testcase, config or IdentificationConfig(), step_s)
+    probed, look = probe_until_known(
         plant,
-        start_s,
+        identifying,
+        before=before,
+        days=days,
+        most_days=most_days or days,
+        end_early=end_early,
         seed=seed,
-        layout=testcase.layout,
-        config=probing,
-        identification=config,
+        probing=probing,
+        on_progress=on_progress,
     )
-    progress = _Progress(run, days, on_step, on_progress)
-
-    def identify_so_far(config: IdentificationConfig) -> tuple[ThermalModel | None, str]:
-        """The model of the record so far, or None and why there is none."""
-        first = start_s / DAY_S
-        try:
-            model = identify(
-                [run.record],
-                config=config,
-                layout=testcase.layout,
-                step_s=step_s or testcase.step_s,
-                source=f"{run.days:g} days of probing (days {first:g} to {first + run.days:g}) on "
-                f"{plant.info.kind} {plant.info.testcase}, {plant.info.weather}",
-            )
-        except DataError as error:
-            progress.verdict = f"not to be fitted (after {run.days:.2g} days)"
-            return None, str(error)
-        progress.verdict = f"{_in_short(model)} (after {run.days:.2g} days)"
-        return model, ""
-
-    def enough(record: Record) -> bool:
-        if run.days < _LEAST_DAYS:
-            return False
-        model, _ = identify_so_far(config.model_copy(update={"modulation": "linear"}))
-        return model is not None and all(is_well_known(card.competence) for card in model.cards)
-
-    run.go_on(days, enough=enough if end_early else None, on_step=progress)
-    model, refused = identify_so_far(config)
-    latest = min(most_days or days, (end_s - start_s) / DAY_S)
-
-    def settled(model: ThermalModel | None) -> bool:
-        return model is not None and all(is_settled(card.competence) for card in model.cards)
-
-    while not settled(model) and run.days + 1.0 <= latest + 1e-9:
-        progress.planned_days = run.days + 1.0
-        run.go_on(1.0, on_step=progress)
-        model, refused = identify_so_far(config)
     if on_record:
-        on_record(run.record)
-    if model is None:
-        raise DataError(f"{refused} (after {run.days:g} days of probing)" if run.days > days else refused)
-    if abs(run.days - days) < 1e-6:
-        return model
-    note = (
-        f"probing went on from {days:g} to {run.days:g} days, since the model was below the bar or poor"
-        if run.days > days
-        else f"probing ended after {run.days:g} of {days:g} days, since the effect was known well"
-    )
-    return replace(model, cards=tuple(replace(card, notes=(*card.notes, note)) for card in model.cards))
+        on_record(probed.record)
+    return identifying.conclude(probed, look)
 
 
 def may_act(model: ThermalModel) -> bool:
     """Whether a controller may act on a model: no actuator's card is below the bar, or without a verdict."""
     return not any(card.unfit for card in model.cards)
-
-
-def _in_short(model: ThermalModel) -> str:
-    """The verdict in a few words: the first reason of one actuator is enough while probing goes on."""
-    cards = zip(model.operator.actuators, model.cards, strict=True)
-    verdicts = {name: card.competence for name, card in cards if card.competence is not None}
-    if not verdicts:
-        return ""
-    below = {name: verdict for name, verdict in verdicts.items() if not verdict.competent}
-    name, verdict = next(iter((below or verdicts).items()))
-    words = verdict.in_words().split("; ")[0]
-    if model.names.single:
-        return words
-    return f"{len(verdicts) - len(below)} of {len(verdicts)} actuators competent, {name}: {words}"
-
-
-class _Progress:
-    """Tells the callbacks of `identify_on` how far the probing is: share of the days every step, the rest hourly."""
-
-    def __init__(
-        self,
-        run: Probing,
-        days: float,
-        on_step: Callable[[float], None] | None,
-        on_progress: Callable[[ProbingProgress], None] | None,
-    ) -> None:
-        self.planned_days, self.verdict = days, ""
-        self._run, self._days, self._on_step, self._on_progress = run, days, on_step, on_progress
-
-    def __call__(self, share: float) -> None:
-        run = self._run
-        if self._on_step:
-            self._on_step(min(run.days / self._days, 1.0))
-        hourly = max(1, round(HOUR_S / run.config.step_s))
-        if self._on_progress and run.record.n_steps % hourly == 0:
-            expected = run.designer.known(run.record)
-            self._on_progress(ProbingProgress(run.days, self.planned_days, *expected, self.verdict))
 
 
 def identification_settings(
@@ -298,6 +221,7 @@ def identification_task(scenario: Scenario, testcase: TestCase, controller: str 
         seed=scenario.seed,
         probing=probing,
         identification=config,
+        probed=scenario.identification.probed,
     )
 
 
@@ -306,41 +230,59 @@ def run_identification(
     plant: Plant,
     on_record: Callable[[Record], None] | None = None,
     on_progress: Callable[[ProbingProgress], None] | None = None,
+    *,
+    keep: Path | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> ThermalModel:
-    """Probe `plant`, which must be that of `task`, and identify a model.
+    """Identify a model from the probing that `task` names, or from that of `plant`, which must be that of `task`.
 
     Args:
         on_record: called with the record that the model was identified from.
         on_progress: called every hour of the probing.
+        keep: journal of the probing; one that is there is gone on with, and where it has ended, nothing is probed.
+        say: told at each look at the data what they still lack, and why probing ended.
 
     Raises:
         DataError: the record is not sufficient for identification.
         PlantError: the plant failed.
+        JournalError: a journal of the probing cannot be used; names the file.
     """
     check_window(task.period)
-    return identify_on(
-        plant,
-        before=plant.period(task.period),
-        days=task.days,
-        most_days=task.most_days,
-        end_early=task.end_early,
-        testcase=task.testcase,
-        step_s=task.step_s,
-        seed=task.seed,
-        probing=task.probing,
-        config=task.identification,
-        on_record=on_record,
-        on_progress=on_progress,
-    )
+    identifying = Identifying(task.testcase, task.identification, task.step_s, say)
+    probed, look = taken_probing(task, keep), None
+    if probed is None:
+        with keeping_probing(plant, keep, task.testcase, task.how_probed) as kept:
+            probed, look = probe_until_known(
+                kept,
+                identifying,
+                before=kept.period(task.period),
+                days=task.days,
+                most_days=task.most_days,
+                end_early=task.end_early,
+                seed=task.seed,
+                probing=task.probing,
+                on_progress=on_progress,
+            )
+            note_end(kept, probed.why)
+    if on_record:
+        on_record(probed.record)
+    return identifying.conclude(probed, look)
 
 
-def model_for(
-    scenario: Scenario,
-    testcase: TestCase,
-    plant: Plant,
-    controller: str | None = None,
-    on_progress: Callable[[ProbingProgress], None] | None = None,
-) -> ThermalModel:
+def taken_probing(task: IdentificationTask, keep: Path | None = None) -> Probed | None:
+    """The probing that need not be made: that which the task names, or one that has ended in the journal `keep`.
+
+    Raises:
+        ConfigError: the task names a place without a probing.
+        JournalError: a journal is damaged, holds no step, or is of another test case; names the file.
+    """
+    if task.probed is not None:
+        return find_probing(Path(task.probed), task.testcase, task.how_probed)
+    told = told_probing(keep) if keep else None
+    return told.probed if told and told.has_ended else None
+
+
+def model_for(scenario: Scenario, testcase: TestCase, plant: Plant, controller: str | None = None) -> ThermalModel:
     """Model of `controller`: the saved one named in the scenario, resampled to its step, or a newly identified one.
 
     Raises:
@@ -350,7 +292,7 @@ def model_for(
     """
     if scenario.identification.model is not None:
         return saved_model(scenario, testcase)
-    return run_identification(identification_task(scenario, testcase, controller), plant, on_progress=on_progress)
+    return run_identification(identification_task(scenario, testcase, controller), plant)
 
 
 def saved_model(scenario: Scenario, testcase: TestCase) -> ThermalModel:

@@ -20,8 +20,10 @@ from thermoforce_mpc.simulation.models.identifying import (
     IdentificationTask,
     IdentifiedModel,
     identification_task,
-    model_for,
+    run_identification,
+    saved_model,
 )
+from thermoforce_mpc.simulation.models.kept_probing import FOLDER as PROBING
 from thermoforce_mpc.simulation.views.display import RunDisplay
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
@@ -33,11 +35,12 @@ FOLDER = "model"
 
 
 def identify_all(
-    scenario: Scenario, testcase: TestCase, plant: Plant, display: RunDisplay
+    scenario: Scenario, testcase: TestCase, plant: Plant, display: RunDisplay, folder: Path | None = None
 ) -> dict[str, IdentifiedModel]:
     """The model of every contestant that needs one; those that would probe and identify alike share one.
 
     Each is probed for on its own account: what a controller does must not depend on whom it is compared with.
+    `folder`: of the run, where the probings are kept.
     """
     models: dict[str, IdentifiedModel] = {}
     by_task: list[tuple[IdentificationTask | None, IdentifiedModel]] = []
@@ -49,16 +52,19 @@ def identify_all(
         if not shared:
             if by_task:
                 display.say(f"For {name}, which runs the machine another way:")
-            shared = [_identify(scenario, testcase, plant, name, display)]
+            keep = folder / PROBING / f"{name}.jsonl" if folder else None
+            shared = [_identify(scenario, testcase, plant, name, display, keep)]
             by_task.append((task, shared[0]))
         models[name] = shared[0]
     return models
 
 
 def _identify(
-    scenario: Scenario, testcase: TestCase, plant: Plant, controller: str, display: RunDisplay
+    scenario: Scenario, testcase: TestCase, plant: Plant, controller: str, display: RunDisplay, keep: Path | None
 ) -> IdentifiedModel:
     """Load the model of the scenario, or probe and identify one for `controller`, and say what came of it.
+
+    `keep`: journal of the probing.
 
     Data that cannot be fitted do not end the run: without a model, the controller stands back. Raises `DataError` where
     it has its gate turned off.
@@ -66,11 +72,12 @@ def _identify(
     spec = scenario.identification
     try:
         if spec.model is not None:
-            model = model_for(scenario, testcase, plant, controller)
+            model = saved_model(scenario, testcase)
             display.say(f"Model: {spec.model} ({model.cards[0].source})")
         else:
-            with display.probing(spec.days) as progress:
-                model = model_for(scenario, testcase, plant, controller, progress)
+            task = identification_task(scenario, testcase, controller)
+            with display.probing(task.in_words(keep)) as progress:
+                model = run_identification(task, plant, on_progress=progress, keep=keep, say=display.say)
             display.say(f"Identified from {model.cards[0].source}")
     except DataError as error:
         if not has_gate(controller, controller_options(scenario, controller), testcase):

@@ -15,7 +15,7 @@ from rich.text import Text
 from thermoforce_mpc.data import DAY_S, Period, PlanStatus
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import Sample, StepRecord
-from thermoforce_mpc.simulation.models.identifying import ProbingProgress
+from thermoforce_mpc.simulation.models.probing import ProbingProgress
 from thermoforce_mpc.simulation.views.whole_tables import print_whole
 
 Kpis = Callable[[], Mapping[str, float]]
@@ -109,12 +109,12 @@ def _so_far(kpis: Mapping[str, float], currency: str) -> str:
 
 
 class ProbingDisplay:
-    """Progress of a probing: days done, what the record is expected to tell, and the last verdict; a callback."""
+    """Progress of a probing: days done, and what the record is expected to tell; a callback."""
 
-    def __init__(self, console: Console, days: float, quiet: bool) -> None:
+    def __init__(self, console: Console, begins: str, quiet: bool) -> None:
         self._console, self._quiet, self._days_shown = console, quiet, 0
         self._live: Live | None = None
-        self._begins = f"Probing for {days:g} days and identifying"
+        self._begins = begins
 
     def __enter__(self) -> ProbingDisplay:
         if self._quiet:
@@ -135,7 +135,6 @@ class ProbingDisplay:
         line = (
             f"probing: day {progress.days:5.2f}/{progress.planned_days:g}  information {progress.information_nats:.1f} "
             f"nats, effect of a day expected to ± {100 * progress.expected_sd:.0f} %"
-            + (f"  judged {progress.verdict}" if progress.verdict else "")
         )
         if self._live:
             self._live.update(Text(line))
@@ -171,9 +170,9 @@ class RunDisplay:
             return nullcontext()
         return self.console.status(text)
 
-    def probing(self, days: float) -> ProbingDisplay:
-        """Progress display of a probing of `days`, a context and the callback of `identify_on`."""
-        return ProbingDisplay(self.console, days, self.quiet)
+    def probing(self, begins: str) -> ProbingDisplay:
+        """Progress display of a probing, a context and the callback of `identify_on`; `begins` says what is done."""
+        return ProbingDisplay(self.console, begins, self.quiet)
 
     def loop(self, controller: str, period: Period, kpis: Kpis, currency: str) -> LoopDisplay:
         """Progress display of one closed loop; `kpis` returns the plant's KPIs so far."""

@@ -53,10 +53,11 @@ def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[st
         "environment": {"thermoforce-mpc": run.version},
         "identification": run.models.get(result.controller, {}).get("origin", {}),
     }
+    plant: Mapping[str, Any] = manifest["plant"]
     kpis = {
-        "testcase": run.plant.get("testcase", testcase.name),
-        "plant": f"{run.plant.get('kind')}: {run.plant.get('description')}",
-        "weather": run.plant.get("weather", ""),
+        "testcase": plant.get("testcase", testcase.name),
+        "plant": f"{plant.get('kind')}: {plant.get('description')}",
+        "weather": plant.get("weather", ""),
         "period": run.scenario.period,
         "start_day": result.period.start_s / DAY_S,
         "scored_days": result.period.scored_s / DAY_S,

@@ -1,0 +1,73 @@
+"""Another load on a machine's meter: found by what it shows while the machine is off, and only then."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.model.machine.foreign_load import foreign_load
+
+STEP_S, N = 900.0, 4 * 96
+TIME_S = 30 * DAY_S + STEP_S * np.arange(N)
+FULL_W = 4000.0
+
+
+def weather(rng):
+    return 5.0 - 4.0 * np.cos(2 * np.pi * TIME_S / DAY_S) + rng.normal(0.0, 0.3, N).cumsum() * 0.1
+
+
+def levels(rng):
+    return np.repeat(rng.random(N // 8) < 0.4, 8).astype(float)[None]
+
+
+def coil_W(T_out_C, size=1500.0):
+    hour = TIME_S % DAY_S / HOUR_S
+    return 0.3 * size + size * ((hour >= 6) & (hour < 19)) * (18.0 - T_out_C) / 15.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_the_meter_shows_while_off_is_told_by_hour_and_weather(seed):
+    rng = np.random.default_rng(seed)
+    u, T = levels(rng), weather(rng)
+    other = coil_W(T) * (1.0 + 0.05 * rng.standard_normal(N))
+    found = foreign_load(u, TIME_S, T, FULL_W * u[0] + other)
+    assert found is not None
+    assert np.sqrt(np.mean((found(TIME_S, T) - coil_W(T)) ** 2)) < 0.25 * coil_W(T).mean()
+    assert abs(found(TIME_S, T).mean() / coil_W(T).mean() - 1.0) < 0.05
+    assert "another load" in found.in_words()
+    assert (found(TIME_S, T + 60.0) >= 0.0).all()
+
+
+def test_a_machine_alone_on_its_meter_has_none():
+    rng = np.random.default_rng(1)
+    u, T = levels(rng), weather(rng)
+    assert foreign_load(u, TIME_S, T, FULL_W * u[0]) is None
+    assert foreign_load(u, TIME_S, T, FULL_W * u[0] + 0.01 * FULL_W) is None, "a standby is not worth a law"
+
+
+def test_a_machine_that_runs_on_is_not_taken_for_another_load():
+    rng = np.random.default_rng(2)
+    u, T = levels(rng), weather(rng)
+    after = np.concatenate([[0.0], u[0, :-1]]) * (u[0] == 0.0)
+    assert foreign_load(u, TIME_S, T, FULL_W * (u[0] + 0.5 * after)) is None
+
+
+def test_without_enough_steps_off_nothing_is_told():
+    rng = np.random.default_rng(3)
+    T = weather(rng)
+    always = np.ones((1, N))
+    always[0, :8] = 0.0
+    assert foreign_load(always, TIME_S, T, FULL_W * always[0] + coil_W(T)) is None
+    two = np.vstack([levels(rng), 1.0 - levels(np.random.default_rng(3))])
+    two[1] = 1.0 - two[0]
+    assert foreign_load(two, TIME_S, T, FULL_W + coil_W(T)) is None, "one of them is always on"
+
+
+def test_a_load_that_hour_and_weather_hardly_tell_is_said():
+    rng = np.random.default_rng(4)
+    u, T = levels(rng), weather(rng)
+    tank = 3000.0 * (rng.random(N) < 0.1)
+    found = foreign_load(u, TIME_S, T, FULL_W * u[0] + tank)
+    assert found is not None
+    assert "hardly tell it" in found.in_words()

@@ -1,0 +1,113 @@
+"""A load on a machine's meter that is not the machine's: an air unit's coil, a house's other circuits.
+
+It is what the meter shows while all that the machine feeds is off: by hour of the day and by outdoor temperature. Plans
+cannot change it, so laws of the machine are fitted to what is left, and it is added again where a meter is expected.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
+
+# Least mean of such a load as a share of full power: below, it is a standby or an error of the meter.
+_LEAST_SHARE = 0.03
+# Steps that the machine must have been off, and hours before which a step off still shows what ran before, h.
+_LEAST_STEPS, _AFTER_H = 12, 0.25
+HOURS = 24
+"""Hours of a day."""
+
+# Prior standard deviations as shares of the mean: from one hour of the day to the next, and per K outdoors. Errors of a
+# step have this share.
+_BY_HOUR, _PER_K, _ERROR = 0.3, 0.03, 0.2
+# Share of its mean from which the error counts as unexplained.
+_UNEXPLAINED = 0.5
+
+
+@dataclass(frozen=True)
+class ForeignLoad:
+    """A foreign load: `by_hour_W` (24,) at `reference_C` outdoors, its change with the outdoor temperature, and error.
+
+    The change holds within `T_out_range_C`. `rmse_W`: of the fit, over the steps in which the machine was off.
+    """
+
+    by_hour_W: tuple[float, ...]
+    per_K_W: float
+    reference_C: float
+    T_out_range_C: tuple[float, float]
+    rmse_W: float
+
+    def __call__(self, time_s: Array, T_out_C: Array) -> Array:
+        """Return the load over steps that start at `time_s`, s since 1 January, at `T_out_C` °C, W; shapes alike."""
+        by_hour = np.asarray(self.by_hour_W)[_hour(time_s)]
+        warmer_K = np.clip(T_out_C, *self.T_out_range_C) - self.reference_C
+        return np.maximum(by_hour + self.per_K_W * warmer_K, 0.0)
+
+    @property
+    def mean_W(self) -> float:
+        """Mean over the day at the reference, W."""
+        return float(np.mean(self.by_hour_W))
+
+    def in_words(self) -> str:
+        """A note for the model card."""
+        low, high = min(self.by_hour_W), max(self.by_hour_W)
+        words = (
+            f"the meter holds another load: {self.mean_W:.0f} W on average ({low:.0f} to {high:.0f} W by hour of the "
+            f"day, {self.per_K_W:+.0f} W per K outdoors), known to ± {self.rmse_W:.0f} W; it is taken off"
+        )
+        if self.rmse_W > _UNEXPLAINED * self.mean_W:
+            words += "; hour and weather hardly tell it: a meter of the machine alone would"
+        return words
+
+
+def foreign_load(u: Array, time_s: Array, T_out_C: Array, power_W: Array) -> ForeignLoad | None:
+    """The foreign load on the meter of a machine; None where there is none, or the machine was hardly off.
+
+    Args:
+        u: levels of all that it feeds (A, n).
+        time_s: starts of the steps (n,), s since 1 January.
+        T_out_C: outdoor temperature (n,), °C.
+        power_W: the meter (n,), W; NaN where it is missing.
+    """
+    off = np.asarray((np.abs(u) <= LEVEL_EDGE).all(axis=0))
+    known = np.isfinite(power_W) & np.isfinite(T_out_C) & np.isfinite(u).all(axis=0)
+    settled = off & known & _long_off(off, time_s)
+    if settled.sum() < _LEAST_STEPS or not (known & ~off).any():
+        return None
+    load_W, T = power_W[settled], T_out_C[settled]
+    mean_W = float(load_W.mean())
+    if mean_W < _LEAST_SHARE * float(np.percentile(power_W[known & ~off], 90.0)):
+        return None
+    reference_C = float(T.mean())
+    design = np.zeros((load_W.size, HOURS + 1))
+    design[np.arange(load_W.size), _hour(time_s[settled])] = 1.0
+    design[:, HOURS] = T - reference_C
+    smooth = np.zeros((HOURS, HOURS + 1))  # from each hour to the next, around the clock
+    smooth[:, :HOURS] = np.eye(HOURS) - np.roll(np.eye(HOURS), 1, axis=1)
+    flat = np.zeros((1, HOURS + 1))
+    flat[0, HOURS] = 1.0
+    rows = np.vstack([design / (_ERROR * mean_W), smooth / (_BY_HOUR * mean_W), flat / (_PER_K * mean_W)])
+    values = np.concatenate([load_W / (_ERROR * mean_W), np.zeros(HOURS + 1)])
+    found = np.linalg.lstsq(rows, values, rcond=None)[0]
+    rmse_W = float(np.sqrt(np.mean((design @ found - load_W) ** 2)))
+    return ForeignLoad(
+        tuple(np.maximum(found[:HOURS], 0.0).tolist()),
+        float(found[HOURS]),
+        reference_C,
+        (float(T.min()), float(T.max())),
+        rmse_W,
+    )
+
+
+def _hour(time_s: Array) -> NDArray[np.intp]:
+    return np.asarray((np.asarray(time_s) % DAY_S + 1e-6) // HOUR_S, dtype=np.intp) % HOURS
+
+
+def _long_off(off: NDArray[np.bool_], time_s: Array) -> NDArray[np.bool_]:
+    """Whether the machine has been off since `_AFTER_H` hours before each step (n,)."""
+    last_on = np.maximum.accumulate(np.where(off, -np.inf, time_s))
+    return np.asarray(time_s - last_on > _AFTER_H * HOUR_S + 1.0)

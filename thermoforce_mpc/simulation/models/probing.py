@@ -1,0 +1,214 @@
+"""Probing of a plant until a model of it knows enough, and what it still lacks at each look."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Period, PlantInfo, Record
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.scenario.testcase import TestCase
+
+if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
+    from thermoforce_mpc.identification.config import IdentificationConfig
+    from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig
+    from thermoforce_mpc.model.thermal_model import ThermalModel
+
+_LOG = logging.getLogger(__name__)
+# Probing does not end early before this many days: a held-out part of 9 h must show the effect.
+_LEAST_DAYS = 1.5
+
+
+@dataclass(frozen=True)
+class Probed:
+    """A probing that has ended: its record, the `plant` it was made on, and `why` it ended, in words."""
+
+    record: Record
+    plant: PlantInfo
+    why: str
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a record of probing gives: the model, or why there is none (`refused`); `days` of the record."""
+
+    days: float
+    model: ThermalModel | None
+    refused: str = ""
+
+    @cached_property
+    def lacks(self) -> dict[str, str]:
+        """By actuator what is still lacking, in words: those that are settled are left out; '' is the whole model."""
+        from thermoforce_mpc.identification.validation.competence import lacking
+
+        if self.model is None:
+            return {"": self.refused}
+        cards = zip(self.model.operator.actuators, self.model.cards, strict=True)
+        return {name: words for name, card in cards if (words := lacking(card.competence))}
+
+    @property
+    def is_well_known(self) -> bool:
+        """Whether probing may end before the configured days are over."""
+        from thermoforce_mpc.identification.validation.competence import is_well_known
+
+        return self.model is not None and all(is_well_known(card.competence) for card in self.model.cards)
+
+    def in_words(self) -> str:
+        """What is lacking, a line; with several actuators one more for each that lacks something."""
+        after = f"after {self.days:.3g} days of probing"
+        if self.model is None:
+            return f"{after} nothing is known: {self.refused}"
+        n = len(self.model.cards)
+        if not self.lacks:
+            return f"{after} enough is known{'' if n == 1 else f' of all {n} actuators'}"
+        if n == 1:
+            return f"{after} not enough is known: {self.lacks[self.model.operator.actuators[0]]}"
+        lines = [f"{after} enough is known of {n - len(self.lacks)} of {n} actuators"]
+        return "\n".join([*lines, *(f"  {name}: {words}" for name, words in self.lacks.items())])
+
+
+@dataclass(frozen=True)
+class ProbingProgress:
+    """Where a probing stands.
+
+    `days` probed of `planned_days`; `information_nats` of the record, and `expected_sd`: relative standard deviation of
+    the effect of a day at full level that the design expects from it, see `Designer.known`; both for the actuator of
+    which least is known.
+    """
+
+    days: float
+    planned_days: float
+    information_nats: float
+    expected_sd: float
+
+
+class Identifying:
+    """Identifies models from records of the probing of one test case, and logs and says what they still lack."""
+
+    def __init__(
+        self,
+        testcase: TestCase,
+        config: IdentificationConfig,
+        step_s: float | None = None,
+        say: Callable[[str], None] | None = None,
+    ) -> None:
+        """`step_s`: step of the models, s, by default the test case's."""
+        self.testcase, self.config = testcase, config
+        self._step_s, self._say = step_s or testcase.step_s, say
+
+    def look(self, record: Record, plant: PlantInfo, config: IdentificationConfig | None = None) -> Look:
+        """Identify from the record of a probing of `plant`; data that cannot be fitted give the reason."""
+        from thermoforce_mpc.identification.pipeline import identify
+
+        first, days = float(record.time_s[0]) / DAY_S, record.n_steps * record.step_s / DAY_S
+        where = f"days {first:g} to {first + days:g}) on {plant.kind} {plant.testcase}, {plant.weather}"
+        try:
+            model = identify(
+                [record],
+                config=config or self.config,
+                layout=self.testcase.layout,
+                step_s=self._step_s,
+                source=f"{days:g} days of probing ({where}",
+            )
+            look = Look(days, model)
+        except DataError as error:
+            look = Look(days, None, str(error))
+        self._tell(look.in_words())
+        return look
+
+    def conclude(self, probed: Probed, look: Look | None = None) -> ThermalModel:
+        """The model of a probing that has ended, with why it ended and what is still lacking on its cards.
+
+        Args:
+            probed: the probing.
+            look: the last look at its record, where there was one.
+
+        Raises:
+            DataError: the record is not sufficient for identification.
+        """
+        look = look or self.look(probed.record, probed.plant)
+        ended = f"probing ended after {look.days:.3g} days: {probed.why}"
+        self._tell(ended + (f"; lacking: {', '.join(look.lacks)}" if len(look.lacks) > 1 else ""))
+        if look.model is None:
+            raise DataError(f"{look.refused} ({ended})")
+        cards = []
+        for name, card in zip(look.model.operator.actuators, look.model.cards, strict=True):
+            note = f"{ended}; {look.lacks[name]}" if name in look.lacks else ended
+            cards.append(replace(card, notes=(*card.notes, note)))
+        return replace(look.model, cards=tuple(cards))
+
+    def _tell(self, text: str) -> None:
+        _LOG.info("%s", text)
+        if self._say:
+            self._say(text)
+
+
+def probe_until_known(
+    plant: Plant,
+    identifying: Identifying,
+    *,
+    before: Period,
+    days: float,
+    most_days: float,
+    end_early: bool,
+    seed: int,
+    probing: ProbingConfig | None,
+    on_progress: Callable[[ProbingProgress], None] | None = None,
+) -> tuple[Probed, Look]:
+    """Probe `plant` as `identify_on` says; also the last look at the record.
+
+    Raises:
+        PlantError: the plant failed.
+    """
+    from thermoforce_mpc.identification.probing.probe import Probing
+
+    start_s, end_s, ahead = before.start_s - before.warmup_s - days * DAY_S, before.start_s, "the scored window"
+    if start_s < 0:
+        start_s, end_s, ahead = YEAR_S - days * DAY_S, YEAR_S, "the new year"
+    run = Probing(
+        plant,
+        start_s,
+        seed=seed,
+        layout=identifying.testcase.layout,
+        config=probing,
+        identification=identifying.config,
+    )
+    progress = _Progress(run, identifying.testcase.layout.home, days, on_progress)
+
+    def enough(record: Record) -> bool:
+        if run.days < _LEAST_DAYS:
+            return False
+        quick = identifying.config.model_copy(update={"modulation": "linear"})
+        return identifying.look(record, plant.info, quick).is_well_known
+
+    look = identifying.look(run.go_on(days, enough=enough if end_early else None, on_step=progress), plant.info)
+    latest = min(most_days, (end_s - start_s) / DAY_S)
+    while look.lacks and run.days + 1.0 <= latest + 1e-9:
+        progress.planned_days = run.days + 1.0
+        look = identifying.look(run.go_on(1.0, on_step=progress), plant.info)
+    why = "enough is known"
+    if look.lacks:
+        why = "the most days are over" if latest == most_days else f"{ahead} begins"
+    return Probed(run.record, plant.info, why), look
+
+
+class _Progress:
+    """Tells hourly how far a probing is; `home`: zone of each actuator."""
+
+    def __init__(
+        self, run: Probing, home: Sequence[int], days: float, on_progress: Callable[[ProbingProgress], None] | None
+    ) -> None:
+        self.planned_days = days
+        self._run, self._home, self._on_progress = run, home, on_progress
+
+    def __call__(self, share: float) -> None:
+        run = self._run
+        hourly = max(1, round(HOUR_S / run.config.step_s))
+        if self._on_progress and run.record.n_steps % hourly == 0:
+            each = (run.designer.known(run.record.part(zone, [a])) for a, zone in enumerate(self._home))
+            least = max(each, key=lambda known: known[1])
+            self._on_progress(ProbingProgress(run.days, self.planned_days, *least))
