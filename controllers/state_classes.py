@@ -35,6 +35,7 @@ from thermoforce_mpc.model.free_response.calibrated import CalibratedState, Issu
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.residual import Weights
 from thermoforce_mpc.model.free_response.substitute import SubstituteState
+from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.machine.return_water import ReturnWater
@@ -95,6 +96,7 @@ STATE_CLASSES = {
     "operator": Stored(OperatorParameters, "thermoforce_mpc.model.operator.parameters:OperatorParameters"),
     "heat_input": Stored(HeatInput, "thermoforce_mpc.model.operator.heat_input:HeatInput"),
     "machine_load": Stored(MachineLoad, "thermoforce_mpc.model.machine.load:MachineLoad"),
+    "foreign_load": Stored(ForeignLoad),
     "power": Stored(PowerModel, "thermoforce_mpc.model.machine.power:PowerModel"),
     "return_water": Stored(ReturnWater, "thermoforce_mpc.model.machine.return_water:ReturnWater"),
     "rc": Stored(RcParameters, "thermoforce_mpc.model.free_response.rc:RcParameters"),
