@@ -223,7 +223,7 @@ def _at_limit(problem: MPCProblem, u: Array) -> NDArray[np.bool_]:
     """Where actuators are at full level, or the machine that they share at its capacity, (A, N)."""
     machinery = problem.machinery
     capacity = np.ones(problem.power_fixed_W.shape) if problem.capacity is None else problem.capacity
-    load = np.stack([machinery.share[fed] @ u[fed] for fed in machinery.fed_by])
+    load = machinery.fed_by @ (machinery.share[:, None] * u)
     shared = machinery.shared[machinery.machine_of, None]
     at_capacity = shared & (load >= _FULL * capacity)[machinery.machine_of]
     return np.asarray((u >= _FULL * machinery.u_max[:, None]) | at_capacity)
