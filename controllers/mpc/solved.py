@@ -239,6 +239,6 @@ def _at_capacity(problem: MPCProblem, u: Array) -> NDArray[np.bool_]:
     """Where the machine that actuators share is at its capacity (A, n)."""
     machinery = problem.machinery
     capacity = np.ones(problem.power_fixed_W.shape) if problem.capacity is None else problem.capacity
-    load = (machinery.fed_by * machinery.share) @ u
+    load = machinery.fed_by @ (machinery.share[:, None] * u)
     full = load >= (1.0 - _NEARLY) * capacity[:, : u.shape[1]]
     return np.asarray(machinery.shared[machinery.machine_of, None] & full[machinery.machine_of])
