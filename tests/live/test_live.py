@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import suppress
 from dataclasses import replace
@@ -123,6 +124,30 @@ def test_after_a_refused_plan_the_controller_goes_on_from_the_state_before():
     control(building, controller, clock=house, steps=5)
     assert states == [None, 0.0, 0.0, 0.0, 3.0]
     assert [levels["actuator"] for _, levels, _ in house.written][1:3] == [None, None]
+
+
+def test_a_connection_that_does_not_answer_is_not_waited_for(monkeypatch):
+    """Levels are given back while a table is still waited for; it is not asked again meanwhile."""
+    monkeypatch.setattr("thermoforce_mpc.live.building._ANSWER_S", 0.3)
+    house, hangs, asked = SimulatedBuilding(), threading.Event(), []
+    live = house.measurements
+
+    def measurements():
+        asked.append(None)
+        if len(asked) == 3:
+            hangs.wait(LONG_S)
+        return live()
+
+    house.measurements = measurements
+    began = time.monotonic()
+    told = controlled(house, 5)
+    hangs.set()
+    assert time.monotonic() - began < LONG_S
+    assert [decision.plan.status for decision in told] == ["solved", "solved", "native", "native", "native"]
+    assert "no answer within 0.3 s" in told[2].plan.why
+    assert "has not returned" in told[3].plan.why
+    assert len(asked) == 3
+    assert [levels["actuator"] for _, levels, _ in house.written[2:]] == [None] * 4
 
 
 def test_a_silent_logger_is_bridged_by_the_model_for_a_while():

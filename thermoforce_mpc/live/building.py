@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from controllers.safety.deadline import BoundedCalls, Crashed
 from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Record
 from thermoforce_mpc.errors import ConfigError, DataError, InputError, NoForecast, PlantError
 from thermoforce_mpc.measurements.forecast import read_forecast
@@ -19,6 +20,8 @@ from thermoforce_mpc.protocols import Connection
 
 # What controllers look back at, and how old the latest reading may be for the record to say anything of now, days.
 _BACK_DAYS, _OLDEST_DAYS = 28.0, 1.0
+# Longest time for an answer of the connection, s, at most half a step; calls that may be left behind without one.
+_ANSWER_S, _LEFT_BEHIND = 60.0, 3
 
 
 @dataclass(frozen=True)
@@ -33,13 +36,17 @@ class Applied:
 class LiveBuilding:
     """Reads a building through its connection, by its map; times are those of `Record`, from the first record's year.
 
-    Raises `PlantError` where the connection fails, and `DataError` where its tables cannot be used.
+    Raises `PlantError` where the connection fails or does not answer within a minute (half a step, if that is shorter),
+    and `DataError` where its tables cannot be used.
     """
 
     def __init__(self, connection: Connection, rules: MeasurementMap, step_s: float) -> None:
         self.connection, self._rules, self._step_s = connection, rules, step_s
         self._origin: pd.Timestamp | None = None
         self._measured: Measurements | None = None
+        self._calls, self._answer_s = BoundedCalls(_LEFT_BEHIND), min(_ANSWER_S, 0.5 * step_s)
+        # Levels are written, and given back, also while a table is still waited for.
+        self._reader, self._writer = object(), object()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -102,9 +109,16 @@ class LiveBuilding:
         except (InputError, PlantError) as error:
             raise NoForecast(str(error)) from error
 
+    def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
+        """Set levels, see `Connection.write`; raises what the connection raises, and where it does not answer."""
+        try:
+            self._calls(self._writer, lambda: self.connection.write(levels, seconds), self._answer_s)
+        except Crashed as crashed:  # such as an interrupt
+            raise (crashed.__cause__ or crashed) from None
+
     def _call(self, what: str) -> Any:
         try:
-            return getattr(self.connection, what)()
+            return self._calls(self._reader, getattr(self.connection, what), self._answer_s)
         except Exception as error:  # somebody's connection may raise anything
             raise PlantError(f"the connection gives no {what} ({type(error).__name__}: {error})") from error
 

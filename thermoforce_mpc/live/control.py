@@ -238,7 +238,7 @@ class _Loop:
         # Before the call: one that fails, or is interrupted, may have set them.
         self._set = self._set or any(level is not None for level in u)
         try:
-            self._building.connection.write(levels, seconds)
+            self._building.write(levels, seconds)
         except Exception as error:  # somebody's connection may raise anything
             _LOG.warning("the levels %s were not taken (%s: %s)", levels, type(error).__name__, error)
             return False
