@@ -29,7 +29,7 @@ from boptest_client.types import Point, Scenario
 _LOG = logging.getLogger(__name__)
 _POLL_S = 0.2
 # Time for the first answer of a service, s: its address may be wrong.
-_FIRST_ANSWER_S = 10.0
+FIRST_ANSWER_S = 10.0
 _CLOCK_TOLERANCE_S = 1e-3
 _STATUSES = ("Running", "Queued")
 # After these, it is not known whether the service acted on the request.
@@ -340,7 +340,7 @@ class BoptestClient:
         passing = (ConnectError, ConnectionLost)
         try:
             self._transport.patiently(
-                lambda: self._transport.call("GET", "version", most_s=_FIRST_ANSWER_S), passing=passing, refusals=0
+                lambda: self._transport.call("GET", "version", most_s=FIRST_ANSWER_S), passing=passing, refusals=0
             )
         except (ServiceError, ProtocolError):
             _LOG.info("%s answers, but tells no version", self.url)

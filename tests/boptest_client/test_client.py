@@ -493,7 +493,7 @@ def test_an_address_that_swallows_connections_is_given_up_after_one_wait():
 
 def test_an_address_that_takes_connections_and_never_answers_is_given_up_soon(caplog, monkeypatch):
     """Though a request of a run may take minutes; of ten seconds the test waits one."""
-    monkeypatch.setattr("boptest_client.client._FIRST_ANSWER_S", 1.0)
+    monkeypatch.setattr("boptest_client.client.FIRST_ANSWER_S", 1.0)
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         silent.listen()

@@ -155,7 +155,7 @@ def test_a_run_leaves_a_complete_folder_and_prints_the_comparison(simple, tmp_pa
     kpis = json.loads((folder / "kpis.json").read_text())
     assert set(kpis) == {
         "testcase", "plant", "weather", "period", "start_day", "scored_days", "price", "controller", "kpis",
-        "baselines", "equal_comfort", "gate",
+        "baselines", "equal_comfort", "gate", "power_cap",
     }  # fmt: skip
     assert kpis["kpis"]["ener_tot"] > 0
     assert kpis["baselines"]["native"]["ener_tot"] > 0

@@ -128,7 +128,7 @@ def test_after_a_refused_plan_the_controller_goes_on_from_the_state_before():
 
 def test_a_connection_that_does_not_answer_is_not_waited_for(monkeypatch):
     """Levels are given back while a table is still waited for; it is not asked again meanwhile."""
-    monkeypatch.setattr("thermoforce_mpc.live.building._ANSWER_S", 0.3)
+    monkeypatch.setattr("thermoforce_mpc.live.building.ANSWER_S", 0.3)
     house, hangs, asked = SimulatedBuilding(), threading.Event(), []
     live = house.measurements
 

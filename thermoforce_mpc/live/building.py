@@ -21,7 +21,7 @@ from thermoforce_mpc.protocols import Connection
 # What controllers look back at, and how old the latest reading may be for the record to say anything of now, days.
 _BACK_DAYS, _OLDEST_DAYS = 28.0, 1.0
 # Longest time for an answer of the connection, s, at most half a step; calls that may be left behind without one.
-_ANSWER_S, _LEFT_BEHIND = 60.0, 3
+ANSWER_S, _LEFT_BEHIND = 60.0, 3
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class LiveBuilding:
         self.connection, self._rules, self._step_s = connection, rules, step_s
         self._origin: pd.Timestamp | None = None
         self._measured: Measurements | None = None
-        self._calls, self._answer_s = BoundedCalls(_LEFT_BEHIND), min(_ANSWER_S, 0.5 * step_s)
+        self._calls, self._answer_s = BoundedCalls(_LEFT_BEHIND), min(ANSWER_S, 0.5 * step_s)
         # Levels are written, and given back, also while a table is still waited for.
         self._reader, self._writer = object(), object()
 

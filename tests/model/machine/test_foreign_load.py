@@ -44,6 +44,7 @@ def test_a_machine_alone_on_its_meter_has_none():
     u, T = levels(rng), weather(rng)
     assert foreign_load(u, TIME_S, T, FULL_W * u[0]) is None
     assert foreign_load(u, TIME_S, T, FULL_W * u[0] + 0.01 * FULL_W) is None, "a standby is not worth a law"
+    assert foreign_load(u, TIME_S, T, np.zeros(N)) is None, "a dead meter"
 
 
 def test_a_machine_that_runs_on_is_not_taken_for_another_load():

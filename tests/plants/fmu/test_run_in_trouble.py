@@ -68,7 +68,7 @@ def test_a_run_whose_fmu_cannot_go_on_ends_with_a_report_until_there(file, tmp_p
     assert isinstance(done.exception, PlantError), done.output
     assert "could not simulate at day 30.0521" in str(done.exception)
     assert "restarted with tolerance 1e-05" in str(done.exception)
-    assert str(done.exception).endswith(", with a report: report.html")
+    assert ", with a report: report.html; `tf-mpc resume" in str(done.exception)
     assert "1e-05" in (tmp_path / "run" / "INCOMPLETE.txt").read_text()
     assert len((tmp_path / "run" / "incomplete_trajectory_thermostat.csv").read_text().splitlines()) > 3
     report = (tmp_path / "run" / "report.html").read_text()

@@ -80,7 +80,7 @@ def foreign_load(u: Array, time_s: Array, T_out_C: Array, power_W: Array) -> For
         return None
     load_W, T = power_W[settled], T_out_C[settled]
     mean_W = float(load_W.mean())
-    if mean_W < _LEAST_SHARE * float(np.percentile(power_W[known & ~off], 90.0)):
+    if mean_W <= _LEAST_SHARE * float(np.percentile(power_W[known & ~off], 90.0)):
         return None
     reference_C = float(T.mean())
     design = np.zeros((load_W.size, HOURS + 1))
