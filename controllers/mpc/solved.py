@@ -194,7 +194,7 @@ def reason_of(
     band = forecast.quantile_C(0.9) - forecast.quantile_C(0.1)
     lower_C, upper_C, zones = problem.lower_C, problem.upper_C, operator.zones
     z, when = (int(i) for i in np.unravel_index(int(np.argmax(slack_K)), slack_K.shape))
-    if slack_K[z, when] > 1e-3:
+    if slack_K[z, when] > _BINDING_K:
         cold = bool(T_zone_C[z, when] < lower_C[z, when])
         side, sign = ("below", 1) if cold else ("above", -1)
         why = _cannot_be_avoided(problem, operator, z, sign, u[:, : when + 1])

@@ -86,11 +86,15 @@ def test_solvers_that_took_turns_and_solves_that_failed_are_told_apart():
     )
 
 
-def accepting(run: RunResult, plans: int) -> RunResult:
-    """The run whose last plans accept discomfort that heat would avoid; those before cannot avoid theirs."""
+def accepting(run: RunResult, plans: int, beyond_K: float = 0.2) -> RunResult:
+    """The run whose plans leave the band by `beyond_K`; the last ones accept what heat would avoid, others cannot."""
     whys = ["0.2 K below the comfort band cannot be avoided at full level"] * len(run.steps)
     whys[len(run.steps) - plans :] = [f"0.2 K below the comfort band {NOT_ECONOMICAL} in 1 h"] * plans
-    steps = [replace(step, plan=replace(step.plan, why=why)) for step, why in zip(run.steps, whys, strict=True)]
+    steps = []
+    for step, why in zip(run.steps, whys, strict=True):
+        T_free_C = step.plan.T_free_C.copy()
+        T_free_C[:, 0] = step.boundary.lower_C[:, 1] - beyond_K - step.plan.T_forced_K[:, 0]
+        steps.append(replace(step, plan=replace(step.plan, why=why, T_free_C=T_free_C)))
     return replace(run, steps=steps)
 
 
@@ -104,6 +108,8 @@ def test_discomfort_that_plans_accept_is_told():
     )
     assert "discomfort" not in quiet.in_words()
     assert told.to_json()["uncomfortable"] == 3
+    margins = planning_of(accepting(found, 3, beyond_K=0.0), model)
+    assert margins.uncomfortable == 0, "the band is kept, only a margin is not"
 
 
 def test_a_hundredth_of_the_steps_is_not_worth_telling():

@@ -87,14 +87,14 @@ def whole(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "whole"
     done = run(House(), folder)
     assert done.exit_code == 0, done.output
-    assert "after 2 days of probing enough is known\nprobing ended after 2 days: enough is known" in done.output
+    assert "after 2 days of probing the model may act\nprobing ended after 2 days: enough is known" in done.output
     return folder
 
 
 @pytest.mark.slow
 def test_why_probing_ended_is_in_the_log_the_manifest_and_on_the_card(whole):
     log = [json.loads(line)["message"] for line in (whole / "log.jsonl").read_text(encoding="utf-8").splitlines()]
-    assert log[:2] == ["after 2 days of probing enough is known", "probing ended after 2 days: enough is known"]
+    assert log[:2] == ["after 2 days of probing the model may act", "probing ended after 2 days: enough is known"]
     manifest = json.loads((whole / "manifest.json").read_text(encoding="utf-8"))
     assert manifest["identification"]["notes"][-1] == log[1]
     assert load_model(whole / "model").only.card.notes[-1] == log[1]

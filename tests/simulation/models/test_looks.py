@@ -40,14 +40,14 @@ def test_each_actuator_that_is_not_settled_has_a_line():
     several = look(bath=KNOWN, hall=POOR, kitchen=UNFIT, living=None)
     assert list(several.lacks) == ["hall", "kitchen"]
     assert several.in_words().splitlines() == [
-        "after 4 days of probing enough is known of 2 of 4 actuators",
+        "after 4 days of probing 2 of 4 actuators may act",
         "  hall: the effect is known to ± 35 % only, need 30 %",
         "  kitchen: not competent: 6 h ahead it errs by 1.3 K, need 1 K",
     ]
 
 
 def test_one_actuator_needs_no_name():
-    assert look(actuator=KNOWN).in_words() == "after 4 days of probing enough is known"
+    assert look(actuator=KNOWN).in_words() == "after 4 days of probing the model may act"
     assert look(actuator=POOR).in_words() == (
         "after 4 days of probing not enough is known: the effect is known to ± 35 % only, need 30 %"
     )

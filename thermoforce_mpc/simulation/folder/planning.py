@@ -7,15 +7,18 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL
 from thermoforce_mpc.errors import counted
-from thermoforce_mpc.simulation.closed_loop import RunResult
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
 
 if TYPE_CHECKING:
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
-# Share of the steps from which accepted discomfort is told.
-_WORTH_TELLING = 0.01
+# Share of the steps from which accepted discomfort is told, and how far beyond a bound a zone is planned then, K: what
+# only takes from a margin is none.
+_WORTH_TELLING, _NOTICED_K = 0.01, 0.05
 # Solvers by the first word of their status.
 _SOLVERS = {
     "ipopt": "Ipopt",
@@ -36,7 +39,7 @@ class Planning:
         steps: control steps.
         plans: steps with a plan of a solver, by solver, most first; what an override did with it is not counted here.
         failed: steps in which a solver was started and gave no plan.
-        uncomfortable: plans that accept discomfort, since what would avoid it costs more.
+        uncomfortable: plans that accept discomfort (0.05 K beyond a bound), since what would avoid it costs more.
         export_calls: calls of the exported operator for those plans, one for each horizon and actuator.
         trained, used: parameters of the operator, and those of them that affect a prediction; 0 without a model.
     """
@@ -68,6 +71,15 @@ class Planning:
         return words
 
 
+def _beyond_K(step: StepRecord) -> float:
+    """How far a plan lets a zone leave its comfort bounds, K."""
+    plan, boundary = step.plan, step.boundary
+    n = plan.u.shape[1]
+    lower_C, upper_C = boundary.lower_C[:, 1 : n + 1], boundary.upper_C[:, 1 : n + 1]
+    T_C = plan.T_zone_C[:, : lower_C.shape[1]]
+    return float(np.nanmax(np.maximum(lower_C - T_C, T_C - upper_C), initial=0.0))
+
+
 def planning_of(result: RunResult, model: ThermalModel | None) -> Planning:
     """The counts of a closed loop; `model`: what its controller planned with, if anything."""
     plans, failed, uncomfortable, calls = Counter[str](), 0, 0, 0
@@ -76,7 +88,7 @@ def planning_of(result: RunResult, model: ThermalModel | None) -> Planning:
         if step.plan.u.size:
             plans[solver or "another solver"] += 1
             calls += step.plan.export_calls
-            uncomfortable += NOT_ECONOMICAL in step.plan.why
+            uncomfortable += NOT_ECONOMICAL in step.plan.why and _beyond_K(step) > _NOTICED_K
         else:
             failed += bool(how) or solver == "raised"
     operator = None if model is None else model.operator

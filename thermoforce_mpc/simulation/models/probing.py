@@ -64,10 +64,10 @@ class Look:
             return f"{after} nothing is known: {self.refused}"
         n = len(self.model.cards)
         if not self.lacks:
-            return f"{after} enough is known{'' if n == 1 else f' of all {n} actuators'}"
+            return f"{after} the model may act" if n == 1 else f"{after} all {n} actuators may act"
         if n == 1:
             return f"{after} not enough is known: {self.lacks[self.model.operator.actuators[0]]}"
-        lines = [f"{after} enough is known of {n - len(self.lacks)} of {n} actuators"]
+        lines = [f"{after} {n - len(self.lacks)} of {n} actuators may act"]
         return "\n".join([*lines, *(f"  {name}: {words}" for name, words in self.lacks.items())])
 
 
