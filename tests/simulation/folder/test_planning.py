@@ -103,7 +103,7 @@ def test_discomfort_that_plans_accept_is_told():
     told, quiet = (planning_of(accepting(found, plans), model) for plans in (3, 0))
     assert (told.uncomfortable, quiet.uncomfortable) == (3, 0)
     assert told.in_words().endswith(
-        "; in 25% of the steps discomfort cannot be avoided economically "
+        "; in 25% of the steps discomfort in the next 6 h cannot be avoided economically "
         "(controller.options.objective.comfort_weight_per_m2)"
     )
     assert "discomfort" not in quiet.in_words()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL
 from thermoforce_mpc.errors import counted
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 # Share of the steps from which accepted discomfort is told, and how far beyond a bound a zone is planned then, K: what
 # only takes from a margin is none.
 _WORTH_TELLING, _NOTICED_K = 0.01, 0.05
+# Hours ahead in which accepted discomfort counts.
+_SOON_H = 6.0
 # Solvers by the first word of their status.
 _SOLVERS = {
     "ipopt": "Ipopt",
@@ -39,7 +42,7 @@ class Planning:
         steps: control steps.
         plans: steps with a plan of a solver, by solver, most first; what an override did with it is not counted here.
         failed: steps in which a solver was started and gave no plan.
-        uncomfortable: plans that accept discomfort (0.05 K beyond a bound), since what would avoid it costs more.
+        uncomfortable: plans that accept discomfort in the next hours (0.05 K beyond a bound), since heat costs more.
         export_calls: calls of the exported operator for those plans, one for each horizon and actuator.
         trained, used: parameters of the operator, and those of them that affect a prediction; 0 without a model.
     """
@@ -66,15 +69,15 @@ class Planning:
             words += f": {counted(self.trained, 'trained parameter')}, {self.used} used" if self.trained else ""
         words += f"; {counted(self.failed, 'solve')} without a plan" if self.failed else ""
         if self.uncomfortable > _WORTH_TELLING * self.steps:
-            words += f"; in {self.uncomfortable / self.steps:.0%} of the steps discomfort {NOT_ECONOMICAL}"
-            words += " (controller.options.objective.comfort_weight_per_m2)"
+            words += f"; in {self.uncomfortable / self.steps:.0%} of the steps discomfort in the next {_SOON_H:g} h "
+            words += f"{NOT_ECONOMICAL} (controller.options.objective.comfort_weight_per_m2)"
         return words
 
 
 def _beyond_K(step: StepRecord) -> float:
-    """How far a plan lets a zone leave its comfort bounds, K."""
+    """How far a plan lets a zone leave its comfort bounds in the next hours, K; later plans see to what comes after."""
     plan, boundary = step.plan, step.boundary
-    n = plan.u.shape[1]
+    n = min(plan.u.shape[1], max(1, round(_SOON_H * HOUR_S / boundary.step_s)))
     lower_C, upper_C = boundary.lower_C[:, 1 : n + 1], boundary.upper_C[:, 1 : n + 1]
     T_C = plan.T_zone_C[:, : lower_C.shape[1]]
     return float(np.nanmax(np.maximum(lower_C - T_C, T_C - upper_C), initial=0.0))
