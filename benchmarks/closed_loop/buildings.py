@@ -10,7 +10,6 @@ control stays, and the row says so.
 
 from __future__ import annotations
 
-import statistics
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -21,7 +20,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import run_all
-from benchmarks.closed_loop.offices import office_targets, run_offices
+from benchmarks.closed_loop.offices import (
+    CONTROLLER,
+    NATIVE,
+    THERMOSTAT,
+    THERMOSTAT_STEP_S,
+    median,
+    office_targets,
+    run_offices,
+)
 from controllers.registry import build_controller
 from thermoforce_mpc.data import DAY_S, HOUR_S, ZERO_C_K, Array, Period, PlanStatus
 from thermoforce_mpc.errors import DataError, InputError
@@ -45,11 +52,7 @@ from thermoforce_mpc.simulation.models.identifying import identification_setting
 
 # Population that is reported; development uses other seeds, see docs/evidence/generated-houses.md.
 REPORTED_SEED = 2026
-CONTROLLER, THERMOSTAT, NATIVE = "thermoforce_mpc", "thermostat", "native"
 PROBED_DAYS, SCORED_DAYS = 3.0, 7.0
-# A thermostat on the wall reacts within minutes. At the package's default step of 15 min it overshoots in light houses,
-# costs more and is less comfortable: too easy a baseline.
-THERMOSTAT_STEP_S = 300.0
 # Windows in which the thermostat uses less than this are left out of the cost targets, kWh/m² a week.
 LEAST_HEATING_KWH_M2 = 0.05
 # Targets: discomfort above the thermostat's, K·h a week; at equal comfort the share of windows that are cheaper and the
@@ -309,9 +312,9 @@ def targets(outcomes: Sequence[Outcome]) -> list[Target]:
             _CHEAPER_SHARE,
             "at least",
         ),
-        Target("median saving at equal comfort", _median(savings), _MEDIAN_SAVING, "at least"),
+        Target("median saving at equal comfort", median(savings), _MEDIAN_SAVING, "at least"),
         Target("share cheaper than the thermostat at its set-point", _cheaper(at_its_own), _CHEAPER_SHARE, "at least"),
-        Target("median saving against that", _median(at_its_own), _MEDIAN_SAVING, "at least"),
+        Target("median saving against that", median(at_its_own), _MEDIAN_SAVING, "at least"),
         Target(
             f"windows more than {_DEARER_THAN_NATIVE:.0%} dearer than native control that is as comfortable",
             float(sum(o.above_native > _DEARER_THAN_NATIVE for o in outcomes)),
@@ -322,10 +325,6 @@ def targets(outcomes: Sequence[Outcome]) -> list[Target]:
 
 def _cheaper(savings: Sequence[float]) -> float:
     return sum(saving > 0 for saving in savings) / len(savings) if savings else float("nan")
-
-
-def _median(savings: Sequence[float]) -> float:
-    return statistics.median(savings) if savings else float("nan")
 
 
 def _summary(outcomes: Sequence[Outcome]) -> list[Row]:

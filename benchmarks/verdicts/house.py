@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.closed_loop.buildings import CONTROLLER, LEAST_HEATING_KWH_M2, THERMOSTAT, THERMOSTAT_STEP_S
+from benchmarks.closed_loop.buildings import LEAST_HEATING_KWH_M2
+from benchmarks.closed_loop.offices import CONTROLLER, THERMOSTAT, THERMOSTAT_STEP_S
 from benchmarks.effects.asking import paired, said
 from controllers.registry import build_controller
 from thermoforce_mpc.data import DAY_S, Period

@@ -260,11 +260,11 @@ class Watch:
         before = [value for time_s, value in state.ratios if now - time_s > LEADS_H[-1] * HOUR_S]
         ratios = tuple(item for item in state.ratios if now - item[0] <= _USUAL_DAYS * DAY_S)
         state = replace(state, ratios=(*ratios, (now, ratio)))
-        last = history.last(min(history.n_steps, round(LEADS_H[-1] * HOUR_S / self.step_s)))
-        limit = self._machine_factor * (1.0 + self._beyond_identified(last))
         # A map that never fitted this machine is no change of the machine.
         if len(before) < _LEAST_RATIOS:
             return "", state
+        last = history.last(min(history.n_steps, round(LEADS_H[-1] * HOUR_S / self.step_s)))
+        limit = self._machine_factor * (1.0 + self._beyond_identified(last))
         change = ratio / max(float(np.median(before)), 1e-6)
         # A model that was adapted to the machine does not show how the machine was at first.
         adaptation = state.tracks[0].adaptation

@@ -16,6 +16,7 @@ from controllers.optimisation.problem import Cooling, MPCProblem, PowerCap, Weig
 from thermoforce_mpc.data import DAY_S, J_PER_KWH, Array, Boundary, Record
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
@@ -127,10 +128,10 @@ class Formulation:
         highest_W = np.array(layout.weights) * fixed_W[fed_by, -1] + per_u_W[:, -1] * highest
         if bent:
             highest_W = highest_W + per_u2_W[:, -1] * highest**2
-        foreign_W = np.zeros(boundary.n_steps)
-        for power in self._expected:
-            if power.foreign is not None:
-                foreign_W = foreign_W + power.foreign(boundary.time_s[:-1], T_out)
+        foreign = [power.foreign for power in self._expected if power.foreign is not None]
+        foreign_W = sum((other(boundary.time_s[:-1], T_out) for other in foreign), np.zeros(boundary.n_steps))
+        cap_kW = math.inf if aims.power_cap_kW is None else aims.power_cap_kW
+        left_W = np.maximum(1000.0 * cap_kW - foreign_W, 0.0)
         dearest = price.max(axis=1)[fed_by]
         comfort, news = self._comfort_weights(operator, context.features[:, -1], dearest * highest_W)
         bounds = self.margins.bounds(operator, context.free, boundary, margins.learned)
@@ -149,26 +150,22 @@ class Formulation:
             terminal_price_per_K=self._terminal_price(operator, context.features[:, -1], price[fed_by, -1] * highest_W),
             peak_so_far_W=max(peak_W - float(foreign_W.mean()), 0.0),
             cooling=self._cooling(boundary, np.maximum(boundary.price_per_kWh[:, :-1] + carbon, 0.0)),
-            power_cap=self._cap(fixed_W, per_u_W, per_u2_W, foreign_W),
+            power_cap=self._cap(fixed_W, per_u_W, per_u2_W, left_W),
             power_per_u2_W=per_u2_W if bent else None,
             capacity=self.margins.capacity(operator, T_out, margins.unused),
             last_u=self._last_u(history),
         )
-        cap_kW = aims.power_cap_kW
-        cap_W = math.inf if cap_kW is None else max(1000.0 * cap_kW - float(foreign_W[0]), 0.0)
-        return Instance(problem, bounds, cap_W, news)
+        return Instance(problem, bounds, float(left_W[0]), news)
 
-    def _cap(self, fixed_W: Array, per_u_W: Array, per_u2_W: Array, foreign_W: Array) -> PowerCap | None:
+    def _cap(self, fixed_W: Array, per_u_W: Array, per_u2_W: Array, limit_W: Array) -> PowerCap | None:
         """The power cap over the steps, as far as blocks use it; power of machines (M, N) and actuators (A, N), W.
 
-        What else is on their meters, `foreign_W` (N,), is taken off.
-
-        One actuator takes what whole blocks take. Several take turns: half the smallest block is left on average.
+        Of `limit_W` (N,) one actuator takes what whole blocks take. Several take turns: half the smallest block is left
+        on average.
         """
         aims, each, step_s = self._config.objective, self._actuators.each, self._step_s
         if aims.power_cap_kW is None:
             return None
-        limit_W = np.maximum(1000.0 * aims.power_cap_kW - foreign_W, 0.0)
         level = np.array([actuation.block_level for actuation in each])[:, None]
         machine_of = self.machinery.machine_of
         alone = ~self.machinery.shared[machine_of, None]
@@ -194,16 +191,11 @@ class Formulation:
         (Z, 4) are those of the last step, `price_W` (A,) is the highest price per kWh times power at full level, W.
         """
         weights = self._config.objective.comfort_weights(self._layout.floor_area_m2)
-        steps = np.arange(1.0, round(DAY_S / self._step_s) + 1.0)
+        steps = round(DAY_S / self._step_s)
         heat, names = np.full(weights.shape, np.inf), self._layout.names.zones
         for a, z in enumerate(self._layout.home):
             pair = operator.of_actuator(a)
-            drive = float(pair.drive(self.machinery.u_max[a : a + 1], features[z][None])[0])
-            mean_K = (
-                pair.sign
-                * float((pair.steady_gains_K * (1.0 - pair.poles ** steps[:, None])).sum(axis=1).mean())
-                * drive
-            )
+            mean_K = abs(float(np.cumsum(pair.impulse(steps)).mean())) * self._full_drive(pair, a, features[z])
             if mean_K > 0.0:
                 heat[z] = min(heat[z], max(price_W[a], 0.0) / 1000.0 / mean_K)
         least = np.where(np.isfinite(heat), _COMFORT_OVER_HEAT * heat, 0.0)
@@ -214,6 +206,10 @@ class Formulation:
             for z in np.flatnonzero(least > weights)
         ]
         return np.maximum(weights, least), "; ".join(raised)
+
+    def _full_drive(self, pair: OperatorParameters, a: int, features: Array) -> float:
+        """Drive of actuator `a` at its highest level, with `features` (4,) of its home zone."""
+        return float(pair.drive(self.machinery.u_max[a : a + 1], features[None])[0])
 
     def _last_u(self, history: Record) -> Array:
         """Levels of the last step of the record (A,), within their bounds; 0 where they are not known."""
@@ -258,7 +254,7 @@ class Formulation:
         cost = price_W * self._step_s / J_PER_KWH
         for a, z in enumerate(self._layout.home):
             pair = operator.of_actuator(a)
-            drive = float(pair.drive(self.machinery.u_max[a : a + 1], features[z][None])[0])
+            drive = self._full_drive(pair, a, features[z])
             slowest = int(np.flatnonzero(pair.acting)[-1])
             stored = pair.gains[slowest] * drive
             value[z, a, slowest] = self._config.objective.terminal_value * cost[a] / stored if stored else 0.0

@@ -73,9 +73,7 @@ def with_recourse_K(backoff: Array, operator: OperatorParameters) -> Array:
     From the step on by whose end half of full level moves the zone as far as the back-off of that lead, what a forecast
     misses is made up for when it is seen: no more is kept for later leads than for that one.
     """
-    full = float(operator.heat_input.full_share(0.0))
-    moves_K = _FREE_SHARE * full * np.abs(np.cumsum(operator.impulse(backoff.size)))
-    enough = np.flatnonzero(moves_K >= backoff)
+    enough = np.flatnonzero(_FREE_SHARE * _rise_K(operator, backoff.size) >= backoff)
     if not enough.size:
         return backoff
     kept = backoff.copy()
@@ -105,8 +103,13 @@ def _hour_K(operator: OperatorParameters) -> float:
 
 
 def _first_K(operator: OperatorParameters, steps: int) -> float:
-    """Effect of the first steps at full level in the winter of the limits here, 0 °C outdoors, K."""
-    return abs(float(operator.impulse(steps).sum() * operator.heat_input.full_share(0.0)))
+    """Effect of the first steps at full level, K."""
+    return float(_rise_K(operator, steps)[-1])
+
+
+def _rise_K(operator: OperatorParameters, steps: int) -> Array:
+    """Effect of full level after each of the first steps, in the winter of the limits here, 0 °C outdoors, K."""
+    return np.abs(np.cumsum(operator.impulse(steps)) * operator.heat_input.full_share(0.0))
 
 
 def reserve_K(operator: OperatorParameters, actuation: Actuation, card: ModelCard) -> float:

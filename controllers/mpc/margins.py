@@ -111,9 +111,8 @@ class MarginRules:
             observation: what is believed now.
             forecast: boundary conditions as they were given, for the bounds.
         """
-        learned = before.learned.meeting(forecast.lower_C, forecast.upper_C)
         if good is None or good.age(observation.time_s, self._step_s) != 1:  # no plan decided the last step
-            return replace(before, learned=learned)
+            return replace(before, learned=before.learned.meeting(forecast.lower_C, forecast.upper_C))
         learned = before.learned.after_setback(
             observation.T_zone_C,
             forecast.lower_C[:, 0],
@@ -127,11 +126,7 @@ class MarginRules:
         )
 
     def bounds(
-        self,
-        operator: BuildingOperator,
-        free: FreeForecast,
-        boundary: Boundary,
-        learned: LearnedMargin,
+        self, operator: BuildingOperator, free: FreeForecast, boundary: Boundary, learned: LearnedMargin
     ) -> Bounds:
         """Comfort bounds at the end of each step with all margins inside: the only place where they are added.
 

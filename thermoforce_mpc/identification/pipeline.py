@@ -122,8 +122,8 @@ def identify(
     histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
     check_steps(histories)
     foreign = foreign_loads(histories, layout)
-    runs = [without_foreign(run, foreign) for run in runs]
     histories = [without_foreign(h, foreign) for h in histories]
+    runs = histories[: len(runs)]
 
     heat_inputs: list[HeatInput] = []
     notes: list[list[str]] = []

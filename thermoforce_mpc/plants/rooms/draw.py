@@ -27,7 +27,8 @@ MOST_ROOMS = 30
 # Output of floor heating that rooms may need, W/m² (EN 1264-2: 100 at a surface of 29 °C), and share of the floor with
 # pipes; resistance from water to screed, m²K/W (Koschenz and Lehmann 2000); surface film, W/m²K (EN 1264-5).
 _FLOOR_LIMIT_W_M2, _COVERED, _PIPE_M2K_W, _FILM_W_M2K = 70.0, 0.85, 0.10, 10.8
-_RADIATOR_EXPONENT = 1.3
+# Exponent of the heat over the excess of the water, and share that goes to the air, of radiators and fan coils.
+_WATER_TO_ROOM: dict[RoomEmitter, tuple[float, float]] = {"radiator": (1.3, 0.7), "air": (1.0, 1.0)}
 _SPREAD_K: dict[RoomEmitter, float] = {"floor": 5.0, "radiator": 7.0, "air": 5.0}
 _LIMIT_C: dict[RoomEmitter, float] = {"floor": 45.0, "radiator": 60.0, "air": 60.0}
 # Water and metal of a fan coil hold as much heat as it gives in this time, s (as in generated houses).
@@ -154,12 +155,9 @@ def draw_rooms(n_rooms: int, seed: int, use: Use = HOUSE) -> DrawnHouse:
         mean_C = warm + emitter_W * (_PIPE_M2K_W + 1.0 / _FILM_W_M2K + covering) / (_COVERED * area)
         hottest_C = float(mean_C[wanted & can].max()) + 0.5 * _SPREAD_K["floor"]
         curves["floor"] = Curve(min(hottest_C, _LIMIT_C["floor"]), 1.0, float(shift), _LIMIT_C["floor"])
-    if "radiator" in emitters:
-        hottest_C = float(DESIGN_ROOM_C + excess + 0.5 * _SPREAD_K["radiator"])
-        curves["radiator"] = Curve(hottest_C, _RADIATOR_EXPONENT, float(shift), _LIMIT_C["radiator"])
-    if "air" in emitters:
-        hottest_C = float(DESIGN_ROOM_C + excess + 0.5 * _SPREAD_K["air"])
-        curves["air"] = Curve(hottest_C, 1.0, float(shift), _LIMIT_C["air"])
+    if other in emitters:
+        hottest_C = float(DESIGN_ROOM_C + excess + 0.5 * _SPREAD_K[other])
+        curves[other] = Curve(hottest_C, _WATER_TO_ROOM[other][0], float(shift), _LIMIT_C[other])
 
     loss = float((opaque + glass + AIR_WH_M3_K * HEIGHT_M * area * air_changes).sum())
     house_W = loss * (DESIGN_ROOM_C - design_out) + float(ground.sum()) * (DESIGN_ROOM_C - ground_C(warmer))
@@ -216,22 +214,14 @@ def _circuit(
             "slab_J_K": float(covered * screed_m * 2000.0 * 1000.0),
             "slab_room_W_K": float(covered / (1.0 / _FILM_W_M2K + covering)),
         }
-    if emitter == "air":
-        return {
-            "emitter_J_K": float(_COIL_S * emitter_W / over_K),
-            "emitter_W_Kn": float(emitter_W / over_K),
-            "emitter_exponent": 1.0,
-            "convective": 1.0,
-            "slab_J_K": 0.0,
-            "slab_room_W_K": 0.0,
-        }
+    exponent, convective = _WATER_TO_ROOM[emitter]
     # EN 442: type 22 panels hold 6 l and 28 kg of steel per kW at 50 K, plus 5 l/kW in pipes.
-    per_kW = (11.0 * WATER_J_KG_K + 28.0 * 460.0) * (50.0 / over_K) ** _RADIATOR_EXPONENT
+    per_kW = (11.0 * WATER_J_KG_K + 28.0 * 460.0) * (50.0 / over_K) ** exponent
     return {
-        "emitter_J_K": float(per_kW * emitter_W / 1e3),
-        "emitter_W_Kn": float(emitter_W / over_K**_RADIATOR_EXPONENT),
-        "emitter_exponent": _RADIATOR_EXPONENT,
-        "convective": 0.7,
+        "emitter_J_K": float(_COIL_S * emitter_W / over_K if emitter == "air" else per_kW * emitter_W / 1e3),
+        "emitter_W_Kn": float(emitter_W / over_K**exponent),
+        "emitter_exponent": exponent,
+        "convective": convective,
         "slab_J_K": 0.0,
         "slab_room_W_K": 0.0,
     }
