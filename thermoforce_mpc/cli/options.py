@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -40,9 +41,9 @@ def scenario_options(function: Function) -> Function:
                 "--period",
                 metavar="P",
                 help="peak_heat_day, typical_heat_day, another window of the plant (peak_cool_day, mix_day, cold_week, "
-                "...), or a start day such as 44.  "
-                "[default: the peak of the building's season]",
+                "...).  [default: the peak of the building's season]",
             ),
+            click.option("--start", metavar="DAY", help="First day instead, as 2026-01-17 or 44 (of the year)."),
             click.option("--days", type=float, help="Scored days.  [default: 14]"),
             click.option("--price", metavar="TARIFF", help="constant, dynamic or highly_dynamic."),
             click.option("--url", metavar="URL", help="Use the BOPTEST service at URL instead of the emulator."),
@@ -61,6 +62,68 @@ def scenario_options(function: Function) -> Function:
     ):
         function = option(function)
     return function
+
+
+_UNIT_H = {"h": 1.0, "d": 24.0, "min": 1 / 60}
+
+
+def _hours(context: click.Context, option: click.Parameter, text: str | None) -> float | None:
+    """A length of time in h from `24h`, `2d` or `24`."""
+    if text is None:
+        return None
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(h|d|min)?", text.strip())
+    if match is None:
+        raise click.BadParameter(f"'{text}': expected hours or days, such as 24h or 2d")
+    return float(match[1]) * _UNIT_H[match[2] or "h"]
+
+
+def mpc_options(function: Function) -> Function:
+    """Add what people change most in an MPC, options of the controller by names of their own."""
+    for option in reversed(
+        [
+            click.option("--horizon", "horizon_h", metavar="H", callback=_hours, help="Horizon, as 24h or 2d."),
+            click.option(
+                "--comfort-weight",
+                type=FiniteRange(min=0, min_open=True),
+                help="Cost of a K·h of discomfort per m² of floor, in the currency.  [default: 0.026]",
+            ),
+            click.option("--solver", metavar="NAME", help="auto, ipopt, qp, sqp, milp or search."),
+            click.option(
+                "--forecaster",
+                metavar="NAME",
+                help="Free response (see `tf-mpc free-responses`), or a backbone: shipped, a local directory or a hub "
+                "name.",
+            ),
+        ]
+    ):
+        function = option(function)
+    return function
+
+
+def _mpc_keys(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The controller's options from those of `mpc_options`."""
+    from thermoforce_mpc.model.free_response.registry import REGISTRY
+
+    keys = {key: options[key] for key in ("horizon_h", "solver") if options.get(key) is not None}
+    if options.get("comfort_weight") is not None:
+        keys["objective"] = {"comfort_weight_per_m2": options["comfort_weight"]}
+    if (name := options.get("forecaster")) is not None:
+        keys["free_response"] = {"name": name} if name in REGISTRY else {"options": {"backbone": _backbone(name)}}
+    return keys
+
+
+def _backbone(name: str) -> str:
+    """`name`, unless it can neither be one of a backbone nor a directory nor a hub name."""
+    from thermoforce_mpc.errors import ConfigError, suggestion
+    from thermoforce_mpc.model.free_response.backbones.loading import REGISTRY as BACKBONES
+    from thermoforce_mpc.model.free_response.registry import REGISTRY
+
+    if name not in BACKBONES and "/" not in name and not Path(name).exists():
+        raise ConfigError(
+            f"--forecaster: unknown '{name}'{suggestion(name, (*REGISTRY.names, *BACKBONES.names))}; free responses: "
+            f"{', '.join(REGISTRY.names)}; backbones: {', '.join(BACKBONES.names)}, a directory, or a hub name with '/'"
+        )
+    return name
 
 
 def probed_option(function: Function) -> Function:
@@ -188,15 +251,17 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
     for key in ("testcase", "period", "days", "price", "seed"):
         if options.get(key) is not None:
             keys[key] = options[key]
+    if options.get("start") is not None:
+        if "period" in keys:
+            raise click.UsageError("--period and --start both name the window: give one of them")
+        keys["period"] = options["start"]
     if options.get("controller") is not None:
         keys["controller"] = {"name": options["controller"]}
     sources = {"model": options.get("model"), "probed": options.get("probing")}
     if any(sources.values()):
         keys["identification"] = {key: str(path) for key, path in sources.items() if path is not None}
-    if options.get("backbone") is not None:
-        keys = merge(
-            keys, {"controller": {"options": {"free_response": {"options": {"backbone": options["backbone"]}}}}}
-        )
+    if given := _mpc_keys(options):
+        keys = merge(keys, {"controller": {"options": given}})
     plant: dict[str, Any] = {}
     if options.get("url") is not None:
         plant |= {"kind": "boptest", "url": options["url"], "path": None}

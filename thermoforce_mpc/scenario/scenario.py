@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import datetime
+import re
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
@@ -12,6 +14,10 @@ from thermoforce_mpc.scenario.strict_model import one_of
 from thermoforce_mpc.scenario.testcase import Price
 
 _KINDS = ("embedded", "boptest", "fmu")
+_DATE = re.compile(r"\d{4}-\d{1,2}-\d{1,2}")
+_NO_LEAP_YEAR = 2001
+# Names of controllers in short.
+_IN_SHORT = {"mpc": "thermoforce_mpc"}
 
 
 class PlantSpec(StrictModel):
@@ -92,10 +98,17 @@ class ProbingSpec(StrictModel):
         return self
 
 
+def full_name(controller: str) -> str:
+    """The name of a controller in the registry, where it was given in short."""
+    return _IN_SHORT.get(controller, controller)
+
+
 class ControllerSpec(StrictModel):
     """Controller and its options; `tf-mpc controllers` lists both."""
 
-    name: str = Field("thermoforce_mpc", description="name in the registry, see `tf-mpc controllers`")
+    name: Annotated[str, AfterValidator(full_name)] = Field(
+        "thermoforce_mpc", description="name in the registry, see `tf-mpc controllers`; mpc: thermoforce_mpc"
+    )
     options: dict[str, Any] = Field(
         default_factory=dict, description="options of that controller", examples=[{"horizon_h": 36}]
     )
@@ -109,8 +122,9 @@ class Scenario(StrictModel):
     period: str = Field(
         "peak_heat_day",
         description="peak_heat_day, typical_heat_day, another window of the plant (peak_cool_day, typical_cool_day, "
-        "mix_day, cold_day, cold_week, sunny_week), or a start day such as 44; default for cooled buildings: "
-        "peak_cool_day",
+        "mix_day, cold_day, cold_week, sunny_week), or the day it starts: a date such as 2026-01-17 (its year does not "
+        "count: plants have one year of 365 days) or a day of the year from 0, such as 44; default for cooled "
+        "buildings: peak_cool_day",
     )
     days: float = Field(14.0, gt=0, le=365, description="scored days")
     step_s: float | None = Field(
@@ -133,5 +147,22 @@ class Scenario(StrictModel):
 
     @field_validator("period", mode="before", json_schema_input_type=str | float)
     @classmethod
-    def _day_number_as_text(cls, value: object) -> object:
-        return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
+    def _start_as_text(cls, value: object) -> object:
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return str(value)
+        return window_name(value) if isinstance(value, str) else value
+
+
+def window_name(window: str) -> str:
+    """The name of a window that was given by its first day as YYYY-MM-DD: that day of a year of 365 days, from 0.
+
+    Raises:
+        ValueError: there is no such day.
+    """
+    if not _DATE.fullmatch(window):
+        return window
+    _, month, day = map(int, window.split("-"))
+    try:
+        return str(datetime.date(_NO_LEAP_YEAR, month, day).timetuple().tm_yday - 1)
+    except ValueError as error:
+        raise ValueError(f"{window} is no day of a year of 365 days") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -159,7 +160,8 @@ def _explain(model: type[BaseModel], data: Mapping[str, Any], item: Any) -> str:
     key = ".".join(path) or "(top level)"
     if item["type"] == "extra_forbidden":
         known = _keys_at(model, path[:-1])
-        return f"{key}: unknown key{suggestion(path[-1], known)}; known here: {', '.join(known)}"
+        meant = _meant(model, path[-1], known)
+        return f"{key}: unknown key{meant}; known here: {', '.join(known)}"
     if item["type"] == "missing":
         return f"{key}: missing"
     reason = item["msg"].removeprefix("Value error, ")
@@ -191,6 +193,26 @@ def _keys_at(model: type[BaseModel], path: list[str]) -> list[str]:
             continue  # a union tag or list index in pydantic's location, not a field
         current = next((m for m in _models_in(field.annotation)), None)
     return sorted(current.model_fields) if current else []
+
+
+def _meant(model: type[BaseModel], word: str, known: Sequence[str]) -> str:
+    """Return ", did you mean ...?" for an unknown key, where one here or elsewhere is like it or begins with it."""
+    everywhere = list(_all_keys(model))
+    near = difflib.get_close_matches(word, known, n=1, cutoff=0.8)
+    begun = [key for key in everywhere if key.rpartition(".")[2].startswith(word)]
+    alike = difflib.get_close_matches(word, {key.rpartition(".")[2] for key in everywhere}, n=1, cutoff=0.8)
+    elsewhere = begun or [key for key in everywhere if key.rpartition(".")[2] in alike]
+    if near or not elsewhere:
+        return suggestion(word, known)
+    return f", did you mean '{min(elsewhere, key=len)}'?"
+
+
+def _all_keys(model: type[BaseModel], above: str = "") -> Iterable[str]:
+    """Dotted names of all keys of a model and of those below it."""
+    for name, field in model.model_fields.items():
+        yield above + name
+        for below in _models_in(field.annotation):
+            yield from _all_keys(below, f"{above}{name}.")
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:

@@ -85,7 +85,7 @@ def free_responses(name: str | None) -> None:
 
     One is chosen with --set controller.options.free_response.name=NAME, its options with
     --set controller.options.free_response.options.KEY=VALUE, the backbone of `residual` and `chronos` also with
-    --backbone: one of those listed, a directory, or a hub name. Those of other distributions stand with their origin
+    --forecaster: one of those listed, a directory, or a hub name. Those of other distributions stand with their origin
     (docs/how-to/plugins.md).
     """
     from thermoforce_mpc.model.free_response.backbones import loading

@@ -19,7 +19,7 @@ from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.execution import Outcome, TaskProgress, execute, source_fingerprint
 from thermoforce_mpc.execution.progress import summary
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
+from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, window_name
 from thermoforce_mpc.simulation.comparison.cells import Cell, Inputs, expand
 from thermoforce_mpc.simulation.comparison.equal_comfort import searches_equal_comfort
 from thermoforce_mpc.simulation.comparison.files import HEADINGS, headings, shown_figures, write_outcome
@@ -50,8 +50,8 @@ def comparison_options(function: Function) -> Function:
             click.option(
                 "--windows",
                 metavar="A,B",
-                help="peak_heat_day, typical_heat_day, or start days such as 44.  [default: the scenario's, else the "
-                "peak and typical day of the building's season]",
+                help="peak_heat_day, typical_heat_day, or first days: 2026-01-17 or 44.  [default: the scenario's, "
+                "else the peak and typical day of the building's season]",
             ),
             click.option(
                 "--prices",
@@ -103,7 +103,7 @@ def axes_from(options: Mapping[str, Any], base: Scenario, file: ComparisonFile |
             would replace.
     """
     if options["windows"] is not None:
-        windows = comma_list(options["windows"], "--windows")
+        windows = _windows_from(options["windows"])
     else:
         windows = _of_file(base, "period", "windows", file.windows if file else ()) or _windows_of(base)
     for window in windows:
@@ -119,6 +119,13 @@ def axes_from(options: Mapping[str, Any], base: Scenario, file: ComparisonFile |
             allowed = ", ".join(UNCERTAINTIES)
             raise ConfigError(f"--forecast-uncertainty: unknown level '{level}'; known: {allowed}")
     return Axes(windows, prices, levels)
+
+
+def _windows_from(text: str) -> tuple[str, ...]:
+    try:
+        return tuple(map(window_name, comma_list(text, "--windows")))
+    except ValueError as error:
+        raise ConfigError(f"--windows: {error}") from error
 
 
 def _of_file(base: Scenario, key: str, axis: str, values: tuple[str, ...]) -> tuple[str, ...]:

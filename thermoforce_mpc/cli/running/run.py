@@ -9,7 +9,13 @@ from typing import Any
 
 import click
 
-from thermoforce_mpc.cli.options import equal_comfort_option, probed_option, scenario_from, scenario_options
+from thermoforce_mpc.cli.options import (
+    equal_comfort_option,
+    mpc_options,
+    probed_option,
+    scenario_from,
+    scenario_options,
+)
 
 
 @click.command(short_help="Run a controller over a scored window and report KPIs.")
@@ -17,7 +23,7 @@ from thermoforce_mpc.cli.options import equal_comfort_option, probed_option, sce
 @click.option("--controller", metavar="NAME", help="Controller (see `tf-mpc controllers`).")
 @click.option("--model", type=click.Path(path_type=Path), help="Saved model to use instead of probing first.")
 @probed_option
-@click.option("--backbone", metavar="NAME", help="Forecaster: shipped, a local directory, or a hub name.")
+@mpc_options
 @click.option("--baselines", metavar="A,B", help="Baselines to run; '' for none.  [default: native,thermostat]")
 @equal_comfort_option
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder; must not exist.  [default: runs/...]")
@@ -37,7 +43,7 @@ def command(**options: Any) -> None:
       tf-mpc run --testcase bestest_hydronic_heat_pump --period typical_heat_day --weather Brussels.mos
       tf-mpc run --testcase bestest_hydronic_heat_pump --url http://127.0.0.1:8000
       tf-mpc run --testcase bestest_hydronic_heat_pump --fmu wrapped.fmu
-      tf-mpc run --config peak_heat_day --set controller.options.horizon_h=36
+      tf-mpc run --config peak_heat_day --start 2026-01-17 --horizon 36h
       tf-mpc run --config peak_heat_day --probing runs/my_run --set identification.options.order=2
     """
     from thermoforce_mpc.simulation.run import run_scenario

@@ -12,7 +12,7 @@ from pydantic import BaseModel, Field, field_validator
 
 from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.scenario import Scenario, full_name
 from thermoforce_mpc.scenario.settings import StrictModel, find_config, merge, read_yaml, suggestion, validate
 from thermoforce_mpc.scenario.testcase import PRICES, Price, TestCase
 
@@ -75,7 +75,7 @@ def variants_by_name(controllers: Sequence[str], file: ComparisonFile | None) ->
         ConfigError: an unknown controller, nothing to compare, or a name given twice.
     """
     variants = dict(file.variants) if file else {}
-    for name in controllers:
+    for name in map(full_name, controllers):
         find_entry(name)
         if name in variants:
             raise ConfigError(f"'{name}' is given twice: once as a controller, once as a variant of that name")

@@ -1,0 +1,112 @@
+"""The overview of commands, help by topic, and what is meant by names that there are not."""
+
+from __future__ import annotations
+
+import pytest
+from click.testing import CliRunner
+
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.cli.commands import COMMANDS, GROUPS, SYNONYMS
+from thermoforce_mpc.cli.options import scenario_from
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.scenario.scenario import Scenario, window_name
+from thermoforce_mpc.scenario.settings import validate
+
+TESTCASE = {"testcase": "bestest_hydronic_heat_pump"}
+
+
+def said(*words: str) -> str:
+    return CliRunner().invoke(cli, list(words)).output
+
+
+def test_the_overview_fits_a_screen_with_every_command_in_one_group():
+    shown = said("--help").splitlines()
+    assert len(shown) <= 60
+    assert max(map(len, shown)) <= 80
+    names = [name for group in GROUPS.values() for name in group]
+    assert len(names) == len(set(names))
+    for name in names:
+        assert sum(line.startswith(f"  {name} ") for line in shown) == 1, name
+
+
+def test_every_group_has_at_most_a_dozen_commands():
+    assert all(len(group) <= 12 for group in GROUPS.values())
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"), [("runn", "run"), ("simulate", "run"), ("COMPARE", "compare"), ("idntify", "identify")]
+)
+def test_an_unknown_command_gets_the_one_that_is_meant(word, meant):
+    assert f"No such command '{word}', did you mean '{meant}'?" in said(word)
+    assert f"did you mean '{meant}'?" in said("help", word)
+
+
+def test_help_shows_commands_subcommands_and_topics():
+    assert said("help", "run") == said("run", "--help")
+    assert "Usage: cli data check" in said("help", "data", "check")
+    assert "130  interrupted" in said("help", "exit-codes")
+    assert "_TF_MPC_COMPLETE=bash_source" in said("help", "completion")
+    assert said("help") == said("--help")
+    assert "has no commands of its own" in said("help", "run", "more")
+
+
+def test_all_synonyms_are_of_commands_that_there_are():
+    assert set(SYNONYMS.values()) <= set(COMMANDS)
+    assert not set(SYNONYMS) & set(COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("key", "meant"),
+    [
+        ("controller.options.comfort_weight", "objective.comfort_weight_per_m2"),
+        ("controller.options.horizon", "horizon_h"),
+        ("weather", "plant.weather"),
+    ],
+)
+def test_an_unknown_key_gets_the_nearest_also_from_another_place(key, meant):
+    from controllers.registry import controller_config
+    from thermoforce_mpc.plants.testcases import load_testcase
+
+    def configured():
+        scenario = scenario_from({**TESTCASE, "assignments": [f"{key}=3"]})
+        controller_config("thermoforce_mpc", scenario.controller.options, load_testcase(scenario.testcase))
+
+    with pytest.raises(ConfigError, match=f"did you mean '{meant}'"):
+        configured()
+
+
+def test_what_people_change_most_has_options():
+    given = {"horizon_h": 24.0, "comfort_weight": 0.05, "solver": "qp", "forecaster": "linear_weather"}
+    options = scenario_from({**TESTCASE, **given}).controller.options
+    assert options == {
+        "horizon_h": 24.0,
+        "solver": "qp",
+        "objective": {"comfort_weight_per_m2": 0.05},
+        "free_response": {"name": "linear_weather"},
+    }
+    backbone = scenario_from({**TESTCASE, "forecaster": "shipped_tiny"}).controller.options
+    assert backbone == {"free_response": {"options": {"backbone": "shipped_tiny"}}}
+    with pytest.raises(ConfigError, match="did you mean 'chronos'"):
+        scenario_from({**TESTCASE, "forecaster": "cronos"})
+    assert "expected hours or days" in said("run", "--testcase", TESTCASE["testcase"], "--horizon", "3x")
+
+
+@pytest.mark.parametrize(("day", "window"), [("2026-01-01", "0"), ("2026-12-31", "364"), ("2024-03-01", "59")])
+def test_a_window_may_be_given_by_date(day, window):
+    assert scenario_from({**TESTCASE, "start": day}).period == window
+    assert validate(Scenario, {**TESTCASE, "period": day}, "test").period == window
+    assert window_name(day) == window
+
+
+def test_days_that_no_year_of_365_days_has_are_refused():
+    with pytest.raises(ConfigError, match="2024-02-29 is no day of a year of 365 days"):
+        scenario_from({**TESTCASE, "start": "2024-02-29"})
+    compared = ["compare", "--testcase", TESTCASE["testcase"], "--windows", "2026-02-30"]
+    assert "--windows: 2026-02-30" in str(CliRunner().invoke(cli, compared).exception)
+    assert "give one of them" in said(
+        "run", "--testcase", TESTCASE["testcase"], "--period", "44", "--start", "2026-01-17"
+    )
+
+
+def test_mpc_is_short_for_the_controller_of_this_package():
+    assert scenario_from({**TESTCASE, "controller": "mpc"}).controller.name == "thermoforce_mpc"

@@ -1,0 +1,155 @@
+"""The commands of `tf-mpc` in groups, and the click group that shows them; a command is imported when it is called."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+
+import click
+
+from thermoforce_mpc.cli.benchmarks import benchmark_command
+from thermoforce_mpc.errors import suggestion
+
+# name: (module below `thermoforce_mpc.cli`, with a function where several commands stand in it; summary of one line)
+GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "First": {
+        "run": ("running.run", "Run a controller over a scored window and report KPIs."),
+        "compare": ("running.compare", "Compare controllers on several windows and tariffs."),
+        "init": ("building.init", "Write a scenario, test case or map to start from."),
+        "explain": ("inside.explain", "Tell what a run decided at an instant, and why."),
+        "doctor": ("inside.doctor", "Check whether everything is there that a run needs."),
+    },
+    "Run and compare": {
+        "resume": ("running.resume", "Go on with a run that was ended before its time."),
+        "report": ("running.report", "Make the report of a run again, also of one cut off."),
+        "sweep": ("running.sweep", "Vary one option; plot cost against discomfort."),
+        "fleet": ("running.fleet", "Run many buildings, windows, tariffs and controllers."),
+        "validate": ("inside.validate", "Check a YAML file without running it."),
+    },
+    "Your building": {
+        "data": ("building.data", "Check measurements; plan a probing by hand."),
+        "identify": ("building.identify", "Identify a model from probing or measurements."),
+        "plan": ("building.plan", "Plan the next hours from measurements in files."),
+        "forecast": ("building.forecast", "Forecast the temperature, with its band."),
+        "counterfactual": ("building.counterfactual", "Show what another schedule would have done."),
+        "saving": ("building.saving", "What a changed operation saved, with an interval."),
+    },
+    "Live": {
+        "control": ("live.control", "Control a real building through a connection."),
+        "watch": ("live.watch", "Watch a running controller, here or as a page."),
+    },
+    "Look inside": {
+        "inspect": ("inside.inspect", "Show a saved model: parameters, certificate, data."),
+        "migrate": ("inside.migrate", "Rewrite a model of an older release for this one."),
+        "testcases": ("inside.testcases", "List test cases, scenarios, comparisons and fleets."),
+        "controllers": ("inside.listing:controllers", "List controllers and their options."),
+        "plants": ("inside.listing:plants", "List plants and their options."),
+        "connections": ("inside.listing:connections", "List connections to real buildings."),
+        "free-responses": ("inside.listing:free_responses", "List forecasters of the free response."),
+        "schema": ("inside.schema", "Write the JSON Schema of a YAML file, for editors."),
+    },
+    "Services": {
+        "serve": ("live.serve", "Serve the embedded plant over BOPTEST's REST protocol."),
+        "weather": ("inside.weather", "Download the weather file of the test case."),
+    },
+    "Research": {
+        "bench": ("benchmarks.cli.bench", "Run benchmarks; compare the results with targets."),
+        "chaos": ("benchmarks.cli.chaos", "Run controllers with everything around them failing."),
+        "train": ("inside.train", "Train the policy of the controller dpc."),
+    },
+}
+COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
+
+# What people type for a command that has another name.
+SYNONYMS = {
+    "simulate": "run", "start": "run", "probe": "identify", "fit": "identify", "learn": "identify", "check": "doctor",
+    "predict": "forecast", "list": "testcases", "benchmark": "bench", "show": "inspect", "why": "explain",
+    "new": "init", "continue": "resume", "live": "control",
+}  # fmt: skip
+
+EXIT_CODES = """\
+0    done
+1    a check failed (doctor, chaos), there is no plan (plan), or your own controller raised (run)
+2    bad input
+3    the plant or its service failed, or one of many runs (compare, sweep, fleet)
+4    the model is below the bar (identify, plan)
+5    the service no longer has the test (resume)
+6    a file cannot be written: disk full, folder read-only or removed
+7    the Dask cluster of --scheduler is gone or does not fit
+129  the terminal was closed (control)
+130  interrupted by Ctrl-C
+143  ended by SIGTERM
+"""
+COMPLETION = """\
+Completion of commands, options and files, for this shell session:
+
+  bash:  eval "$(_TF_MPC_COMPLETE=bash_source tf-mpc)"
+  zsh:   eval "$(_TF_MPC_COMPLETE=zsh_source tf-mpc)"
+  fish:  _TF_MPC_COMPLETE=fish_source tf-mpc | source
+
+For every session, put the line into ~/.bashrc, ~/.zshrc or ~/.config/fish/config.fish.
+"""
+_TOPICS = {"exit-codes": EXIT_CODES, "completion": COMPLETION}
+
+
+class CommandGroups(click.Group):
+    """Click group that shows its commands in groups and imports only the one that is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names, also those that only `help` knows."""
+        return [*COMMANDS, "help"]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command, imported; nothing for a name that there is not."""
+        if cmd_name == "help":
+            return _help
+        if cmd_name not in COMMANDS:
+            return None
+        module, _, function = COMMANDS[cmd_name][0].partition(":")
+        command: click.Command
+        if module.startswith("benchmarks."):
+            command = benchmark_command(module)
+        else:
+            command = getattr(importlib.import_module(f"thermoforce_mpc.cli.{module}"), function or "command")
+        command.name = cmd_name  # all are functions of the same name; the command line reference shows this one
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command that was called; an unknown one is refused with the one that may have been meant."""
+        if args and not args[0].startswith("-") and args[0] not in self.list_commands(ctx):
+            raise click.UsageError(f"No such command '{args[0]:.80}'{_meant(args[0], self.list_commands(ctx))}", ctx)
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """One section a group, all summaries in one column."""
+        width = max(map(len, COMMANDS))
+        for title, group in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name.ljust(width), summary) for name, (_, summary) in group.items()])
+
+
+def _meant(word: str, known: list[str]) -> str:
+    synonym = SYNONYMS.get(word.lower())
+    return f", did you mean '{synonym}'?" if synonym else suggestion(word.lower(), known)
+
+
+@click.command(name="help", context_settings={"help_option_names": ["-h", "--help"]})
+@click.argument("words", nargs=-1)
+@click.pass_context
+def _help(context: click.Context, words: tuple[str, ...]) -> None:
+    """Show the help of a command, of the topics exit-codes and completion, or of tf-mpc."""
+    if words and words[0] in _TOPICS:
+        click.echo(_TOPICS[words[0]], nl=False)
+        return
+    at = context.find_root()
+    for word in words:
+        group = at.command
+        if not isinstance(group, click.Group):
+            raise click.UsageError(f"{at.command_path} has no commands of its own", at)
+        name, command, _ = group.resolve_command(at, [word])
+        if command is None:
+            raise click.UsageError(f"No such command '{word:.80}'", at)
+        at = click.Context(command, info_name=name, parent=at)
+    click.echo(at.get_help())
