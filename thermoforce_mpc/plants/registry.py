@@ -15,6 +15,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.registry import Registry
 from thermoforce_mpc.scenario.scenario import PlantSpec
+from thermoforce_mpc.scenario.schedule.comfort import Comfort
 from thermoforce_mpc.scenario.settings import StrictModel, validate
 from thermoforce_mpc.scenario.signatures import called, first_line, options_model, unfit
 from thermoforce_mpc.scenario.testcase import TestCase
@@ -52,8 +53,8 @@ class PlantEntry:
     windows: Callable[[PlantSpec, TestCase], Collection[str] | None] = lambda spec, testcase: None
 
 
-def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
-    """Build the plant of a scenario.
+def build_plant(spec: PlantSpec, testcase: TestCase, seed: int, comfort: Comfort | None = None) -> Plant:
+    """Build the plant of a scenario; `comfort` takes the place of its own comfort bounds.
 
     Raises:
         ConfigError: the FMU cannot be used, or the test case or a setting does not fit the plant.
@@ -61,7 +62,18 @@ def build_plant(spec: PlantSpec, testcase: TestCase, seed: int) -> Plant:
         PlantError: the service does not answer.
     """
     options = check_plant(spec, testcase)
-    return REGISTRY.find(plant_name(spec, testcase)).build(spec, testcase, options, seed)
+    return with_comfort(
+        REGISTRY.find(plant_name(spec, testcase)).build(spec, testcase, options, seed), comfort, testcase
+    )
+
+
+def with_comfort(plant: Plant, comfort: Comfort | None, testcase: TestCase) -> Plant:
+    """`plant` with the comfort bounds of a scenario, where it has any; raises `ConfigError` for an unknown zone."""
+    if comfort is None:
+        return plant
+    from thermoforce_mpc.plants.comfort import WithComfort
+
+    return WithComfort(plant, comfort, testcase)
 
 
 def plant_name(spec: PlantSpec, testcase: TestCase) -> str:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import datetime
-import re
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
+from thermoforce_mpc.execution.keys import ADDED_LATER
 from thermoforce_mpc.registry import known_name
+from thermoforce_mpc.scenario.schedule.comfort import Comfort
+from thermoforce_mpc.scenario.schedule.dates import window_name
 from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.strict_model import one_of
 from thermoforce_mpc.scenario.testcase import Price
 
 _KINDS = ("embedded", "boptest", "fmu")
-_DATE = re.compile(r"\d{4}-\d{1,2}-\d{1,2}")
-_NO_LEAP_YEAR = 2001
 # Names of controllers in short.
 _IN_SHORT = {"mpc": "thermoforce_mpc"}
 
@@ -135,6 +134,12 @@ class Scenario(StrictModel):
         examples=[3600],
     )
     price: Price = Field("constant", description="tariff")
+    comfort: Annotated[Comfort | None, ADDED_LATER] = Field(
+        None,
+        description="comfort bounds by schedule, in plans and KPIs; null: those of the test case. Native control keeps "
+        "its own set-points",
+        examples=["weekdays 6:00-22:00 21-24, else 17-26"],
+    )
     controller: ControllerSpec = ControllerSpec()
     identification: ProbingSpec = ProbingSpec()
     baselines: tuple[str, ...] = Field(("native", "thermostat"), description="controllers to compare with")
@@ -151,18 +156,3 @@ class Scenario(StrictModel):
         if isinstance(value, int | float) and not isinstance(value, bool):
             return str(value)
         return window_name(value) if isinstance(value, str) else value
-
-
-def window_name(window: str) -> str:
-    """The name of a window that was given by its first day as YYYY-MM-DD: that day of a year of 365 days, from 0.
-
-    Raises:
-        ValueError: there is no such day.
-    """
-    if not _DATE.fullmatch(window):
-        return window
-    _, month, day = map(int, window.split("-"))
-    try:
-        return str(datetime.date(_NO_LEAP_YEAR, month, day).timetuple().tm_yday - 1)
-    except ValueError as error:
-        raise ValueError(f"{window} is no day of a year of 365 days") from error

@@ -16,7 +16,7 @@ from thermoforce_mpc.boundary.tariffs import tariff_from_file
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import DoubtfulInput
-from thermoforce_mpc.plants.registry import boptest_plant, build_plant, windows_of
+from thermoforce_mpc.plants.registry import boptest_plant, build_plant, windows_of, with_comfort
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.settings import merge, suggestion
@@ -36,14 +36,15 @@ _NAMED_PERIODS = (
 _PRICE_STEP_S = 900.0
 
 
-def attached_plant(spec: PlantSpec, testcase: TestCase, seed: int, testid: str) -> Plant:
+def attached_plant(scenario: Scenario, testcase: TestCase, testid: str) -> Plant:
     """The plant of a scenario at a service that has its test `testid` already.
 
     Raises:
         NoSuchTest: the service no longer has it.
         PlantError: the service does not answer.
     """
-    return boptest_plant(spec, testcase, None, seed, testid)
+    plant = boptest_plant(scenario.plant, testcase, None, scenario.seed, testid)
+    return with_comfort(plant, scenario.comfort, testcase)
 
 
 def controller_options(scenario: Scenario, name: str) -> dict[str, Any]:

@@ -285,8 +285,8 @@ def _execute(
 
     def build(testid: str | None = None) -> Plant:
         if testid is not None:
-            return attached_plant(scenario.plant, testcase, scenario.seed, testid)
-        return build_plant(scenario.plant, testcase, scenario.seed)
+            return attached_plant(scenario, testcase, testid)
+        return build_plant(scenario.plant, testcase, scenario.seed, scenario.comfort)
 
     with closing(book.connect(build) if book else build()) as plant:
         period = scored_period(plant, scenario.period, scenario.days)

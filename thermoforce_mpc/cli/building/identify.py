@@ -83,7 +83,7 @@ def command(**options: Any) -> None:
     task = identification_task(scenario, testcase)
     display = RunDisplay()
     records: list[Record] = []
-    with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
+    with closing(build_plant(scenario.plant, testcase, scenario.seed, scenario.comfort)) as plant:
         display.say(f"Plant: {plant.info.kind} {plant.info.testcase}\nWeather: {plant.info.weather}")
         with display.probing(task.in_words()) as progress:
             model = run_identification(task, plant, records.append, progress, say=display.say)

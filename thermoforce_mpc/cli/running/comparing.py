@@ -19,7 +19,8 @@ from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.execution import Outcome, TaskProgress, execute, source_fingerprint
 from thermoforce_mpc.execution.progress import summary
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario, window_name
+from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
+from thermoforce_mpc.scenario.schedule.dates import window_name
 from thermoforce_mpc.simulation.comparison.cells import Cell, Inputs, expand
 from thermoforce_mpc.simulation.comparison.equal_comfort import searches_equal_comfort
 from thermoforce_mpc.simulation.comparison.files import HEADINGS, headings, shown_figures, write_outcome

@@ -78,7 +78,7 @@ def identified(task: IdentificationTask, files: SentFiles = NO_FILES) -> Identif
     try:
         with files.at_hand() as where:
             task = moved_task(task, where)
-            with closing(build_plant(task.plant, task.testcase, task.seed)) as plant:
+            with closing(build_plant(task.plant, task.testcase, task.seed, task.comfort)) as plant:
                 model = run_identification(task, plant, on_progress=lambda p: tell(p.days / p.planned_days))
     except DataError as error:
         return Identified(refused=str(error))
@@ -103,7 +103,7 @@ def followed(cell: Cell, *needs: SentFiles | Identified) -> tuple[RunResult, Pla
     with files.at_hand() as where:
         scenario = moved_scenario(cell.scenario, where)
         name, testcase = scenario.controller.name, load_testcase(scenario.testcase)
-        with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
+        with closing(build_plant(scenario.plant, testcase, scenario.seed, scenario.comfort)) as plant:
             period = scored_period(plant, scenario.period, scenario.days)
             check_prices(scenario, period)
             acts_on = _model(scenario, testcase, plant, model) if find_entry(name).needs_model else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,9 +12,11 @@ from pydantic import BaseModel
 
 from controllers.registry import controller_config
 from thermoforce_mpc.data import Period, Record
+from thermoforce_mpc.execution.keys import ADDED_LATER
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
+from thermoforce_mpc.scenario.schedule.comfort import Comfort
 from thermoforce_mpc.scenario.settings import merge, validate
 from thermoforce_mpc.scenario.testcase import Actuator, TestCase
 from thermoforce_mpc.simulation.composition import check_window, controller_options
@@ -43,7 +45,8 @@ class IdentificationTask:
     `period`: scored window, which is not probed; `days`: days of probing, planned to end where its warm-up begins;
     `most_days`: days after which probing ends in any case, see `identify_on`; `end_early`: whether it may end before
     `days`; `step_s`: step of the model, s; `seed`: seed of the probing and of the forecast errors in `plant`, which the
-    probing design uses; `probed`: folder of a run whose probing is taken, see `find_probing`.
+    probing design uses; `probed`: folder of a run whose probing is taken, see `find_probing`; `comfort`: bounds in the
+    place of the plant's.
     """
 
     testcase: TestCase
@@ -57,6 +60,7 @@ class IdentificationTask:
     probing: ProbingConfig
     identification: IdentificationConfig
     probed: str | None = None
+    comfort: Comfort | None = field(default=None, metadata={ADDED_LATER: True})
 
     @property
     def how_probed(self) -> dict[str, Any]:
@@ -222,6 +226,7 @@ def identification_task(scenario: Scenario, testcase: TestCase, controller: str 
         probing=probing,
         identification=config,
         probed=scenario.identification.probed,
+        comfort=scenario.comfort,
     )
 
 

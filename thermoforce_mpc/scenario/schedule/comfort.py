@@ -1,0 +1,171 @@
+"""Comfort bounds by schedule, as people write them: `weekdays 6:00-22:00 21-24, else 17-26`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator, model_validator
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.errors import suggestion
+from thermoforce_mpc.scenario.schedule.dates import day_of_year
+from thermoforce_mpc.scenario.strict_model import StrictModel
+
+WEEK = ("monday", "tuesday", "wednesday", "thursday", "friday", "saturday", "sunday")
+_HOLIDAY = len(WEEK)
+_DAYS = {
+    "weekdays": range(5),
+    "weekend": (5, 6),
+    "holidays": (_HOLIDAY,),
+    "daily": range(8),
+} | {name: (number,) for number, day in enumerate(WEEK) for name in (day, day[:3])}
+_RULE = re.compile(
+    r"(?:(?P<days>[a-z]+(?:-[a-z]+)?)\s+)?(?:(?P<begin>\d{1,2}(?::\d\d)?)-(?P<end>\d{1,2}(?::\d\d)?)\s+)?"
+    r"(?P<lower>\d+(?:\.\d+)?)-(?P<upper>\d+(?:\.\d+)?)(?:\s*°?c)?"
+)
+# Between these, °C, lie bounds that somebody may mean.
+_LOWEST_C, _HIGHEST_C = 5.0, 40.0
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Bounds, °C, on `days` (0 Monday to 6 Sunday, 7 holidays) from `begin_h` to `end_h`, also beyond midnight."""
+
+    days: frozenset[int]
+    begin_h: float
+    end_h: float
+    lower_C: float
+    upper_C: float
+
+    def holds(self, day: Array, hour: Array) -> NDArray[np.bool_]:
+        """Where it holds, for kinds of day (n,) and hours (n,); beyond midnight on the day that it began on too."""
+        inside = (hour >= self.begin_h) & (hour < self.end_h)
+        if self.begin_h > self.end_h:
+            inside = (hour >= self.begin_h) | (hour < self.end_h)
+        return np.asarray(np.isin(day, list(self.days)) & inside)
+
+
+def rules_from(text: str) -> tuple[Rule, ...]:
+    """The rules of a schedule; the first that holds counts, and the last holds else.
+
+    Raises:
+        ValueError: a part is no rule, or the last one does not begin with `else`; says which.
+    """
+    parts = [part.strip() for part in re.split(r"[,;\n]", text.lower().replace("–", "-")) if part.strip()]
+    if not parts or not parts[-1].startswith("else "):
+        raise ValueError("the last part says what holds else, as in 'weekdays 6:00-22:00 21-24, else 17-26'")
+    rules = [_rule(part) for part in parts[:-1]]
+    return (*rules, _rule("daily " + parts[-1].removeprefix("else ")))
+
+
+def _rule(text: str) -> Rule:
+    found = _RULE.fullmatch(text)
+    if found is None:
+        raise ValueError(f"'{text}': expected DAYS BEGIN-END LOWER-UPPER, as 'weekdays 6:00-22:00 21-24'")
+    lower, upper = float(found["lower"]), float(found["upper"])
+    if not _LOWEST_C <= lower < upper <= _HIGHEST_C:
+        raise ValueError(f"'{text}': bounds are °C, the lower below the upper, from {_LOWEST_C:g} to {_HIGHEST_C:g}")
+    begin, end = (_hour(found[key], text) for key in ("begin", "end")) if found["begin"] else (0.0, 24.0)
+    if begin == end:
+        raise ValueError(f"'{text}': it begins and ends at the same time")
+    return Rule(frozenset(_days(found["days"] or "daily", text)), begin, end, lower, upper)
+
+
+def _hour(text: str, rule: str) -> float:
+    hours, _, minutes = text.partition(":")
+    hour = int(hours) + int(minutes or 0) / 60
+    if hour > 24 or int(minutes or 0) > 59:
+        raise ValueError(f"'{rule}': {text} is no time of day")
+    return hour
+
+
+def _days(text: str, rule: str) -> Sequence[int]:
+    first, _, last = text.partition("-")
+    for name in (first, last or first):
+        if name not in _DAYS or (last and name not in WEEK and name not in {day[:3] for day in WEEK}):
+            known = [*_DAYS]
+            raise ValueError(f"'{rule}': unknown day '{name}'{suggestion(name, known)}; known: {', '.join(known)}")
+    if not last:
+        return tuple(_DAYS[first])
+    (begin,), (end,) = _DAYS[first], _DAYS[last]
+    return tuple(day % len(WEEK) for day in range(begin, end + 1 if end >= begin else end + 1 + len(WEEK)))
+
+
+class Comfort(StrictModel):
+    """Comfort bounds of the zones by schedule, in the place of the test case's."""
+
+    schedule: str | dict[str, str] = Field(
+        description="rules DAYS BEGIN-END LOWER-UPPER (°C), of which the first that holds counts, and what holds else: "
+        "'weekdays 6:00-22:00 21-24, else 17-26'; or one such text a zone, by name, and `others`. Days: weekdays, "
+        "weekend, holidays, daily, or names of days as mon-thu",
+        examples=["weekdays 6:00-22:00 21-24, else 17-26"],
+    )
+    holidays: tuple[str, ...] = Field(
+        (),
+        description="dates such as 2026-12-25; they are no weekdays, and a Sunday where no rule names holidays",
+        examples=[["2026-12-25"]],
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _schedule_alone(cls, value: Any) -> Any:
+        return {"schedule": value} if isinstance(value, str) else value
+
+    @field_validator("schedule")
+    @classmethod
+    def _can_be_read(cls, value: str | dict[str, str]) -> str | dict[str, str]:
+        for text in value.values() if isinstance(value, dict) else (value,):
+            rules_from(text)
+        return value
+
+    @field_validator("holidays")
+    @classmethod
+    def _are_days(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for date in value:
+            day_of_year(date)
+        return value
+
+    def bounds_C(self, time_s: Array, zones: Sequence[str], first_weekday: str) -> tuple[Array, Array]:
+        """Lower and upper bounds of `zones`, each (Z, n), °C.
+
+        Args:
+            time_s: times (n,), s since 1 January, local.
+            zones: names of the zones.
+            first_weekday: day of the week of 1 January.
+
+        Raises:
+            ValueError: a zone that there is not, or one without a schedule.
+        """
+        texts = self._of_zones(zones)
+        whole = np.floor(np.asarray(time_s) / DAY_S)
+        hour = (time_s - whole * DAY_S) / HOUR_S
+        day = (whole + WEEK.index(first_weekday)) % len(WEEK)
+        holiday = np.isin(whole % 365, [day_of_year(date) for date in self.holidays])
+        bounds = np.array([_bounds(rules_from(text), day, hour, holiday) for text in texts])
+        return bounds[:, 0], bounds[:, 1]
+
+    def _of_zones(self, zones: Sequence[str]) -> list[str]:
+        if isinstance(self.schedule, str):
+            return [self.schedule] * len(zones)
+        unknown = [name for name in self.schedule if name not in (*zones, "others")]
+        if unknown:
+            raise ValueError(
+                f"comfort.schedule: no zone '{unknown[0]}'{suggestion(unknown[0], zones)}; zones: {', '.join(zones)}"
+            )
+        missing = [zone for zone in zones if zone not in self.schedule and "others" not in self.schedule]
+        if missing:
+            raise ValueError(f"comfort.schedule: nothing for {', '.join(missing)}; name them, or give `others`")
+        return [self.schedule.get(zone, self.schedule.get("others", "")) for zone in zones]
+
+
+def _bounds(rules: Sequence[Rule], day: Array, hour: Array, holiday: NDArray[np.bool_]) -> Array:
+    """Bounds (2, n), °C, by the first rule that holds; a holiday that no rule names is a Sunday."""
+    named = any(_HOLIDAY in rule.days and len(rule.days) == 1 for rule in rules)
+    kind = np.where(holiday, _HOLIDAY if named else WEEK.index("sunday"), day)
+    first = np.argmax([rule.holds(kind, hour) for rule in rules], axis=0)
+    return np.array([[rule.lower_C for rule in rules], [rule.upper_C for rule in rules]])[:, first]
