@@ -63,6 +63,7 @@ from thermoforce_mpc.simulation.models.run_models import (
     weight_hash,
 )
 from thermoforce_mpc.simulation.views.display import RunDisplay
+from thermoforce_mpc.simulation.views.verdict import verdict
 from thermoforce_mpc.simulation.views.watching import watch_spells
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
@@ -242,8 +243,10 @@ def _print_summary(
     outcome: ScenarioResult, folder: Path, testcase: TestCase, power_cap: Mapping[str, Any], display: RunDisplay
 ) -> None:
     """Print the KPI table and what was out of the ordinary."""
-    plant, window = outcome.plant, _window(outcome.result.period)
-    title = f"{plant.kind} plant, {plant.weather}\n{window}, {outcome.scenario.price} tariff"
+    plant, period = outcome.plant, outcome.result.period
+    said = verdict(outcome.result.controller, outcome.kpis, testcase.currency, period.scored_s / DAY_S)
+    display.console.print(f"\n{said}\n", soft_wrap=True, markup=False)
+    title = f"{plant.kind} plant, {plant.weather}\n{_window(period)}, {outcome.scenario.price} tariff"
     gates = {name: gate.in_words() for name, gate in gates_held(outcome.result, outcome.baselines).items()}
     display.kpi_table(outcome.kpis, title, testcase.currency, gates)
     if equal := _equal_in_words(outcome, testcase):
