@@ -253,7 +253,8 @@ def _print_summary(
         display.say(equal)
     for name, figures in power_cap.items():
         display.say(f"{name}: {Capped(**figures).in_words()}")
-    display.say(f"{outcome.result.controller}: {outcome.planning[outcome.result.controller].in_words()}")
+    if find_entry(outcome.scenario.controller.name).needs_model:
+        display.say(f"{outcome.result.controller}: {outcome.planning[outcome.result.controller].in_words()}")
     levels = outcome.result.fallback_levels()
     fallbacks = {level: n for level, n in levels.items() if n and level not in ("solved", "rule", "gate")}
     if fallbacks:
