@@ -150,6 +150,11 @@ class Scenario(StrictModel):
     )
     seed: int = Field(1, ge=0, description="seed of probing, training and forecast errors")
 
+    @field_validator("comfort", mode="before", json_schema_input_type=str | Comfort | None)
+    @classmethod
+    def _schedule_alone(cls, value: object) -> object:
+        return {"schedule": value} if isinstance(value, str) else value
+
     @field_validator("period", mode="before", json_schema_input_type=str | float)
     @classmethod
     def _start_as_text(cls, value: object) -> object:
