@@ -201,6 +201,8 @@ def write_results(
         "power_cap": capped_figures(scenario, result, baselines),
     }
     write_json(folder / "kpis.json", kpis)
+    table = pd.DataFrame.from_dict({run.controller: run.kpis for run in (result, *baselines.values())}, orient="index")
+    write_whole(folder / "kpis.csv", table.to_csv(index_label="controller"))
     manifest = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": list(command),
