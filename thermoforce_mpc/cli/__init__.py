@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 import click
 
 from thermoforce_mpc.cli.commands import CommandGroups
-from thermoforce_mpc.errors import EngineError, InputError, NoSuchTest, PlantError, StorageError
+from thermoforce_mpc.errors import ControllerRaised, EngineError, InputError, NoSuchTest, PlantError, StorageError
 from thermoforce_mpc.files import DoubtfulInput
 from thermoforce_mpc.version import VERSION
 
@@ -84,6 +84,9 @@ def main() -> None:
     except InputError as error:
         click.echo(f"Error: {error}", err=True)
         sys.exit(2)
+    except ControllerRaised as error:
+        click.echo(f"Controller failed: {error}", err=True)
+        sys.exit(1)
     except PlantError as error:
         click.echo(f"Plant failed: {error}", err=True)
         sys.exit(3)

@@ -106,7 +106,9 @@ class ControllerSpec(StrictModel):
     """Controller and its options; `tf-mpc controllers` lists both."""
 
     name: Annotated[str, AfterValidator(full_name)] = Field(
-        "thermoforce_mpc", description="name in the registry, see `tf-mpc controllers`; mpc: thermoforce_mpc"
+        "thermoforce_mpc",
+        description="name in the registry, see `tf-mpc controllers`; mpc: thermoforce_mpc; or a class of your own, as "
+        "my_rules.py:Night",
     )
     options: dict[str, Any] = Field(
         default_factory=dict, description="options of that controller", examples=[{"horizon_h": 36}]
@@ -139,6 +141,11 @@ class Scenario(StrictModel):
         description="comfort bounds by schedule, in plans and KPIs; null: those of the test case. Native control keeps "
         "its own set-points",
         examples=["weekdays 6:00-22:00 21-24, else 17-26"],
+    )
+    kpis: Annotated[tuple[str, ...], ADDED_LATER] = Field(
+        (),
+        description="KPIs of your own beside BOPTEST's: functions of the trajectory, as my_kpis.py:starts_per_day",
+        examples=[["my_kpis.py:starts_per_day"]],
     )
     controller: ControllerSpec = ControllerSpec()
     identification: ProbingSpec = ProbingSpec()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from controllers.registry import build_controller, find_entry
+from controllers.registry import build_controller, find_entry, lent
 from thermoforce_mpc.data import DAY_S, Period, PlantInfo
 from thermoforce_mpc.errors import ConfigError, PlantError, StorageError, ThermoForceError, counted
 from thermoforce_mpc.model.screening import limits_of
@@ -43,6 +43,7 @@ from thermoforce_mpc.simulation.folder.run_book import RunBook
 from thermoforce_mpc.simulation.folder.run_folder import (
     clear_partial,
     create_run_folder,
+    file_stem,
     is_complete,
     is_empty,
     sole_use,
@@ -62,6 +63,7 @@ from thermoforce_mpc.simulation.models.run_models import (
     origins_of,
     weight_hash,
 )
+from thermoforce_mpc.simulation.own_kpis import OwnKpi, own_kpis, with_own_kpis
 from thermoforce_mpc.simulation.views.display import RunDisplay
 from thermoforce_mpc.simulation.views.verdict import verdict
 from thermoforce_mpc.simulation.views.watching import watch_spells
@@ -116,7 +118,8 @@ class ScenarioResult:
 def run(
     testcase: str,
     *,
-    controller: str = "thermoforce_mpc",
+    controller: str | Controller | type = "thermoforce_mpc",
+    kpis: Sequence[str | Callable[[pd.DataFrame], float]] = (),
     model: ThermalModel | None = None,
     progress: bool = True,
     **settings: Any,
@@ -125,7 +128,9 @@ def run(
 
     Args:
         testcase: a test case that ships, by name, or the path of a YAML file.
-        controller: name in the registry, see `tf-mpc controllers`.
+        controller: name in the registry, see `tf-mpc controllers`; a controller of your own (`Controller`), or a class
+            of one.
+        kpis: KPIs of your own: functions of the trajectory (a table, one row a block), see `own_kpis`.
         model: an identified model; by default the plant is probed and a model identified first.
         progress: say on the terminal how far the run is.
         settings: any other key of a scenario file: `days`, `period`, `price`, `plant`, `baselines`, `seed`, ….
@@ -134,8 +139,9 @@ def run(
         InputError: something given cannot be used; the message names the key.
         PlantError: the plant or its service failed.
     """
-    keys = {"testcase": testcase, "controller": {"name": controller}}
-    return _execute(load_scenario(None, merge(keys, settings)), RunDisplay(quiet=not progress), {}, model)
+    with nullcontext(controller) if isinstance(controller, str) else lent(controller) as name:
+        scenario = load_scenario(None, merge({"testcase": testcase, "controller": {"name": name}}, settings))
+        return _execute(scenario, RunDisplay(quiet=not progress), {}, model, own=own_kpis(kpis))
 
 
 def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, command: Sequence[str]) -> Path:
@@ -151,7 +157,9 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
         StorageError: the disk is full, or the folder cannot be written any more; the plant was released.
     """
     testcase = validate_scenario(scenario)
-    folder = create_run_folder(out, f"{testcase.name}-{scenario.period}-{scenario.price}-{scenario.controller.name}")
+    folder = create_run_folder(
+        out, f"{testcase.name}-{scenario.period}-{scenario.price}-{file_stem(scenario.controller.name)}"
+    )
     with sole_use(folder):
         if not is_empty(folder):  # another run was quicker
             raise ConfigError(f"{folder}: exists already and is never overwritten; choose another folder")
@@ -277,12 +285,16 @@ def _execute(
     records: dict[str, KeptSteps[StepRecord]],
     model: ThermalModel | None = None,
     book: RunBook | None = None,
+    own: Sequence[OwnKpi] = (),
 ) -> ScenarioResult:
     """Build, identify unless there is a `model`, run everyone; `records` keeps the steps if the plant fails.
+
+    `own` are KPIs beside those that the scenario names.
 
     With a `book`, all that the controllers get is written to its journal, or taken from it.
     """
     testcase = validate_scenario(scenario)
+    own = (*own_kpis(scenario.kpis), *own)
     if book is None or not book.told:  # a run that is resumed has its models in its folder
         check_contestants(scenario, testcase)
     name = scenario.controller.name
@@ -306,7 +318,7 @@ def _execute(
         def follow(controller: Controller) -> RunResult:
             check_prices(scenario, period, max(controller.horizon_s - controller.step_s, 0.0))
             steps = records.setdefault(controller.name, KeptSteps(book.folder if book else None))
-            return _follow(plant, controller, period, scenario, testcase, display, steps)
+            return with_own_kpis(_follow(plant, controller, period, scenario, testcase, display, steps), own)
 
         def contestant(who: str) -> Controller:
             return build_controller(who, controller_options(scenario, who), testcase, models.get(who))
