@@ -37,7 +37,8 @@ def own_code(where: str, key: str, error: Callable[[str], InputError]) -> Any:
         raise error(f"{key}: {where!r}: no such file in {Path.cwd()}")
     content = _content(path.resolve(), path.stat().st_mtime_ns, key, error)
     if not callable(content.get(name)):
-        public = [own for own, value in content.items() if callable(value) and not own.startswith("_")]
+        own = {key: value for key, value in content.items() if callable(value) and not key.startswith("_")}
+        public = [key for key, value in own.items() if getattr(value, "__module__", "") == content["__name__"]]
         raise error(f"{key}: {path} has no {name!r}; it has {', '.join(public) or 'nothing that can be called'}")
     return content[name]
 
@@ -53,9 +54,8 @@ def _content(path: Path, changed_ns: int, key: str, error: Callable[[str], Input
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as problem:  # whatever the file raises
-        raise error(
-            f"{key}: {path} raised {type(problem).__name__}: {problem}{line_in(str(path), problem)}"
-        ) from problem
+        at = line_in(str(path), problem)
+        raise error(f"{key}: {path}{at} raised {type(problem).__name__}: {problem}") from problem
     return vars(module)
 
 

@@ -331,7 +331,7 @@ def _planned(controller: Controller, observation: Observation, state: object, in
     except ThermoForceError:  # has its own exit code, and says what to do
         raise
     except Exception as error:
-        last = "".join(traceback.format_tb(error.__traceback__)[-2:]).rstrip()
+        last = "".join(traceback.format_tb(error.__traceback__)[1:][-3:]).rstrip()
         raise ControllerRaised(f"{at} raised {type(error).__name__}: {error}\n{last}") from error
     if not isinstance(plan, Plan):
         raise ControllerRaised(f"{at} returned a {type(plan).__name__}, not a Plan (docs/how-to/controller.md)")

@@ -49,7 +49,8 @@ def own_kpis(given: Iterable[str | Callable[[pd.DataFrame], float]]) -> tuple[Ow
     for one in given:
         function = own_code(one, "kpis", ConfigError) if isinstance(one, str) else one
         name = getattr(function, "__name__", type(function).__name__)
-        unit = (function.__doc__ or "").strip().partition("\n")[0].rpartition(",")[2].strip(" .")
+        words = (function.__doc__ or "").strip().partition("\n")[0]
+        unit = words.rpartition(",")[2].strip(" .") if "," in words else ""
         found.append(OwnKpi(f"{name}{_MARK}{unit or '–'}", function))
     twice = {kpi.key for kpi in found if sum(other.key == kpi.key for other in found) > 1}
     if twice:

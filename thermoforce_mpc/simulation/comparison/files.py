@@ -194,7 +194,8 @@ def _zone_lines(members: Sequence[Row]) -> list[str]:
 def _csv(rows: Sequence[Row]) -> str:
     zones = dict.fromkeys(f"tdis_tot[{zone}]" for row in rows for zone in row["zones"])
     columns = [
-        "window", "price", "uncertainty", "controller", "status", *KPIS, *own_columns(rows), "saving", *zones, "comparable", "best_cost",
+        "window", "price", "uncertainty", "controller", "status", *KPIS, *own_columns(rows), "saving", *zones,
+        "comparable", "best_cost",
         "best_discomfort", "pareto", "fallbacks", "plan_ms", "controller_s", "plant_s", "reason",
     ]  # fmt: skip
     text = io.StringIO()
