@@ -51,7 +51,8 @@ def command(run: Path, at: str | None, controller: str | None, hours: float, jso
 
     Beside the plan stand its alternatives: what the same model predicts for the same hours had everything been off, at
     full level, as in the step before, run by the fallback's thermostat rule, or by loops that hold the comfort bounds
-    (what a building's own control does at its best).
+    (what a building's own control does at its best). A row shows what each part of the objective counts, and their sum,
+    which the plan makes least; the part `discomfort` is counted from the bounds with the plan's margins inside.
 
     Read from the journal, so that it works while a run is under way and after one that failed.
 
@@ -85,7 +86,7 @@ def _alternatives(decision: Decision, alternatives: Alternatives) -> Table:
     first = max(1, round(HOUR_S / step_s))
     hours = alternatives.courses[0].u.shape[1] * step_s / HOUR_S
     table = Table(
-        title=f"Alternatives over {hours:g} h, the whole plan, by the same model",
+        title=f"Alternatives over {hours:g} h, the whole plan, by the same model: the parts of what is minimised, their sum, what comes",
         title_justify="left",
         box=box.SIMPLE_HEAD,
         padding=(0, 1),
