@@ -12,7 +12,7 @@ from two_houses import TwoHouses, two_model
 from controllers import ThermoForceMPC
 from controllers.mpc.alternatives import Alternatives, alternatives
 from controllers.mpc.config import MPCConfig
-from thermoforce_mpc.data import DAY_S, Observation, Plan
+from thermoforce_mpc.data import DAY_S, Observation
 
 N = 12
 
@@ -51,7 +51,7 @@ def test_none_is_much_cheaper_than_the_plan_of_those_that_keep_the_bounds(single
 
 
 def test_the_parts_add_up_to_what_was_minimised_and_the_plan_has_the_least(single):
-    _, _, plan, found = single
+    _, _, _, found = single
     assert {"energy", "discomfort", "peak, cap", "stored heat", "other"} == set(found.courses[0].parts)
     for course in found.courses:
         assert course.total == pytest.approx(sum(course.parts.values()))
@@ -83,7 +83,7 @@ def plan_cost(single) -> float:
 
 
 def test_a_course_that_totals_less_than_the_plan_is_told(single):
-    mpc, seen, plan, found = single
+    mpc, seen, plan, _ = single
     worse = alternatives(mpc, seen, replace(plan, u=np.ones_like(plan.u)))
     assert worse.reason.startswith("not the least total: ")
     assert "energy costs" in worse.reason
@@ -95,7 +95,9 @@ def test_courses_are_the_models_own_answer(single):
     off, full = courses["off"], courses["full"]
     assert (off.parts["energy"], off.energy_kWh) == (0.0, 0.0)
     assert full.energy_kWh == pytest.approx(N * (FIXED_W + PER_U_W) / 1000.0)
-    assert full.parts["energy"] == pytest.approx(float(seen.boundary.price_per_kWh[0, :N].sum()) * (FIXED_W + PER_U_W) / 1000.0)
+    assert full.parts["energy"] == pytest.approx(
+        float(seen.boundary.price_per_kWh[0, :N].sum()) * (FIXED_W + PER_U_W) / 1000.0
+    )
     k = np.arange(1, N + 1)
     assert full.T_zone_C[0] - off.T_zone_C[0] == pytest.approx(GAIN_K * (1 - POLE**k) / (1 - POLE), abs=0.02)
     below = np.maximum(seen.boundary.lower_C[0, 1:] - off.T_zone_C[0], 0).sum()

@@ -116,7 +116,10 @@ def test_a_step_that_was_not_the_plans_says_whose(folder, tmp_path):
         kept.write(entry.kind, {**entry.content, **of_a_step})
     kept.close()
     shutil.copytree(folder / "model", tmp_path / "model")
-    assert "action: not that of a plan: the comfort guard" in call("explain", tmp_path, "--controller", "thermoforce_mpc").output
+    assert (
+        "action: not that of a plan: the comfort guard"
+        in call("explain", tmp_path, "--controller", "thermoforce_mpc").output
+    )
 
 
 def test_where_there_is_no_model_it_is_said(folder, tmp_path):

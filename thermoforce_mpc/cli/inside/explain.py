@@ -86,7 +86,7 @@ def _alternatives(decision: Decision, alternatives: Alternatives) -> Table:
     first = max(1, round(HOUR_S / step_s))
     hours = alternatives.courses[0].u.shape[1] * step_s / HOUR_S
     table = Table(
-        title=f"Alternatives over {hours:g} h, the whole plan, by the same model: the parts of what is minimised, their sum, what comes",
+        title=f"Alternatives over {hours:g} h, the whole plan, by the same model: what is minimised",
         title_justify="left",
         box=box.SIMPLE_HEAD,
         padding=(0, 1),
