@@ -11,10 +11,10 @@ import numpy as np
 
 from benchmarks.interventions.dataset import Dataset, load_or_simulate
 from benchmarks.interventions.methods.registry import BEST, METHODS, MONOTONE, TWO_STATE
-from benchmarks.interventions.paper import INTERVENTIONAL_VALIDITY
 from benchmarks.interventions.protocol import PROBE_DAYS, QUICK, Protocol
 from benchmarks.interventions.scores import CellScore, one_sided_wilcoxon
 from benchmarks.interventions.suite import SuiteResult, run_suite
+from benchmarks.paper.printed import INTERVENTIONAL_VALIDITY
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.plants.energyplus.climates import CLIMATES

@@ -12,8 +12,8 @@ import numpy as np
 from benchmarks.interventions.dataset import Dataset, Probe
 from benchmarks.interventions.methods.base import Training
 from benchmarks.interventions.methods.thermoforce import identified
-from benchmarks.interventions.paper import EFFICIENCY_MS, PARAMETERS
 from benchmarks.interventions.suite import training_of
+from benchmarks.paper.printed import EFFICIENCY_MS, PARAMETERS
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.registry import build_controller
 from thermoforce_mpc.boundary import tariffs

@@ -19,10 +19,10 @@ from benchmarks.interventions.methods.thermoforce import build_thermoforce
 from benchmarks.interventions.office import PROBE_DAYS as PROBE_DAYS_OFFICE
 from benchmarks.interventions.office import office_data
 from benchmarks.interventions.page import write_page
-from benchmarks.interventions.paper import OPERATOR_ABLATION
 from benchmarks.interventions.plots import bars_figure, curves_figure, save
 from benchmarks.interventions.protocol import PROBE_DAYS
 from benchmarks.interventions.suite import run_suite, score_cells, training_of
+from benchmarks.paper.printed import OPERATOR_ABLATION
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
@@ -55,12 +55,14 @@ def run_study(
     engine: Engine,
     draw: int = 1,
     repeats: int = REPEATS,
+    gains: Sequence[str] = (),
     progress: Say = lambda line: None,
 ) -> dict[str, Any]:
     """Run one study: 'ablation', 'gamma', 'data', 'efficiency' or 'office'.
 
     Writes `<name>.json`, figure and page into `out`. Arguments as in `run_interventions_bench`; `days` are by default
-    all simulated numbers (ablation, data) or 3; `repeats` of each timing (efficiency).
+    all simulated numbers (ablation, data) or 3; `repeats` of each timing (efficiency); `gains` to compare (ablation),
+    by default all.
 
     Raises:
         DataError: unknown study, or unusable data.
@@ -76,7 +78,7 @@ def run_study(
     data = data_for(data_folder, quick=quick, days=days, draw=draw, engine=engine, say=progress)
     targets: list[Target] = []
     if name == "ablation":
-        rows = _ablation(data, days, backbone, seed, progress)
+        rows = _ablation(data, days, gains or tuple(_OPERATORS), backbone, seed, progress)
         targets = _ablation_targets(rows)
         figure = curves_figure(_curves(rows, "gain", "days", "effect_K"), "probe days", log=True)
     elif name == "gamma":
@@ -137,13 +139,16 @@ def _office(out: Path, quick: bool, backbone: str, seed: int, draw: int, engine:
     return _written("office", results_json("interventions office", rows, targets), figure, out, say)
 
 
-def _ablation(data: Dataset, days: Sequence[int], backbone: str, seed: int, say: Say) -> list[Row]:
+def _ablation(
+    data: Dataset, days: Sequence[int], gains: Sequence[str], backbone: str, seed: int, say: Say
+) -> list[Row]:
     free = tsfm(backbone)
     rows: list[Row] = []
     for climate in data.climates.values():
         for k in days:
             training = training_of(climate, k, seed)
-            for gain, (orders, modulation, exponents) in _OPERATORS.items():
+            for gain in gains:
+                orders, modulation, exponents = _OPERATORS[gain]
                 say(f"{climate.climate.label}, {k} probe days, {gain}")
                 predictor = build_thermoforce(training, free, orders=orders, modulation=modulation, exponents=exponents)
                 cells = score_cells(gain, predictor, climate, k)
@@ -170,12 +175,12 @@ def _ablation_targets(rows: Sequence[Row]) -> list[Target]:
     for k in sorted({row["days"] for row in rows}):
         effect = {
             gain: float(np.mean([r["effect_K"] for r in rows if r["days"] == k and r["gain"] == gain]))
-            for gain in _OPERATORS
+            for gain in dict.fromkeys(row["gain"] for row in rows)
         }
         # As in the paper: not worse with few days, clearly better from seven days on.
         limit = 1.0 if k >= 7 else 1.05
         out.append(Target(f"{k} days: neural against linear gain", effect["neural"] / effect["linear"], limit))
-        for gain in ("curve", "two-state", "two-state, curve"):
+        for gain in effect.keys() - {"linear", "neural"}:
             out.append(Target(f"{k} days: {gain} against linear gain", effect[gain] / effect["linear"], 1.0))
     return out
 

@@ -6,15 +6,16 @@ one course costs and brings more than another is the model's own answer.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from controllers.mpc.controller import ThermoForceMPC
+from controllers.mpc.margins import Margins
 from controllers.optimisation.evaluation import Evaluation
 from controllers.optimisation.problem import MPCProblem
-from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, FreeForecast, Observation
+from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, FreeForecast, Observation, Plan
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import ZONE, feature_matrix
@@ -27,20 +28,16 @@ _LEVELS = 21
 _Law = Callable[[int, int, Array, Array, Array], float]
 # The saved model and the one that planned are the same where its forced response is within this, K.
 _SAME_K = 0.2
-
-
-@dataclass(frozen=True)
-class Planned:
-    """What a plan predicted over N steps: levels `u` (A, N); `T_free_now_C` (Z,); (Z, N) each: `T_free_C` and its 80 %
-    band `low_C` to `high_C`, °C, and `T_forced_K`, K.
-    """
-
-    u: Array
-    T_free_now_C: Array
-    T_free_C: Array
-    low_C: Array
-    high_C: Array
-    T_forced_K: Array
+# Sums that differ by less are the same, currency: solvers stop there.
+_CENT = 0.005
+# What more or less of each part of the cost is, in words.
+_PARTS = {
+    "energy": "energy costs {}",
+    "discomfort": "discomfort counts {}",
+    "peak, cap": "power beyond its peak or cap costs {}",
+    "stored heat": "stored heat counts {}",
+    "other": "other terms cost {}",
+}
 
 
 @dataclass(frozen=True)
@@ -51,17 +48,25 @@ class Course:
         name: what it is.
         u: levels (A, N).
         T_zone_C: temperatures at the end of each step (Z, N), °C.
-        cost: of energy over the horizon, currency.
+        parts: what the controller minimises the sum of, by name (`problem_statement.PARTS`), currency.
         energy_kWh: of all machines over the horizon.
-        discomfort_Kh: distance from the comfort bounds over the horizon, all zones together, K·h.
+        discomfort_Kh: distance from the comfort bounds over the horizon, all zones together, K·h; the part `discomfort`
+            is counted from the bounds with the plan's margins inside.
+        broken: which limit it leaves, or ''.
     """
 
     name: str
     u: Array
     T_zone_C: Array
-    cost: float
+    parts: Mapping[str, float]
     energy_kWh: float
     discomfort_Kh: float
+    broken: str = ""
+
+    @property
+    def total(self) -> float:
+        """What is minimised, currency."""
+        return sum(self.parts.values())
 
 
 @dataclass(frozen=True)
@@ -71,14 +76,40 @@ class Alternatives:
     courses: tuple[Course, ...]
     notes: tuple[str, ...] = ()
 
+    @property
+    def reason(self) -> str:
+        """Why the plan was taken, or what totals less by this model; '' without a plan."""
+        plan, *others = self.courses
+        others = [course for course in others if not course.broken]
+        if plan.name != "plan" or not others:
+            return ""
+        best = min(others, key=lambda course: course.total)
+        parts = sorted(best.parts, key=lambda part: plan.parts[part] - best.parts[part])
+        more, less = (
+            [part for part in parts if sign * (best.parts[part] - plan.parts[part]) > _CENT] for sign in (1, -1)
+        )
+        told = "; ".join(_PARTS[part].format(_by(best.parts[part] - plan.parts[part])) for part in (*more, *less))
+        if best.total >= plan.total - _CENT:
+            ahead = f"the least total; next is {best.name}, {best.total - plan.total:.2f} more"
+        else:
+            ahead = f"not the least total: {best.name} has {plan.total - best.total:.2f} less"
+        return f"{ahead} ({told})" if told else ahead
 
-def alternatives(controller: ThermoForceMPC, observation: Observation, planned: Planned | None) -> Alternatives:
+
+def _by(difference: float) -> str:
+    return f"{abs(difference):.2f} {'more' if difference > 0 else 'less'}"
+
+
+def alternatives(
+    controller: ThermoForceMPC, observation: Observation, planned: Plan | None, peak_W: float = 0.0
+) -> Alternatives:
     """The courses off, full, as in the step before, thermostat rule and loops at the bounds, beside the plan.
 
     Args:
         controller: as it was built for the run.
         observation: what the plan was made on; the boundary without gaps.
         planned: the plan; None where nothing was planned, then the free response of the controller's own predictor.
+        peak_W: highest mean power of the building over a step of the run until then, W.
 
     Raises:
         DataError: a bound or price is missing, or the record cannot be split into free and forced response.
@@ -91,17 +122,14 @@ def alternatives(controller: ThermoForceMPC, observation: Observation, planned: 
         notes.append(f"nothing was planned: {context.free.note or 'a forecast'} stands for the free response")
     else:
         context = _context(controller, observation, planned)
-    model = _Model(controller, context, observation)
+    model = _Model(controller, context, observation, planned, peak_W)
     courses = []
     if planned is not None:
-        saved_K = model.evaluate(planned.u).forced_K
-        off_K = float(np.abs(saved_K - planned.T_forced_K).max())
-        if off_K > _SAME_K:
+        if (off_K := model.correct(planned)) > _SAME_K:
             notes.append(
                 f"the saved model is up to {off_K:.1f} K from the one that planned, which had adapted or judged the "
                 "record otherwise: only the differences to the plan are the saved one's"
             )
-            model.base_K = planned.T_forced_K - saved_K
         courses.append(model.course("plan", planned.u))
     for name, u in model.constant().items():
         courses.append(model.course(name, u))
@@ -112,17 +140,23 @@ def alternatives(controller: ThermoForceMPC, observation: Observation, planned: 
         notes.append("the levels of the step before are not known: the building's own control acted")
     courses.append(model.course("thermostat rule", model.follow(model.rule)))
     courses.append(model.course("loops at the bounds", model.follow(model.loop)))
+    notes += [f"{course.name}: {course.broken}" for course in courses if course.broken]
+    if planned is not None and model.own:
+        notes.append(
+            f"values of your own variables are not in the journal: {', '.join(model.own)} are 0 in other terms"
+        )
     return Alternatives(tuple(courses), tuple(notes))
 
 
-def _context(controller: ThermoForceMPC, observation: Observation, planned: Planned) -> PredictionContext:
+def _context(controller: ThermoForceMPC, observation: Observation, planned: Plan) -> PredictionContext:
     """The prediction that a plan was made on, from what is known of it."""
     boundary, operator = observation.boundary, controller.model.operator
+    free = np.stack([planned.T_free_low_C, planned.T_free_C, planned.T_free_high_C])
     starts = np.concatenate([planned.T_free_now_C[:, None], planned.T_free_C[:, :-1]], axis=1)
     return PredictionContext(
         operator=operator,
         forced_K=controller.predictor.forced_state(observation.history),
-        free=FreeForecast(np.array([0.1, 0.5, 0.9]), np.stack([planned.low_C, planned.T_free_C, planned.high_C])),
+        free=FreeForecast(np.array([0.1, 0.5, 0.9]), free),
         features=feature_matrix(starts, boundary.T_out_C[:-1], boundary.solar_W_m2[:-1], boundary.time_s[:-1]),
         boundary=boundary,
         names=observation.names,
@@ -132,18 +166,35 @@ def _context(controller: ThermoForceMPC, observation: Observation, planned: Plan
 class _Model:
     """Temperatures, costs and laws of one horizon."""
 
-    def __init__(self, controller: ThermoForceMPC, context: PredictionContext, observation: Observation) -> None:
+    def __init__(
+        self,
+        controller: ThermoForceMPC,
+        context: PredictionContext,
+        observation: Observation,
+        planned: Plan | None,
+        peak_W: float,
+    ) -> None:
         self._controller, self._context, self._boundary = controller, context, context.boundary
-        self._problem: MPCProblem = controller.instance(context, observation.history)
+        margins = Margins.nothing(len(context.names.zones), len(context.names.machines))
+        if planned is not None:  # its free response has the offset, its bounds have the other margins
+            margins = replace(margins, unused=planned.margins["unused_capacity"])
+        self._problem: MPCProblem = controller.instance(context, observation.history, margins, peak_W)
+        if planned is not None:
+            self._problem = replace(self._problem, lower_C=planned.lower_C, upper_C=planned.upper_C)
         self._operator: BuildingOperator = controller.planning_operator
         self._layout, self._machinery = controller.model.layout, self._problem.machinery
-        self._T_free_C = context.free.median_C
         self._T_now_C = np.where(
             np.isfinite(observation.T_zone_C),
             observation.T_zone_C,
             self._problem.features[:, 0, ZONE] + context.forced_K.sum(axis=(1, 2)),
         )
-        self.base_K: Array | float = 0.0
+        self.own = controller.evaluator.own_names
+
+    def correct(self, planned: Plan) -> float:
+        """Move the free response by what the plan's forced response was beyond that of this model; K at most."""
+        moved_K = planned.T_forced_K - self.evaluate(planned.u).forced_K
+        self._problem = replace(self._problem, T_free_C=self._problem.T_free_C + moved_K)
+        return float(np.abs(moved_K).max())
 
     def evaluate(self, u: Array) -> Evaluation:
         """What levels (A, N) bring, by the statement of the plan."""
@@ -152,16 +203,17 @@ class _Model:
     def course(self, name: str, u: Array) -> Course:
         """What the model predicts under levels (A, N)."""
         brought = self.evaluate(u)
-        T_zone_C = compose(self._T_free_C, brought.forced_K) + self.base_K
+        T_zone_C = compose(self._problem.T_free_C, brought.forced_K)
         hours = self._boundary.step_s / HOUR_S
         outside_K = np.maximum(self._boundary.lower_C[:, 1:] - T_zone_C, T_zone_C - self._boundary.upper_C[:, 1:])
         return Course(
             name,
             u,
             T_zone_C,
-            cost=float(brought.energy_cost.sum()),
+            parts=brought.parts,
             energy_kWh=float(brought.power_W.sum()) * self._boundary.step_s / J_PER_KWH,
             discomfort_Kh=float(np.maximum(outside_K, 0.0).sum()) * hours,
+            broken=brought.broken,
         )
 
     def constant(self) -> dict[str, Array]:
@@ -201,7 +253,7 @@ class _Model:
                 u[a, k] = law(a, k, T_C, forced, u)
             u[:, k : k + 1] = self.limited(u[:, k : k + 1], k)
             forced = self._operator.rollout(forced, u[:, k : k + 1], features[:, k : k + 1])[:, :, 0]
-            T_C = compose(self._T_free_C[:, k], forced.sum(axis=(1, 2)))
+            T_C = compose(self._problem.T_free_C[:, k], forced.sum(axis=(1, 2)))
         return u
 
     def rule(self, a: int, k: int, T_C: Array, forced: Array, u: Array) -> float:
@@ -218,7 +270,7 @@ class _Model:
         tried = np.repeat(u[None, :, k : k + 1], levels.size, axis=0)
         tried[:, a, 0] = levels
         end = self._operator.rollout(forced, tried, self._problem.features[:, k : k + 1])[:, z, :, 0].sum(axis=(1, 2))
-        T_end_C = compose(self._T_free_C[z, k], end)
+        T_end_C = compose(self._problem.T_free_C[z, k], end)
         low, high = self._boundary.lower_C[z, k + 1], self._boundary.upper_C[z, k + 1]
         # A heating loop does not act on the upper bound, nor a cooling loop on the lower.
         mode = self._layout.mode(a)

@@ -104,6 +104,8 @@ def solved_plan(
         T_forced_K=brought.forced_K,
         T_free_low_C=free.quantile_C(0.1),
         T_free_high_C=free.quantile_C(0.9),
+        lower_C=problem.lower_C,
+        upper_C=problem.upper_C,
         slack_K=slack_K,
         power_W=brought.power_W,
         time_s=context.boundary.time_s[: u.shape[1]],

@@ -12,6 +12,7 @@ from controllers.optimisation.problem import BOUND_TOLERANCE, MPCProblem, Proble
 from controllers.optimisation.statement.difference_equations import groups_of
 from controllers.optimisation.statement.functions import check_of
 from controllers.optimisation.statement.parameter_values import Numbers
+from controllers.optimisation.statement.problem_statement import PARTS
 from controllers.optimisation.statement.structure import structure_of
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -22,13 +23,14 @@ from thermoforce_mpc.model.operator.casadi_export import Buffered
 class Evaluation:
     """What levels `u` (A, N) cost and bring, by the statement.
 
-    `cost`: the objective; `energy_cost` (N,), currency; `power_W` (M, N), mean over each step; at the end of each step
-    `forced_K` and `slack_K` (Z, N); `running` (M, N), share of each step. `broken`: which limit is left by how much,
-    or ''. `values`: variables of the programme over the steps, by name.
+    `cost`: the objective; `parts`: what it is the sum of, by name; `energy_cost` (N,), currency; `power_W` (M, N), mean
+    over each step; at the end of each step `forced_K` and `slack_K` (Z, N); `running` (M, N), share of each step.
+    `broken`: which limit is left by how much, or ''. `values`: variables of the programme over the steps, by name.
     """
 
     u: Array
     cost: float
+    parts: Mapping[str, float]
     energy_cost: Array
     power_W: Array
     forced_K: Array
@@ -62,6 +64,11 @@ class Evaluator:
             return self
         return Evaluator(self.operator, by_steps)
 
+    @property
+    def own_names(self) -> tuple[str, ...]:
+        """Names of the user's own variables."""
+        return tuple(name.removeprefix("own ") for name in self._checks.own)
+
     def numbers(self, problem: MPCProblem) -> Array:
         """The parameters of an instance."""
         return self._numbers.of(problem)
@@ -80,13 +87,14 @@ class Evaluator:
             for value, rows in zip(out[1:7], (1, s.M, s.Z, s.Z, s.M, 1), strict=True)
         )
         values = {
-            name: value.reshape(self._checks.function.size_out(7 + i), order="F").copy()
-            for i, (name, value) in enumerate(zip(self._checks.values, out[7:], strict=True))
+            name: value.reshape(self._checks.function.size_out(8 + i), order="F").copy()
+            for i, (name, value) in enumerate(zip(self._checks.values, out[8:], strict=True))
         }
+        parts = dict(zip(PARTS, map(float, out[7].ravel() + 0.0), strict=True))
         least = required.ravel()
         worst = int(np.argmin(least)) if least.size else -1
         broken = self._in_words(worst, -least[worst]) if worst >= 0 and least[worst] < -BOUND_TOLERANCE else ""
-        return Evaluation(u, float(out[0][0]), energy[0], power, forced, slack, running, broken, values)
+        return Evaluation(u, float(out[0][0]), parts, energy[0], power, forced, slack, running, broken, values)
 
     def by_name(self, own: Array | None) -> dict[str, Array]:
         """The user's own variables by the names that the user gave them."""

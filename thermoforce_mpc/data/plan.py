@@ -21,7 +21,7 @@ NOT_ECONOMICAL = "cannot be avoided economically"
 """What a plan says of discomfort that it accepts though heat could avoid it."""
 
 # Arrays of a `Plan` over its horizon.
-_PLANNED = ("u", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "slack_K", "power_W")
+_PLANNED = ("u", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "slack_K", "power_W", "lower_C", "upper_C")
 
 Levels = float | None | Sequence[float | None]
 """Levels of the actuators: one each, or a number for one actuator; None for native control (of all, if alone)."""
@@ -95,7 +95,7 @@ class Plan:
     `u` (A, N), predicted `T_free_C` and `T_forced_K` at the end of each step and comfort `slack_K` (violation allowed
     for) (Z, N), and predicted `power_W` (M, N); they are empty for rules. `time_s` (N,) is the start of each step,
     counted from `origin` where the record has time stamps. `T_free_now_C` (Z,) is the control-free temperature the plan
-    starts from.
+    starts from; `lower_C` and `upper_C` (Z, N) are the comfort bounds with the margins that it kept inside them.
     `margins` of the first step by name: K inside the lower and the upper bound of each zone (2, Z); `offset` (Z,), K,
     is added to the prediction, `unused_capacity` (M,) the share of each machine that is not planned for.
     `acting` (A,): source of the action of each actuator; `status` is that of the plan, or of what took the place of the
@@ -114,6 +114,8 @@ class Plan:
     T_forced_K: Array = field(default_factory=lambda: np.empty(0))
     T_free_low_C: Array = field(default_factory=lambda: np.empty(0))
     T_free_high_C: Array = field(default_factory=lambda: np.empty(0))
+    lower_C: Array = field(default_factory=lambda: np.empty(0))
+    upper_C: Array = field(default_factory=lambda: np.empty(0))
     slack_K: Array = field(default_factory=lambda: np.empty(0))
     power_W: Array = field(default_factory=lambda: np.empty(0))
     time_s: Array = field(default_factory=lambda: np.empty(0))

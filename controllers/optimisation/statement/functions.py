@@ -25,8 +25,8 @@ _MOST = 64
 @dataclass(frozen=True)
 class Check:
     """`function`: (u, own, p) → cost, energy cost (1, N), power (M, N), forced response (Z, N), slack (Z, N), running
-    (M, N), least of each of what is `required`; then the variables called `values`. `own`: how many the user's
-    own are, by name.
+    (M, N), least of each of what is `required`, the parts of the cost (`PARTS`); then the variables called `values`.
+    `own`: how many the user's own are, by name.
     """
 
     function: ca.Function
@@ -105,6 +105,7 @@ def _build_check(s: Structure) -> tuple[dict[str, Any], list[ca.Function]]:
     plan = state(direct, q, s)
     required = ca.vertcat(*(least for _, least in direct.required))
     outputs = [plan.cost, plan.energy, plan.power, plan.forced, plan.slack, plan.running, required]
+    outputs.append(ca.vertcat(*plan.parts.values()))
     outputs = [ca.densify(value) for value in (*outputs, *direct.values.values())]
     facts = {
         "required": tuple(what for what, _ in direct.required),

@@ -44,20 +44,28 @@ from thermoforce_mpc.model.operator.casadi_export import gain_sizes
 
 Algebra = Lifted | Direct
 Parameters = Mapping[str, ca.SX]
+# What the cost is made of, currency: `stored heat` is minus what it is worth at the end, `other` the curvature and the
+# user's terms.
+PARTS = ("energy", "discomfort", "peak, cap", "stored heat", "other")
 
 
 @dataclass(frozen=True)
 class Stated:
-    """Expressions of a plan: `cost`; over the steps `energy` cost (1, N), `power` and `running` (M, N), `forced`
-    response and `slack` (Z, N).
+    """Expressions of a plan: the `parts` of its cost by name; over the steps `energy` cost (1, N), `power` and
+    `running` (M, N), `forced` response and `slack` (Z, N).
     """
 
-    cost: ca.SX
+    parts: Mapping[str, ca.SX]
     energy: ca.SX
     power: ca.SX
     forced: ca.SX
     slack: ca.SX
     running: ca.SX
+
+    @property
+    def cost(self) -> ca.SX:
+        """What is minimised: all parts together."""
+        return sum(self.parts.values(), ca.SX(0))
 
 
 def parameter_sizes(s: Structure) -> dict[str, tuple[int, int]]:
@@ -93,25 +101,24 @@ def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
     if s.signed:
         energy += ca.sum1(q["cold_cost"] * cool)
         power += _of_machines(s, q["cold_power"] * cool)
-    cost = (
-        ca.sum2(energy)
-        + ca.dot(lengths, ca.mtimes(q["comfort"].T, slack))
-        + q["weights"][0] * ca.dot(lengths, ca.sum1(u**2))
-    )
-    cost -= ca.dot(q["worth"], drive) + q["kept"]
+    parts = dict.fromkeys(PARTS, ca.SX(0))
+    parts["energy"] = ca.sum2(energy)
+    parts["discomfort"] = ca.dot(lengths, ca.mtimes(q["comfort"].T, slack))
+    parts["stored heat"] = -ca.dot(q["worth"], drive) - q["kept"]
+    parts["other"] = q["weights"][0] * ca.dot(lengths, ca.sum1(u**2))
     if s.curved or isinstance(alg, Direct):  # rows of power are linear otherwise
         power += _of_machines(s, q["bend"] * curve)
     total = ca.sum1(power) / POWER_UNIT_W
     if s.peak:
-        cost += q["weights"][1] * POWER_UNIT_W * alg.highest("peak", total - q["reached"] / POWER_UNIT_W)
+        parts["peak, cap"] += q["weights"][1] * POWER_UNIT_W * alg.highest("peak", total - q["reached"] / POWER_UNIT_W)
     if s.capped:
         over_cap = alg.at_least("over_cap", total - q["limit"] / POWER_UNIT_W)
-        cost += q["weights"][2] * POWER_UNIT_W * ca.dot(lengths, over_cap)
+        parts["peak, cap"] += q["weights"][2] * POWER_UNIT_W * ca.dot(lengths, over_cap)
     for term in s.terms:
         plan = PlanExpressions(alg, u, q["T_free"] + forced, power, slack, q["last_u"], s.step_s)
         term(plan)
-        cost += plan.cost
-    return Stated(cost, energy, power, forced, slack, runs)
+        parts["other"] += plan.cost
+    return Stated(parts, energy, power, forced, slack, runs)
 
 
 def _over(alg: Algebra, q: Parameters, s: Structure, heat: ca.SX) -> tuple[ca.SX, ca.SX]:

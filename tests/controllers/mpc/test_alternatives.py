@@ -10,25 +10,21 @@ from simple_house import FIXED_W, GAIN_K, PER_U_W, POLE, SimpleHouse, simple_mod
 from two_houses import TwoHouses, two_model
 
 from controllers import ThermoForceMPC
-from controllers.mpc.alternatives import Alternatives, Planned, alternatives
+from controllers.mpc.alternatives import Alternatives, alternatives
 from controllers.mpc.config import MPCConfig
-from thermoforce_mpc.data import DAY_S, Observation, Plan
+from thermoforce_mpc.data import DAY_S, Observation
 
 N = 12
 
 
-def controller(model) -> ThermoForceMPC:
+def controller(model, **more) -> ThermoForceMPC:
     options = {"step_s": 3600, "horizon_h": N, "gate": {"enabled": False}, "free_response": {"name": "linear_weather"}}
-    return ThermoForceMPC(model, MPCConfig(**options))
+    return ThermoForceMPC(model, MPCConfig(**options, **more))
 
 
 def observed(house) -> Observation:
     house.reset(10 * DAY_S, 2 * DAY_S)
     return Observation(house.past(3600), house.forecast(N * 3600, 3600))
-
-
-def planned_of(plan: Plan) -> Planned:
-    return Planned(plan.u, plan.T_free_now_C, plan.T_free_C, plan.T_free_low_C, plan.T_free_high_C, plan.T_forced_K)
 
 
 def named(found: Alternatives) -> dict:
@@ -39,7 +35,7 @@ def named(found: Alternatives) -> dict:
 def single():
     mpc, seen = controller(simple_model()), observed(SimpleHouse())
     plan = mpc.plan(seen)
-    return mpc, seen, plan, alternatives(mpc, seen, planned_of(plan))
+    return mpc, seen, plan, alternatives(mpc, seen, plan)
 
 
 def test_none_is_much_cheaper_than_the_plan_of_those_that_keep_the_bounds(single):
@@ -49,18 +45,59 @@ def test_none_is_much_cheaper_than_the_plan_of_those_that_keep_the_bounds(single
     assert courses["plan"].T_zone_C == pytest.approx(plan.T_zone_C, abs=1e-9)
     comfortable = [course for course in found.courses if course.discomfort_Kh <= courses["plan"].discomfort_Kh + 0.05]
     # The loop holds the very bound, the plan a margin inside it.
-    assert courses["plan"].cost <= 1.05 * min(course.cost for course in comfortable)
-    assert courses["plan"].cost < courses["thermostat rule"].cost
+    assert courses["plan"].parts["energy"] <= 1.05 * min(course.parts["energy"] for course in comfortable)
+    assert courses["plan"].parts["energy"] < courses["thermostat rule"].parts["energy"]
     assert {"off", "full", "levels of the step before", "thermostat rule", "loops at the bounds"} < set(courses)
+
+
+def test_the_parts_add_up_to_what_was_minimised_and_the_plan_has_the_least(single):
+    _, _, _, found = single
+    assert {"energy", "discomfort", "peak, cap", "stored heat", "other"} == set(found.courses[0].parts)
+    for course in found.courses:
+        assert course.total == pytest.approx(sum(course.parts.values()))
+    chosen, *others = found.courses
+    assert chosen.total == pytest.approx(plan_cost(single), abs=1e-3)
+    assert chosen.total <= min(course.total for course in others) + 1e-3
+    assert found.reason.startswith("the least total; next is ")
+    # What the comfort bounds alone do not say: heat left at the end, and margins inside them.
+    loop = named(found)["loops at the bounds"]
+    assert loop.parts["energy"] < chosen.parts["energy"]
+    assert loop.parts["discomfort"] > chosen.parts["discomfort"]
+    assert chosen.parts["stored heat"] == 0.0, "without a terminal value"
+
+
+def test_stored_heat_counts(single):
+    _, seen, _, _ = single
+    mpc = controller(simple_model(), objective={"terminal_value": 1.0})
+    courses = named(alternatives(mpc, seen, mpc.plan(seen)))
+    worth = {name: -course.parts["stored heat"] for name, course in courses.items()}
+    assert worth["off"] < worth["loops at the bounds"] < worth["plan"] < worth["full"]
+    assert courses["plan"].total < courses["loops at the bounds"].total
+
+
+def plan_cost(single) -> float:
+    """What the plan was found to cost when it was made."""
+    mpc, seen, plan, _ = single
+    problem = mpc.instance(mpc.predictor.context(seen), seen.history)
+    return mpc.evaluator.brings(problem, plan.u).cost
+
+
+def test_a_course_that_totals_less_than_the_plan_is_told(single):
+    mpc, seen, plan, _ = single
+    worse = alternatives(mpc, seen, replace(plan, u=np.ones_like(plan.u)))
+    assert worse.reason.startswith("not the least total: ")
+    assert "energy costs" in worse.reason
 
 
 def test_courses_are_the_models_own_answer(single):
     _, seen, _, found = single
     courses = named(found)
     off, full = courses["off"], courses["full"]
-    assert (off.cost, off.energy_kWh) == (0.0, 0.0)
+    assert (off.parts["energy"], off.energy_kWh) == (0.0, 0.0)
     assert full.energy_kWh == pytest.approx(N * (FIXED_W + PER_U_W) / 1000.0)
-    assert full.cost == pytest.approx(float(seen.boundary.price_per_kWh[0, :N].sum()) * (FIXED_W + PER_U_W) / 1000.0)
+    assert full.parts["energy"] == pytest.approx(
+        float(seen.boundary.price_per_kWh[0, :N].sum()) * (FIXED_W + PER_U_W) / 1000.0
+    )
     k = np.arange(1, N + 1)
     assert full.T_zone_C[0] - off.T_zone_C[0] == pytest.approx(GAIN_K * (1 - POLE**k) / (1 - POLE), abs=0.02)
     below = np.maximum(seen.boundary.lower_C[0, 1:] - off.T_zone_C[0], 0).sum()
@@ -103,7 +140,7 @@ def _left(mpc, seen) -> np.ndarray:
 
 def test_a_model_other_than_that_of_the_plan_is_said_and_gives_differences_only(single):
     mpc, seen, plan, _ = single
-    other = replace(planned_of(plan), T_forced_K=plan.T_forced_K + 1.0)
+    other = replace(plan, T_forced_K=plan.T_forced_K + 1.0)
     found = alternatives(mpc, seen, other)
     assert any("1.0 K from the one that planned" in note for note in found.notes)
     assert named(found)["plan"].T_zone_C == pytest.approx(plan.T_zone_C + 1.0)
@@ -112,13 +149,13 @@ def test_a_model_other_than_that_of_the_plan_is_said_and_gives_differences_only(
 def test_several_zones():
     mpc, seen = controller(two_model()), observed(TwoHouses())
     plan = mpc.plan(seen)
-    found = alternatives(mpc, seen, planned_of(plan))
+    found = alternatives(mpc, seen, plan)
     courses = named(found)
     assert courses["plan"].T_zone_C == pytest.approx(plan.T_zone_C, abs=1e-9)
     assert courses["full"].u.tolist() == np.ones((2, N)).tolist()
     for name, course in courses.items():
         assert course.u.shape == course.T_zone_C.shape == (2, N), name
-    assert courses["off"].cost == 0.0 < courses["plan"].cost < courses["full"].cost
+    assert courses["off"].parts["energy"] == 0.0 < courses["plan"].parts["energy"] < courses["full"].parts["energy"]
     # The level of the second house is not measured.
     assert any("step before are not known" in note for note in found.notes)
 

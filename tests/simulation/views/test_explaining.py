@@ -18,7 +18,7 @@ from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation import report
 from thermoforce_mpc.simulation import run as simulation_run
-from thermoforce_mpc.simulation.journal.journal import Journal, JournalError
+from thermoforce_mpc.simulation.journal.journal import Journal, JournalError, read_run
 from thermoforce_mpc.simulation.views.explaining import decision_at, seconds_of, words_of
 
 
@@ -89,8 +89,37 @@ def test_alternatives_stand_beside_the_plan(folder, tmp_path):
     assert all(name in done.output for name in courses)
     free_C, forced_K = (np.array(told["plan"][name]) for name in ("T_free_C", "T_forced_K"))
     assert courses["plan"]["T_zone_C"] == pytest.approx(free_C + forced_K, abs=0.01)
-    assert courses["off"]["cost"] == 0.0 < courses["plan"]["cost"] < courses["full"]["cost"]
+    energy = {name: course["parts"]["energy"] for name, course in courses.items()}
+    assert energy["off"] == 0.0 < energy["plan"] < energy["full"]
     assert courses["off"]["discomfort_Kh"] > courses["plan"]["discomfort_Kh"]
+
+
+def test_the_rows_add_up_and_the_chosen_has_the_least_total(folder, tmp_path):
+    """In a running plant, with what the run had learned until then."""
+    for at in ("10 01:30", "10 04:30", "10 11:00"):
+        done = call("explain", folder, "--at", at, "--json", tmp_path / "told.json")
+        courses = json.loads((tmp_path / "told.json").read_text())["alternatives"]["courses"]
+        plan, *others = courses
+        for course in courses:
+            assert course["total"] == pytest.approx(sum(course["parts"].values()))
+        assert plan["total"] <= min(course["total"] for course in others) + 0.01
+        row = next(line.split() for line in done.output.splitlines() if line.strip().startswith("plan "))
+        figures = [float(word) for word in row[1:7]]
+        assert sum(figures[:-1]) == pytest.approx(figures[-1], abs=0.03)
+        assert "action: the plan's first step, of the least total; next is" in done.output
+
+
+def test_a_step_that_was_not_the_plans_says_whose(folder, tmp_path):
+    kept = Journal(tmp_path / "journal.jsonl")
+    for entry in read_run(folder / "journal.jsonl").entries:
+        of_a_step = {"status": "guard", "acting": ["guard"]} if "status" in entry.content else {}
+        kept.write(entry.kind, {**entry.content, **of_a_step})
+    kept.close()
+    shutil.copytree(folder / "model", tmp_path / "model")
+    assert (
+        "action: not that of a plan: the comfort guard"
+        in call("explain", tmp_path, "--controller", "thermoforce_mpc").output
+    )
 
 
 def test_where_there_is_no_model_it_is_said(folder, tmp_path):
@@ -164,7 +193,8 @@ def test_several_zones_on_one_machine(tmp_path, monkeypatch):
     told = json.loads((tmp_path / "told.json").read_text())["alternatives"]
     courses = {course["name"]: course for course in told["courses"]}
     assert np.shape(courses["full"]["u"]) == np.shape(courses["plan"]["T_zone_C"]) == (2, 48)
-    assert courses["off"]["cost"] == 0.0 < courses["plan"]["cost"] < courses["full"]["cost"]
+    energy = {name: course["parts"]["energy"] for name, course in courses.items()}
+    assert energy["off"] == 0.0 < energy["plan"] < energy["full"]
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from thermoforce_mpc.simulation.views.whole_tables import print_whole
 if TYPE_CHECKING:
     from controllers.mpc.alternatives import Alternatives
 
+_AS_PLANNED = {"solved", "bridged", "acceptable"}
 _RUNGS = {
     "solved": "the plan of the solver, checked",
     "bridged": "the plan of the solver, checked, with a substitute for a reading or a forecast (see the notes)",
@@ -50,7 +51,8 @@ def command(run: Path, at: str | None, controller: str | None, hours: float, jso
 
     Beside the plan stand its alternatives: what the same model predicts for the same hours had everything been off, at
     full level, as in the step before, run by the fallback's thermostat rule, or by loops that hold the comfort bounds
-    (what a building's own control does at its best).
+    (what a building's own control does at its best). A row shows what each part of the objective counts, and their sum,
+    which the plan makes least; the part `discomfort` is counted from the bounds with the plan's margins inside.
 
     Read from the journal, so that it works while a run is under way and after one that failed.
 
@@ -70,6 +72,7 @@ def command(run: Path, at: str | None, controller: str | None, hours: float, jso
         console.print(f"alternatives: none are known, {alternatives}", markup=False)
     else:
         print_whole(_alternatives(decision, alternatives), console)
+        console.print(f"action: {_reason(decision, alternatives)}", markup=False)
         for note in alternatives.notes:
             console.print(f"alternatives: {note}", markup=False)
     if json_file:
@@ -78,27 +81,39 @@ def command(run: Path, at: str | None, controller: str | None, hours: float, jso
 
 
 def _alternatives(decision: Decision, alternatives: Alternatives) -> Table:
-    """The plan and other courses: cost, discomfort, first levels, and the temperature that they end at."""
+    """The plan and other courses: the parts of what is minimised and their sum, levels, and where they end."""
     names, step_s = decision.names, decision.boundary.step_s
     first = max(1, round(HOUR_S / step_s))
     hours = alternatives.courses[0].u.shape[1] * step_s / HOUR_S
     table = Table(
-        title=f"Alternatives over {hours:g} h, the whole plan, by the same model",
+        title=f"Alternatives over {hours:g} h, the whole plan, by the same model: what is minimised",
         title_justify="left",
         box=box.SIMPLE_HEAD,
         padding=(0, 1),
     )
-    columns = ["", "energy cost", "energy\nkWh", "discomfort\nK·h"]
+    columns = ["", *(part.replace(" ", "\n", 1) for part in alternatives.courses[0].parts), "= total"]
+    columns += ["energy\nkWh", "discomfort\nK·h"]
     columns += ["u, first hour" if names.single else f"u, first hour\n{name}" for name in names.actuators]
     columns += ["ends at\n°C" if names.single else f"ends at\n{zone}" for zone in names.zones]
     for column in columns:
         table.add_column(column, justify="right" if column else "left", no_wrap=True)
     for course in alternatives.courses:
-        row = [course.name, f"{course.cost:.2f}", f"{course.energy_kWh:.1f}", f"{course.discomfort_Kh:.2f}"]
+        row = [course.name, *(f"{part:.2f}" for part in course.parts.values()), f"{course.total:.2f}"]
+        row += [f"{course.energy_kWh:.1f}", f"{course.discomfort_Kh:.2f}"]
         row += [f"{level:.2f}" for level in course.u[:, :first].mean(axis=1)]
         row += [f"{T:.2f}" for T in course.T_zone_C[:, -1]]
         table.add_row(*row)
     return table
+
+
+def _reason(decision: Decision, alternatives: Alternatives) -> str:
+    """Why the action was taken, in one sentence."""
+    status = decision.told["status"]
+    if status not in _AS_PLANNED or not alternatives.reason:
+        return f"not that of a plan: {_RUNGS.get(status, status)}"
+    others = sorted(set(decision.told["acting"]) - _AS_PLANNED)
+    but = f"; at some actuators not the plan's, but {' and '.join(others)}" if others else ""
+    return f"the plan's first step, of {alternatives.reason}{but}"
 
 
 def _lines(decision: Decision) -> list[str]:

@@ -32,7 +32,8 @@ Json = dict[str, Any]
 _DTYPES, _MOST_VALUES = ("<f8", "<f4"), 20_000_000
 
 # Arrays of a plan that a journal keeps for people, to four digits or so: a resumed run plans again.
-PLANNED = ("u", "T_free_now_C", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "slack_K", "power_W")
+_COURSES = ("u", "T_free_now_C", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C")
+PLANNED = (*_COURSES, "lower_C", "upper_C", "slack_K", "power_W")
 
 
 def pack(rows: Array, dtype: str = "<f8") -> Json:

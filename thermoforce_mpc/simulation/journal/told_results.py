@@ -138,7 +138,9 @@ def _record(step: ToldStep, boundary: Boundary) -> StepRecord:
 
 def _plan(step: ToldStep, blocks: tuple[Block, ...], seconds: Mapping[str, float]) -> Plan:
     decision = step.told
-    arrays: dict[str, Any] = {name: unpack(decision["plan"][name]) for name in PLANNED} if "plan" in decision else {}
+    planned = decision.get("plan", {})
+    # Journals of before hold no bounds of plans.
+    arrays: dict[str, Any] = {name: unpack(planned[name]) for name in PLANNED if name in planned}
     plan = Plan(
         blocks=blocks,
         status=PlanStatus(decision["status"]),

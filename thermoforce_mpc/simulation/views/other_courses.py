@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from controllers.registry import build_controller, find_entry
+from thermoforce_mpc.data import Plan, PlanStatus
 from thermoforce_mpc.errors import ArtifactError, DataError
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
@@ -34,6 +37,8 @@ def alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
 
 
 def _alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
+    if decision.plan and not {"lower_C", "upper_C"} <= set(decision.plan):
+        return "the journal, of an earlier release, does not hold the bounds that the plan kept"
     entries = read_run(folder / NAME).entries
     name = decision.controller
     if not find_entry(name).needs_model:
@@ -42,7 +47,7 @@ def _alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
     entry: Mapping[str, Any] = models.get(name, {})
     if not entry.get("folder"):
         return f"there is no model: {entry.get('refused') or 'the run was given one that it did not keep'}"
-    from controllers.mpc.alternatives import Planned, alternatives
+    from controllers.mpc.alternatives import alternatives
     from controllers.mpc.controller import ThermoForceMPC
     from thermoforce_mpc.model.thermal_model import load_model
 
@@ -52,20 +57,26 @@ def _alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
         model = load_model(folder / str(entry["folder"]))
         controller = build_controller(name, options, validate_scenario(scenario), model)
         assert isinstance(controller, ThermoForceMPC)
-        rows = decision.plan
-        planned = None
-        if rows:
-            planned = Planned(
-                rows["u"],
-                rows["T_free_now_C"],
-                rows["T_free_C"],
-                rows["T_free_low_C"],
-                rows["T_free_high_C"],
-                rows["T_forced_K"],
-            )
-        return alternatives(controller, decision.observation, planned)
+        return alternatives(controller, decision.observation, _planned(decision), _peak_W(decision))
     except (ArtifactError, DataError) as error:
         return str(error)
+
+
+def _planned(decision: Decision) -> Plan | None:
+    """The plan without its blocks; None where nothing was planned."""
+    if not decision.plan:
+        return None
+    told = decision.told
+    plan = Plan((), PlanStatus(told["status"]), told["why"], margins=decision.margins, names=decision.names)
+    courses: dict[str, Any] = dict(decision.plan)
+    return replace(plan, **courses)
+
+
+def _peak_W(decision: Decision) -> float:
+    """Highest mean power of the building over a step of the run before the decision, W."""
+    history = decision.observation.history
+    since = history.power_W[:, history.time_s[:-1] >= decision.steps[0].time_s].sum(axis=0)
+    return float(np.nanmax(since, initial=0.0))
 
 
 def alternatives_json(alternatives: Alternatives | str) -> dict[str, Any]:
@@ -73,7 +84,7 @@ def alternatives_json(alternatives: Alternatives | str) -> dict[str, Any]:
     if isinstance(alternatives, str):
         return {"none": alternatives}
     courses = [
-        asdict(course) | {"u": course.u.tolist(), "T_zone_C": course.T_zone_C.tolist()}
+        asdict(course) | {"u": course.u.tolist(), "T_zone_C": course.T_zone_C.tolist(), "total": course.total}
         for course in alternatives.courses
     ]
-    return {"courses": courses, "notes": list(alternatives.notes)}
+    return {"courses": courses, "notes": list(alternatives.notes), "reason": alternatives.reason}
