@@ -62,7 +62,9 @@ from thermoforce_mpc.simulation.models.run_models import (
     origins_of,
     weight_hash,
 )
+from thermoforce_mpc.simulation.outside import note_given, with_given
 from thermoforce_mpc.simulation.views.display import RunDisplay
+from thermoforce_mpc.simulation.views.explaining import seconds_of
 from thermoforce_mpc.simulation.views.watching import watch_spells
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
@@ -150,6 +152,7 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
         StorageError: the disk is full, or the folder cannot be written any more; the plant was released.
     """
     testcase = validate_scenario(scenario)
+    note_given(scenario)
     folder = create_run_folder(out, f"{testcase.name}-{scenario.period}-{scenario.price}-{scenario.controller.name}")
     with sole_use(folder):
         if not is_empty(folder):  # another run was quicker
@@ -157,10 +160,19 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
         return _carry_out(RunBook.begin(folder, scenario, command), display, testcase)
 
 
-def resume_run(folder: Path, display: RunDisplay) -> Path:
+def resume_run(
+    folder: Path, display: RunDisplay, since: str | None = None, given: Mapping[str, str] | None = None
+) -> Path:
     """Go on with a run that was ended before its time, from its journal; the result is that of an undisturbed run.
 
+    Args:
+        folder: run folder.
+        display: where it is shown.
+        since: line of the journal, or a time (`seconds_of`), from which on its records are lost.
+        given: settings that act outside the folder, by key, see `outside`.
+
     Raises:
+        ConfigError: the journal names something outside that is neither known nor given; there is a link in the folder.
         JournalError: there is no journal, it is damaged, or the run does not repeat itself.
         NoSuchTest: the run was on a service that no longer has its test.
         PlantError, StorageError: as `run_scenario`.
@@ -171,7 +183,8 @@ def resume_run(folder: Path, display: RunDisplay) -> Path:
         if is_complete(folder):
             display.say(f"{folder} is complete; there is nothing to resume")
             return folder
-        book = RunBook.reopen(folder)
+        at = None if since is None else int(since) if since.isdecimal() else seconds_of(since, "--from")
+        book = RunBook.reopen(folder, at, lambda told: with_given(told, given or {}, folder))
         steps = sum(entry.kind == "done" for entry in book.told)
         display.say(f"Resuming after {counted(steps, 'recorded step')}")
         return _carry_out(book, display, validate_scenario(book.scenario))

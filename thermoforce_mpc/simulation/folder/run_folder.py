@@ -25,6 +25,7 @@ from thermoforce_mpc.registry import plugins
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held
 from thermoforce_mpc.simulation.folder.capped import capped_figures
+from thermoforce_mpc.simulation.folder.plain_files import check_plain
 from thermoforce_mpc.simulation.folder.planning import Planning
 from thermoforce_mpc.version import VERSION
 
@@ -68,15 +69,19 @@ def sole_use(folder: Path) -> Iterator[None]:
     """Keep other runs out of `folder` while the block lasts; a process that dies releases it.
 
     Raises:
-        ConfigError: another process is using the folder, or it cannot be written.
+        ConfigError: another process is using the folder, or there is a link, pipe or device in it.
+        StorageError: it cannot be written.
     """
+    check_plain(folder)
     lock = FileLock(folder / _LOCK, timeout=0)
     try:
         lock.acquire()
     except Timeout as error:
         raise ConfigError(f"{folder}: another run is using this folder; wait for it, or choose another one") from error
     except OSError as error:
-        raise ConfigError(f"{folder}: cannot be used ({error.strerror or error})") from error
+        raise StorageError(
+            f"{folder}: cannot be written ({error.strerror or error}); choose a folder that can be written, or copy it"
+        ) from error
     try:
         yield
     finally:

@@ -183,7 +183,7 @@ def _decision_at(path: Path, at: str | None, controller: str | None) -> Decision
     return Decision(name, tuple(steps), forecast_of(steps), plan, margins_of(steps[-1].told))
 
 
-def seconds_of(at: str) -> float:
+def seconds_of(at: str, option: str = "--at") -> float:
     """Seconds since 1 January of a time as people write it.
 
     '16 06:30' is half past six of day 16 (days from 0, as `--period`), '16.5' noon of it, '01-17 06:30' and
@@ -200,7 +200,9 @@ def seconds_of(at: str) -> float:
         except ValueError:
             continue
         return (moment - datetime(2021, 1, 1)).total_seconds()
-    raise InputError(f"--at {at}: not a time; write '16 06:30' (day from 0, as --period), '01-17 06:30' or '1405800s'")
+    raise InputError(
+        f"{option} {at}: not a time; write '16 06:30' (day from 0, as --period), '01-17 06:30' or '1405800s'"
+    )
 
 
 def hour_ends(n: int, step_s: float, hours: float) -> range:
