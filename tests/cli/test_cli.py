@@ -43,7 +43,7 @@ def tf_mpc(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[
 def simple(monkeypatch, tmp_path):
     """`tf-mpc run` on the simple house, in an empty folder; gives a function that runs it in this process."""
     house = SimpleHouse()
-    monkeypatch.setattr(simulation_run, "build_plant", lambda spec, testcase, seed: house)
+    monkeypatch.setattr(simulation_run, "build_plant", lambda *_: house)
     monkeypatch.chdir(tmp_path)
 
     def call(*words: str):
@@ -177,7 +177,7 @@ def test_a_run_leaves_a_complete_folder_and_prints_the_comparison(simple, tmp_pa
 def test_a_model_below_the_bar_is_saved_with_exit_code_4_and_not_acted_on(simple, tmp_path, monkeypatch):
     """A day of probing does not tell this house's effect as well as is asked for here."""
     monkeypatch.setattr(competence, "MOST_RELATIVE_SD", 0.02)
-    monkeypatch.setattr(composition, "build_plant", lambda spec, testcase, seed: SimpleHouse())
+    monkeypatch.setattr(composition, "build_plant", lambda *_: SimpleHouse())
     quick = ("--set", "identification.most_days=1", "--set", "identification.probing.design=random")
     words = ["identify", "--testcase", TESTCASE, "--probe-days", "1", "--out", "m", *quick]
     done = CliRunner().invoke(cli, [*words, *WEAK_PRIORS])

@@ -80,7 +80,7 @@ def test_a_plant_that_never_gave_a_forecast_ends_the_run_at_once():
 
 def test_a_run_killed_without_a_forecast_goes_on_to_the_same_bytes_and_is_explained(tmp_path, monkeypatch):
     simple_model().save(tmp_path / "model")
-    monkeypatch.setattr(simulation_run, "build_plant", lambda spec, testcase, seed: silent(4, 30))
+    monkeypatch.setattr(simulation_run, "build_plant", lambda *_: silent(4, 30))
     monkeypatch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
     words = ["--model", tmp_path / "model", "--baselines", "", "--days", "0.5", "--out", tmp_path / "run"]
     settings = ["--set", "controller.options.gate.enabled=false", "--set", "step_s=3600", "--set", "days=0.5"]
@@ -121,7 +121,7 @@ def test_a_journal_tells_the_forecasts_that_the_run_had(tmp_path, monkeypatch):
         had["run"] = run_closed_loop(*args, **options)
         return had["run"]
 
-    monkeypatch.setattr(simulation_run, "build_plant", lambda spec, testcase, seed: silent(4, 7, gappy))
+    monkeypatch.setattr(simulation_run, "build_plant", lambda *_: silent(4, 7, gappy))
     monkeypatch.setattr(simulation_run, "run_closed_loop", kept)
     monkeypatch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
     words = ["run", "--testcase", "bestest_hydronic_heat_pump", "--model", tmp_path / "model", "--baselines", ""]

@@ -65,6 +65,7 @@ from thermoforce_mpc.simulation.models.run_models import (
 from thermoforce_mpc.simulation.outside import note_given, with_given
 from thermoforce_mpc.simulation.views.display import RunDisplay
 from thermoforce_mpc.simulation.views.explaining import seconds_of
+from thermoforce_mpc.simulation.views.verdict import verdict
 from thermoforce_mpc.simulation.views.watching import watch_spells
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
@@ -255,15 +256,18 @@ def _print_summary(
     outcome: ScenarioResult, folder: Path, testcase: TestCase, power_cap: Mapping[str, Any], display: RunDisplay
 ) -> None:
     """Print the KPI table and what was out of the ordinary."""
-    plant, window = outcome.plant, _window(outcome.result.period)
-    title = f"{plant.kind} plant, {plant.weather}\n{window}, {outcome.scenario.price} tariff"
+    plant, period = outcome.plant, outcome.result.period
+    said = verdict(outcome.result.controller, outcome.kpis, testcase.currency, period.scored_s / DAY_S)
+    display.console.print(f"\n{said}\n", soft_wrap=True, markup=False)
+    title = f"{plant.kind} plant, {plant.weather}\n{_window(period)}, {outcome.scenario.price} tariff"
     gates = {name: gate.in_words() for name, gate in gates_held(outcome.result, outcome.baselines).items()}
     display.kpi_table(outcome.kpis, title, testcase.currency, gates)
     if equal := _equal_in_words(outcome, testcase):
         display.say(equal)
     for name, figures in power_cap.items():
         display.say(f"{name}: {Capped(**figures).in_words()}")
-    display.say(f"{outcome.result.controller}: {outcome.planning[outcome.result.controller].in_words()}")
+    if find_entry(outcome.scenario.controller.name).needs_model:
+        display.say(f"{outcome.result.controller}: {outcome.planning[outcome.result.controller].in_words()}")
     levels = outcome.result.fallback_levels()
     fallbacks = {level: n for level, n in levels.items() if n and level not in ("solved", "rule", "gate")}
     if fallbacks:

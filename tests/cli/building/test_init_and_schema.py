@@ -95,7 +95,7 @@ def test_a_scenario_to_start_from_is_whole_and_valid(tmp_path, testcase):
     text = path.read_text(encoding="utf-8")
     assert not wrong("scenario", text)
     every_key = re.sub(
-        r"^( *)# (\w+: \S)", r"\1\2", re.sub(r"^ *# \w+: (?!null$)[a-z ].*[^}\d]$", "", text, flags=re.M), flags=re.M
+        r"^( *)# (\w+: \S)", r"\1\2", re.sub(r"^ *# \w+: (?!null$)[a-z ].*[^}\d\n]$", "", text, flags=re.M), flags=re.M
     )
     found = parse_value(every_key, "all keys")
     assert set(found) == set(type(scenario).model_fields)

@@ -8,8 +8,8 @@ import io
 import pytest
 from comparison_records import record
 
-from thermoforce_mpc.simulation.comparison.files import write_outcome
-from thermoforce_mpc.simulation.comparison.outcome import cost_targets, outcome_rows, verdicts
+from thermoforce_mpc.simulation.comparison.files import FORMS, formatted, write_outcome
+from thermoforce_mpc.simulation.comparison.outcome import cost_targets, outcome_rows, ranked, verdicts
 
 RECORDS = [
     record("ours", 0.60, 0.10, needs_model=True),
@@ -58,7 +58,7 @@ def test_a_baseline_that_costs_nothing_or_earns_is_compared_without_a_ratio(ours
     best = [row["controller"] for row in rows if row["best_cost"]]
     assert best == (["ours", "thermostat"] if cheapest == "both" else [cheapest])
     assert [row["controller"] for row in rows if row["pareto"]] == best
-    assert f"cheapest {', '.join(best)}" in verdicts(rows)[0]
+    assert f"cheapest at comparable comfort (at most 0.50 K·h) {', '.join(best)}" in verdicts(rows)[0]
     assert cost_targets(rows) == []
 
 
@@ -66,7 +66,10 @@ def test_the_files_tell_the_same(tmp_path):
     result = write_outcome(tmp_path, [*RECORDS, FAILED], name="compare", title="A <title>", currency="EUR")
     assert result["bench"] == "compare"
     rows = list(csv.DictReader(io.StringIO((tmp_path / "table.csv").read_text(encoding="utf-8"))))
-    assert [row["controller"] for row in rows] == ["ours", "other mpc", "thermostat", "native", "broken"]
+    assert [row["controller"] for row in rows] == [row["controller"] for row in result["rows"]]
+    assert rows[-1]["controller"] == "broken"
+    costs = [float(row["cost_tot"]) for row in rows if row["comparable"] == "True"]
+    assert costs == sorted(costs)
     assert float(rows[0]["cost_tot"]) == 0.60
     table = (tmp_path / "table.md").read_text(encoding="utf-8")
     assert "| ours (front) | 0.6000* | 0.10 |" in table
@@ -77,6 +80,28 @@ def test_the_files_tell_the_same(tmp_path):
     assert "no such file" in page
     write_outcome(tmp_path, [*RECORDS, FAILED], name="compare", title="A <title>", currency="EUR")
     assert (tmp_path / "comparison.html").read_text(encoding="utf-8") == page
+
+
+def test_the_cheapest_is_not_called_best_where_it_leaves_many_times_the_discomfort():
+    rows = outcome_rows(
+        [
+            record("cold", 0.4, 9.2, needs_model=False),
+            record("ours", 0.6, 0.3, needs_model=True),
+            record("thermostat", 0.7, 0.0, needs_model=False),
+        ]
+    )
+    assert [row["controller"] for row in rows if row["best_cost"]] == ["ours"]
+    assert [row["controller"] for row in ranked(rows)] == ["ours", "thermostat", "cold"]
+    assert any("cold costs less (0.4000) with 9.20 K·h" in text for text in verdicts(rows))
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_figures_can_be_taken_elsewhere(form):
+    rows = outcome_rows([*RECORDS, FAILED])
+    text = formatted(rows, form, "title", "EUR")
+    for row in rows:
+        assert row["controller"].replace("_", "\\_" if form == "latex" else "_") in text
+    assert {"csv": "window,price", "latex": "\\toprule", "markdown": "| controller |"}[form] in text
 
 
 def test_the_discomfort_of_every_zone_is_shown(tmp_path):

@@ -10,6 +10,7 @@ from pydantic import BaseModel
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.schedule.comfort import Comfort
 from thermoforce_mpc.scenario.settings import named_configs
 from thermoforce_mpc.simulation.comparison import cells
 from thermoforce_mpc.simulation.comparison.cells import expand
@@ -146,6 +147,8 @@ def test_everything_that_learning_is_given_is_in_its_key(field, monkeypatch, tmp
     elif field == "probed":
         (tmp_path / "probing").mkdir()
         changed = str(tmp_path)
+    elif field == "comfort":
+        changed = Comfort(schedule="else 20-24")
     else:
         changed = value + type(value)(1)
     other = replace(before.task, **{field: changed})

@@ -46,7 +46,7 @@ def call(monkeypatch):
     """`tf-mpc` in this process on the house given; the result of the call."""
 
     def called(house: SimpleHouse, *words: object):
-        monkeypatch.setattr(simulation_run, "build_plant", lambda spec, testcase, seed: house)
+        monkeypatch.setattr(simulation_run, "build_plant", lambda *_: house)
         return CliRunner().invoke(cli, [str(word) for word in words], catch_exceptions=True)
 
     return called

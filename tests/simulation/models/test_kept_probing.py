@@ -63,14 +63,14 @@ def call(*words: object):
 
 def run(house: SimpleHouse, out: Path, *words: object):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(simulation_run, "build_plant", lambda spec, testcase, seed: house)
+        patch.setattr(simulation_run, "build_plant", lambda *_: house)
         patch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
         return call("run", "--testcase", TESTCASE, *SETTINGS, "--out", out, *words)
 
 
 def resumed(house: SimpleHouse, folder: Path):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(simulation_run, "build_plant", lambda spec, testcase, seed: house)
+        patch.setattr(simulation_run, "build_plant", lambda *_: house)
         patch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
         return call("resume", folder)
 

@@ -24,7 +24,7 @@ def whole(tmp_path_factory):
     root = tmp_path_factory.mktemp("runs")
     simple_model().save(root / "model")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(simulation_run, "build_plant", lambda spec, testcase, seed: SimpleHouse())
+        patch.setattr(simulation_run, "build_plant", lambda *_: SimpleHouse())
         words = ["--model", root / "model", "--baselines", "thermostat", "--days", "1", "--out", root / "whole"]
         words += ["--set", "controller.options.gate.enabled=false", "--set", "step_s=3600"]
         words += ["--set", "controller.options.free_response.name=persistence"]

@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.comparison.outcome import (
     KPIS,
@@ -17,6 +19,7 @@ from thermoforce_mpc.simulation.comparison.outcome import (
     group_title,
     grouped,
     outcome_rows,
+    ranked,
     verdicts,
 )
 from thermoforce_mpc.simulation.comparison.paired import in_words, pairs, reference_of
@@ -33,6 +36,7 @@ HEADINGS = {
     "plan_ms": "plan, ms",
     "fallbacks": "fallbacks",
 }
+FORMS = ("csv", "latex", "markdown")
 _BEST = {"cost_tot": "best_cost", "tdis_tot": "best_discomfort"}
 
 
@@ -61,6 +65,8 @@ def write_outcome(
     from thermoforce_mpc.simulation.comparison.page import comparison_page
 
     rows = outcome_rows(records)
+    if swept is None:  # a sweep is read in the order of its values
+        rows = [row for group in grouped(rows).values() for row in ranked(group)]
     result = results_json(name, rows, cost_targets(rows))
     write_json(folder / "results.json", result)
     write_whole(folder / "table.csv", _csv(rows))
@@ -107,6 +113,20 @@ def shown_figures(row: Row) -> list[str]:
     return texts
 
 
+def formatted(rows: Sequence[Row], form: str, title: str, currency: str) -> str:
+    """The figures of all rows as text in a `form` of `FORMS`, to go on with elsewhere."""
+    if form == "csv":
+        return _csv(rows)
+    if form == "markdown":
+        return markdown(rows, title, currency, verdicts(rows))
+    columns = ["window", "tariff", "controller", *headings(currency)]
+    texts = [[row["window"], row["price"], row["controller"], *shown_figures(row)] for row in rows]
+    latex = pd.DataFrame(texts, columns=columns).to_latex(
+        index=False, escape=True, column_format="lll" + "r" * len(HEADINGS)
+    )
+    return str(latex).replace("₂", "$_2$").replace("²", "$^2$").replace("·", "$\\cdot$").replace("–", "--")
+
+
 def markdown(rows: Sequence[Row], title: str, currency: str, says: Sequence[str]) -> str:
     """The tables as Markdown, followed by the findings `says`."""
     lines = [f"# {title}", ""]
@@ -119,7 +139,11 @@ def markdown(rows: Sequence[Row], title: str, currency: str, says: Sequence[str]
             lines.append(f"| {row['controller']}{front} | " + " | ".join(shown_figures(row)) + " |")
         lines.append("")
         lines += _zone_lines(members)
-    lines += ["`*`: best of its table; (front): on the Pareto front of cost and discomfort.", ""]
+    lines += [
+        "By cost, comparable comfort first. `*`: best of its table (cost at comparable comfort); (front): on the "
+        "Pareto front of cost and discomfort.",
+        "",
+    ]
     lines += _paired_lines(rows)
     lines += [f"- {text}" for text in says]
     lines += [
@@ -158,7 +182,7 @@ def _zone_lines(members: Sequence[Row]) -> list[str]:
 def _csv(rows: Sequence[Row]) -> str:
     zones = dict.fromkeys(f"tdis_tot[{zone}]" for row in rows for zone in row["zones"])
     columns = [
-        "window", "price", "uncertainty", "controller", "status", *KPIS, "saving", *zones, "best_cost",
+        "window", "price", "uncertainty", "controller", "status", *KPIS, "saving", *zones, "comparable", "best_cost",
         "best_discomfort", "pareto", "fallbacks", "plan_ms", "controller_s", "plant_s", "reason",
     ]  # fmt: skip
     text = io.StringIO()

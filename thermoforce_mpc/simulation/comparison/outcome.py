@@ -14,6 +14,8 @@ COST, DISCOMFORT = "cost_tot", "tdis_tot"
 KPIS = (COST, DISCOMFORT, "ener_tot", "emis_tot", "pele_tot")
 # Tolerances within which two results are equal: relative for cost, K·h for discomfort.
 _COST_TIE, _DISCOMFORT_TIE_KH = 1e-4, 0.005
+# Comparable comfort: at most so many times the least discomfort of the group, or so much more, K·h.
+_COMPARABLE, _COMPARABLE_KH = 2.0, 0.5
 _AS_PLANNED = {PlanStatus.SOLVED.value, PlanStatus.RULE.value}
 
 Row = dict[str, Any]
@@ -25,18 +27,30 @@ def outcome_rows(records: Iterable[Mapping[str, Any]]) -> list[Row]:
     `zones` has the discomfort of each zone by name, K·h; it is empty where there is one zone. `saving` is the cost
     saved against a thermostat that is as comfortable, %, and `equal_comfort` that in words, where it was searched.
 
-    `best_cost`, `best_discomfort` and `pareto` (no other cell dominates it) refer to the cells of one group.
+    `comparable` (to the least discomfort), `best_cost` (of those that are comparable), `best_discomfort` and `pareto`
+    (no other cell dominates it) refer to the cells of one group.
     Failed cells have None for every figure and a `reason`.
     """
     rows = [_row(record) for record in records]
     for group in grouped(rows).values():
         finished = [row for row in group if row["status"] == DONE]
+        least = min((row[DISCOMFORT] for row in finished), default=0.0)
         for row in finished:
-            row["best_cost"] = not any(_cheaper(other, row) for other in finished)
-            least = min(other[DISCOMFORT] for other in finished)
+            row["comparable"] = row[DISCOMFORT] <= _most_comparable(least)
+        for row in finished:
+            row["best_cost"] = row["comparable"] and not any(_cheaper(o, row) for o in finished if o["comparable"])
             row["best_discomfort"] = row[DISCOMFORT] <= least + _DISCOMFORT_TIE_KH
             row["pareto"] = not any(dominates(other, row) for other in finished)
     return rows
+
+
+def _most_comparable(least_Kh: float) -> float:
+    return max(_COMPARABLE * least_Kh, least_Kh + _COMPARABLE_KH)
+
+
+def ranked(rows: Iterable[Row]) -> list[Row]:
+    """The rows of a group by cost, those of comparable comfort first, failed ones last."""
+    return sorted(rows, key=lambda row: (row["status"] != DONE, not row["comparable"], row[COST] or 0.0))
 
 
 def grouped(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
@@ -82,10 +96,16 @@ def verdicts(rows: Iterable[Row]) -> list[str]:
             continue
         cheapest = [row for row in finished if row["best_cost"]]
         calmest = [row for row in finished if row["best_discomfort"]]
+        least = calmest[0][DISCOMFORT]
         lines.append(
-            f"{title}: cheapest {_names(cheapest)} ({cheapest[0][COST]:.4f}), least discomfort {_names(calmest)} "
-            f"({calmest[0][DISCOMFORT]:.2f} K·h)"
+            f"{title}: cheapest at comparable comfort (at most {_most_comparable(least):.2f} K·h) {_names(cheapest)} "
+            f"({cheapest[0][COST]:.4f}), least discomfort {_names(calmest)} ({least:.2f} K·h)"
         )
+        colder = [row for row in finished if not row["comparable"] and _cheaper(row, cheapest[0])]
+        lines += [
+            f"{title}: {row['controller']} costs less ({row[COST]:.4f}) with {row[DISCOMFORT]:.2f} K·h of discomfort"
+            for row in colder
+        ]
         baselines = [row for row in finished if not row["needs_model"]]
         for row in finished:
             if row["needs_model"]:
@@ -156,6 +176,7 @@ def _row(record: Mapping[str, Any]) -> Row:
         "zones": zone_kpis(kpis),
         "saving": None if (saving := equal.get("saving")) is None else 100.0 * saving,
         "equal_comfort": equal.get("in_words", ""),
+        "comparable": False,
         "best_cost": False,
         "best_discomfort": False,
         "pareto": False,

@@ -142,10 +142,8 @@ def _step_at(path: Path, entries: Sequence[Entry], time_s: float) -> int:
     """Number of records before the step at `time_s`."""
     with making_sense(path):
         begin = _last(entries, "loop")
-        times = {
-            n: float(entry.content["time_s"]) for n, entry in enumerate(entries) if entry.kind == "step" and n > begin
-        }
-    before = [n for n, begun_s in times.items() if begun_s <= time_s]
+        steps = [n for n, entry in enumerate(entries) if entry.kind == "step" and n > begin]
+        before = [n for n in steps if float(entries[n].content["time_s"]) <= time_s]
     if not before:
         raise JournalError(f"{path}: --from: the last loop has no step at {time_s:.0f} s that can be read; give a line")
     return before[-1]

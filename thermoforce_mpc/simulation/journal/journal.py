@@ -302,7 +302,7 @@ def _content(path: Path, at: int = 0) -> bytes:
 
 
 def _read_part(path: Path, entries: list[Entry], crc: int, most: int | None) -> tuple[int, int, bytes]:
-    """Append the records of one part to `entries` until there are `most`; size and checksum at the last, and the rest."""
+    """Append the records of a part to `entries` until there are `most`; size and checksum at the last, and the rest."""
     raw, size, line = _content(path), 0, 0
     while len(entries) != most and (end := raw.find(b"\n", size)) >= 0:
         record = _checked_record(raw[size:end], crc, len(entries))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Layout
+from thermoforce_mpc.data import DAY_S, HOUR_S, Layout
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.closed_loop import RunResult, gates_held
 from thermoforce_mpc.simulation.folder.capped import Capped
@@ -23,6 +23,7 @@ from thermoforce_mpc.simulation.report.packing import Json
 from thermoforce_mpc.simulation.report.page import UPLOT, rendered
 from thermoforce_mpc.simulation.report.plans import FINEST_K, TEMPERATURES, plans_json
 from thermoforce_mpc.simulation.report.tables import advice, apart, events, kpi_rows
+from thermoforce_mpc.simulation.views.verdict import verdict
 from thermoforce_mpc.simulation.views.watching import watch_spells
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ def write_report(
         kpis=kpis,
         manifest=manifest,
         said=said,
+        verdict=verdict(result.controller, everyone, currency, _days(result)),
         table=kpi_rows(everyone, currency),
         controllers=list(everyone),
         gates={name: gate.in_words() for name, gate in gates_held(result, baselines).items()},
@@ -123,6 +125,12 @@ def report_data(
         "other_levels": other_levels_json(result, model, layout),
         "answers": answers_json(model),
     }
+
+
+def _days(result: RunResult) -> float:
+    """Days until the last sample: of a run that was cut off fewer than its window has."""
+    last = result.steps[-1].samples[-1]
+    return round((last.start_s + last.duration_s - result.period.start_s) / DAY_S, 2)
 
 
 def _different_prices(course: Course) -> list[int]:

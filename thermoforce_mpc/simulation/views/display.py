@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 
@@ -19,6 +20,8 @@ from thermoforce_mpc.simulation.models.probing import ProbingProgress
 from thermoforce_mpc.simulation.views.whole_tables import print_whole
 
 Kpis = Callable[[], Mapping[str, float]]
+# Loops that end sooner say nothing of it.
+_SHORT_S, _MINUTE_S = 5.0, 60.0
 
 KPI_COLUMNS = {
     "cost_tot": "cost\n{currency}/m²",
@@ -26,7 +29,6 @@ KPI_COLUMNS = {
     "ener_tot": "energy\nkWh/m²",
     "emis_tot": "CO2\nkg/m²",
     "pele_tot": "el. peak\nkW/m²",
-    "time_rat": "time\nratio",
 }
 
 
@@ -41,6 +43,7 @@ class LoopDisplay:
         self._live: Live | None = None
         self._so_far = ""
         self._days_done = 0
+        self._began = time.monotonic()
         self._fallbacks, self._bridged, self._gated, self._watched = 0, 0, 0, 0
 
     def __enter__(self) -> LoopDisplay:
@@ -86,10 +89,18 @@ class LoopDisplay:
         )
         solve_s = record.plan.seconds.get("solve")
         line += f"  solve {1e3 * solve_s:.0f} ms" if solve_s is not None else ""
+        line += self._left(day)
         line += f"  bridged {self._bridged}" if self._bridged else ""
         line += f"  gate {self._gated}" if self._gated else ""
         line += f"  watch {self._watched}" if self._watched else ""
         return line + (f"  fallbacks {self._fallbacks}" if self._fallbacks else "")
+
+    def _left(self, day: float) -> str:
+        """How long the rest of the loop takes if it goes on as until now; nothing where that is seconds."""
+        seconds = (time.monotonic() - self._began) * (self._period.scored_s / DAY_S / day - 1.0)
+        if seconds < _SHORT_S:
+            return ""
+        return f"  {seconds:.0f} s left" if seconds < 2 * _MINUTE_S else f"  {seconds / _MINUTE_S:.0f} min left"
 
 
 def _temperatures(sample: Sample) -> str:
@@ -133,8 +144,8 @@ class ProbingDisplay:
     def __call__(self, progress: ProbingProgress) -> None:
         """Show `progress`: every hour on a terminal, else once per day."""
         line = (
-            f"probing: day {progress.days:5.2f}/{progress.planned_days:g}  information {progress.information_nats:.1f} "
-            f"nats, effect of a day expected to ± {100 * progress.expected_sd:.0f} %"
+            f"probing: day {progress.days:5.2f}/{progress.planned_days:g}  effect of a day at full level expected to "
+            f"± {100 * progress.expected_sd:.0f} %"
         )
         if self._live:
             self._live.update(Text(line))
@@ -195,7 +206,7 @@ class RunDisplay:
         for key, label in KPI_COLUMNS.items():
             table.add_column(label.format(currency=currency), justify="right")
             finite = [kpis[key] for kpis in everyone.values() if np.isfinite(kpis.get(key, np.nan))]
-            if finite and key != "time_rat":
+            if finite:
                 best[key] = min(finite)
         for name, kpis in everyone.items():
             values = {key: kpis.get(key) for key in KPI_COLUMNS}
@@ -227,5 +238,5 @@ def zone_table(zones: Mapping[str, Mapping[str, float]]) -> Table:
 
 
 def _cell(key: str, value: float) -> str:
-    """`value` as text: four digits, three for peak power, exponential form for the computing time ratio."""
-    return f"{value:{ {'time_rat': '.0e', 'pele_tot': '.3g'}.get(key, '.4g') }}"
+    """`value` as text: discomfort to 0.01 K·h, else three digits."""
+    return f"{value:.2f}" if key == "tdis_tot" else f"{value:#.3g}".rstrip(".")
