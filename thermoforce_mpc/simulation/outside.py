@@ -100,22 +100,16 @@ def with_given(scenario: Scenario, given: Mapping[str, str], folder: Path) -> Sc
     named = {one.key: one for one in outside(scenario)}
     for key in given:
         if key not in named:
-            raise ConfigError(
-                f"{folder}: its run has no {key}: leave the option out; it has {', '.join(named) or 'none'}"
-            )
+            raise ConfigError(f"{folder}: its run has no {key}: leave the option out")
     if given.get("plant.kind", scenario.plant.kind) != scenario.plant.kind:
         raise ConfigError(f"{folder}: its run is on plant '{scenario.plant.kind}', not '{given['plant.kind']}'")
     missing = [one for one in unknown(scenario) if one.key not in given]
     if missing:
         lines = [f"  {one.key}: {one.value} ({one.does})" for one in missing]
         words = " ".join(f"{one.option} {shlex.quote(one.value)}" for one in missing)
-        raise ConfigError(
-            "\n".join(
-                [f"{folder}: its journal names what acts outside it, which you have not given here before:", *lines]
-            )
-            + f"\nA run folder may come from anybody. Where you trust it, give it again: "
-            f"tf-mpc resume {shlex.quote(str(folder))} {words}"
-        )
+        lines.insert(0, f"{folder}: its journal names what acts outside it, and you have not given it here before:")
+        lines.append(f"Where you trust it, give it again: tf-mpc resume {shlex.quote(str(folder))} {words}")
+        raise ConfigError("\n".join(lines))
     nested = parse_overrides(f"{key}={json.dumps(value)}" for key, value in given.items())
     scenario = validate(Scenario, merge(scenario.model_dump(mode="json"), nested), "options")
     note_given(scenario)

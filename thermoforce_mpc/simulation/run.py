@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,7 @@ import pandas as pd
 
 from controllers.registry import build_controller, find_entry
 from thermoforce_mpc.data import DAY_S, Period, PlantInfo
-from thermoforce_mpc.errors import ConfigError, PlantError, StorageError, ThermoForceError, counted
+from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.protocols import Controller, Plant
@@ -37,6 +37,7 @@ from thermoforce_mpc.simulation.composition import (
     controller_options,
     scored_period,
 )
+from thermoforce_mpc.simulation.ended_early import ended_early
 from thermoforce_mpc.simulation.folder.capped import Capped
 from thermoforce_mpc.simulation.folder.planning import Planning, planning_of
 from thermoforce_mpc.simulation.folder.run_book import RunBook
@@ -47,11 +48,9 @@ from thermoforce_mpc.simulation.folder.run_folder import (
     is_empty,
     sole_use,
     trajectory_frame,
-    write_partial,
     write_results,
 )
 from thermoforce_mpc.simulation.folder.run_log import log_step, logging_to
-from thermoforce_mpc.simulation.journal.journal import JournalError
 from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
 from thermoforce_mpc.simulation.models.identifying import IdentifiedModel
@@ -198,20 +197,11 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
     try:
         with closing(book.journal), logging_to(folder, display.say):
             outcome = _execute(scenario, display, records, book=book)
-    except PlantError as error:
-        if book.holds_nothing:
-            book.discard()
-            raise
-        write_partial(folder, records, str(error))
-        there = f"What was recorded until then is in {folder}{_report_so_far(folder)}"
-        raise PlantError(f"{error}\n{there}; `tf-mpc resume {folder}` goes on from there") from error
     except BaseException as error:
-        with suppress(StorageError, OSError):  # the error that ended the run is the one to tell
-            if book.has_begun:
-                write_partial(folder, records, str(error) if isinstance(error, ThermoForceError) else "interrupted")
-            else:
-                book.discard()
-        raise
+        ended = ended_early(book, records, error)
+        if ended is error:
+            raise
+        raise ended from error
     clear_partial(folder)
     kpis = write_results(
         folder,
@@ -240,16 +230,6 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
         )
     _print_summary(outcome, folder, testcase, kpis["power_cap"], display)
     return folder
-
-
-def _report_so_far(folder: Path) -> str:
-    """Write the report of a run that failed; where it is, '' where no step has ended."""
-    from thermoforce_mpc.simulation.views.report_again import report_again
-
-    with suppress(JournalError, StorageError):  # the error that ended the run is the one to tell
-        report_again(folder)
-        return ", with a report: report.html"
-    return ""
 
 
 def _print_summary(

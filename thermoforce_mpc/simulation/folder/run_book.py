@@ -111,14 +111,9 @@ class RunBook:
         return JournaledPlant(plant, self.journal)
 
     @property
-    def holds_nothing(self) -> bool:
-        """Whether not even the plant was there: a run that goes on from here would begin anew."""
-        return self.journal.records <= 1
-
-    @property
     def has_begun(self) -> bool:
         """Whether more is known than the plant, such as the models: a run that goes on from here is further."""
-        return bool(self.told) or self.journal.records > 2
+        return bool(self.told) or self.cut or self.journal.records > 2
 
     def discard(self) -> None:
         """Remove the folder, which the run made: nothing was done yet, and an empty run says nothing."""

@@ -19,7 +19,7 @@ import yaml
 from filelock import FileLock, Timeout
 
 from thermoforce_mpc.data import DAY_S, Names, Plan, PlantInfo
-from thermoforce_mpc.errors import ConfigError, StorageError
+from thermoforce_mpc.errors import ArtifactError, ConfigError, StorageError
 from thermoforce_mpc.files import storage_errors, write_whole
 from thermoforce_mpc.registry import plugins
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -238,10 +238,17 @@ def write_partial(folder: Path, records: Mapping[str, Sequence[StepRecord]], rea
 
 
 def clear_partial(folder: Path) -> None:
-    """Remove what `write_partial` wrote: the run was resumed and has finished."""
+    """Remove what was written of a run that ended early: it was resumed and has finished."""
     with storage_errors(folder):
-        for path in [*folder.glob("incomplete_*.csv"), *folder.glob("INCOMPLETE.txt")]:
+        for path in [*folder.glob("incomplete_*"), *folder.glob("INCOMPLETE.txt")]:
             path.unlink(missing_ok=True)
+
+
+def kept_model(folder: Path, name: object) -> Path:
+    """The folder of a model that the journal of a run names; raises `ArtifactError` where that is elsewhere."""
+    if not isinstance(name, str) or Path(name).name != name or name == "..":
+        raise ArtifactError(f"{folder}: its journal names a model that is not in the folder ({name!r:.200})")
+    return folder / name
 
 
 def is_complete(folder: Path) -> bool:

@@ -14,6 +14,7 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Names, Observation
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.simulation.folder.plain_files import check_plain
 from thermoforce_mpc.simulation.journal.journal import NAME, JournalError, making_sense, read_run
 from thermoforce_mpc.simulation.journal.journal_values import margins_of, unpack
 from thermoforce_mpc.simulation.journal.told_steps import ToldStep, forecast_of, history_before, told_loops, told_steps
@@ -152,9 +153,11 @@ def decision_at(folder: Path, at: str | None = None, controller: str | None = No
 
     Raises:
         JournalError: there is no journal, or it is damaged.
+        ConfigError: there is a link in the folder.
         InputError: `at` is no time or outside the run, or `controller` did not run.
     """
     path = folder / NAME
+    check_plain(folder)
     with making_sense(path):
         return _decision_at(path, at, controller)
 

@@ -13,7 +13,9 @@ from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.composition import controller_options
+from thermoforce_mpc.simulation.folder.run_folder import kept_model
 from thermoforce_mpc.simulation.journal.journal import NAME, making_sense, read_run
+from thermoforce_mpc.simulation.outside import TERMS, unknown
 from thermoforce_mpc.simulation.views.explaining import Decision
 
 if TYPE_CHECKING:  # CasADi is loaded only where there is a model
@@ -47,9 +49,11 @@ def _alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
     from thermoforce_mpc.model.thermal_model import load_model
 
     scenario = validate(Scenario, dict(entries[0].content["scenario"]), f"{folder / NAME}, line 1")
+    if any(one.key == TERMS for one in unknown(scenario)):
+        return f"they need {TERMS}, Python that you have not given here before, or that was changed since"
     options = controller_options(scenario, name) | {"free_response": _FREE_RESPONSE}
     try:
-        model = load_model(folder / str(entry["folder"]))
+        model = load_model(kept_model(folder, entry["folder"]))
         controller = build_controller(name, options, validate_scenario(scenario), model)
         assert isinstance(controller, ThermoForceMPC)
         rows = decision.plan
