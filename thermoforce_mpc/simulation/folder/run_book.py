@@ -36,7 +36,8 @@ _TESTID = re.compile(r"[\w-]{1,200}")
 class RunBook:
     """A run in its folder; `told` are the records of a run that is resumed, after the first.
 
-    `cut`: whether records are lost, so that a plant that outlived the process may stand anywhere after them.
+    `resumed`: whether the folder was there before; `cut`: whether records are lost, so that a plant that outlived the
+    process may stand anywhere after them.
     """
 
     folder: Path
@@ -44,6 +45,7 @@ class RunBook:
     command: tuple[str, ...]
     journal: Journal
     told: tuple[Entry, ...] = ()
+    resumed: bool = False
     cut: bool = False
 
     @classmethod
@@ -89,7 +91,7 @@ class RunBook:
             text = _with_its_loop(path, text) if _is_real(scenario) else text
             set_aside(path, text)
         journal = Journal(path, text, durable=_is_real(scenario))
-        return cls(folder, scenario, command, journal, text.entries[1:], since is not None)
+        return cls(folder, scenario, command, journal, text.entries[1:], resumed=True, cut=since is not None)
 
     def connect(self, build: Callable[[str | None], Plant]) -> JournaledPlant:
         """The plant of the run; `build` makes it, or takes up the test of a service by its name."""
@@ -113,7 +115,7 @@ class RunBook:
     @property
     def has_begun(self) -> bool:
         """Whether more is known than the plant, such as the models: a run that goes on from here is further."""
-        return bool(self.told) or self.cut or self.journal.records > 2
+        return self.resumed or self.journal.records > 2
 
     def discard(self) -> None:
         """Remove the folder, which the run made: nothing was done yet, and an empty run says nothing."""
