@@ -6,44 +6,25 @@ docs/how-to/plugins.md.
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from controllers.checks import ControllerConfigError
+from controllers.entries.entry import HANDED, Entry, build_on_model, named, own_entry, plugin_entry
 from controllers.rules.native import NativeConfig, NativeController
 from controllers.rules.pi import PIConfig, PIController, check_layout
 from controllers.rules.thermostat import Thermostat, ThermostatConfig
-from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.registry import Registry
+from thermoforce_mpc.scenario.own_code import is_own_code, own_code
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.settings import StrictModel, merge, validate
-from thermoforce_mpc.scenario.signatures import called, first_line, options_model, unfit
+from thermoforce_mpc.scenario.signatures import first_line, unfit
 from thermoforce_mpc.scenario.testcase import Actuator, TestCase
 
 if TYPE_CHECKING:  # CasADi and the predictor are loaded only when a controller needs them
     from thermoforce_mpc.model.thermal_model import ThermalModel
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A controller as it is registered.
-
-    Attributes:
-        summary: one line for `tf-mpc controllers`.
-        needs_model: whether it plans with an identified model.
-        config: returns the class of its options; called when the controller is used.
-        build: makes it from its name, validated options, test case and model, or the reason why there is none.
-        defaults: its own defaults of options.
-    """
-
-    summary: str
-    needs_model: bool
-    config: Callable[[], type[StrictModel]]
-    build: Callable[[str, Any, TestCase, ThermalModel | str | None], Controller]
-    defaults: Mapping[str, Any] = field(default_factory=dict)
 
 
 def _mpc_config() -> type[StrictModel]:
@@ -55,7 +36,7 @@ def _mpc_config() -> type[StrictModel]:
 def _build_mpc(name: str, config: Any, testcase: TestCase, model: ThermalModel | str | None) -> Controller:
     from controllers.mpc.controller import ThermoForceMPC
 
-    return _build_on_model(ThermoForceMPC, name, config, testcase, model)
+    return build_on_model(ThermoForceMPC, name, config, testcase, model)
 
 
 def _dpc_config() -> type[StrictModel]:
@@ -67,31 +48,7 @@ def _dpc_config() -> type[StrictModel]:
 def _build_dpc(name: str, config: Any, testcase: TestCase, model: ThermalModel | str | None) -> Controller:
     from controllers.dpc.controller import DPC
 
-    return _build_on_model(DPC, name, config, testcase, model)
-
-
-def _build_on_model(
-    kind: Callable[..., Controller], name: str, config: Any, testcase: TestCase, model: ThermalModel | str | None
-) -> Controller:
-    """A controller of `kind` on a model that fits the test case; one that stands back where there is none."""
-    if model is None:
-        raise ControllerConfigError(f"controller '{name}' needs an identified model: `tf-mpc identify`, then --model")
-    if isinstance(model, str):
-        from controllers.mpc.no_model import NoModelController
-
-        return NoModelController(model, config, testcase.layout, testcase.step_s, name=name)
-    of = f"test case '{testcase.name}'"
-    check_same_building("the model", model.names, of, testcase.layout.names, error=ControllerConfigError)
-    for a, actuator in enumerate(model.operator.actuators):
-        mode, expected_mode = model.layout.mode(a), testcase.layout.mode(a)
-        if mode != expected_mode:
-            of = "" if model.names.single else f" {actuator}"
-            raise ControllerConfigError(
-                f"the model{of} was identified for {mode}, test case '{testcase.name}' is for {expected_mode}: "
-                f"what the one does says nothing of the other; identify on data of {expected_mode}"
-            )
-    # The test case says what may act together, also to a model that was identified before it did.
-    return kind(replace(model, exclusive=testcase.layout.exclusive), config, name=name)
+    return build_on_model(DPC, name, config, testcase, model)
 
 
 def _mpc_entry(summary: str, **defaults: Any) -> Entry:
@@ -187,37 +144,49 @@ _OWN: dict[str, Entry] = {
 }
 
 
-def _plugin_entry(name: str, plugin: Entry | Callable[..., Controller]) -> Entry:
-    """A plugin's entry, or that of a class or function whose parameters are its options."""
-    if isinstance(plugin, Entry):
-        return plugin
-    needs_model = "model" in inspect.signature(plugin).parameters
-
-    def build(name: str, options: Any, testcase: TestCase, model: ThermalModel | str | None) -> Controller:
-        def make(model: ThermalModel | None, config: Any, *, name: str) -> Controller:
-            controller: Controller = called(plugin, config, {"testcase": testcase, "model": model})
-            return controller
-
-        return _build_on_model(make, name, options, testcase, model) if needs_model else make(None, options, name=name)
-
-    return Entry(first_line(plugin) or name, needs_model, lambda: options_model(plugin, _HANDED), build)
-
-
-# What a plugin's class or function is handed, where it has a parameter of the name.
-_HANDED = ("testcase", "model")
 REGISTRY: Registry[Entry] = Registry(
     "controller",
     "controllers",
     _OWN,
     ControllerConfigError,
-    lambda plugin: "" if isinstance(plugin, Entry) else unfit(plugin, _HANDED),
-    _plugin_entry,
+    lambda plugin: "" if isinstance(plugin, Entry) else unfit(plugin, HANDED),
+    plugin_entry,
 )
 
 
+_lent: dict[str, Entry] = {}
+
+
+@contextmanager
+def lent(controller: Controller | type) -> Iterator[str]:
+    """The name by which a controller, or a class of one, is known while the block lasts.
+
+    Raises:
+        ControllerConfigError: it cannot be used, or its name is that of another controller.
+    """
+    name = str(getattr(controller, "name", None) or getattr(controller, "__name__", type(controller).__name__))
+    if name in REGISTRY or name in _lent:
+        raise ControllerConfigError(f"controller '{name}' is there already: give yours another `name`")
+    if isinstance(controller, type):
+        _lent[name] = own_entry(name, controller)
+    else:
+        given = named(controller, name)
+        _lent[name] = Entry(first_line(controller) or name, False, lambda: StrictModel, lambda *_: given)
+    try:
+        yield name
+    finally:
+        del _lent[name]
+
+
 def find_entry(name: str) -> Entry:
-    """The entry of `name`; raises `ControllerConfigError` with a suggestion and all known names."""
-    return REGISTRY.find(name)
+    """The entry of `name`, also of a class or function `file.py:name` of the user's.
+
+    Raises:
+        ControllerConfigError: there is none; with a suggestion and all known names.
+    """
+    if is_own_code(name):
+        return own_entry(name, own_code(name, "controller", ControllerConfigError))
+    return _lent[name] if name in _lent else REGISTRY.find(name)
 
 
 def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase) -> StrictModel:

@@ -129,6 +129,8 @@ class Hold:
     name, step_s, horizon_s = "hold", 900.0, 900.0
     def __init__(self, testcase: "OnlyForTypeChecking", level=0.5, why: str = ""):
         self.testcase, self.level, self.why = testcase, level, why
+    def plan(self, observation, state=None): ...
+
 """
 
 

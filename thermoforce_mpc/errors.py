@@ -38,6 +38,10 @@ class BackboneError(InputError):
     """A pretrained forecaster cannot be loaded from the given name or directory."""
 
 
+class ControllerRaised(ThermoForceError):
+    """A controller raised an exception of its own, or returned no plan (exit code 1)."""
+
+
 class PlantError(ThermoForceError):
     """The plant or the service behind it failed (exit code 3)."""
 

@@ -10,6 +10,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import pandas as pd
 import pytest
 import yaml
 from click.testing import CliRunner
@@ -150,7 +151,7 @@ def test_a_run_leaves_a_complete_folder_and_prints_the_comparison(simple, tmp_pa
     names = {path.name for path in folder.iterdir()}
     assert names == {
         "scenario.yaml", "trajectory.csv", "trajectory_native.csv", "steps.csv", "kpis.json", "manifest.json",
-        "report.html", "journal.jsonl", "log.jsonl",
+        "report.html", "journal.jsonl", "log.jsonl", "kpis.csv",
     }  # fmt: skip
     kpis = json.loads((folder / "kpis.json").read_text())
     assert set(kpis) == {
@@ -159,7 +160,7 @@ def test_a_run_leaves_a_complete_folder_and_prints_the_comparison(simple, tmp_pa
     }  # fmt: skip
     assert kpis["kpis"]["ener_tot"] > 0
     assert kpis["baselines"]["native"]["ener_tot"] > 0
-    assert f"{kpis['kpis']['ener_tot']:.4g}" in done.output
+    assert f"{kpis['kpis']['ener_tot']:#.3g}" in done.output
     # On its way it says what the plant's own KPIs are by then: on the last day those of the table.
     for who, found in (("thermostat", kpis["kpis"]), ("native", kpis["baselines"]["native"])):
         (last_day,) = (line for line in done.output.splitlines() if line.startswith(f"{who}: day  2.00/2"))
@@ -167,7 +168,11 @@ def test_a_run_leaves_a_complete_folder_and_prints_the_comparison(simple, tmp_pa
     manifest = json.loads((folder / "manifest.json").read_text())
     assert manifest["environment"]["numpy"]
     assert manifest["planning"]["thermostat"]["in_words"] == "nothing was planned"
-    assert "thermostat: nothing was planned" in done.output
+    assert "nothing was planned" not in done.output, "a rule plans nothing"
+    assert "\nthermostat: " in done.output
+    assert "comfort missed by" in done.output
+    table = pd.read_csv(folder / "kpis.csv", index_col="controller")
+    assert table.loc["native", "ener_tot"] == pytest.approx(kpis["baselines"]["native"]["ener_tot"])
     assert set(manifest["sha256"]) == names - {"manifest.json", "report.html"}
     resolved = yaml.safe_load((folder / "scenario.yaml").read_text())
     assert resolved["controller"]["name"] == "thermostat"

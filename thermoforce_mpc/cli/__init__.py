@@ -14,7 +14,15 @@ from typing import Any, NoReturn
 import click
 
 from thermoforce_mpc.cli.commands import CommandGroups
-from thermoforce_mpc.errors import EngineError, InputError, NoSuchTest, PlantError, StorageError, out_of_memory
+from thermoforce_mpc.errors import (
+    ControllerRaised,
+    EngineError,
+    InputError,
+    NoSuchTest,
+    PlantError,
+    StorageError,
+    out_of_memory,
+)
 from thermoforce_mpc.files import DoubtfulInput
 from thermoforce_mpc.version import VERSION
 
@@ -87,6 +95,9 @@ def main() -> None:
     except InputError as error:
         click.echo(f"Error: {error}", err=True)
         sys.exit(2)
+    except ControllerRaised as error:
+        click.echo(f"Controller failed: {error}", err=True)
+        sys.exit(1)
     except PlantError as error:
         click.echo(f"Plant failed: {error}", err=True)
         sys.exit(3)

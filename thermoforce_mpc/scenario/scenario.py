@@ -106,7 +106,9 @@ class ControllerSpec(StrictModel):
     """Controller and its options; `tf-mpc controllers` lists both."""
 
     name: Annotated[str, AfterValidator(full_name)] = Field(
-        "thermoforce_mpc", description="name in the registry, see `tf-mpc controllers`; mpc: thermoforce_mpc"
+        "thermoforce_mpc",
+        description="name in the registry, see `tf-mpc controllers`; mpc: thermoforce_mpc; or a class of your own, as "
+        "my_rules.py:Night",
     )
     options: dict[str, Any] = Field(
         default_factory=dict, description="options of that controller", examples=[{"horizon_h": 36}]
@@ -140,6 +142,11 @@ class Scenario(StrictModel):
         "its own set-points",
         examples=["weekdays 6:00-22:00 21-24, else 17-26"],
     )
+    kpis: Annotated[tuple[str, ...], ADDED_LATER] = Field(
+        (),
+        description="KPIs of your own beside BOPTEST's: functions of the trajectory, as my_kpis.py:starts_per_day",
+        examples=[["my_kpis.py:starts_per_day"]],
+    )
     controller: ControllerSpec = ControllerSpec()
     identification: ProbingSpec = ProbingSpec()
     baselines: tuple[str, ...] = Field(("native", "thermostat"), description="controllers to compare with")
@@ -149,6 +156,11 @@ class Scenario(StrictModel):
         "controller, in further runs of it; null: where the plant is embedded",
     )
     seed: int = Field(1, ge=0, description="seed of probing, training and forecast errors")
+
+    @field_validator("comfort", mode="before", json_schema_input_type=str | Comfort | None)
+    @classmethod
+    def _schedule_alone(cls, value: object) -> object:
+        return {"schedule": value} if isinstance(value, str) else value
 
     @field_validator("period", mode="before", json_schema_input_type=str | float)
     @classmethod

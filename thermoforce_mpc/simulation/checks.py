@@ -17,6 +17,7 @@ from thermoforce_mpc.simulation.models.identifying import (
     saved_model,
     taken_probing,
 )
+from thermoforce_mpc.simulation.own_kpis import own_kpis
 
 
 def validate_scenario(scenario: Scenario) -> TestCase:
@@ -35,6 +36,7 @@ def validate_scenario(scenario: Scenario) -> TestCase:
                 )
             identification_settings(scenario, testcase, name)
     check_plant(scenario.plant, testcase)
+    own_kpis(scenario.kpis)
     return testcase
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Protocol, cast
@@ -23,6 +24,7 @@ from thermoforce_mpc.data import (
     Plan,
     PlanStatus,
 )
+from thermoforce_mpc.errors import ControllerRaised, ThermoForceError
 from thermoforce_mpc.model.screening import Limits, limits_of, screened, screened_history
 from thermoforce_mpc.protocols import Controller, Plant, RoomSetpointPlant
 from thermoforce_mpc.simulation.forecasts import OUTAGE_H, Forecasts
@@ -193,6 +195,7 @@ def run_closed_loop(
 
     Raises:
         PlantError: the plant or its service failed; the KPIs so far are lost.
+        ControllerRaised: the controller did; likewise.
     """
     began = time.perf_counter()
     start = plant.reset(period.start_s, period.warmup_s, price)
@@ -210,7 +213,7 @@ def run_closed_loop(
         t1 = time.perf_counter()
         # The controller fills holes of the forecast itself, and says so.
         observation = Observation(history, forecast)
-        plan = controller.plan(observation, state)
+        plan = _planned(controller, observation, state, len(records))
         t2 = time.perf_counter()
         # Records do not hold the controller state, which grows with the run; only the latest is kept.
         plan, next_state = replace(plan, state=None), plan.state
@@ -318,6 +321,21 @@ def _unfit(block: Block, lowest: float | Sequence[float], names: Names) -> str:
         if band is not None and not (all(map(math.isfinite, band)) and band[0] <= band[1]):
             return f"room set-points of {band} °C at {names.label('u', a)}"
     return ""
+
+
+def _planned(controller: Controller, observation: Observation, state: object, index: int) -> Plan:
+    """The controller's plan; raises `ControllerRaised` for whatever else it does."""
+    at = f"{controller.name} in step {index}, day {observation.time_s / DAY_S:.3f}"
+    try:
+        plan = controller.plan(observation, state)
+    except ThermoForceError:  # has its own exit code, and says what to do
+        raise
+    except Exception as error:
+        last = "".join(traceback.format_tb(error.__traceback__)[-2:]).rstrip()
+        raise ControllerRaised(f"{at} raised {type(error).__name__}: {error}\n{last}") from error
+    if not isinstance(plan, Plan):
+        raise ControllerRaised(f"{at} returned a {type(plan).__name__}, not a Plan (docs/how-to/controller.md)")
+    return plan
 
 
 def with_level(measurement: Measurement, block: Block) -> Measurement:

@@ -1,10 +1,10 @@
 """What a run names that acts outside its folder, and whether this user has given it here before.
 
 The folder of a run may come from anybody. Its journal names a service, to which requests and BOPTEST_TOKEN would go, an
-FMU, which is native code, a file of Python (`terms`), or a plugin's plant, which may be a real one. From a journal such
-a setting is used only if the user gives it again, or gave it before: `tf-mpc run` and `resume` note what they were
-given in the user's cache folder, an address as it is and a file by the SHA-256 of its content. No folder of a run can
-forge that. Who owns the folder says nothing: what one unpacks is one's own.
+FMU, which is native code, files of Python (`file.py:name`), or a plugin's plant, which may be a real one. From a
+journal such a setting is used only if the user gives it again, or gave it before: `tf-mpc run` and `resume` note what
+they were given in the user's cache folder, an address as it is and a file by the SHA-256 of its content. No folder of a
+run can forge that. Who owns the folder says nothing: what one unpacks is one's own.
 
 All else that a journal names is read as data: weather, prices, test cases, models and weights (safetensors).
 """
@@ -15,7 +15,7 @@ import hashlib
 import json
 import logging
 import shlex
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,12 +24,13 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.plants.registry import REGISTRY, plant_name
 from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.scenario.own_code import is_own_code
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
 
 _LOG = logging.getLogger(__name__)
 _NAME, _MOST_BYTES = "given.jsonl", 10_000_000
-TERMS = "controller.options.terms"
+CODE = "file of Python"
 
 
 class Outside(NamedTuple):
@@ -43,12 +44,11 @@ class Outside(NamedTuple):
     @property
     def mark(self) -> str:
         """What it is known by, a line; '' where its file cannot be read."""
-        file, _, function = self.value.rpartition(":") if self.key == TERMS else (self.value, "", "")
-        if self.key not in ("plant.path", TERMS):
+        if self.key not in ("plant.path", CODE):
             return json.dumps([self.key, self.value.rstrip("/")])
         try:
-            with open(file, "rb") as content:
-                return json.dumps([self.key, hashlib.file_digest(content, "sha256").hexdigest(), function])
+            with open(self.value, "rb") as content:
+                return json.dumps([self.key, hashlib.file_digest(content, "sha256").hexdigest()])
         except (OSError, ValueError):  # ValueError: a NUL in the name
             return ""
 
@@ -63,10 +63,14 @@ def outside(scenario: Scenario) -> list[Outside]:
         found.append(Outside("plant.path", plant.path, "--fmu", "an FMU runs native code"))
     elif name not in REGISTRY.own:
         found.append(Outside("plant.kind", name, "--plant", "a plugin's plant, which may be a real one"))
-    terms = scenario.controller.options.get("terms")
-    if terms is not None:
-        found.append(Outside(TERMS, str(terms), "--terms", "Python that is run"))
-    return found
+    return found + [Outside(CODE, file, "--code", "it is run") for file in _python(scenario)]
+
+
+def _python(scenario: Scenario) -> list[str]:
+    """Files of Python that a scenario names."""
+    controller = scenario.controller
+    named = [controller.name, *scenario.baselines, *scenario.kpis, str(controller.options.get("terms") or "")]
+    return sorted({where.rpartition(":")[0] for where in named if is_own_code(where)})
 
 
 def note_given(scenario: Scenario) -> None:
@@ -91,19 +95,18 @@ def unknown(scenario: Scenario) -> list[Outside]:
     return [one for one in found if one.mark not in known]
 
 
-def with_given(scenario: Scenario, given: Mapping[str, str], folder: Path) -> Scenario:
-    """The scenario of a journal in `folder` with the settings `given` again, by key, and noted.
+def with_given(scenario: Scenario, given: Mapping[str, str], code: Collection[str], folder: Path) -> Scenario:
+    """The scenario of a journal in `folder` with the settings `given` again, by key, and `code`, files; and noted.
 
     Raises:
         ConfigError: one that acts outside was not given, now or before; or one was given that the run does not have.
     """
     named = {one.key: one for one in outside(scenario)}
-    for key in given:
-        if key not in named:
-            raise ConfigError(f"{folder}: its run has no {key}: leave the option out")
+    for what in (*(set(given) - set(named)), *(set(code) - set(_python(scenario)))):
+        raise ConfigError(f"{folder}: its run has no {what}: leave the option out")
     if given.get("plant.kind", scenario.plant.kind) != scenario.plant.kind:
         raise ConfigError(f"{folder}: its run is on plant '{scenario.plant.kind}', not '{given['plant.kind']}'")
-    missing = [one for one in unknown(scenario) if one.key not in given]
+    missing = [one for one in unknown(scenario) if one.key not in given and one.value not in code]
     if missing:
         lines = [f"  {one.key}: {one.value} ({one.does})" for one in missing]
         words = " ".join(f"{one.option} {shlex.quote(one.value)}" for one in missing)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from controllers.registry import build_controller, find_entry
+from controllers.registry import build_controller, find_entry, lent
 from thermoforce_mpc.data import DAY_S, Period, PlantInfo
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.model.screening import limits_of
@@ -44,6 +44,7 @@ from thermoforce_mpc.simulation.folder.run_book import RunBook
 from thermoforce_mpc.simulation.folder.run_folder import (
     clear_partial,
     create_run_folder,
+    file_stem,
     is_complete,
     is_empty,
     sole_use,
@@ -62,6 +63,7 @@ from thermoforce_mpc.simulation.models.run_models import (
     weight_hash,
 )
 from thermoforce_mpc.simulation.outside import note_given, with_given
+from thermoforce_mpc.simulation.own_kpis import OwnKpi, own_kpis, with_own_kpis
 from thermoforce_mpc.simulation.views.display import RunDisplay
 from thermoforce_mpc.simulation.views.explaining import seconds_of
 from thermoforce_mpc.simulation.views.verdict import verdict
@@ -117,7 +119,8 @@ class ScenarioResult:
 def run(
     testcase: str,
     *,
-    controller: str = "thermoforce_mpc",
+    controller: str | Controller | type = "thermoforce_mpc",
+    kpis: Sequence[str | Callable[[pd.DataFrame], float]] = (),
     model: ThermalModel | None = None,
     progress: bool = True,
     **settings: Any,
@@ -126,7 +129,9 @@ def run(
 
     Args:
         testcase: a test case that ships, by name, or the path of a YAML file.
-        controller: name in the registry, see `tf-mpc controllers`.
+        controller: name in the registry, see `tf-mpc controllers`; a controller of your own (`Controller`), or a class
+            of one.
+        kpis: KPIs of your own: functions of the trajectory (a table, one row a block), see `own_kpis`.
         model: an identified model; by default the plant is probed and a model identified first.
         progress: say on the terminal how far the run is.
         settings: any other key of a scenario file: `days`, `period`, `price`, `plant`, `baselines`, `seed`, ….
@@ -135,8 +140,9 @@ def run(
         InputError: something given cannot be used; the message names the key.
         PlantError: the plant or its service failed.
     """
-    keys = {"testcase": testcase, "controller": {"name": controller}}
-    return _execute(load_scenario(None, merge(keys, settings)), RunDisplay(quiet=not progress), {}, model)
+    with nullcontext(controller) if isinstance(controller, str) else lent(controller) as name:
+        scenario = load_scenario(None, merge({"testcase": testcase, "controller": {"name": name}}, settings))
+        return _execute(scenario, RunDisplay(quiet=not progress), {}, model, own=own_kpis(kpis))
 
 
 def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, command: Sequence[str]) -> Path:
@@ -153,7 +159,9 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
     """
     testcase = validate_scenario(scenario)
     note_given(scenario)
-    folder = create_run_folder(out, f"{testcase.name}-{scenario.period}-{scenario.price}-{scenario.controller.name}")
+    folder = create_run_folder(
+        out, f"{testcase.name}-{scenario.period}-{scenario.price}-{file_stem(scenario.controller.name)}"
+    )
     with sole_use(folder):
         if not is_empty(folder):  # another run was quicker
             raise ConfigError(f"{folder}: exists already and is never overwritten; choose another folder")
@@ -161,7 +169,11 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
 
 
 def resume_run(
-    folder: Path, display: RunDisplay, since: str | None = None, given: Mapping[str, str] | None = None
+    folder: Path,
+    display: RunDisplay,
+    since: str | None = None,
+    given: Mapping[str, str] | None = None,
+    code: Sequence[str] = (),
 ) -> Path:
     """Go on with a run that was ended before its time, from its journal; the result is that of an undisturbed run.
 
@@ -169,7 +181,7 @@ def resume_run(
         folder: run folder.
         display: where it is shown.
         since: line of the journal, or a time (`seconds_of`), from which on its records are lost.
-        given: settings that act outside the folder, by key, see `outside`.
+        given, code: settings that act outside the folder, by key, and files of Python, see `with_given`.
 
     Raises:
         ConfigError: the journal names something outside that is neither known nor given; there is a link in the folder.
@@ -184,7 +196,7 @@ def resume_run(
             display.say(f"{folder} is complete; there is nothing to resume")
             return folder
         at = None if since is None else int(since) if since.isdecimal() else seconds_of(since, "--from")
-        book = RunBook.reopen(folder, at, lambda told: with_given(told, given or {}, folder))
+        book = RunBook.reopen(folder, at, lambda told: with_given(told, given or {}, code, folder))
         steps = sum(entry.kind == "done" for entry in book.told)
         display.say(f"Resuming after {counted(steps, 'recorded step')}")
         return _carry_out(book, display, validate_scenario(book.scenario))
@@ -270,12 +282,16 @@ def _execute(
     records: dict[str, KeptSteps[StepRecord]],
     model: ThermalModel | None = None,
     book: RunBook | None = None,
+    own: Sequence[OwnKpi] = (),
 ) -> ScenarioResult:
     """Build, identify unless there is a `model`, run everyone; `records` keeps the steps if the plant fails.
+
+    `own` are KPIs beside those that the scenario names.
 
     With a `book`, all that the controllers get is written to its journal, or taken from it.
     """
     testcase = validate_scenario(scenario)
+    own = (*own_kpis(scenario.kpis), *own)
     if book is None or not book.told:  # a run that is resumed has its models in its folder
         check_contestants(scenario, testcase)
     name = scenario.controller.name
@@ -299,7 +315,7 @@ def _execute(
         def follow(controller: Controller) -> RunResult:
             check_prices(scenario, period, max(controller.horizon_s - controller.step_s, 0.0))
             steps = records.setdefault(controller.name, KeptSteps(book.folder if book else None))
-            return _follow(plant, controller, period, scenario, testcase, display, steps)
+            return with_own_kpis(_follow(plant, controller, period, scenario, testcase, display, steps), own)
 
         def contestant(who: str) -> Controller:
             return build_controller(who, controller_options(scenario, who), testcase, models.get(who))

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
-import traceback
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
 from controllers.checks import ControllerConfigError, message_of
+from thermoforce_mpc.scenario.own_code import line_in, own_code
 
 if TYPE_CHECKING:
     from controllers.optimisation.statement.algebra import Direct, Lifted
@@ -106,22 +103,18 @@ class Term:
         Raises:
             ControllerConfigError: it raised, returned something, or added nothing.
         """
-        before = plan.n_added
+        before, code = plan.n_added, getattr(self.function, "__code__", None)
         try:
             returned = self.function(plan)
         except Exception as error:  # whatever a function of the user raises
-            raise ControllerConfigError(f"{self.where}{self._line(error)}: {message_of(error)}") from error
+            raise ControllerConfigError(
+                f"{self.where}{line_in(getattr(code, 'co_filename', None), error)}: {message_of(error)}"
+            ) from error
         if returned is not None or plan.n_added == before:
             raise ControllerConfigError(
                 f"{self.where}: {'returned something' if returned is not None else 'added nothing'}; a term adds by "
                 "plan.add_cost(…), plan.require(…) or plan.equal(…) and returns None"
             )
-
-    def _line(self, error: Exception) -> str:
-        """The last line of the function's file that led to an error."""
-        file = getattr(getattr(self.function, "__code__", None), "co_filename", None)
-        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-        return f", line {lines[-1]}" if lines else ""
 
 
 def load_terms(where: str | None) -> Terms:
@@ -132,13 +125,7 @@ def load_terms(where: str | None) -> Terms:
     """
     if where is None:
         return ()
-    file, _, name = where.rpartition(":")
-    path = Path(file)
-    if path.suffix != ".py" or not name:
-        raise ControllerConfigError(f"{_KEY}: {where!r}: expected path/to/file.py:function")
-    if not path.is_file():
-        raise ControllerConfigError(f"{_KEY}: {where!r}: no such file in {Path.cwd()}")
-    return (Term(_function(path.resolve(), path.stat().st_mtime_ns, name), f"{_KEY}: {where}"),)
+    return (Term(own_code(where, _KEY, ControllerConfigError), f"{_KEY}: {where}"),)
 
 
 def of_controller(functions: Iterable[Callable[[PlanExpressions], None]]) -> Terms:
@@ -154,21 +141,3 @@ def _place(function: Callable[..., object]) -> str:
     code = getattr(function, "__code__", None)
     name = getattr(function, "__qualname__", type(function).__name__)
     return name if code is None else f"{code.co_filename}:{name}"
-
-
-@cache
-def _function(path: Path, changed_ns: int, name: str) -> Callable[[PlanExpressions], object]:
-    """The function `name` of a file as it was at its last change."""
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None  # of a file that exists
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    try:
-        spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:  # whatever the file raises
-        raise ControllerConfigError(f"{_KEY}: {path} raised {type(error).__name__}: {error}") from error
-    function = getattr(module, name, None)
-    if not callable(function):
-        raise ControllerConfigError(f"{_KEY}: {path} has no function {name!r}")
-    found: Callable[[PlanExpressions], object] = function
-    return found

@@ -137,10 +137,10 @@ def test_nonsense_is_refused_when_the_controller_is_built(term, message):
 @pytest.mark.parametrize(
     ("text", "where", "message"),
     [
-        (RAMP, "my_terms.py", "expected path/to/file.py:function"),
-        (RAMP, "my_terms.txt:ramp", "expected path/to/file.py:function"),
+        (RAMP, "my_terms.py", "expected path/to/file.py:name"),
+        (RAMP, "my_terms.txt:ramp", "expected path/to/file.py:name"),
         (RAMP, "others.py:ramp", "'others.py:ramp': no such file in "),
-        (RAMP, "my_terms.py:rampe", "has no function 'rampe'"),
+        (RAMP, "my_terms.py:rampe", "has no 'rampe'; it has"),
         ("def ramp(:", "my_terms.py:ramp", "raised SyntaxError"),
         ("raise SystemExit(3)", "my_terms.py:ramp", "raised SystemExit: 3"),
         ("def ramp(plan):\n    plan.add_cost(1 / 0)\n", "my_terms.py:ramp", "my_terms.py:ramp, line 2: ZeroDivision"),

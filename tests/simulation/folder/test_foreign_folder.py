@@ -6,6 +6,7 @@ import json
 import os
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
@@ -21,6 +22,8 @@ from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.folder.plain_files import open_plain
 from thermoforce_mpc.simulation.folder.run_book import RunBook
 from thermoforce_mpc.simulation.folder.run_folder import kept_model
+from thermoforce_mpc.simulation.views.explaining import decision_at
+from thermoforce_mpc.simulation.views.other_courses import alternatives_of
 
 TESTCASE = "bestest_hydronic_heat_pump"
 TOKEN = "kept-in-a-drawer-0123456789"
@@ -141,19 +144,47 @@ def test_python_in_a_journal_is_not_run_by_resume_or_explain(monkeypatch, tmp_pa
     (tmp_path / "run" / "report.html").unlink()
     terms.touch()  # a module that was loaded before is not loaded again
     error = call("resume", tmp_path / "run").exception
-    assert "controller.options.terms" in str(error)
-    assert "--terms" in str(error)
+    assert f"file of Python: {terms} (it is run)" in str(error)
+    assert f"--code {terms}" in str(error)
     explained = call("explain", tmp_path / "run")
     assert explained.exit_code == 0, explained.output
-    assert "Python that you have not given here before" in explained.output
+    assert "they need what you have not given here before" in explained.output
     assert not mark.exists()
-    assert call("resume", tmp_path / "run", "--terms", f"{terms}:cheap").exit_code == 0
+    assert call("resume", tmp_path / "run", "--code", terms).exit_code == 0
     assert mark.exists()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"controller": {"name": "{}:Theirs"}},
+        {"controller": {"name": "thermostat"}, "baselines": ["native", "{}:Theirs"]},
+        {"controller": {"name": "thermostat"}, "kpis": ["{}:theirs"]},
+        {"controller": {"options": {"terms": "{}:theirs"}}},
+    ],
+)
+def test_no_setting_of_a_journal_runs_python(tmp_path, settings):
+    mark, code = tmp_path / "was here", tmp_path / "code.py"
+    code.write_text(f"open({str(mark)!r}, 'w').close()\n", encoding="utf-8")
+    folder = sent(tmp_path / "sent", **json.loads(json.dumps(settings).replace("{}", str(code))))
+    assert f"--code {code}" in str(call("resume", folder).exception)
+    for command in ("explain", "report", "watch"):
+        assert call(command, folder).exit_code != 0
+    assert not mark.exists()
+
+
+def test_a_controller_that_only_a_step_names_is_not_loaded_by_explain(run, tmp_path):
+    mark, code = tmp_path / "was here", tmp_path / "code.py"
+    code.write_text(f"open({str(mark)!r}, 'w').close()\n", encoding="utf-8")
+    decision = decision_at(run)
+    assert "they need" in str(alternatives_of(run, replace(decision, controller=f"{code}:Theirs")))
+    assert not mark.exists()
 
 
 def test_what_a_run_does_not_have_cannot_be_given(tmp_path):
     folder = sent(tmp_path / "sent")
     assert "its run has no plant.path" in str(call("resume", folder, "--fmu", "wrapped.fmu").exception)
+    assert "its run has no my.py" in str(call("resume", folder, "--code", "my.py").exception)
 
 
 @pytest.mark.parametrize("what", ["a link", "a pipe", "a device", "a folder elsewhere"])

@@ -28,6 +28,7 @@ from thermoforce_mpc.simulation.comparison.files import (
     HEADINGS,
     formatted,
     headings,
+    own_columns,
     shown_figures,
     write_outcome,
 )
@@ -263,14 +264,17 @@ def show_outcome(console: Console, rows: Sequence[dict[str, Any]], currency: str
     for group, members in grouped(rows).items():
         table = Table(title=group_title(group), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
         table.add_column("controller", overflow="fold", min_width=12)
+        own = own_columns(members)
         for key, heading in zip(HEADINGS, headings(currency), strict=True):
             if key in _ON_CONSOLE:
                 heading = heading.replace("discomfort", "discomf.").replace("saving at equal comfort", "saved")
                 table.add_column(heading.replace(", ", "\n"), justify="right")
+        for key in own:
+            table.add_column(key.replace(", ", "\n"), justify="right")
         for row in members:
-            figures = dict(zip(HEADINGS, shown_figures(row), strict=True))
+            figures = dict(zip((*HEADINGS, *own), shown_figures(row, own), strict=True))
             style = "bold" if row["pareto"] else None
-            table.add_row(row["controller"], *(figures[key] for key in _ON_CONSOLE), style=style)
+            table.add_row(row["controller"], *(figures[key] for key in (*_ON_CONSOLE, *own)), style=style)
         print_whole(table, console, folded=True)
         zones = {row["controller"]: row["zones"] for row in members}
         if any(zones.values()):

@@ -18,7 +18,7 @@ import click
 )
 @click.option("--url", metavar="URL", help="Address of the BOPTEST service of the run, given again.")
 @click.option("--fmu", metavar="FILE", help="FMU of the run, given again.")
-@click.option("--terms", metavar="FILE:FUNCTION", help="Python function of its controller.options.terms, given again.")
+@click.option("--code", metavar="FILE", multiple=True, help="File of Python that the run names, given again.")
 @click.option("--plant", metavar="NAME", help="Plugin's plant of the run, given again.")
 @click.option("--quiet", is_flag=True, help="Print only the final table.")
 def command(
@@ -26,7 +26,7 @@ def command(
     since: str | None,
     url: str | None,
     fmu: str | None,
-    terms: str | None,
+    code: tuple[str, ...],
     plant: str | None,
     quiet: bool,
 ) -> None:
@@ -57,11 +57,11 @@ def command(
     Example:
       tf-mpc resume runs/bestest_hydronic_heat_pump-peak_heat_day-constant-thermoforce_mpc-001
     """
-    from thermoforce_mpc.simulation.outside import TERMS
     from thermoforce_mpc.simulation.run import resume_run
     from thermoforce_mpc.simulation.views.display import RunDisplay
 
     display = RunDisplay(quiet)
-    again = {"plant.url": url, "plant.path": fmu, TERMS: terms, "plant.kind": plant}
-    folder = resume_run(run, display, since, {key: value for key, value in again.items() if value is not None})
+    again = {"plant.url": url, "plant.path": fmu, "plant.kind": plant}
+    given = {key: value for key, value in again.items() if value is not None}
+    folder = resume_run(run, display, since, given, code)
     display.console.print(f"Report: {shlex.quote(str(folder / 'report.html'))}", soft_wrap=True, markup=False)

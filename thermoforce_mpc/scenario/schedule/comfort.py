@@ -5,11 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, field_validator
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.errors import suggestion
@@ -110,11 +109,6 @@ class Comfort(StrictModel):
         description="dates such as 2026-12-25; they are no weekdays, and a Sunday where no rule names holidays",
         examples=[["2026-12-25"]],
     )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _schedule_alone(cls, value: Any) -> Any:
-        return {"schedule": value} if isinstance(value, str) else value
 
     @field_validator("schedule")
     @classmethod

@@ -80,9 +80,10 @@ def write_outcome(
         title=title,
         emulated=any(plant.startswith("embedded") for plant in plants),
         plants=plants,
-        headings=headings(currency),
+        headings=headings(currency, rows),
         groups=[
-            (group_title(group), _table_rows(members), _zones(members)) for group, members in grouped(rows).items()
+            (group_title(group), _table_rows(members, own_columns(rows)), _zones(members))
+            for group, members in grouped(rows).items()
         ],
         verdicts=says,
         failed=failures(rows),
@@ -93,13 +94,21 @@ def write_outcome(
     return result
 
 
-def headings(currency: str) -> list[str]:
-    """Column headings of the figures."""
-    return [text.format(currency=currency) for text in HEADINGS.values()]
+def headings(currency: str, rows: Sequence[Row] = ()) -> list[str]:
+    """Column headings of the figures of `rows`, those of the user's own KPIs last."""
+    return [*(text.format(currency=currency) for text in HEADINGS.values()), *own_columns(rows)]
 
 
-def shown_figures(row: Row) -> list[str]:
-    """The figures of a row as text; an asterisk marks the best cost and discomfort of its group."""
+def own_columns(rows: Sequence[Row]) -> list[str]:
+    """Names and units of the user's own KPIs in any of `rows`."""
+    return list(dict.fromkeys(key for row in rows for key in row["own"]))
+
+
+def shown_figures(row: Row, own: Sequence[str] = ()) -> list[str]:
+    """The figures of a row as text, then those of its `own` KPIs.
+
+    An asterisk marks the best cost and discomfort of its group.
+    """
     texts = []
     for key in HEADINGS:
         value = row[key]
@@ -110,7 +119,8 @@ def shown_figures(row: Row) -> list[str]:
             key, ".4g"
         )
         texts.append(f"{value:{digits}}" + ("*" if row.get(_BEST.get(key, ""), False) else ""))
-    return texts
+    values = [row["own"].get(key) for key in own]
+    return texts + ["–" if value is None else f"{value:.4g}" for value in values]
 
 
 def formatted(rows: Sequence[Row], form: str, title: str, currency: str) -> str:
@@ -119,10 +129,11 @@ def formatted(rows: Sequence[Row], form: str, title: str, currency: str) -> str:
         return _csv(rows)
     if form == "markdown":
         return markdown(rows, title, currency, verdicts(rows))
-    columns = ["window", "tariff", "controller", *headings(currency)]
-    texts = [[row["window"], row["price"], row["controller"], *shown_figures(row)] for row in rows]
+    own = own_columns(rows)
+    columns = ["window", "tariff", "controller", *headings(currency, rows)]
+    texts = [[row["window"], row["price"], row["controller"], *shown_figures(row, own)] for row in rows]
     latex = pd.DataFrame(texts, columns=columns).to_latex(
-        index=False, escape=True, column_format="lll" + "r" * len(HEADINGS)
+        index=False, escape=True, column_format="lll" + "r" * (len(HEADINGS) + len(own))
     )
     return str(latex).replace("₂", "$_2$").replace("²", "$^2$").replace("·", "$\\cdot$").replace("–", "--")
 
@@ -132,11 +143,12 @@ def markdown(rows: Sequence[Row], title: str, currency: str, says: Sequence[str]
     lines = [f"# {title}", ""]
     for group, members in grouped(rows).items():
         lines += [f"## {group_title(group)}", ""]
-        lines.append("| controller | " + " | ".join(headings(currency)) + " |")
-        lines.append("|---" + "|---:" * len(HEADINGS) + "|")
+        own = own_columns(members)
+        lines.append("| controller | " + " | ".join(headings(currency, members)) + " |")
+        lines.append("|---" + "|---:" * (len(HEADINGS) + len(own)) + "|")
         for row in members:
             front = " (front)" if row["pareto"] else ""
-            lines.append(f"| {row['controller']}{front} | " + " | ".join(shown_figures(row)) + " |")
+            lines.append(f"| {row['controller']}{front} | " + " | ".join(shown_figures(row, own)) + " |")
         lines.append("")
         lines += _zone_lines(members)
     lines += [
@@ -182,13 +194,15 @@ def _zone_lines(members: Sequence[Row]) -> list[str]:
 def _csv(rows: Sequence[Row]) -> str:
     zones = dict.fromkeys(f"tdis_tot[{zone}]" for row in rows for zone in row["zones"])
     columns = [
-        "window", "price", "uncertainty", "controller", "status", *KPIS, "saving", *zones, "comparable", "best_cost",
+        "window", "price", "uncertainty", "controller", "status", *KPIS, *own_columns(rows), "saving", *zones, "comparable", "best_cost",
         "best_discomfort", "pareto", "fallbacks", "plan_ms", "controller_s", "plant_s", "reason",
     ]  # fmt: skip
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
-    writer.writerows(row | {f"tdis_tot[{zone}]": value for zone, value in row["zones"].items()} for row in rows)
+    writer.writerows(
+        row | row["own"] | {f"tdis_tot[{zone}]": value for zone, value in row["zones"].items()} for row in rows
+    )
     return text.getvalue()
 
 
@@ -197,9 +211,9 @@ def _zones(members: Sequence[Row]) -> list[str]:
     return list(dict.fromkeys(zone for row in members for zone in row["zones"]))
 
 
-def _table_rows(members: Sequence[Row]) -> list[dict[str, Any]]:
+def _table_rows(members: Sequence[Row], own: Sequence[str]) -> list[dict[str, Any]]:
     return [
-        {"name": row["controller"], "front": row["pareto"], "figures": shown_figures(row), "zones": row["zones"]}
+        {"name": row["controller"], "front": row["pareto"], "figures": shown_figures(row, own), "zones": row["zones"]}
         for row in members
     ]
 

@@ -9,6 +9,7 @@ from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.comparison.results_json import Target
 from thermoforce_mpc.simulation.comparison.store import DONE
+from thermoforce_mpc.simulation.own_kpis import own_of
 
 COST, DISCOMFORT = "cost_tot", "tdis_tot"
 KPIS = (COST, DISCOMFORT, "ener_tot", "emis_tot", "pele_tot")
@@ -24,7 +25,8 @@ Row = dict[str, Any]
 def outcome_rows(records: Iterable[Mapping[str, Any]]) -> list[Row]:
     """One row per cell, in the order given; units as in the KPIs of BOPTEST, times in s and ms.
 
-    `zones` has the discomfort of each zone by name, K·h; it is empty where there is one zone. `saving` is the cost
+    `zones` has the discomfort of each zone by name, K·h; it is empty where there is one zone. `own` has KPIs of the
+    user's, by name and unit. `saving` is the cost
     saved against a thermostat that is as comfortable, %, and `equal_comfort` that in words, where it was searched.
 
     `comparable` (to the least discomfort), `best_cost` (of those that are comparable), `best_discomfort` and `pareto`
@@ -174,6 +176,7 @@ def _row(record: Mapping[str, Any]) -> Row:
         "status": record["status"],
         **{name: kpis.get(name) for name in KPIS},
         "zones": zone_kpis(kpis),
+        "own": own_of(kpis),
         "saving": None if (saving := equal.get("saving")) is None else 100.0 * saving,
         "equal_comfort": equal.get("in_words", ""),
         "comparable": False,

@@ -36,6 +36,7 @@ from thermoforce_mpc.simulation.comparison.input_files import (
 from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Identified
 from thermoforce_mpc.simulation.composition import build_plant, check_prices, controller_options, scored_period
 from thermoforce_mpc.simulation.models.identifying import IdentificationTask, model_for, run_identification
+from thermoforce_mpc.simulation.own_kpis import own_kpis, with_own_kpis
 from thermoforce_mpc.version import VERSION
 
 
@@ -116,7 +117,7 @@ def followed(cell: Cell, *needs: SentFiles | Identified) -> tuple[RunResult, Pla
             lowest = testcase.layout.lowest
             allowed = limits_of(controller, testcase.area_m2, min(lowest))
             result = run_closed_loop(plant, controller, period, scenario.price, on_step, allowed, lowest)
-            return result, plant.info
+            return with_own_kpis(result, own_kpis(scenario.kpis)), plant.info
 
 
 def _model(scenario: Scenario, testcase: TestCase, plant: Plant, model: Identified | None) -> ThermalModel | str:

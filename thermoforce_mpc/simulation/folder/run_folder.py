@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
@@ -57,6 +58,11 @@ def create_run_folder(out: Path | None, stem: str, root: Path = Path("runs")) ->
     except OSError as error:
         raise StorageError(f"cannot create the run folder {out or root}: {error.strerror or error}") from error
     raise ConfigError(f"{root}: no free run folder name left for {stem}")
+
+
+def file_stem(controller: str) -> str:
+    """A controller's name as part of a file's: one of the user's own has a path in it."""
+    return re.sub(r"[^\w.+-]+", "_", controller)
 
 
 def is_empty(folder: Path) -> bool:
@@ -189,7 +195,7 @@ def write_results(
     write_whole(folder / "trajectory.csv", trajectory_frame(result.steps).to_csv(index=False))
     write_whole(folder / "steps.csv", steps_frame(result.steps).to_csv(index=False))
     for name, baseline in baselines.items():
-        write_whole(folder / f"trajectory_{name}.csv", trajectory_frame(baseline.steps).to_csv(index=False))
+        write_whole(folder / f"trajectory_{file_stem(name)}.csv", trajectory_frame(baseline.steps).to_csv(index=False))
     kpis = {
         "testcase": plant.testcase,
         "plant": f"{plant.kind}: {plant.description}",
@@ -206,6 +212,8 @@ def write_results(
         "power_cap": capped_figures(scenario, result, baselines),
     }
     write_json(folder / "kpis.json", kpis)
+    table = pd.DataFrame.from_dict({run.controller: run.kpis for run in (result, *baselines.values())}, orient="index")
+    write_whole(folder / "kpis.csv", table.to_csv(index_label="controller"))
     manifest = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": list(command),
@@ -232,8 +240,10 @@ def write_partial(folder: Path, records: Mapping[str, Sequence[StepRecord]], rea
     """Write the steps recorded before a run failed, and `INCOMPLETE.txt` with the reason."""
     for name, steps in records.items():
         if steps:
-            write_whole(folder / f"incomplete_trajectory_{name}.csv", trajectory_frame(steps).to_csv(index=False))
-            write_whole(folder / f"incomplete_steps_{name}.csv", steps_frame(steps).to_csv(index=False))
+            write_whole(
+                folder / f"incomplete_trajectory_{file_stem(name)}.csv", trajectory_frame(steps).to_csv(index=False)
+            )
+            write_whole(folder / f"incomplete_steps_{file_stem(name)}.csv", steps_frame(steps).to_csv(index=False))
     write_whole(folder / "INCOMPLETE.txt", f"This run did not finish: {reason}\n")
 
 

@@ -13,7 +13,7 @@ from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.composition import controller_options
-from thermoforce_mpc.simulation.folder.run_folder import file_sha256, kept_model, plain_json
+from thermoforce_mpc.simulation.folder.run_folder import file_sha256, file_stem, kept_model, plain_json
 from thermoforce_mpc.simulation.journal.journal_values import Json
 from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
 from thermoforce_mpc.simulation.models.identifying import (
@@ -52,7 +52,7 @@ def identify_all(
         if not shared:
             if by_task:
                 display.say(f"For {name}, which runs the machine another way:")
-            keep = folder / PROBING / f"{name}.jsonl" if folder else None
+            keep = folder / PROBING / f"{file_stem(name)}.jsonl" if folder else None
             shared = [_identify(scenario, testcase, plant, name, display, keep)]
             by_task.append((task, shared[0]))
         models[name] = shared[0]
@@ -173,7 +173,7 @@ def _save_models(folder: Path, identified: Mapping[str, IdentifiedModel]) -> Jso
         if not shared:
             noted: Json = {"folder": None, "refused": result.refused, "origin": plain_json(result.origin)}
             if result.model is not None:
-                noted["folder"] = FOLDER if not saved else f"{FOLDER}-{who}"
+                noted["folder"] = FOLDER if not saved else f"{FOLDER}-{file_stem(who)}"
                 result.model.save(folder / noted["folder"], overwrite=True)
                 noted["sha256"] = file_sha256(folder / noted["folder"] / JSON_NAME)
             saved.append((result, noted))

@@ -10,6 +10,7 @@ import numpy as np
 from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
+from thermoforce_mpc.simulation.own_kpis import own_of
 from thermoforce_mpc.simulation.report.courses import Course
 
 KPI_LABELS = {
@@ -42,6 +43,9 @@ def kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> list
             by_zone = {name: zone_kpis(kpis) for name, kpis in everyone.items()}
             for zone in dict.fromkeys(zone for of in by_zone.values() for zone in of):
                 rows.append(_row(f"· {zone}", unit, [by_zone[name].get(zone) for name in everyone]))
+    for key in dict.fromkeys(key for kpis in everyone.values() for key in own_of(kpis)):
+        label, _, unit = key.rpartition(", ")
+        rows.append(_row(label, unit, [kpis.get(key) for kpis in everyone.values()], best=False))
     return rows
 
 

@@ -17,6 +17,7 @@ from thermoforce_mpc.data import DAY_S, Period, PlanStatus
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import Sample, StepRecord
 from thermoforce_mpc.simulation.models.probing import ProbingProgress
+from thermoforce_mpc.simulation.own_kpis import own_of
 from thermoforce_mpc.simulation.views.whole_tables import print_whole
 
 Kpis = Callable[[], Mapping[str, float]]
@@ -208,8 +209,11 @@ class RunDisplay:
             finite = [kpis[key] for kpis in everyone.values() if np.isfinite(kpis.get(key, np.nan))]
             if finite:
                 best[key] = min(finite)
+        own = list(dict.fromkeys(key for kpis in everyone.values() for key in own_of(kpis)))
+        for key in own:
+            table.add_column(key.replace(", ", "\n"), justify="right")
         for name, kpis in everyone.items():
-            values = {key: kpis.get(key) for key in KPI_COLUMNS}
+            values = {key: kpis.get(key) for key in (*KPI_COLUMNS, *own)}
             table.add_row(
                 f"{name} (gate)" if held and name in held else name,
                 *(

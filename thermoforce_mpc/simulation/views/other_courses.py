@@ -15,7 +15,7 @@ from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.composition import controller_options
 from thermoforce_mpc.simulation.folder.run_folder import kept_model
 from thermoforce_mpc.simulation.journal.journal import NAME, making_sense, read_run
-from thermoforce_mpc.simulation.outside import TERMS, unknown
+from thermoforce_mpc.simulation.outside import CODE, unknown
 from thermoforce_mpc.simulation.views.explaining import Decision
 
 if TYPE_CHECKING:  # CasADi is loaded only where there is a model
@@ -37,7 +37,11 @@ def alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
 
 def _alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
     entries = read_run(folder / NAME).entries
+    scenario = validate(Scenario, dict(entries[0].content["scenario"]), f"{folder / NAME}, line 1")
     name = decision.controller
+    code = [one.value for one in unknown(scenario) if one.key == CODE]
+    if code or name not in (scenario.controller.name, *scenario.baselines):
+        return f"they need what you have not given here before, or what was changed since: {', '.join(code) or name}"
     if not find_entry(name).needs_model:
         return f"{name} acts without a model"
     models: Mapping[str, Any] = next((entry.content["models"] for entry in entries if entry.kind == "models"), {})
@@ -48,9 +52,6 @@ def _alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
     from controllers.mpc.controller import ThermoForceMPC
     from thermoforce_mpc.model.thermal_model import load_model
 
-    scenario = validate(Scenario, dict(entries[0].content["scenario"]), f"{folder / NAME}, line 1")
-    if any(one.key == TERMS for one in unknown(scenario)):
-        return f"they need {TERMS}, Python that you have not given here before, or that was changed since"
     options = controller_options(scenario, name) | {"free_response": _FREE_RESPONSE}
     try:
         model = load_model(kept_model(folder, entry["folder"]))

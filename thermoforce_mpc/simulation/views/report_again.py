@@ -20,6 +20,7 @@ from thermoforce_mpc.simulation.folder.capped import capped_figures
 from thermoforce_mpc.simulation.folder.plain_files import check_plain
 from thermoforce_mpc.simulation.folder.run_folder import is_complete, kept_model, write_json
 from thermoforce_mpc.simulation.journal.told_results import ToldRun, told_run
+from thermoforce_mpc.simulation.own_kpis import own_of
 from thermoforce_mpc.simulation.views.explaining import words_of
 
 if TYPE_CHECKING:
@@ -47,7 +48,8 @@ def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[st
     run = told_run(folder)
     testcase = load_testcase(run.scenario.testcase)
     notes = _cut_off(folder, run)
-    results = {name: _so_far(result, testcase) for name, result in run.results.items()}
+    told = _json(folder / "kpis.json") or {}
+    results = {name: _so_far(result, testcase, told) for name, result in run.results.items()}
     result, *baselines = results.values()
     model, why = _model(folder, run, result.controller)
     if why:
@@ -69,7 +71,7 @@ def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[st
         "price": run.scenario.price,
         "controller": result.controller,
         "power_cap": capped_figures(run.scenario, result, {baseline.controller: baseline for baseline in baselines}),
-        "equal_comfort": (_json(folder / "kpis.json") or {}).get("equal_comfort", ""),
+        "equal_comfort": told.get("equal_comfort", ""),
     }
     if path is None and not is_complete(folder):
         figures = {"kpis": result.kpis, "baselines": {one.controller: one.kpis for one in baselines}}
@@ -118,10 +120,15 @@ def _cut_off(folder: Path, run: ToldRun) -> list[str]:
     return notes
 
 
-def _so_far(result: RunResult, testcase: TestCase) -> RunResult:
-    """A result with figures of its own where the plant's are not there: until the last step that ended."""
+def _so_far(result: RunResult, testcase: TestCase, told: Mapping[str, Any]) -> RunResult:
+    """A result with figures of its own where the plant's are not there: until the last step that ended.
+
+    The user's own KPIs are those that the run had `told`: a report runs no code of a run's folder.
+    """
     if "ener_tot" in result.kpis:
-        return result
+        everyone = {str(told.get("controller")): told.get("kpis", {}), **told.get("baselines", {})}
+        own = own_of(everyone.get(result.controller, {}))
+        return replace(result, kpis=result.kpis | {key: float("nan" if v is None else v) for key, v in own.items()})
     from thermoforce_mpc.simulation.report.courses import course_of
 
     course = course_of(result, testcase.layout, testcase.area_m2, len(result.steps) * 1000)

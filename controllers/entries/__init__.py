@@ -1,0 +1,1 @@
+"""What stands in the registry of controllers."""
