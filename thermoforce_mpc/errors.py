@@ -66,6 +66,18 @@ class EngineError(ThermoForceError):
     """The cluster that runs many tasks is gone, or has a worker that does not fit (exit code 7)."""
 
 
+def out_of_memory(error: BaseException) -> bool:
+    """Whether an error is, or came of, memory that could not be had; native libraries raise a `RuntimeError`."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, MemoryError):
+            return True
+        if isinstance(cause, RuntimeError) and any(said in str(cause) for said in ("bad_alloc", "allocate memory")):
+            return True
+        cause = cause.__cause__
+    return False
+
+
 def suggestion(word: str, known: Iterable[str]) -> str:
     """Return ", did you mean ...?" if a known word is close, else an empty string."""
     close = difflib.get_close_matches(word, list(known), n=1)

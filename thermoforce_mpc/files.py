@@ -64,9 +64,9 @@ def written(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write `content` (text as UTF-8) by `written`; raises `StorageError`."""
+    """Write `content` (text as UTF-8, with `\\udcff` for half a surrogate) by `written`; raises `StorageError`."""
     with written(path) as aside:
-        aside.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+        aside.write_bytes(content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
 
 
 def write_folder(folder: Path, files: Mapping[str, bytes], *, keep: bool = False) -> None:

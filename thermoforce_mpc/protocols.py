@@ -88,12 +88,20 @@ class OutlivingPlant(Plant, Protocol):
     """Plant that goes on existing where the process that runs it dies: a service."""
 
     def go_on(
-        self, last: Measurement, *, start_s: float, warmup_s: float, price: str, periods: Mapping[str, Period]
+        self,
+        last: Measurement,
+        *,
+        start_s: float,
+        warmup_s: float,
+        price: str,
+        periods: Mapping[str, Period],
+        anywhere: bool = False,
     ) -> None:
         """Take the plant up after `last`, the last measurement that was received since the reset of these arguments.
 
         `periods` are the windows that were asked for by name. The next `advance` gives the answer of a step that was
-        simulated and whose answer was lost. Raises `PlantError` where the plant stands elsewhere.
+        simulated and whose answer was lost. Raises `PlantError` where the plant stands elsewhere; `anywhere`: it may
+        stand at any time after, and the next `advance` gives the readings there.
         """
         ...
 

@@ -87,6 +87,15 @@ def test_blas_computes_on_one_thread_unless_told_otherwise(given, taken):
     assert done.stdout.splitlines()[-1] == taken
 
 
+@pytest.mark.parametrize("error", ["MemoryError()", "RuntimeError('std::bad_alloc')"])
+def test_out_of_memory_is_one_message_and_exit_code_6(error):
+    code = f"import thermoforce_mpc.cli as cli\ndef main(**_): raise {error}\ncli.cli.main = main\ncli.main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 6
+    assert done.stderr.startswith("Out of memory: close other programs")
+    assert "Traceback" not in done.stderr
+
+
 @pytest.mark.parametrize("name", ["run", "resume", "report", "identify", "inspect", "init", "doctor", "control"])
 def test_help_of_a_command_loads_nothing_that_it_would_need_to_run(name):
     code = (

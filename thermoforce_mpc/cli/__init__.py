@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -13,7 +14,15 @@ from typing import Any, NoReturn
 import click
 
 from thermoforce_mpc.cli.commands import CommandGroups
-from thermoforce_mpc.errors import ControllerRaised, EngineError, InputError, NoSuchTest, PlantError, StorageError
+from thermoforce_mpc.errors import (
+    ControllerRaised,
+    EngineError,
+    InputError,
+    NoSuchTest,
+    PlantError,
+    StorageError,
+    out_of_memory,
+)
 from thermoforce_mpc.files import DoubtfulInput
 from thermoforce_mpc.version import VERSION
 
@@ -72,6 +81,8 @@ def main() -> None:
     # Read when numpy is loaded. Matrices here are small: more threads gain nothing, and wait for one another where the
     # machine is busy.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if isinstance(sys.stdout, io.TextIOWrapper):  # names of files may be of any bytes
+        sys.stdout.reconfigure(errors="backslashreplace")
     warnings.showwarning = _show_warning
     signal.signal(signal.SIGTERM, _terminate)
     try:
@@ -105,3 +116,8 @@ def main() -> None:
     except (KeyboardInterrupt, click.Abort):
         click.echo("Interrupted.", err=True)
         sys.exit(130)
+    except (MemoryError, RuntimeError) as error:
+        if not out_of_memory(error):
+            raise
+        click.echo("Out of memory: close other programs, give less data, or give the machine more.", err=True)
+        sys.exit(6)

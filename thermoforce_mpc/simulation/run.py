@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing, nullcontext, suppress
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,7 @@ import pandas as pd
 
 from controllers.registry import build_controller, find_entry, lent
 from thermoforce_mpc.data import DAY_S, Period, PlantInfo
-from thermoforce_mpc.errors import ConfigError, PlantError, StorageError, ThermoForceError, counted
+from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.protocols import Controller, Plant
@@ -37,6 +37,7 @@ from thermoforce_mpc.simulation.composition import (
     controller_options,
     scored_period,
 )
+from thermoforce_mpc.simulation.ended_early import ended_early
 from thermoforce_mpc.simulation.folder.capped import Capped
 from thermoforce_mpc.simulation.folder.planning import Planning, planning_of
 from thermoforce_mpc.simulation.folder.run_book import RunBook
@@ -48,11 +49,9 @@ from thermoforce_mpc.simulation.folder.run_folder import (
     is_empty,
     sole_use,
     trajectory_frame,
-    write_partial,
     write_results,
 )
 from thermoforce_mpc.simulation.folder.run_log import log_step, logging_to
-from thermoforce_mpc.simulation.journal.journal import JournalError
 from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
 from thermoforce_mpc.simulation.models.identifying import IdentifiedModel
@@ -63,8 +62,10 @@ from thermoforce_mpc.simulation.models.run_models import (
     origins_of,
     weight_hash,
 )
+from thermoforce_mpc.simulation.outside import note_given, with_given
 from thermoforce_mpc.simulation.own_kpis import OwnKpi, own_kpis, with_own_kpis
 from thermoforce_mpc.simulation.views.display import RunDisplay
+from thermoforce_mpc.simulation.views.explaining import seconds_of
 from thermoforce_mpc.simulation.views.verdict import verdict
 from thermoforce_mpc.simulation.views.watching import watch_spells
 
@@ -157,6 +158,7 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
         StorageError: the disk is full, or the folder cannot be written any more; the plant was released.
     """
     testcase = validate_scenario(scenario)
+    note_given(scenario)
     folder = create_run_folder(
         out, f"{testcase.name}-{scenario.period}-{scenario.price}-{file_stem(scenario.controller.name)}"
     )
@@ -166,10 +168,23 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
         return _carry_out(RunBook.begin(folder, scenario, command), display, testcase)
 
 
-def resume_run(folder: Path, display: RunDisplay) -> Path:
+def resume_run(
+    folder: Path,
+    display: RunDisplay,
+    since: str | None = None,
+    given: Mapping[str, str] | None = None,
+    code: Sequence[str] = (),
+) -> Path:
     """Go on with a run that was ended before its time, from its journal; the result is that of an undisturbed run.
 
+    Args:
+        folder: run folder.
+        display: where it is shown.
+        since: line of the journal, or a time (`seconds_of`), from which on its records are lost.
+        given, code: settings that act outside the folder, by key, and files of Python, see `with_given`.
+
     Raises:
+        ConfigError: the journal names something outside that is neither known nor given; there is a link in the folder.
         JournalError: there is no journal, it is damaged, or the run does not repeat itself.
         NoSuchTest: the run was on a service that no longer has its test.
         PlantError, StorageError: as `run_scenario`.
@@ -180,7 +195,8 @@ def resume_run(folder: Path, display: RunDisplay) -> Path:
         if is_complete(folder):
             display.say(f"{folder} is complete; there is nothing to resume")
             return folder
-        book = RunBook.reopen(folder)
+        at = None if since is None else int(since) if since.isdecimal() else seconds_of(since, "--from")
+        book = RunBook.reopen(folder, at, lambda told: with_given(told, given or {}, code, folder))
         steps = sum(entry.kind == "done" for entry in book.told)
         display.say(f"Resuming after {counted(steps, 'recorded step')}")
         return _carry_out(book, display, validate_scenario(book.scenario))
@@ -193,20 +209,11 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
     try:
         with closing(book.journal), logging_to(folder, display.say):
             outcome = _execute(scenario, display, records, book=book)
-    except PlantError as error:
-        if book.holds_nothing:
-            book.discard()
-            raise
-        write_partial(folder, records, str(error))
-        there = f"What was recorded until then is in {folder}{_report_so_far(folder)}"
-        raise PlantError(f"{error}\n{there}; `tf-mpc resume {folder}` goes on from there") from error
     except BaseException as error:
-        with suppress(StorageError, OSError):  # the error that ended the run is the one to tell
-            if book.has_begun:
-                write_partial(folder, records, str(error) if isinstance(error, ThermoForceError) else "interrupted")
-            else:
-                book.discard()
-        raise
+        ended = ended_early(book, records, error)
+        if ended is error:
+            raise
+        raise ended from error
     clear_partial(folder)
     kpis = write_results(
         folder,
@@ -235,16 +242,6 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
         )
     _print_summary(outcome, folder, testcase, kpis["power_cap"], display)
     return folder
-
-
-def _report_so_far(folder: Path) -> str:
-    """Write the report of a run that failed; where it is, '' where no step has ended."""
-    from thermoforce_mpc.simulation.views.report_again import report_again
-
-    with suppress(JournalError, StorageError):  # the error that ended the run is the one to tell
-        report_again(folder)
-        return ", with a report: report.html"
-    return ""
 
 
 def _print_summary(

@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import errno
+import json
 import logging
 import os
 import resource
 import shutil
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from click.testing import CliRunner
+from places import ROOT
 from simple_house import SimpleHouse, simple_model
+from waiting import LONG_S
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S
-from thermoforce_mpc.errors import ConfigError, StorageError
+from thermoforce_mpc.errors import ConfigError, PlantError, StorageError
 from thermoforce_mpc.files import write_whole, written
+from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.simulation import run as simulation_run
+from thermoforce_mpc.simulation.folder import run_folder
+from thermoforce_mpc.simulation.folder.run_book import RunBook
 from thermoforce_mpc.simulation.folder.run_log import logging_to
 from thermoforce_mpc.simulation.journal.journal import read_journal
 
@@ -253,3 +262,84 @@ def test_a_link_stays_a_link(tmp_path):
     write_whole(tmp_path / "link.txt", "°C")
     assert (tmp_path / "link.txt").is_symlink()
     assert (tmp_path / "there" / "file.txt").read_text(encoding="utf-8") == "°C"
+
+
+def test_a_folder_in_which_nothing_can_be_written_is_no_bad_input(call, tmp_path, monkeypatch):
+    """As the system says it; root may write anywhere, so the refusal is made here."""
+
+    def refused(lock: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    (tmp_path / "run").mkdir()
+    monkeypatch.setattr(run_folder.FileLock, "acquire", refused)
+    for words in (("resume", tmp_path / "run"), (*WORDS, "--days", 1, "--out", tmp_path / "run")):
+        error = call(SimpleHouse(), *words).exception
+        assert isinstance(error, StorageError)
+        assert "run: cannot be written (Read-only file system)" in str(error)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        (MemoryError(), "out of memory: close other programs"),
+        (RuntimeError("std::bad_alloc"), "out of memory: close other programs"),
+        (ZeroDivisionError("a bug"), "a bug"),
+        (StorageError("no room"), "no room"),
+    ],
+)
+def test_a_run_that_a_fault_ends_leaves_report_and_figures_and_goes_on(call, tmp_path, fault, said):
+    def fail() -> None:
+        raise fault
+
+    folder, whole = tmp_path / "run", tmp_path / "whole"
+    done = call(WatchedHouse(fail), *WORDS, "--days", 1, "--out", folder)
+    assert said in str(done.exception)
+    if "memory" in said:
+        assert isinstance(done.exception, StorageError)
+        assert f"`tf-mpc resume {folder}` goes on from there" in str(done.exception)
+    assert "thermostat was cut off after 0.5 of 1 days" in (folder / "report.html").read_text()
+    figures = json.loads((folder / "incomplete_kpis.json").read_text())
+    assert figures["controller"] == "thermostat"
+    steps = pd.read_csv(folder / "incomplete_trajectory_thermostat.csv")
+    kWh = (steps["power_W"] * steps["duration_s"]).sum() / 3.6e6
+    assert figures["kpis"]["ener_tot"] * load_testcase(WORDS[2]).area_m2 == pytest.approx(kWh)
+    assert call(SimpleHouse(), "resume", folder).exit_code == 0
+    assert call(SimpleHouse(), *WORDS, "--days", 1, "--out", whole).exit_code == 0
+    assert (folder / "trajectory.csv").read_bytes() == (whole / "trajectory.csv").read_bytes()
+    assert not list(folder.glob("[iI][nN][cC][oO]*"))
+
+
+def test_an_interrupted_run_draws_no_report(call, tmp_path):
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    call(WatchedHouse(interrupt), *WORDS, "--days", 1, "--out", tmp_path / "run")
+    assert (tmp_path / "run" / "INCOMPLETE.txt").exists()
+    assert not (tmp_path / "run" / "report.html").exists()
+
+
+def test_a_run_that_cannot_go_on_keeps_its_folder(call, tmp_path):
+    """Also one that was ended before its plant was there."""
+    scenario = load_scenario(None, {"testcase": WORDS[2], "controller": {"name": "thermostat"}, "baselines": []})
+    (tmp_path / "run").mkdir()
+    RunBook.begin(tmp_path / "run", scenario, ["tf-mpc", "run"]).journal.close()
+    house = SimpleHouse()
+    house.period = lambda name: (_ for _ in ()).throw(PlantError("is away"))
+    assert "is away" in str(call(house, "resume", tmp_path / "run").exception)
+    assert (tmp_path / "run" / "journal.jsonl").exists()
+
+
+@pytest.mark.slow
+def test_a_folder_may_have_any_name(tmp_path):
+    """Bytes that are no text: run, resume, report and explain in processes of their own."""
+    folder = os.fsencode(tmp_path) + b"/\xff\xfe\n[a] \xe2\x82"
+    env = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    tf_mpc = [sys.executable, "-m", "thermoforce_mpc"]
+    for words in (
+        [*WORDS, "--days", "0.25", "--no-equal-comfort", "--out", folder], ["resume", folder], ["report", folder],
+        ["explain", folder], ["watch", folder, "--once"],
+    ):  # fmt: skip
+        done = subprocess.run([*tf_mpc, *words], env=env, capture_output=True, timeout=LONG_S, check=False)
+        assert done.returncode == 0, done.stderr
+    assert json.loads(Path(os.fsdecode(folder), "manifest.json").read_bytes())["command"][-1] == os.fsdecode(folder)

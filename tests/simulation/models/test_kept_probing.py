@@ -52,7 +52,7 @@ class Served(House):
 
     taken_up = 0
 
-    def go_on(self, last, *, start_s, warmup_s, price, periods):
+    def go_on(self, last, *, start_s, warmup_s, price, periods, anywhere=False):
         self.taken_up += 1
         assert last.time_s == self.now_s, "it is taken up where it stands"
 

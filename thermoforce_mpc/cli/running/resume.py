@@ -10,8 +10,26 @@ import click
 
 @click.command(short_help="Go on with a run that was killed or interrupted.")
 @click.argument("run", type=click.Path(path_type=Path))
+@click.option(
+    "--from",
+    "since",
+    metavar="LINE|TIME",
+    help="Drop the journal from this line on (counted through its parts), or from the step at '16 06:30' or '9000s'.",
+)
+@click.option("--url", metavar="URL", help="Address of the BOPTEST service of the run, given again.")
+@click.option("--fmu", metavar="FILE", help="FMU of the run, given again.")
+@click.option("--code", metavar="FILE", multiple=True, help="File of Python that the run names, given again.")
+@click.option("--plant", metavar="NAME", help="Plugin's plant of the run, given again.")
 @click.option("--quiet", is_flag=True, help="Print only the final table.")
-def command(run: Path, quiet: bool) -> None:
+def command(
+    run: Path,
+    since: str | None,
+    url: str | None,
+    fmu: str | None,
+    code: tuple[str, ...],
+    plant: str | None,
+    quiet: bool,
+) -> None:
     """Go on with the run in folder RUN, which was killed, interrupted, or ended by a full disk or a plant that failed.
 
     The journal in the folder (journal.jsonl) says what the plant was asked and what it answered. A simulated plant is
@@ -23,9 +41,16 @@ def command(run: Path, quiet: bool) -> None:
     At a BOPTEST service the test is taken up where it stands, if it still exists; a step that was on its way is neither
     lost nor repeated. Ctrl-C and SIGTERM stop the test, so only a run that was killed can go on there.
 
+    A journal that is damaged in the middle is refused with the line and the command that goes on from the last good
+    one (--from); what comes after is kept in journal.jsonl.lost. A simulated plant repeats what is lost; a service goes
+    on from where it stands, and what happened meanwhile is read from its record.
+
+    The folder may come from anybody: it may hold plain files only, and an address, an FMU, Python or a plugin's plant
+    that its journal names has to be given again unless you gave it here before.
+
     \b
     Exit codes: 0 done (also where the run was complete already), 2 no journal,
-    a damaged one or one that does not repeat itself, 3 the plant failed,
+    a damaged one or one that does not repeat itself, something outside that has to be given again, 3 the plant failed,
     5 the service no longer has the test, 6 the folder cannot be written.
 
     \b
@@ -36,5 +61,7 @@ def command(run: Path, quiet: bool) -> None:
     from thermoforce_mpc.simulation.views.display import RunDisplay
 
     display = RunDisplay(quiet)
-    folder = resume_run(run, display)
+    again = {"plant.url": url, "plant.path": fmu, "plant.kind": plant}
+    given = {key: value for key, value in again.items() if value is not None}
+    folder = resume_run(run, display, since, given, code)
     display.console.print(f"Report: {shlex.quote(str(folder / 'report.html'))}", soft_wrap=True, markup=False)

@@ -20,7 +20,19 @@ from boptest_client import (
     TransportConfig,
     UnknownTest,
 )
-from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array, Bands, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import (
+    DAY_S,
+    YEAR_S,
+    ZERO_C_K,
+    Array,
+    Bands,
+    Boundary,
+    Levels,
+    Measurement,
+    Period,
+    PlantInfo,
+    Record,
+)
 from thermoforce_mpc.errors import ConfigError, InputError, NoForecast, NoSuchTest, PlantError
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.checks import (
@@ -217,6 +229,10 @@ class BoptestPlant(Releasing):
         instants = forecast_times(self._now_s, horizon_s, interval_s)
         tariff = next(name for name in PRICES if name == self._scenario.electricity_price)
         names = self._points.forecast(tariff)
+        if self._missed:
+            raise NoForecast(
+                f"BOPTEST service: {self._client.url}: its test was advanced since: it is asked after a step"
+            )
         with _failures():
             try:
                 data = self._client.forecast(list(names), horizon_s, interval_s, patiently=self._forecasts)
@@ -259,7 +275,14 @@ class BoptestPlant(Releasing):
             return self._read_kpis()
 
     def go_on(
-        self, last: Measurement, *, start_s: float, warmup_s: float, price: str, periods: Mapping[str, Period]
+        self,
+        last: Measurement,
+        *,
+        start_s: float,
+        warmup_s: float,
+        price: str,
+        periods: Mapping[str, Period],
+        anywhere: bool = False,
     ) -> None:
         """See `OutlivingPlant.go_on`; the plant was made with the `testid` of the test.
 
@@ -275,7 +298,18 @@ class BoptestPlant(Releasing):
         self._T_zone_C, self._last = last.T_zone_C, last
         with _failures():
             self._step_s = self._client.step()
-            self._missed = self._client.go_on_from(self._now_s, self._step_s)
+            stands_s = self._stands_s() if anywhere else self._now_s
+            from_s = max(self._now_s, stands_s - self._step_s)
+            self._missed = self._client.go_on_from(from_s, self._step_s)
+        if anywhere and self._missed:
+            _LOG.warning(
+                "the test stands at day %.3f, what is known of it ends at day %.3f: it goes on there, and what is "
+                "decided for the time between does not act", stands_s / DAY_S, self._now_s / DAY_S,
+            )  # fmt: skip
+
+    def _stands_s(self) -> float:
+        """Time until which the test was advanced, s."""
+        return float(self._recorded(self._now_s, self._now_s + YEAR_S, [self._points.outdoor_temperature])["time"][-1])
 
     def close(self) -> None:
         """Stop the test at the service; safe to call twice.

@@ -21,6 +21,7 @@ from thermoforce_mpc.model.saved.model_file import read_model_file
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
 from thermoforce_mpc.simulation.comparison.input_files import InputFiles
+from thermoforce_mpc.simulation.folder.plain_files import check_plain
 from thermoforce_mpc.simulation.folder.run_folder import write_json
 
 DONE, FAILED = "done", "failed"
@@ -78,7 +79,8 @@ class Store:
         self.folder = folder
 
     def create(self) -> None:
-        """Create the folder; raises `StorageError` if that fails."""
+        """Create the folder; raises `StorageError` if that fails, `ConfigError` where there is a link in it."""
+        check_plain(self.folder)
         try:
             for sub in ("cells", "models"):
                 (self.folder / sub).mkdir(parents=True, exist_ok=True)

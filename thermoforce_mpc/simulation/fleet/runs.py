@@ -25,6 +25,7 @@ from thermoforce_mpc.simulation.comparison.tasks import failure, followed, run_r
 from thermoforce_mpc.simulation.comparison.tasks import tasks_of as cell_tasks
 from thermoforce_mpc.simulation.fleet.buildings import Building
 from thermoforce_mpc.simulation.fleet.file import FleetFile
+from thermoforce_mpc.simulation.folder.plain_files import check_plain
 from thermoforce_mpc.simulation.folder.run_folder import trajectory_frame, write_json
 
 
@@ -137,7 +138,8 @@ class FleetResults:
         self.folder = folder
 
     def create(self) -> None:
-        """Create the folder; raises `StorageError` if that fails."""
+        """Create the folder; raises `StorageError` if that fails, `ConfigError` where there is a link in it."""
+        check_plain(self.folder)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:

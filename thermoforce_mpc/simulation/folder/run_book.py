@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -14,25 +15,38 @@ from thermoforce_mpc.simulation.folder.run_folder import plain_json
 from thermoforce_mpc.simulation.journal.journal import (
     FORMAT,
     NAME,
+    DamagedJournal,
     Entry,
     Journal,
     JournalError,
+    JournalText,
     making_sense,
     read_run,
+    rest_of,
+    set_aside,
 )
 from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
 from thermoforce_mpc.version import VERSION
 
+# It becomes a part of addresses.
+_TESTID = re.compile(r"[\w-]{1,200}")
+
 
 @dataclass(frozen=True)
 class RunBook:
-    """A run in its folder; `told` are the records of a run that is resumed, after the first."""
+    """A run in its folder; `told` are the records of a run that is resumed, after the first.
+
+    `resumed`: whether the folder was there before; `cut`: whether records are lost, so that a plant that outlived the
+    process may stand anywhere after them.
+    """
 
     folder: Path
     scenario: Scenario
     command: tuple[str, ...]
     journal: Journal
     told: tuple[Entry, ...] = ()
+    resumed: bool = False
+    cut: bool = False
 
     @classmethod
     def begin(cls, folder: Path, scenario: Scenario, command: Sequence[str]) -> RunBook:
@@ -52,21 +66,32 @@ class RunBook:
         return book
 
     @classmethod
-    def reopen(cls, folder: Path) -> RunBook:
-        """Go on with the journal of a run.
+    def reopen(
+        cls, folder: Path, since: float | None = None, settled: Callable[[Scenario], Scenario] = lambda told: told
+    ) -> RunBook:
+        """Go on with the journal of a run, at its end, or before line or time `since`: what comes after is set aside.
+
+        Args:
+            folder: run folder.
+            since: a line, counted through all parts (int), or a time, s since 1 January (float).
+            settled: what is made of the scenario; called before anything is written, and may refuse it.
 
         Raises:
-            JournalError: there is none, it is damaged (names the line), or of another format.
+            JournalError: there is none, it is damaged (names the line), of another format, or has nothing at `since`.
             StorageError: it cannot be written.
         """
         path = folder / NAME
-        text = read_run(path)
+        text = read_run(path) if since is None else _until(path, since)
         head = text.entries[0]
         with making_sense(head.where):
             scenario = validate(Scenario, dict(head.content["scenario"]), head.where)
             command = tuple(str(word) for word in head.content["command"])
+        scenario = settled(scenario)
+        if since is not None:
+            text = _with_its_loop(path, text) if _is_real(scenario) else text
+            set_aside(path, text)
         journal = Journal(path, text, durable=_is_real(scenario))
-        return cls(folder, scenario, command, journal, text.entries[1:])
+        return cls(folder, scenario, command, journal, text.entries[1:], resumed=True, cut=since is not None)
 
     def connect(self, build: Callable[[str | None], Plant]) -> JournaledPlant:
         """The plant of the run; `build` makes it, or takes up the test of a service by its name."""
@@ -76,7 +101,9 @@ class RunBook:
                 raise JournalError(f"{entry.where}: '{entry.kind}' before the plant")
             with making_sense(entry.where):
                 testid = entry.content["info"]["details"].get("testid")
-            return JournaledPlant(build(testid), self.journal, self.told[1:])
+                if testid is not None and not _TESTID.fullmatch(testid):
+                    raise ValueError(f"{testid:.100} is not the name of a test")
+            return JournaledPlant(build(testid), self.journal, self.told[1:], cut=self.cut)
         plant = build(None)
         try:
             self.journal.write("plant", {"info": plain_json(asdict(plant.info))})
@@ -86,19 +113,53 @@ class RunBook:
         return JournaledPlant(plant, self.journal)
 
     @property
-    def holds_nothing(self) -> bool:
-        """Whether not even the plant was there: a run that goes on from here would begin anew."""
-        return self.journal.records <= 1
-
-    @property
     def has_begun(self) -> bool:
         """Whether more is known than the plant, such as the models: a run that goes on from here is further."""
-        return bool(self.told) or self.journal.records > 2
+        return self.resumed or self.journal.records > 2
 
     def discard(self) -> None:
         """Remove the folder, which the run made: nothing was done yet, and an empty run says nothing."""
         self.journal.close()
         shutil.rmtree(self.folder)
+
+
+def _until(path: Path, since: float) -> JournalText:
+    """The journal before a line, or before the step at a time of the loop that was the last."""
+    try:
+        entries = read_run(path).entries
+    except DamagedJournal as damage:
+        entries = damage.good.entries
+    n = since - 1 if isinstance(since, int) else _step_at(path, entries, since)
+    if not 1 <= n <= len(entries):
+        raise JournalError(f"{path}: --from {since}: give a line from 2 to {len(entries) + 1}, or a time")
+    return read_run(path, int(n))
+
+
+def _step_at(path: Path, entries: Sequence[Entry], time_s: float) -> int:
+    """Number of records before the step at `time_s`."""
+    with making_sense(path):
+        begin = _last(entries, "loop")
+        steps = [n for n, entry in enumerate(entries) if entry.kind == "step" and n > begin]
+        before = [n for n in steps if float(entries[n].content["time_s"]) <= time_s]
+    if not before:
+        raise JournalError(f"{path}: --from: the last loop has no step at {time_s:.0f} s that can be read; give a line")
+    return before[-1]
+
+
+def _last(entries: Sequence[Entry], kind: str) -> int:
+    return max((n for n, entry in enumerate(entries) if entry.kind == kind), default=-1)
+
+
+def _with_its_loop(path: Path, text: JournalText) -> JournalText:
+    """What is kept of the journal of a service, which stands where it stands.
+
+    It goes on in the loop that it is in. A loop that is over there, or of which no step is left, begins again.
+    """
+    begin = _last(text.entries, "loop")
+    over = any(b'"kind": "reset"' in part for part in rest_of(path, text))
+    if begin >= 0 and (over or _last(text.entries, "step") < begin):
+        return read_run(path, begin)
+    return text
 
 
 def _is_real(scenario: Scenario) -> bool:

@@ -20,12 +20,13 @@ import yaml
 from filelock import FileLock, Timeout
 
 from thermoforce_mpc.data import DAY_S, Names, Plan, PlantInfo
-from thermoforce_mpc.errors import ConfigError, StorageError
+from thermoforce_mpc.errors import ArtifactError, ConfigError, StorageError
 from thermoforce_mpc.files import storage_errors, write_whole
 from thermoforce_mpc.registry import plugins
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held
 from thermoforce_mpc.simulation.folder.capped import capped_figures
+from thermoforce_mpc.simulation.folder.plain_files import check_plain
 from thermoforce_mpc.simulation.folder.planning import Planning
 from thermoforce_mpc.version import VERSION
 
@@ -74,15 +75,19 @@ def sole_use(folder: Path) -> Iterator[None]:
     """Keep other runs out of `folder` while the block lasts; a process that dies releases it.
 
     Raises:
-        ConfigError: another process is using the folder, or it cannot be written.
+        ConfigError: another process is using the folder, or there is a link, pipe or device in it.
+        StorageError: it cannot be written.
     """
+    check_plain(folder)
     lock = FileLock(folder / _LOCK, timeout=0)
     try:
         lock.acquire()
     except Timeout as error:
         raise ConfigError(f"{folder}: another run is using this folder; wait for it, or choose another one") from error
     except OSError as error:
-        raise ConfigError(f"{folder}: cannot be used ({error.strerror or error})") from error
+        raise StorageError(
+            f"{folder}: cannot be written ({error.strerror or error}); choose a folder that can be written, or copy it"
+        ) from error
     try:
         yield
     finally:
@@ -243,10 +248,17 @@ def write_partial(folder: Path, records: Mapping[str, Sequence[StepRecord]], rea
 
 
 def clear_partial(folder: Path) -> None:
-    """Remove what `write_partial` wrote: the run was resumed and has finished."""
+    """Remove what was written of a run that ended early: it was resumed and has finished."""
     with storage_errors(folder):
-        for path in [*folder.glob("incomplete_*.csv"), *folder.glob("INCOMPLETE.txt")]:
+        for path in [*folder.glob("incomplete_*"), *folder.glob("INCOMPLETE.txt")]:
             path.unlink(missing_ok=True)
+
+
+def kept_model(folder: Path, name: object) -> Path:
+    """The folder of a model that the journal of a run names; raises `ArtifactError` where that is elsewhere."""
+    if not isinstance(name, str) or Path(name).name != name or name == "..":
+        raise ArtifactError(f"{folder}: its journal names a model that is not in the folder ({name!r:.200})")
+    return folder / name
 
 
 def is_complete(folder: Path) -> bool:

@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TextIO
 
 from thermoforce_mpc.data import Plan
 from thermoforce_mpc.files import storage_errors
 from thermoforce_mpc.simulation.closed_loop import StepRecord
+from thermoforce_mpc.simulation.folder.plain_files import open_plain
 
 NAME = "log.jsonl"
 _LOGGERS = ("thermoforce_mpc", "controllers", "boptest_client")
@@ -48,14 +51,15 @@ class _Announcer(logging.Handler):
         self._say(f"{record.levelname.lower()}: {record.getMessage()}")
 
 
-class _Lines(logging.FileHandler):
+class _Lines(logging.StreamHandler[TextIO]):
     def handleError(self, record: logging.LogRecord) -> None:
         """Say nothing: where the disk is full the journal ends the run, and says so."""
 
     def close(self) -> None:
         """Close the file; lines that a full disk did not take are lost."""
+        super().close()
         with suppress(OSError):
-            super().close()
+            self.stream.close()
 
 
 @contextmanager
@@ -66,7 +70,8 @@ def logging_to(folder: Path, say: Callable[[str], None] = lambda text: None) -> 
         StorageError: the file cannot be opened.
     """
     with storage_errors(folder / NAME):
-        file_handler = _Lines(folder / NAME, encoding="utf-8")
+        file = open_plain(folder / NAME, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        file_handler = _Lines(os.fdopen(file, "a", encoding="utf-8", errors="backslashreplace"))
     file_handler.setFormatter(_JsonLines())
     handlers = (file_handler, _Announcer(say))
     levels_before = {name: logging.getLogger(name).level for name in _LOGGERS}

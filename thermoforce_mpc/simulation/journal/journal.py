@@ -6,20 +6,26 @@ system: a killed process loses none. What a crash left half-written at the end i
 
 A file that has grown to `PART_BYTES` is closed, and the journal goes on in the next part: `journal.jsonl`,
 `journal.0002.jsonl`, … Counts and checksums go on through all parts.
+
+A journal that is damaged in the middle holds until there: what comes after is a consequence of what cannot be read. It
+can be cut there (`read_journal` with `most`, `set_aside`), and goes on from its last good record.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
+import shlex
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from thermoforce_mpc.errors import DataError, InputError, StorageError
-from thermoforce_mpc.files import read_bounded, read_pieces, storage_errors
+from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
+from thermoforce_mpc.files import read_pieces, storage_errors, written
+from thermoforce_mpc.simulation.folder.plain_files import open_plain
 
 NAME = "journal.jsonl"
 FORMAT = 2
@@ -31,6 +37,14 @@ _CRC = ', "crc": "'
 
 class JournalError(InputError):
     """A journal is missing, damaged, of another version, or not that of the run it is resumed with."""
+
+
+class DamagedJournal(JournalError):
+    """A record before the last does not hold, or a part is missing. `good`: what can be read before it."""
+
+    def __init__(self, message: str, good: JournalText) -> None:
+        super().__init__(message)
+        self.good = good
 
 
 class Entry(NamedTuple):
@@ -108,8 +122,9 @@ class Journal:
             StorageError: the disk is full, or the file was removed; the journal ends with the record before.
         """
         text = json.dumps({"n": self._n, "kind": kind, **content}, ensure_ascii=False, allow_nan=False)[:-1]
-        crc = zlib.crc32(text.encode(), self._crc)
-        line = f'{text}{_CRC}{crc:08x}"}}\n'.encode()
+        body = text.encode(errors="backslashreplace")  # half a surrogate, as in the name of a file: \\udcff is JSON too
+        crc = zlib.crc32(body, self._crc)
+        line = body + f'{_CRC}{crc:08x}"}}\n'.encode()
         if self._size >= PART_BYTES:
             self._turn_over()
         with storage_errors(self.path):
@@ -142,13 +157,20 @@ class Journal:
             self._file = -1
 
 
-def read_run(path: Path) -> JournalText:
+def read_run(path: Path, most: int | None = None) -> JournalText:
     """Read the journal of a run, as `read_journal`, and check that this release can make sense of it.
 
     Raises:
         JournalError: as `read_journal`, or it holds no run, or one of another format.
     """
-    journal = read_journal(path)
+    try:
+        journal = read_journal(path, most)
+    except DamagedJournal as damage:
+        n = len(damage.good.entries) + 1
+        if n == 1:
+            raise JournalError(f"{damage}; nothing can be read before it: start the run again") from damage
+        resume = f"`tf-mpc resume {shlex.quote(str(path.parent))} --from {n}`"
+        raise DamagedJournal(f"{damage}; {resume} goes on from the last good one", damage.good) from damage
     first = journal.entries[0] if journal.entries else None
     if first is None or first.kind != "run":
         raise JournalError(f"{path}: holds no run: it was ended before it began; start it again")
@@ -161,31 +183,69 @@ def read_run(path: Path) -> JournalText:
     return journal
 
 
-def read_journal(path: Path) -> JournalText:
-    """Read and check all parts of the journal at `path`; a last record that is not whole is left out.
+def read_journal(path: Path, most: int | None = None) -> JournalText:
+    """Read and check all parts of the journal at `path`, or its first `most` records.
+
+    A last record that is not whole is left out.
 
     Raises:
-        JournalError: there is no journal, a part is missing, or a record before the last is damaged; names the place.
+        JournalError: there is no journal.
+        DamagedJournal: a part is missing, or a record before the last is damaged; names the place and what is lost.
     """
     entries: list[Entry] = []
     number, crc = 1, 0
     while True:
         part, last = part_of(path, number), not part_of(path, number + 1).exists()
-        size, crc, torn = _read_part(part, entries, crc, may_be_torn=last)
+        size, crc, rest = _read_part(part, entries, crc, most)
+        journal = JournalText(tuple(entries), number, size, crc, bool(rest))
+        if len(entries) == most:
+            return journal
+        if rest and not (last and b"\n" not in rest[:-1]):
+            line = entries[-1].line + 1 if entries and entries[-1].path == part else 1
+            raise _damaged(f"{part}, line {line}: the record is damaged, its checksum does not hold", path, journal)
         if last:
-            _check_none_missing(path, number)
-            return JournalText(tuple(entries), number, size, crc, torn)
+            if _later_parts(path, number):
+                raise _damaged(f"{part_of(path, number + 1)}: is not there, but later parts are", path, journal)
+            return journal
         number += 1
 
 
-def _check_none_missing(path: Path, last: int) -> None:
-    """Raise `JournalError` where there are parts after one that is not there, behind the `last` that is."""
-    numbers = (part.name.split(".")[-2] for part in path.parent.glob(f"{path.stem}.*{path.suffix}"))
-    if any(number.isdecimal() and int(number) > last for number in numbers):
-        raise JournalError(
-            f"{part_of(path, last + 1)}: is not there, but later parts are, which cannot be relied on without it: put "
-            "it back, or start the run again"
-        )
+def _damaged(what: str, path: Path, good: JournalText) -> DamagedJournal:
+    """The error of a journal of which only `good` can be read, with what is lost."""
+    lines = [line for part in rest_of(path, good) for line in part.splitlines()]
+    steps = sum(b'"kind": "done"' in line for line in lines)
+    lost = f"{counted(len(lines), 'line')} from there on cannot be relied on" + (f", with {steps} steps" * (steps > 0))
+    return DamagedJournal(f"{what}; {lost}", good)
+
+
+def _later_parts(path: Path, number: int) -> list[Path]:
+    """The parts after number `number`, in order; there may be gaps."""
+    found = re.compile(rf"{re.escape(path.stem)}\.(\d{{4,}}){re.escape(path.suffix)}")
+    names = [(int(match[1]), part) for part in path.parent.iterdir() if (match := found.fullmatch(part.name))]
+    return [part for n, part in sorted(names) if n > number]
+
+
+def rest_of(path: Path, good: JournalText) -> Iterator[bytes]:
+    """What comes after the records of `good` in the journal at `path`, part by part."""
+    yield _content(part_of(path, good.part), good.size)
+    for part in _later_parts(path, good.part):
+        yield _content(part)
+
+
+def set_aside(path: Path, good: JournalText) -> Path:
+    """Move what comes after `good` to a file beside the journal, so that it can go on from there; returns that file.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    aside = path.with_name(f"{path.name}.lost")
+    with written(aside) as there, there.open("wb") as file:
+        file.writelines(rest_of(path, good))
+    with storage_errors(path):
+        for part in reversed(_later_parts(path, good.part)):
+            part.unlink()
+        os.truncate(part_of(path, good.part), good.size)
+    return aside
 
 
 class JournalTail:
@@ -225,40 +285,39 @@ class JournalTail:
 
     def _lines(self, path: Path) -> list[bytes]:
         """The new lines of a part that have an end."""
-        try:
-            with path.open("rb") as file:
-                file.seek(self._at)
-                new = read_pieces(file, _MOST_BYTES)
-        except OSError as error:
-            raise JournalError(f"{path}: cannot be read ({error.strerror or error})") from error
-        return new.split(b"\n")[:-1]
+        return _content(path, self._at).split(b"\n")[:-1]
 
 
-def _read_part(path: Path, entries: list[Entry], crc: int, *, may_be_torn: bool) -> tuple[int, int, bool]:
-    """Append the records of one part to `entries`; size and checksum at the last whole one, and whether it is torn."""
-    raw = read_bounded(path, _MOST_BYTES, JournalError)
-    lines = raw.split(b"\n")
-    size = 0
-    last = len(lines) - (2 if lines[-1] == b"" else 1)
-    for i, line in enumerate(lines[: last + 1]):
-        record = _checked_record(line, crc, len(entries)) if i < len(lines) - 1 else None
+def _content(path: Path, at: int = 0) -> bytes:
+    """What a part holds from byte `at` on; raises `JournalError` where it cannot be read."""
+    try:
+        with os.fdopen(open_plain(path, os.O_RDONLY), "rb") as file:
+            file.seek(at)
+            content = read_pieces(file, _MOST_BYTES)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise JournalError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
+    if len(content) > _MOST_BYTES:
+        raise JournalError(f"{path}: more than {_MOST_BYTES:,} bytes, longer than any part of a journal")
+    return content
+
+
+def _read_part(path: Path, entries: list[Entry], crc: int, most: int | None) -> tuple[int, int, bytes]:
+    """Append the records of a part to `entries` until there are `most`; size and checksum at the last, and the rest."""
+    raw, size, line = _content(path), 0, 0
+    while len(entries) != most and (end := raw.find(b"\n", size)) >= 0:
+        record = _checked_record(raw[size:end], crc, len(entries))
         if record is None:
-            if i < last or not may_be_torn:
-                raise JournalError(
-                    f"{path}, line {i + 1}: the record is damaged, its checksum does not hold; what comes after cannot "
-                    "be relied on: start the run again"
-                )
-            return size, crc, True
+            break
         content, crc = record
-        entries.append(Entry(i + 1, str(content.pop("kind")), content, path))
-        size += len(line) + 1
-    return size, crc, False
+        size, line = end + 1, line + 1
+        entries.append(Entry(line, str(content.pop("kind")), content, path))
+    return size, crc, raw[size:]
 
 
 def _opened(path: Path, size: int) -> int:
     """Descriptor of a file to append to, cut to `size` bytes; made where it is not there, in a folder that knows it."""
     with storage_errors(path):
-        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        file = open_plain(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         os.ftruncate(file, size)
         folder = os.open(path.parent, os.O_RDONLY)
         try:

@@ -34,9 +34,9 @@ from thermoforce_mpc.simulation.journal.recorded_plant import RecordedPlant
 class JournaledPlant(RecordedPlant):
     """`Plant` and `StepKeeper` of a closed loop."""
 
-    def __init__(self, plant: Plant, journal: Journal, entries: Iterable[Entry] = ()) -> None:
-        """Wrap `plant`; `entries` are the records to catch up with."""
-        super().__init__(plant, journal, entries)
+    def __init__(self, plant: Plant, journal: Journal, entries: Iterable[Entry] = (), *, cut: bool = False) -> None:
+        """Wrap `plant`; `entries` are the records to catch up with, `cut`: later ones are lost."""
+        super().__init__(plant, journal, entries, cut=cut)
         self._ahead: Json = {}
         self._to_come = 0
         self._advances: list[Json] = []

@@ -34,12 +34,12 @@ class RecordedPlant:
     the journal; a plant that outlives the process (a service) is left alone until the first new request.
     """
 
-    def __init__(self, plant: Plant, journal: Journal, entries: Iterable[Entry] = ()) -> None:
-        """Wrap `plant`; `entries` are the records to catch up with."""
+    def __init__(self, plant: Plant, journal: Journal, entries: Iterable[Entry] = (), *, cut: bool = False) -> None:
+        """Wrap `plant`; `entries` are the records to catch up with, `cut`: later ones are lost."""
         self._plant, self._journal, self._names = plant, journal, SINGLE
         self._entries = deque(entries)
         self._outlives = isinstance(plant, OutlivingPlant)
-        self._away = self._outlives and bool(self._entries)
+        self._away, self._cut = self._outlives and bool(self._entries), cut
         self._periods: dict[str, Period] = {}
         self._reset: Json = {}
         self._last: Measurement | None = None
@@ -190,7 +190,7 @@ class RecordedPlant:
         if self._away:
             assert isinstance(self._plant, OutlivingPlant)
             if self._last is not None:
-                self._plant.go_on(self._last, periods=self._periods, **self._reset)
+                self._plant.go_on(self._last, periods=self._periods, anywhere=self._cut, **self._reset)
             self._away = False
 
     def _next_entry(self, kind: str, request: Mapping[str, Any]) -> Entry:

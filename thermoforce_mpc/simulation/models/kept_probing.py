@@ -17,8 +17,17 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import storage_errors
 from thermoforce_mpc.protocols import OutlivingPlant, Plant
 from thermoforce_mpc.scenario.testcase import TestCase
+from thermoforce_mpc.simulation.folder.plain_files import check_plain
 from thermoforce_mpc.simulation.folder.run_folder import plain_json
-from thermoforce_mpc.simulation.journal.journal import Entry, Journal, JournalError, making_sense, read_journal
+from thermoforce_mpc.simulation.journal.journal import (
+    DamagedJournal,
+    Entry,
+    Journal,
+    JournalError,
+    JournalText,
+    making_sense,
+    read_journal,
+)
 from thermoforce_mpc.simulation.journal.journal_values import Json, measurement_of, names_json, names_of
 from thermoforce_mpc.simulation.journal.recorded_plant import RecordedPlant
 from thermoforce_mpc.simulation.models.probing import Probed
@@ -79,8 +88,15 @@ def _record(entries: Sequence[Entry]) -> Record:
 
 def told_probing(path: Path) -> ToldProbing | None:
     """The probing whose journal is at `path`; None where none has begun. Raises `JournalError` for a damaged one."""
-    told = ToldProbing(path, read_journal(path).entries) if path.exists() else None
+    told = ToldProbing(path, _read(path).entries) if path.exists() else None
     return told if told and told.entries else None
+
+
+def _read(path: Path) -> JournalText:
+    try:
+        return read_journal(path)
+    except DamagedJournal as damage:
+        raise JournalError(f"{damage}; move the file away, and it is probed again") from damage
 
 
 def find_probing(place: Path, testcase: TestCase, how: Json) -> Probed:
@@ -116,6 +132,7 @@ def _journals(place: Path) -> list[Path]:
     where = place_of_journals(place)
     if where.is_file():
         return [where]
+    check_plain(where)
     return [path for path in sorted(where.glob("*.jsonl")) if not Path(path.stem).suffix[1:].isdecimal()]
 
 
@@ -137,7 +154,7 @@ def keeping_probing(plant: Plant, path: Path | None, testcase: TestCase, how: Js
     if path is None:
         yield plant
         return
-    text = read_journal(path) if path.exists() else None
+    text = _read(path) if path.exists() else None
     with storage_errors(path):
         path.parent.mkdir(exist_ok=True)
     # A service goes on where a power failure ends us.

@@ -13,7 +13,7 @@ from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.composition import controller_options
-from thermoforce_mpc.simulation.folder.run_folder import file_sha256, file_stem, plain_json
+from thermoforce_mpc.simulation.folder.run_folder import file_sha256, file_stem, kept_model, plain_json
 from thermoforce_mpc.simulation.journal.journal_values import Json
 from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
 from thermoforce_mpc.simulation.models.identifying import (
@@ -153,7 +153,7 @@ def kept_models(
         if key not in loaded and entry["folder"] is None:
             loaded[key] = IdentifiedModel(None, entry["origin"], entry["refused"])
         elif key not in loaded:
-            path = folder / entry["folder"]
+            path = kept_model(folder, entry["folder"])
             model = load_model(path)
             if file_sha256(path / JSON_NAME) != entry["sha256"]:
                 raise ArtifactError(f"{path}: is not the model that this run began with; start the run again")

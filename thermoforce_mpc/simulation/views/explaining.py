@@ -14,6 +14,7 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Names, Observation
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.simulation.folder.plain_files import check_plain
 from thermoforce_mpc.simulation.journal.journal import NAME, JournalError, making_sense, read_run
 from thermoforce_mpc.simulation.journal.journal_values import margins_of, unpack
 from thermoforce_mpc.simulation.journal.told_steps import ToldStep, forecast_of, history_before, told_loops, told_steps
@@ -152,9 +153,11 @@ def decision_at(folder: Path, at: str | None = None, controller: str | None = No
 
     Raises:
         JournalError: there is no journal, or it is damaged.
+        ConfigError: there is a link in the folder.
         InputError: `at` is no time or outside the run, or `controller` did not run.
     """
     path = folder / NAME
+    check_plain(folder)
     with making_sense(path):
         return _decision_at(path, at, controller)
 
@@ -183,7 +186,7 @@ def _decision_at(path: Path, at: str | None, controller: str | None) -> Decision
     return Decision(name, tuple(steps), forecast_of(steps), plan, margins_of(steps[-1].told))
 
 
-def seconds_of(at: str) -> float:
+def seconds_of(at: str, option: str = "--at") -> float:
     """Seconds since 1 January of a time as people write it.
 
     '16 06:30' is half past six of day 16 (days from 0, as `--period`), '16.5' noon of it, '01-17 06:30' and
@@ -200,7 +203,9 @@ def seconds_of(at: str) -> float:
         except ValueError:
             continue
         return (moment - datetime(2021, 1, 1)).total_seconds()
-    raise InputError(f"--at {at}: not a time; write '16 06:30' (day from 0, as --period), '01-17 06:30' or '1405800s'")
+    raise InputError(
+        f"{option} {at}: not a time; write '16 06:30' (day from 0, as --period), '01-17 06:30' or '1405800s'"
+    )
 
 
 def hour_ends(n: int, step_s: float, hours: float) -> range:

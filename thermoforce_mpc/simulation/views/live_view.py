@@ -16,6 +16,7 @@ from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.model.forecast_gaps import completed
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.closed_loop import with_level
+from thermoforce_mpc.simulation.folder.plain_files import check_plain
 from thermoforce_mpc.simulation.folder.run_folder import is_complete, plain_json
 from thermoforce_mpc.simulation.forecasts import holes, price_paid
 from thermoforce_mpc.simulation.journal.journal import FORMAT, NAME, Entry, JournalError, JournalTail, making_sense
@@ -102,9 +103,11 @@ class LiveRun:
 
     Raises:
         JournalError: there is no journal, it is damaged, or of another format.
+        ConfigError: there is a link in the folder.
     """
 
     def __init__(self, folder: Path, controller: str | None = None) -> None:
+        check_plain(folder)
         self._folder, self._wanted = folder, controller
         self._latest = not is_complete(folder)
         self._tail = JournalTail(folder / NAME)

@@ -16,7 +16,9 @@ from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.composition import controller_options
+from thermoforce_mpc.simulation.folder.run_folder import kept_model
 from thermoforce_mpc.simulation.journal.journal import NAME, making_sense, read_run
+from thermoforce_mpc.simulation.outside import CODE, unknown
 from thermoforce_mpc.simulation.views.explaining import Decision
 
 if TYPE_CHECKING:  # CasADi is loaded only where there is a model
@@ -40,7 +42,11 @@ def _alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
     if decision.plan and not {"lower_C", "upper_C"} <= set(decision.plan):
         return "the journal, of an earlier release, does not hold the bounds that the plan kept"
     entries = read_run(folder / NAME).entries
+    scenario = validate(Scenario, dict(entries[0].content["scenario"]), f"{folder / NAME}, line 1")
     name = decision.controller
+    code = [one.value for one in unknown(scenario) if one.key == CODE]
+    if code or name not in (scenario.controller.name, *scenario.baselines):
+        return f"they need what you have not given here before, or what was changed since: {', '.join(code) or name}"
     if not find_entry(name).needs_model:
         return f"{name} acts without a model"
     models: Mapping[str, Any] = next((entry.content["models"] for entry in entries if entry.kind == "models"), {})
@@ -51,10 +57,9 @@ def _alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
     from controllers.mpc.controller import ThermoForceMPC
     from thermoforce_mpc.model.thermal_model import load_model
 
-    scenario = validate(Scenario, dict(entries[0].content["scenario"]), f"{folder / NAME}, line 1")
     options = controller_options(scenario, name) | {"free_response": _FREE_RESPONSE}
     try:
-        model = load_model(folder / str(entry["folder"]))
+        model = load_model(kept_model(folder, entry["folder"]))
         controller = build_controller(name, options, validate_scenario(scenario), model)
         assert isinstance(controller, ThermoForceMPC)
         return alternatives(controller, decision.observation, _planned(decision), _peak_W(decision))

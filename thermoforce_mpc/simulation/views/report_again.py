@@ -17,7 +17,8 @@ from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.closed_loop import RunResult
 from thermoforce_mpc.simulation.folder.capped import capped_figures
-from thermoforce_mpc.simulation.folder.run_folder import is_complete
+from thermoforce_mpc.simulation.folder.plain_files import check_plain
+from thermoforce_mpc.simulation.folder.run_folder import is_complete, kept_model, write_json
 from thermoforce_mpc.simulation.journal.told_results import ToldRun, told_run
 from thermoforce_mpc.simulation.own_kpis import own_of
 from thermoforce_mpc.simulation.views.explaining import words_of
@@ -31,7 +32,10 @@ _MOST_BYTES = 10_000_000
 def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[str, ...]]:
     """Write the report of the run in `folder`, to `path` or into the folder; returns its file, and what is missing.
 
+    Of a run that has not ended its figures are written into the folder too, as `incomplete_kpis.json`.
+
     Raises:
+        ConfigError: there is a link in the folder.
         JournalError: there is no journal, it is damaged, or no step has ended.
         ConfigError: its test case is no longer known.
         StorageError: the report cannot be written.
@@ -40,6 +44,7 @@ def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[st
 
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give the folder of a run")
+    check_plain(folder)
     run = told_run(folder)
     testcase = load_testcase(run.scenario.testcase)
     notes = _cut_off(folder, run)
@@ -68,6 +73,9 @@ def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[st
         "power_cap": capped_figures(run.scenario, result, {baseline.controller: baseline for baseline in baselines}),
         "equal_comfort": told.get("equal_comfort", ""),
     }
+    if path is None and not is_complete(folder):
+        figures = {"kpis": result.kpis, "baselines": {one.controller: one.kpis for one in baselines}}
+        write_json(folder / "incomplete_kpis.json", {**kpis, **figures, "said": notes})
     file = write_report(
         folder,
         currency=testcase.currency,
@@ -141,7 +149,7 @@ def _model(folder: Path, run: ToldRun, controller: str) -> tuple[ThermalModel | 
     from thermoforce_mpc.model.thermal_model import load_model
 
     try:
-        return load_model(folder / str(entry["folder"])), ""
+        return load_model(kept_model(folder, entry["folder"])), ""
     except ArtifactError as error:
         return None, str(error)
 
