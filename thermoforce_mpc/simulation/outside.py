@@ -29,7 +29,7 @@ from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
 
 _LOG = logging.getLogger(__name__)
-_NAME, _MOST_BYTES = "given.jsonl", 10_000_000
+NAME, _MOST_BYTES = "given.jsonl", 10_000_000
 CODE = "file of Python"
 
 
@@ -80,7 +80,7 @@ def note_given(scenario: Scenario) -> None:
     if not new:
         return
     try:
-        file = cache_folder() / _NAME
+        file = cache_folder() / NAME
         file.parent.mkdir(parents=True, exist_ok=True)
         with file.open("a", encoding="utf-8", errors="backslashreplace") as notes:
             notes.write("".join(f"{mark}\n" for mark in new))
@@ -121,7 +121,7 @@ def with_given(scenario: Scenario, given: Mapping[str, str], code: Collection[st
 
 def _known() -> set[str]:
     try:
-        file = cache_folder() / _NAME
+        file = cache_folder() / NAME
         if file.exists():
             return set(read_bounded(file, _MOST_BYTES, ConfigError).decode("utf-8", "replace").splitlines())
     except RuntimeError:  # who runs this has no home
