@@ -39,7 +39,7 @@ from thermoforce_mpc.simulation.composition import (
 )
 from thermoforce_mpc.simulation.folder.capped import Capped
 from thermoforce_mpc.simulation.folder.planning import Planning, planning_of
-from thermoforce_mpc.simulation.folder.run_book import RunBook
+from thermoforce_mpc.simulation.folder.run_book import RunBook, is_real
 from thermoforce_mpc.simulation.folder.run_folder import (
     clear_partial,
     create_run_folder,
@@ -177,6 +177,25 @@ def resume_run(folder: Path, display: RunDisplay) -> Path:
         return _carry_out(book, display, validate_scenario(book.scenario))
 
 
+def stop_test(folder: Path) -> None:
+    """Stop the test that a run has at a service, which then cannot go on.
+
+    Raises:
+        ConfigError: the run has none.
+        JournalError, NoSuchTest, PlantError: as `resume_run`.
+    """
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder")
+    with sole_use(folder):
+        book = RunBook.reopen(folder)
+        with closing(book.journal):
+            scenario = book.scenario
+            if not (book.told and is_real(scenario)):
+                raise ConfigError(f"{folder}: its plant is simulated, or was never reached: there is no test to stop")
+            testcase = validate_scenario(scenario)
+            book.connect(lambda testid: attached_plant(scenario.plant, testcase, scenario.seed, str(testid))).close()
+
+
 def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
     """Run what is in the book, and write results and report."""
     folder, scenario = book.folder, book.scenario
@@ -190,7 +209,8 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
             raise
         write_partial(folder, records, str(error))
         there = f"What was recorded until then is in {folder}{_report_so_far(folder)}"
-        raise PlantError(f"{error}\n{there}; `tf-mpc resume {folder}` goes on from there") from error
+        stop = f", `tf-mpc resume {folder} --stop` gives its test back to the service" if is_real(scenario) else ""
+        raise PlantError(f"{error}\n{there}; `tf-mpc resume {folder}` goes on from there{stop}") from error
     except BaseException as error:
         with suppress(StorageError, OSError):  # the error that ended the run is the one to tell
             if book.has_begun:
@@ -288,7 +308,7 @@ def _execute(
             return attached_plant(scenario.plant, testcase, scenario.seed, testid)
         return build_plant(scenario.plant, testcase, scenario.seed)
 
-    with closing(book.connect(build) if book else build()) as plant:
+    with book.released(book.connect(build)) if book else closing(build()) as plant:
         period = scored_period(plant, scenario.period, scenario.days)
         display.say(_headline(plant, period, scenario))
         check_prices(scenario, period)

@@ -10,8 +10,9 @@ import click
 
 @click.command(short_help="Go on with a run that was killed or interrupted.")
 @click.argument("run", type=click.Path(path_type=Path))
+@click.option("--stop", is_flag=True, help="Stop the run's test at the service instead; the run cannot go on then.")
 @click.option("--quiet", is_flag=True, help="Print only the final table.")
-def command(run: Path, quiet: bool) -> None:
+def command(run: Path, stop: bool, quiet: bool) -> None:
     """Go on with the run in folder RUN, which was killed, interrupted, or ended by a full disk or a plant that failed.
 
     The journal in the folder (journal.jsonl) says what the plant was asked and what it answered. A simulated plant is
@@ -21,7 +22,8 @@ def command(run: Path, quiet: bool) -> None:
     is not made again.
 
     At a BOPTEST service the test is taken up where it stands, if it still exists; a step that was on its way is neither
-    lost nor repeated. Ctrl-C and SIGTERM stop the test, so only a run that was killed can go on there.
+    lost nor repeated. A run that failed or was killed leaves its test there (--stop gives it back); Ctrl-C and SIGTERM
+    stop the test.
 
     \b
     Exit codes: 0 done (also where the run was complete already), 2 no journal,
@@ -32,9 +34,13 @@ def command(run: Path, quiet: bool) -> None:
     Example:
       tf-mpc resume runs/bestest_hydronic_heat_pump-peak_heat_day-constant-thermoforce_mpc-001
     """
-    from thermoforce_mpc.simulation.run import resume_run
+    from thermoforce_mpc.simulation.run import resume_run, stop_test
     from thermoforce_mpc.simulation.views.display import RunDisplay
 
+    if stop:
+        stop_test(run)
+        click.echo("The test was stopped.")
+        return
     display = RunDisplay(quiet)
     folder = resume_run(run, display)
     display.console.print(f"Report: {shlex.quote(str(folder / 'report.html'))}", soft_wrap=True, markup=False)
