@@ -8,14 +8,15 @@ from boptest_client.errors import (
     ConnectError,
     ConnectionLost,
     InternalError,
-    Moved,
     ProtocolError,
     RequestRejected,
     ServiceError,
     ServiceTimeout,
+    TlsError,
     TransportError,
     UnknownTest,
 )
+from boptest_client.texts import safe_text
 from boptest_client.transport import TransportConfig
 from boptest_client.types import Point, Scenario
 
@@ -27,14 +28,15 @@ __all__ = [
     "ConnectError",
     "ConnectionLost",
     "InternalError",
-    "Moved",
     "Point",
     "ProtocolError",
     "RequestRejected",
     "Scenario",
     "ServiceError",
     "ServiceTimeout",
+    "TlsError",
     "TransportConfig",
     "TransportError",
     "UnknownTest",
+    "safe_text",
 ]

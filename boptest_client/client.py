@@ -16,13 +16,13 @@ from boptest_client.errors import (
     BoptestError,
     ConnectError,
     ConnectionLost,
-    InternalError,
-    Moved,
     ProtocolError,
+    RequestRejected,
     ServiceError,
     ServiceTimeout,
     UnknownTest,
 )
+from boptest_client.texts import safe_text
 from boptest_client.transport import Transport, TransportConfig
 from boptest_client.types import Point, Scenario
 
@@ -32,14 +32,14 @@ _POLL_S = 0.2
 FIRST_ANSWER_S = 10.0
 _CLOCK_TOLERANCE_S = 1e-3
 _STATUSES = ("Running", "Queued")
-# After these, it is not known whether the service acted on the request.
-_LOST = (ConnectionLost, ServiceTimeout, InternalError, ProtocolError)
+# Time for lists of points and the like before a run, s: nothing is simulated for them.
+_LOOKUP_S = 30.0
+# BOPTEST's recording interval, s.
+_SAMPLE_S = 30.0
+# The record is read so many steps beyond the one that is in doubt.
+_STEPS_AHEAD = 10
 
 _Parsed = TypeVar("_Parsed")
-
-
-class _NotSimulated(BoptestError):
-    """A step whose answer was lost, and which the service did not simulate."""
 
 
 class BoptestClient:
@@ -68,7 +68,7 @@ class BoptestClient:
         """Select `testcase` and wait until it runs; with `testid`, take up the test of that name instead.
 
         `start_timeout_s` and `stop_timeout_s`: longest time that the test may be queued, and that a stop may take; the
-        service drops an idle test.
+        service drops an idle test. Lists of points and the like may take 30 s before the test is initialised.
 
         Raises:
             BadAddress: `url` is not an http(s) address.
@@ -82,13 +82,14 @@ class BoptestClient:
         self._stopped, self._stop_timeout_s = False, stop_timeout_s
         self.time_s = math.nan
         """Time at which the test stands, s: that of the last answer."""
-        self._step_s = math.nan
+        self._started_s = self._step_s = math.nan
+        self._names: list[str] = []
         self._find()
         if testid is not None:
             self.testid = testid
             self.status()
             return
-        self.testid = self._select()
+        self.testid = self._select(start_timeout_s)
         try:
             self._wait(start_timeout_s)
         except BaseException:
@@ -171,7 +172,7 @@ class BoptestClient:
             answer = self._mapping(self._at("scenario"), payload)
             if scenario.time_period is None:
                 return {}
-            return self._with_time("scenario", self._numbers("scenario", answer.get("time_period")))
+            return self._begun("scenario", answer.get("time_period"))
 
         # A refusal of a named period is an answer: the service does not know it.
         values = self._put("scenario", scenario.as_json(), parse, refusals=2 if scenario.time_period is None else 0)
@@ -183,7 +184,7 @@ class BoptestClient:
         body = {"start_time": start_time_s, "warmup_period": warmup_period_s}
 
         def parse(payload: Any) -> dict[str, float]:
-            return self._with_time("initialize", self._numbers("initialize", payload))
+            return self._begun("initialize", payload, start_time_s)
 
         values = self._put("initialize", body, parse, refusals=0)
         self._transport.in_a_run = True
@@ -206,40 +207,61 @@ class BoptestClient:
         self._step_s = float(step_s)
 
     def advance(self, inputs: Mapping[str, float] | None = None) -> dict[str, float]:
-        """Simulate one step; returns measurements and inputs at its end, empty after the end of the scenario.
+        """Simulate one step; returns measurements and inputs at its end, empty where the service says it is at its end.
 
-        If the answer is lost, an error or nonsense, the recorded time shows whether the step was simulated. If it was,
-        the values at its end are read from the record; if not, the request is repeated. Messages of the service (for
-        example about a clipped input) are logged as warnings.
+        If the answer is lost, an error, nonsense or of another time, the record of the service shows whether the step
+        was simulated, before the request is repeated. If it was, the values at its end are read from the record.
+        Messages of the service (for example about a clipped input) are logged as warnings.
 
         Raises:
-            AdvanceInterrupted: no answer, and it is unknown whether the step was simulated.
+            AdvanceInterrupted: there was no answer to this step in every attempt.
         """
-        body = dict(inputs or {})
+        body, in_doubt = dict(inputs or {}), False
+
+        def attempt() -> dict[str, float]:
+            nonlocal in_doubt
+            if in_doubt:
+                state = self._simulated()
+                found = "simulated, its end is read from the record" if state else "not simulated, it is sent again"
+                _LOG.warning("%s: the step was %s", self._at("advance"), found)
+                if state:
+                    return state
+            try:
+                return self._advance_once(body)
+            except (ConnectError, RequestRejected, UnknownTest):
+                raise
+            except BoptestError as error:
+                if math.isnan(self.time_s):
+                    raise AdvanceInterrupted(
+                        error.endpoint, f"{error.message}; the time before it is unknown"
+                    ) from error
+                in_doubt = True
+                raise
+
         try:
-            return self._transport.patiently(lambda: self._advance_once(body), passing=(ConnectError, _NotSimulated))
-        except (ConnectError, _NotSimulated) as lost:
-            raise AdvanceInterrupted(lost.endpoint, f"{lost.message}, in every attempt") from lost
+            return self._transport.patiently(attempt)
+        except (RequestRejected, UnknownTest, AdvanceInterrupted):
+            raise
+        except BoptestError as error:
+            raise AdvanceInterrupted(
+                error.endpoint, f"{error.message}, and no better answer within {self._transport.patience_s:g} s"
+            ) from error
 
     def _advance_once(self, body: dict[str, float]) -> dict[str, float]:
-        try:
-            answer = self._transport.call("POST", f"advance/{self.testid}", body)
-            # An empty payload marks the end of the scenario.
-            over = answer.payload is None or answer.payload == {}
-            state = {} if over else self._numbers("advance", answer.payload)
-            if not over and not math.isfinite(state.get("time", math.nan)):
-                raise ProtocolError(self._at("advance"), "the measurements have no time")
-        except Moved:
-            raise
-        except _LOST as lost:
-            end_state = self._state_after(lost)
-            if not end_state:
-                raise _NotSimulated(lost.endpoint, f"{lost.message}; the step was not simulated") from lost
-            _LOG.warning("%s; the step was simulated, its end is read from the record", lost)
-            return self._with_time("advance", end_state)
-        if answer.message and not answer.message.startswith(("Advanced simulation", "End of test case")):
+        step_s = math.nan if math.isnan(self.time_s) else self._in_force()
+        answer = self._transport.call("POST", f"advance/{self.testid}", body)
+        if not answer.payload and answer.message.startswith("End of test case"):
+            return {}
+        state = self._numbers("advance", answer.payload)
+        found_s = state.get("time", math.nan)
+        if abs(found_s - self.time_s - step_s) > _CLOCK_TOLERANCE_S or math.isnan(found_s):
+            raise ProtocolError(
+                self._at("advance"),
+                f"its time is {found_s:.10g} s, expected is that of a step of {step_s:g} s from {self.time_s:.10g} s",
+            )
+        if answer.message and not answer.message.startswith("Advanced simulation"):
             _LOG.warning("advance: %s", answer.message)
-        return {} if over else self._with_time("advance", state)
+        return self._with_time("advance", state)
 
     def go_on_from(self, time_s: float, step_s: float) -> dict[str, float]:
         """Take the test up at `time_s`, when the last answer was received; `step_s` is the step in force.
@@ -250,11 +272,16 @@ class BoptestClient:
         Raises:
             AdvanceInterrupted: the test stands elsewhere.
         """
-        self.time_s, self._step_s = time_s, step_s
-        self._transport.in_a_run = True
-        lost = ConnectionLost(self._at("advance"), "the process that controlled this test ended")
-        end_state = self._state_after(lost)
-        return self._with_time("results", end_state) if end_state else {}
+        self.time_s = self._started_s = time_s
+        self._step_s, self._transport.in_a_run = step_s, True
+        end_state = self._transport.patiently(self._simulated)
+        if self.time_s - time_s > step_s + _CLOCK_TOLERANCE_S:
+            raise AdvanceInterrupted(
+                self._at("results"),
+                f"the test stands at {self.time_s:.10g} s, the last answer was of {time_s:.10g} s and a step has "
+                f"{step_s:g} s: somebody else advanced the test",
+            )
+        return end_state
 
     def forecast(
         self, point_names: Sequence[str], horizon_s: float, interval_s: float, *, patiently: bool = True
@@ -268,6 +295,11 @@ class BoptestClient:
         def parse(payload: Any) -> dict[str, list[float]]:
             series = self._series("forecast", payload, [*point_names, "time"])
             clock = series["time"]
+            if clock and abs(clock[0] - self.time_s) > _CLOCK_TOLERANCE_S:
+                raise ProtocolError(
+                    self._at("forecast"),
+                    f"it begins at {clock[0]:.10g} s, expected is {self.time_s:.10g} s, where the test stands",
+                )
             if not clock or any(a == b for a, b in pairwise(clock)):
                 raise ProtocolError(self._at("forecast"), f"its clock ('time') does not rise: {clock[:3]} …")
             n = math.floor(horizon_s / interval_s + 1e-9) + 1
@@ -290,7 +322,14 @@ class BoptestClient:
         The service answers with status 500 if nothing is recorded between the two, for example in the future.
         """
         body = {"point_names": list(point_names), "start_time": start_s, "final_time": final_s}
-        return self._put("results", body, lambda payload: self._series("results", payload, [*point_names, "time"]))
+
+        def parse(payload: Any) -> dict[str, list[float]]:
+            series = self._series("results", payload, [*point_names, "time"])
+            if series["time"]:
+                self._check_record(series["time"], start_s, final_s)
+            return series
+
+        return self._put("results", body, parse)
 
     def kpi(self) -> dict[str, float | None]:
         """Key performance indicators since the end of the warm-up; None for those the test case does not compute."""
@@ -316,6 +355,11 @@ class BoptestClient:
             pass
         finally:
             self._transport.close()
+
+    def leave(self) -> None:
+        """Let the test stand at the service, where a client with its `testid` takes it up."""
+        self._stopped = True
+        self._transport.close()
 
     def __enter__(self) -> BoptestClient:
         return self
@@ -350,12 +394,12 @@ class BoptestClient:
                 raise ServiceTimeout(error.endpoint, f"{error.message}; is a BOPTEST service running there?") from error
             raise
 
-    def _select(self) -> str:
+    def _select(self, most_s: float) -> str:
         path = f"testcases/{self.testcase}/select"
         try:
             # Not repeated: a selection whose answer was lost may have started a test that nobody would stop.
             answer = self._transport.patiently(
-                lambda: self._transport.call("POST", path, {}), passing=(ConnectError,), refusals=0
+                lambda: self._transport.call("POST", path, {}, most_s=most_s), passing=(ConnectError,), refusals=0
             ).payload
             testid = self._text(f"POST {self.url}/{path}", self._mapping(path, answer).get("testid"), "testid")
         except UnknownTest as error:
@@ -389,28 +433,54 @@ class BoptestClient:
         self.time_s = state["time"]
         return state
 
-    def _state_after(self, lost: BoptestError) -> dict[str, float]:
-        """The state at the end of a step whose answer was lost, or an empty one if the step was not simulated.
+    def _begun(self, what: str, payload: Any, at_s: float = math.nan) -> dict[str, float]:
+        """The state after an initialisation, which must be of `at_s` where that is known, s."""
+        state = self._numbers(what, payload)
+        found_s = state.get("time", math.nan)
+        if abs(found_s - at_s) > _CLOCK_TOLERANCE_S:
+            raise ProtocolError(self._at(what), f"its time is {found_s:.10g} s, expected is {at_s:.10g} s")
+        self._started_s, self._step_s = found_s, math.nan  # it may reset the step
+        return self._with_time(what, state)
 
-        The worker handles requests in order, so its record already includes the step if the request arrived.
+    def _simulated(self) -> dict[str, float]:
+        """The state where the test stands, if it was advanced since the last answer; else an empty one.
+
+        The worker handles requests in order, so its record already includes a step whose request arrived.
         """
-        unknown = f"{lost.message}; whether the step was simulated is unknown, start the run again"
-        try:
-            step_s = self.step() if math.isnan(self._step_s) else self._step_s
-            names = [*self.measurements(), *self.inputs()]
-            record = self.results(names, self.time_s, self.time_s + step_s)
-        except BoptestError as error:
-            raise AdvanceInterrupted(lost.endpoint, f"{unknown} ({error})") from lost
-        last_s = record["time"][-1] if record["time"] else math.nan
-        if abs(last_s - self.time_s) <= _CLOCK_TOLERANCE_S:
+        self._names = self._names or [*self.measurements(), *self.inputs()]
+        record = self.results(self._names, self.time_s, self.time_s + _STEPS_AHEAD * self._in_force())
+        if not record["time"]:
+            raise ProtocolError(self._at("results"), f"it has nothing at {self.time_s:.10g} s, where the test stood")
+        if record["time"][-1] <= self.time_s + _CLOCK_TOLERANCE_S:
             return {}
-        if abs(last_s - self.time_s - step_s) <= _CLOCK_TOLERANCE_S:
-            return {name: values[-1] for name, values in record.items()}
-        raise AdvanceInterrupted(lost.endpoint, f"{unknown} (the record ends at {last_s:g} s)") from lost
+        return self._with_time("results", {name: values[-1] for name, values in record.items()})
+
+    def _in_force(self) -> float:
+        """Length of a step, s, asked for once."""
+        if math.isnan(self._step_s):
+            self._step_s = self.step()
+        return self._step_s
+
+    def _check_record(self, clock: Sequence[float], start_s: float, final_s: float) -> None:
+        """Raise `ProtocolError` for a record of other times than asked for, or that lacks what was simulated."""
+        first, last, now_s = clock[0], clock[-1], self.time_s
+        whole = start_s - _CLOCK_TOLERANCE_S <= first and last <= final_s + _CLOCK_TOLERANCE_S
+        since_s, until_s = max(start_s, self._started_s), min(final_s, now_s)  # some services record no warm-up
+        if math.isfinite(now_s) and since_s <= until_s:
+            whole &= first <= since_s + _SAMPLE_S and last >= until_s - _SAMPLE_S
+        if last > now_s + _CLOCK_TOLERANCE_S:  # steps that we do not know of; or the clock is wrong
+            whole &= first <= start_s + _CLOCK_TOLERANCE_S
+        if not whole:
+            raise ProtocolError(
+                self._at("results"),
+                f"its times are {first:.10g} to {last:.10g} s, asked for {start_s:.10g} to {final_s:.10g} s while the "
+                f"test stands at {now_s:.10g} s",
+            )
 
     def _get(self, what: str, parse: Callable[[Any], _Parsed]) -> _Parsed:
         """The parsed answer to a GET request, repeated while it fails or is nonsense."""
-        return self._transport.patiently(lambda: parse(self._transport.call("GET", f"{what}/{self.testid}").payload))
+        path, most_s = f"{what}/{self.testid}", math.inf if self._transport.in_a_run else _LOOKUP_S
+        return self._transport.patiently(lambda: parse(self._transport.call("GET", path, most_s=most_s).payload))
 
     def _put(
         self,
@@ -436,7 +506,7 @@ class BoptestClient:
 
         def parse(payload: Any) -> dict[str, Point]:
             entries = {
-                name: self._mapping(f"{at}: {name}", data)
+                safe_text(name): self._mapping(f"{at}: {safe_text(name)}", data)
                 for name, data in self._mapping(at, payload).items()
                 if name != "time"
             }
@@ -454,7 +524,7 @@ class BoptestClient:
     def _text(self, endpoint: str, answer: Any, what: str) -> str:
         if not isinstance(answer, str) or not answer:
             raise ProtocolError(endpoint, f"no {what} in the answer ({answer!r:.120})")
-        return answer
+        return safe_text(answer)
 
     def _number(self, endpoint: str, answer: Any) -> float:
         """A number, which services also write as text; NaN for null, since JSON has no NaN."""

@@ -4,13 +4,13 @@ BoptestError
 ├── BadAddress            the base URL is not an http(s) address
 ├── TransportError        no usable answer
 │   ├── ConnectError        no connection was made: nothing was sent
+│   │   └── TlsError            none with TLS (https)
 │   ├── ConnectionLost      the connection broke before the answer was complete
 │   ├── ServiceTimeout      no answer in time
-│   └── AdvanceInterrupted  no answer to a step, and the state of the test is unknown
-├── ProtocolError         the answer does not follow the BOPTEST protocol
-│   └── Moved               the service answers that it has another address
+│   └── AdvanceInterrupted  a step failed in every attempt
+├── ProtocolError         the answer is not one of a BOPTEST service: a page, a redirect, a wrong clock
 └── ServiceError          the service answered with an error
-    ├── RequestRejected     400: invalid request
+    ├── RequestRejected     400: invalid request, says the service
     ├── UnknownTest         the test case or test does not exist (any more)
     └── InternalError       500 and above, or 429
 """
@@ -38,6 +38,10 @@ class ConnectError(TransportError):
     """The service cannot be reached; nothing was sent."""
 
 
+class TlsError(ConnectError):
+    """No encrypted connection: the port speaks plain HTTP, or the certificate is not trusted."""
+
+
 class ConnectionLost(TransportError):
     """The connection broke after the request went out; the service may have acted on it."""
 
@@ -47,15 +51,11 @@ class ServiceTimeout(TransportError):
 
 
 class AdvanceInterrupted(TransportError):
-    """No answer to a step, and it is unknown whether it was simulated: start the run again."""
+    """A step failed until patience was out; `BoptestClient.go_on_from` finds out whether it was simulated."""
 
 
 class ProtocolError(BoptestError):
-    """The answer does not follow the BOPTEST protocol."""
-
-
-class Moved(ProtocolError):
-    """The service answers that it has another address, which is not followed."""
+    """The answer is not one of a BOPTEST service, or of another time: what came is told."""
 
 
 class ServiceError(BoptestError):

@@ -2,49 +2,44 @@
 
 from __future__ import annotations
 
-import functools
 import logging
 import math
 import os
-import socket
-import threading
 import time
-import weakref
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 from urllib.parse import urlsplit
 
 import requests
 import tenacity
-from requests.adapters import HTTPAdapter
 
+from boptest_client.adapter import Bearer, CuttableAdapter
 from boptest_client.errors import (
     BadAddress,
     ConnectError,
     ConnectionLost,
     InternalError,
-    Moved,
     ProtocolError,
     RequestRejected,
-    ServiceError,
     ServiceTimeout,
+    TlsError,
     TransportError,
     UnknownTest,
 )
+from boptest_client.texts import safe_text
 
 Method = Literal["GET", "PUT", "POST"]
-# A year of fifty points every half minute, unpacked, has 1 GB; no request of ours asks for a tenth of it.
-_MOST_BYTES = 200_000_000
 
 _LOG = logging.getLogger(__name__)
 _Result = TypeVar("_Result")
 
 # A request that was refused (400) is repeated this many times: a proxy may have mangled it.
 _REFUSALS = 2
-# Failures after which a request that may be repeated is repeated.
+# Failures after which a request is repeated: the service is away, or something else answers in its place.
 _PASSING = (ConnectError, ConnectionLost, ServiceTimeout, InternalError, ProtocolError)
+# Silence is said after this time, s, and again whenever it has doubled; later where a request usually takes longer.
+_SAID_AFTER_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -55,8 +50,9 @@ class TransportConfig:
         connect_timeout_s: time limit for making a connection, s.
         read_timeout_s: time limit between two received bytes, s; `connect_timeout_s + read_timeout_s` also limits the
             whole request, since a peer that sends single bytes would never exceed the first limit.
-        patience_s: how long requests of a run are repeated while the service is away or answers nonsense, s; before
-            the test was initialised it is `connect_timeout_s`, since address or test case may be wrong.
+        patience_s: how long a request of a run is repeated while the service is away or is not itself (something else
+            answers, or its clock is wrong), s; before the test was initialised it is `connect_timeout_s`, since address
+            or test case may be wrong. No repeat takes longer than what is left of it.
         backoff_s: pause before the first repeat, s; it doubles with each.
         longest_pause_s: longest pause, s.
         sleep: waits for the given number of seconds.
@@ -95,12 +91,19 @@ class Transport:
         self.config = config
         self.in_a_run = False
         """Whether the test was initialised: requests are then repeated for `patience_s`."""
-        self._session, self._adapter = requests.Session(), _CuttableAdapter()
+        self._waiting, self._until_s = False, math.inf
+        self._longest_s: dict[str, float] = {}
+        self._session, self._adapter = requests.Session(), CuttableAdapter()
         for scheme in ("http://", "https://"):
             self._session.mount(scheme, self._adapter)
         self._session.headers["User-Agent"] = user_agent
         if token := os.environ.get("BOPTEST_TOKEN", "").strip():
-            self._session.auth = _Bearer(token)
+            self._session.auth = Bearer(token)
+
+    @property
+    def patience_s(self) -> float:
+        """How long a request is repeated now, s."""
+        return self.config.patience_s if self.in_a_run else self.config.connect_timeout_s
 
     def patiently(
         self,
@@ -112,6 +115,8 @@ class Transport:
     ) -> _Result:
         """The result of `request`, repeated with growing pauses while it fails in a way that may pass.
 
+        Within a `request` that is repeated, another is asked once: there is one patience.
+
         Args:
             passing: errors that may pass; a refused request is repeated `refusals` times.
             most_s: gives up after this time, s, if patience lasts longer.
@@ -119,32 +124,41 @@ class Transport:
         Raises:
             BoptestError: that of the last attempt.
         """
+        if self._waiting:
+            return request()
         c = self.config
-        patience_s = min(c.patience_s if self.in_a_run else c.connect_timeout_s, most_s)
+        patience_s = min(self.patience_s, most_s)
+        refused, began_s = 0, time.monotonic()
 
-        def again(state: tenacity.RetryCallState) -> bool:
-            error = state.outcome.exception() if state.outcome else None
+        def again(error: BaseException) -> bool:
+            nonlocal refused
             if isinstance(error, RequestRejected):
-                return state.attempt_number <= refusals
-            return isinstance(error, passing) and not isinstance(error, Moved)
+                refused += 1
+                return refused <= refusals
+            return isinstance(error, passing) and (self.in_a_run or not isinstance(error, TlsError))
 
         def over(state: tenacity.RetryCallState) -> bool:
             # The requested pauses count too: a clock of tests may make them shorter.
             return max(state.seconds_since_start or 0.0, state.idle_for) >= patience_s
 
-        def log_retry(state: tenacity.RetryCallState) -> None:
+        def before_sleep(state: tenacity.RetryCallState) -> None:
             error = state.outcome.exception() if state.outcome else None
             _LOG.warning("%s (asking again in %.2g s)", error, state.upcoming_sleep)
+            self._until_s = began_s + patience_s
 
         retrying = tenacity.Retrying(
-            retry=again,
+            retry=tenacity.retry_if_exception(again),
             stop=over,
             wait=tenacity.wait_exponential(multiplier=c.backoff_s, max=c.longest_pause_s),
             sleep=c.sleep,
-            before_sleep=log_retry,
+            before_sleep=before_sleep,
             reraise=True,
         )
-        return retrying(request)
+        self._waiting = True
+        try:
+            return retrying(request)
+        finally:
+            self._waiting, self._until_s = False, math.inf
 
     def call(
         self, method: Method, path: str, body: dict[str, Any] | None = None, *, most_s: float = math.inf
@@ -161,17 +175,21 @@ class Transport:
         self._session.close()
 
     def _once(self, method: Method, path: str, endpoint: str, body: dict[str, Any] | None, most_s: float) -> Answer:
-        connect_s, read_s = min(self.config.connect_timeout_s, most_s), min(self.config.read_timeout_s, most_s)
-        in_all_s = min(connect_s + read_s, most_s)
-        late = ServiceTimeout(endpoint, f"no complete answer within {in_all_s:g} s")
-        with self._adapter.cut_after(in_all_s, endpoint) as cut:
+        left_s = max(self._until_s - time.monotonic(), self.config.connect_timeout_s)
+        connect_s, read_s = (
+            min(s, most_s, left_s) for s in (self.config.connect_timeout_s, self.config.read_timeout_s)
+        )
+        in_all_s, verb, began_s = min(connect_s + read_s, most_s, left_s), path.partition("/")[0], time.monotonic()
+        say_s = min(max(_SAID_AFTER_S, 2.0 * self._longest_s.get(verb, 0.0)), in_all_s / 2.0)
+        late = ServiceTimeout(endpoint, f"no complete answer within {in_all_s:.3g} s")
+        with self._adapter.cut_after(in_all_s, endpoint, say_s) as cut:
             try:
                 response = self._session.request(
                     method,
                     f"{self.url}/{path}",
                     json=body,
                     timeout=(connect_s, read_s),
-                    # Following a redirect would turn a POST into a GET.
+                    # Following a redirect would turn a POST into a GET, and tell another host the token.
                     allow_redirects=False,
                 )
             except Exception as error:
@@ -182,22 +200,40 @@ class Transport:
                 raise
         if cut.is_set():
             raise late
-        if response.is_redirect:
-            raise Moved(endpoint, f"the service has moved to {response.headers['Location']}; use that address")
-        try:
-            content = response.json()
-        except (ValueError, RecursionError):
-            content = None
-        if response.status_code >= 400:
-            raise _service_error(endpoint, response.status_code, _reason(content, response.text))
-        if content is None:
-            # `stop` answers with the bare word OK.
-            if response.text.strip() == "OK":
-                return Answer(None, "OK")
-            raise ProtocolError(endpoint, f"the answer is not JSON: {response.text[:120]!r}")
-        if isinstance(content, dict) and "payload" in content:
-            return Answer(content["payload"], str(content.get("message") or ""))
-        return Answer(content, "")
+        self._longest_s[verb] = max(self._longest_s.get(verb, 0.0), time.monotonic() - began_s)
+        return _unpacked(endpoint, response)
+
+
+def _unpacked(endpoint: str, response: requests.Response) -> Answer:
+    """What the service answers; raises `ServiceError` for an error of its own, `ProtocolError` where it is not its."""
+    try:
+        content = response.json()
+    except (ValueError, RecursionError):
+        content = None
+    status, own = response.status_code, isinstance(content, dict) and ("message" in content or "errors" in content)
+    if status >= 500 or status == 429:
+        raise InternalError(endpoint, _reason(content, response.text), status)
+    if status == 404 and endpoint.endswith("/select"):
+        raise UnknownTest(endpoint, _reason(content, response.text), status)
+    if status >= 400 and own:
+        reason = _reason(content, response.text)
+        gone = status == 404 or "invalid testid" in reason.lower()
+        raise (UnknownTest if gone else RequestRejected)(endpoint, reason, status)
+    if status == 200 and response.text.strip() == "OK":  # the bare word answers `stop`
+        return Answer(None, "OK")
+    if status >= 300 or content is None:
+        raise ProtocolError(endpoint, f"not an answer of the service: {_came(response)}")
+    if isinstance(content, dict) and "payload" in content:
+        return Answer(content["payload"], safe_text(content.get("message") or ""))
+    return Answer(content, "")
+
+
+def _came(response: requests.Response) -> str:
+    """What came in place of an answer."""
+    kind = response.headers.get("Content-Type") or "no content type"
+    if "Location" in response.headers:
+        kind = f"a redirect to {response.headers['Location']}, which is not followed; {kind}"
+    return safe_text(f"HTTP {response.status_code}, {kind}: {' '.join(response.text.split()) or 'empty'}")
 
 
 def _is_address(url: str) -> bool:
@@ -212,6 +248,8 @@ def _is_address(url: str) -> bool:
 
 
 def _failure(endpoint: str, error: requests.RequestException, connect_s: float, read_s: float) -> TransportError:
+    if isinstance(error, requests.exceptions.SSLError) or "handshake" in str(_root(error)):
+        return TlsError(endpoint, f"no TLS ({_root(error)}); if it speaks plain http, write http:// in its address")
     if isinstance(error, requests.ConnectTimeout):
         return ConnectError(endpoint, f"no connection within {connect_s:g} s")
     if isinstance(error, requests.Timeout):
@@ -222,101 +260,17 @@ def _failure(endpoint: str, error: requests.RequestException, connect_s: float, 
     return ConnectionLost(endpoint, f"the connection broke ({root})")
 
 
-class _Bearer(requests.auth.AuthBase):
-    """Sends a token with every request, whatever a `.netrc` file says about the host."""
-
-    def __init__(self, token: str) -> None:
-        self._header = f"Bearer {token}"
-
-    def __call__(self, request: requests.PreparedRequest) -> requests.PreparedRequest:
-        request.headers["Authorization"] = self._header
-        return request
-
-
-class _CuttableAdapter(HTTPAdapter):
-    """HTTP adapter that can close its open sockets after a total time; socket timeouts only limit single reads."""
-
-    def __init__(self) -> None:
-        self._sockets: weakref.WeakSet[socket.socket] = weakref.WeakSet()
-        super().__init__()
-
-    def build_response(self, req: requests.PreparedRequest, resp: Any) -> requests.Response:
-        """The answer, which raises `ProtocolError` when it is read beyond `_MOST_BYTES`."""
-        stream = resp.stream
-
-        def bounded(*args: Any, **kwargs: Any) -> Iterator[bytes]:
-            size = 0
-            for piece in stream(*args, **kwargs):
-                size += len(piece)
-                if size > _MOST_BYTES:
-                    resp.close()
-                    raise ProtocolError(f"{req.method} {req.url}", f"the answer is longer than {_MOST_BYTES:,} bytes")
-                yield piece
-
-        resp.stream = bounded
-        return super().build_response(req, resp)
-
-    def get_connection_with_tls_context(self, *args: Any, **kwargs: Any) -> Any:
-        pool: Any = super().get_connection_with_tls_context(*args, **kwargs)
-        if "ConnectionCls" not in vars(pool):
-            pool.ConnectionCls = functools.partial(self._connection, pool.ConnectionCls)
-        return pool
-
-    def _connection(self, make: Callable[..., Any], **settings: Any) -> Any:
-        connection = make(**settings)
-        connect = connection.connect
-
-        def connect_and_remember() -> None:
-            connect()
-            self._sockets.add(connection.sock)
-
-        connection.connect = connect_and_remember
-        return connection
-
-    @contextmanager
-    def cut_after(self, seconds: float, endpoint: str) -> Iterator[threading.Event]:
-        """Close all connections after `seconds` unless the block has ended; the event is set if they were closed.
-
-        After half of them it is said that `endpoint` has not answered.
-        """
-        cut = threading.Event()
-
-        def act() -> None:
-            cut.set()
-            for open_socket in list(self._sockets):
-                with suppress(OSError):
-                    open_socket.shutdown(socket.SHUT_RDWR)
-
-        def say() -> None:
-            _LOG.warning("%s: no answer for %.3g s already; it is waited for %g s", endpoint, seconds / 2.0, seconds)
-
-        timers = (threading.Timer(seconds / 2.0, say), threading.Timer(seconds, act))
-        for timer in timers:
-            timer.daemon = True
-            timer.start()
-        try:
-            yield cut
-        finally:
-            for timer in timers:
-                timer.cancel()
-
-
-def _service_error(endpoint: str, status: int, message: str) -> ServiceError:
-    if status == 404 or "invalid testid" in message.lower():
-        return UnknownTest(endpoint, message, status)
-    return (InternalError if status >= 500 or status == 429 else RequestRejected)(endpoint, message, status)
-
-
 def _reason(content: Any, text: str) -> str:
-    """Error text of an answer: `message` and last line of the payload, list of `errors`, or first 300 characters."""
+    """Error text of an answer: `message` and last line of the payload, list of `errors`, or its first characters."""
     if isinstance(content, dict):
         if content.get("message"):
             detail = content.get("payload")
             last_line = detail.strip().splitlines()[-1] if isinstance(detail, str) and detail.strip() else ""
-            return f"{content['message']}" + (f" ({last_line})" if last_line else "")
+            return safe_text(content["message"]) + (f" ({safe_text(last_line)})" if last_line else "")
         if isinstance(content.get("errors"), list):
-            return "; ".join(str(e.get("msg", e)) if isinstance(e, dict) else str(e) for e in content["errors"])
-    return " ".join(text.split())[:300] or "no message"
+            errors = content["errors"]
+            return safe_text("; ".join(str(e.get("msg", e)) if isinstance(e, dict) else str(e) for e in errors))
+    return safe_text(" ".join(text.split())) or "no message"
 
 
 def _never_connected(error: BaseException) -> bool:

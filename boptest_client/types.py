@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from boptest_client.texts import safe_text
+
 
 @dataclass(frozen=True)
 class Point:
@@ -22,8 +24,8 @@ class Point:
         """Read one entry of `inputs`, `measurements` or `forecast_points`."""
         return cls(
             name=name,
-            unit=None if data.get("Unit") is None else str(data["Unit"]),
-            description=str(data.get("Description") or ""),
+            unit=None if data.get("Unit") is None else safe_text(data["Unit"]),
+            description=safe_text(data.get("Description") or ""),
             minimum=_limit(data.get("Minimum")),
             maximum=_limit(data.get("Maximum")),
         )

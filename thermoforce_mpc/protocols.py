@@ -105,6 +105,10 @@ class OutlivingPlant(Plant, Protocol):
         """
         ...
 
+    def leave(self) -> None:
+        """Release connections only, so that the plant can be taken up again; `close` does nothing after it."""
+        ...
+
 
 @runtime_checkable
 class RestartingPlant(Plant, Protocol):

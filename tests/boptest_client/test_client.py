@@ -24,6 +24,7 @@ from boptest_client import (
     RequestRejected,
     Scenario,
     ServiceTimeout,
+    TlsError,
     TransportConfig,
     UnknownTest,
 )
@@ -411,7 +412,7 @@ def test_a_step_that_never_arrived_is_sent_again(client, service, caplog, kind):
 def test_steps_that_never_arrive_are_given_up(client, service):
     client.initialize(86400, 0)
     service.faults.append(Fault("advance/", "drop", times=99))
-    with pytest.raises(AdvanceInterrupted, match=r"advance/.*in every attempt"):
+    with pytest.raises(AdvanceInterrupted, match=r"the connection broke .*no better answer within 30 s"):
         client.advance({})
     assert service.count("advance/") > 1
 
@@ -419,7 +420,7 @@ def test_steps_that_never_arrive_are_given_up(client, service):
 def test_a_step_of_unknown_fate_says_so(client, service):
     client.initialize(86400, 0)
     service.faults += [Fault("advance/", "drop", after_work=True), Fault("results/", "500", times=99)]
-    with pytest.raises(AdvanceInterrupted, match=r"unknown, start the run again.*Internal error in the simulation"):
+    with pytest.raises(AdvanceInterrupted, match=r"results/.*Internal error in the simulation.*no better answer"):
         client.advance({})
     assert service.count("advance/") == 1
 
@@ -439,9 +440,75 @@ def test_a_test_that_timed_out_at_the_service_is_named(client, service):
 
 
 def test_a_service_that_moved_is_not_followed(client, service):
-    service.faults.append(Fault("advance/", "moved", times=99))
-    with pytest.raises(ProtocolError, match=r"moved to https://elsewhere\.example/"):
+    client.initialize(86400, 0)
+    service.faults.append(Fault("(advance|results)/", "moved", times=99))
+    with pytest.raises(
+        AdvanceInterrupted, match=r"HTTP 302, a redirect to https://elsewhere\.example/, which is not fol"
+    ):
         client.advance({})
+
+
+def test_a_page_of_somebody_else_is_told_as_text_and_cut(client, service):
+    service.page = "<html>No such page.\x1b[31m" + "x" * 1000 + "</html>"
+    service.faults.append(Fault("kpi/", "page", times=99))
+    with pytest.raises(
+        ProtocolError, match=r"HTTP 404, text/html: <html>No such page\.\[31mx+ … \(\d+ more char"
+    ) as caught:
+        client.kpi()
+    assert len(str(caught.value)) < 700
+
+
+def test_messages_of_the_service_are_text(client, service, caplog):
+    service.faults.append(Fault("kpi/", "edited", times=99, edit=lambda payload: raises(Bare(400, ODD_MESSAGE))))
+    with pytest.raises(RequestRejected, match=r"told: \[2Jno") as caught:
+        client.kpi()
+    for text in (str(caught.value), caplog.text):
+        assert "\x1b" not in text
+        assert "\x9b" not in text
+
+
+ODD_MESSAGE = {"message": "told: \x1b[2J\x9b\ud800no", "payload": None}
+
+
+def raises(error):
+    raise error
+
+
+@pytest.mark.parametrize("listens", [True, False], ids=["plain http", "says nothing"])
+def test_https_at_a_plain_port_is_told_as_that(listens):
+    with running_service() as service, socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen(5)
+        port = service.url.rpartition(":")[2] if listens else silent.getsockname()[1]
+        with pytest.raises(TlsError, match=r"no TLS .*write http://"):
+            BoptestClient(f"https://127.0.0.1:{port}", NAME, config=replace(HASTY, sleep=never))
+
+
+def never(seconds):
+    raise AssertionError("it is not asked again")
+
+
+def test_silence_is_said_and_ends_before_a_run(service, caplog, monkeypatch):
+    monkeypatch.setattr("boptest_client.transport._SAID_AFTER_S", 0.2)
+    monkeypatch.setattr("boptest_client.client._LOOKUP_S", 1.0)
+    with BoptestClient(service.url, NAME, config=TransportConfig(connect_timeout_s=0.5)) as client:
+        service.faults.append(Fault("inputs/", "slow", times=9, seconds=LATE_S))
+        with pytest.raises(ServiceTimeout, match=r"inputs/.*within 1 s"):
+            client.inputs()
+        assert "no answer for 0.2 s already" in caplog.text
+        assert "no answer for 0.4 s already" in caplog.text
+
+
+def test_silence_in_a_run_ends_with_its_patience(service):
+    config = TransportConfig(connect_timeout_s=0.3, read_timeout_s=2.0, patience_s=3.0, backoff_s=0.1)
+    with BoptestClient(service.url, NAME, config=config) as client:
+        client.initialize(86400, 0)
+        service.faults.append(Fault("kpi/", "slow", times=99, seconds=LATE_S))
+        began_s = time.monotonic()
+        with pytest.raises(ServiceTimeout, match="kpi/"):
+            client.kpi()
+        assert time.monotonic() - began_s < 3.0 + 2.0, "no attempt outlasts what is left"
+        service.faults.clear()
 
 
 @pytest.mark.parametrize(
@@ -464,7 +531,7 @@ def test_patience_that_makes_no_sense_is_refused(wrong):
 
 def test_an_answer_that_is_not_json_is_a_protocol_error(client, service):
     service.faults.append(Fault("measurements/", "garbage", times=99))
-    with pytest.raises(ProtocolError, match="not JSON"):
+    with pytest.raises(ProtocolError, match="HTTP 200, application/json: <html>not json"):
         client.measurements()
 
 

@@ -21,10 +21,23 @@ from thermoforce_mpc.errors import (
     NoSuchTest,
     PlantError,
     StorageError,
+    ThermoForceError,
     out_of_memory,
 )
 from thermoforce_mpc.files import DoubtfulInput
 from thermoforce_mpc.version import VERSION
+
+# Words before the message of an error, and exit code.
+_ENDS: dict[type[ThermoForceError], tuple[str, int]] = {
+    InputError: ("Error", 2),
+    ControllerRaised: ("Controller failed", 1),
+    PlantError: ("Plant failed", 3),
+    NoSuchTest: ("Cannot go on", 5),
+    StorageError: ("Cannot be written", 6),
+    EngineError: ("Tasks cannot be run", 7),
+}
+# A message of ours may name many keys; what it quotes is cut where it enters.
+_MOST_SHOWN = 20_000
 
 
 @click.group(cls=CommandGroups, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -92,24 +105,15 @@ def main() -> None:
     except click.ClickException as error:  # usage errors: exit code 2
         error.show()
         sys.exit(error.exit_code)
-    except InputError as error:
-        click.echo(f"Error: {error}", err=True)
-        sys.exit(2)
-    except ControllerRaised as error:
-        click.echo(f"Controller failed: {error}", err=True)
-        sys.exit(1)
-    except PlantError as error:
-        click.echo(f"Plant failed: {error}", err=True)
-        sys.exit(3)
-    except NoSuchTest as error:
-        click.echo(f"Cannot go on: {error}", err=True)
-        sys.exit(5)
-    except StorageError as error:
-        click.echo(f"Cannot be written: {error}", err=True)
-        sys.exit(6)
-    except EngineError as error:
-        click.echo(f"Tasks cannot be run: {error}", err=True)
-        sys.exit(7)
+    except ThermoForceError as error:
+        kind = next((kind for kind in _ENDS if isinstance(error, kind)), None)
+        if kind is None:
+            raise
+        from boptest_client import safe_text  # it may quote a file, a service or a journal
+
+        words, code = _ENDS[kind]
+        click.echo(f"{words}: {safe_text(error, _MOST_SHOWN)}", err=True)
+        sys.exit(code)
     except Terminated as error:
         click.echo("Terminated.", err=True)
         sys.exit(128 + error.number)

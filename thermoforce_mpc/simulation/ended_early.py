@@ -8,7 +8,7 @@ from contextlib import suppress
 
 from thermoforce_mpc.errors import PlantError, StorageError, ThermoForceError, out_of_memory
 from thermoforce_mpc.simulation.closed_loop import StepRecord
-from thermoforce_mpc.simulation.folder.run_book import RunBook
+from thermoforce_mpc.simulation.folder.run_book import RunBook, is_real
 from thermoforce_mpc.simulation.folder.run_folder import write_partial
 from thermoforce_mpc.simulation.journal.journal import JournalError
 from thermoforce_mpc.simulation.views.report_again import report_again
@@ -24,7 +24,10 @@ def ended_early(book: RunBook, records: Mapping[str, Sequence[StepRecord]], erro
     kept = _keep(
         book, records, "out of memory" if lacks_memory else _in_words(error), fault=isinstance(error, Exception)
     )
-    there = f"{kept}; `tf-mpc resume {shlex.quote(str(book.folder))}` goes on from there"
+    again = f"tf-mpc resume {shlex.quote(str(book.folder))}"
+    there = f"{kept}; `{again}` goes on from there"
+    if is_real(book.scenario):
+        there += f", `{again} --stop` gives its test back to the service"
     if lacks_memory:
         return StorageError(f"out of memory: close other programs, or give the machine more\n{there}")
     return PlantError(f"{error}\n{there}") if isinstance(error, PlantError) else error

@@ -40,7 +40,7 @@ from thermoforce_mpc.simulation.composition import (
 from thermoforce_mpc.simulation.ended_early import ended_early
 from thermoforce_mpc.simulation.folder.capped import Capped
 from thermoforce_mpc.simulation.folder.planning import Planning, planning_of
-from thermoforce_mpc.simulation.folder.run_book import RunBook
+from thermoforce_mpc.simulation.folder.run_book import RunBook, is_real
 from thermoforce_mpc.simulation.folder.run_folder import (
     clear_partial,
     create_run_folder,
@@ -202,6 +202,25 @@ def resume_run(
         return _carry_out(book, display, validate_scenario(book.scenario))
 
 
+def stop_test(folder: Path, given: Mapping[str, str] | None = None, code: Sequence[str] = ()) -> None:
+    """Stop the test that a run has at a service, which then cannot go on; arguments as of `resume_run`.
+
+    Raises:
+        ConfigError: the run has none.
+        JournalError, NoSuchTest, PlantError: as `resume_run`.
+    """
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder")
+    with sole_use(folder):
+        book = RunBook.reopen(folder, settled=lambda told: with_given(told, given or {}, code, folder))
+        with closing(book.journal):
+            scenario = book.scenario
+            if not (book.told and is_real(scenario)):
+                raise ConfigError(f"{folder}: its plant is simulated, or was never reached: there is no test to stop")
+            testcase = validate_scenario(scenario)
+            book.connect(lambda testid: attached_plant(scenario, testcase, str(testid))).close()
+
+
 def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
     """Run what is in the book, and write results and report."""
     folder, scenario = book.folder, book.scenario
@@ -301,7 +320,7 @@ def _execute(
             return attached_plant(scenario, testcase, testid)
         return build_plant(scenario.plant, testcase, scenario.seed, scenario.comfort)
 
-    with closing(book.connect(build) if book else build()) as plant:
+    with book.released(book.connect(build)) if book else closing(build()) as plant:
         period = scored_period(plant, scenario.period, scenario.days)
         display.say(_headline(plant, period, scenario))
         check_prices(scenario, period)

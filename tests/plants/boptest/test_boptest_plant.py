@@ -98,7 +98,7 @@ def test_a_period_the_service_does_not_know_is_bad_input(plant):
 def test_a_scenario_that_ends_early_is_told(plant, service):
     plant.reset(20 * DAY_S, 0)
     service.ends = dict.fromkeys(service.ends, 20 * DAY_S)
-    with pytest.raises(PlantError, match="scenario is over at day 20"):
+    with pytest.raises(PlantError, match="says that its scenario is over, at day 20"):
         plant.advance(None, 3600)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -82,6 +84,24 @@ def killed_at(service, folder: Path, step: int, monkeypatch, *, after: bool) -> 
             begin(service, folder)
 
 
+@contextmanager
+def troubled(service, faults):
+    """From the eighth step on, `faults`."""
+    true_answer, asked = service.answer, itertools.count()
+
+    def answer(method, path, body):
+        if path.startswith("advance/") and next(asked) == 8:
+            service.faults[:] = faults
+        return true_answer(method, path, body)
+
+    service.answer = answer
+    try:
+        yield
+    finally:
+        service.answer = true_answer
+        service.faults.clear()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("after", [False, True])
 def test_a_killed_run_is_taken_up_where_the_test_stands(service, whole, tmp_path, monkeypatch, after):
@@ -139,24 +159,9 @@ def test_a_test_that_somebody_else_advanced_is_refused(service, tmp_path, monkey
     ids=["500", "dropped before", "dropped after", "cut short"],
 )
 def test_a_service_in_trouble_costs_no_step_and_doubles_none(service, whole, tmp_path, faults):
-    trouble = [Fault(f.pattern, f.kind, f.times, f.after_work) for f in faults]
-
-    def break_in(path: str) -> None:
-        service.faults[:] = trouble
-
-    folder = tmp_path / "trouble"
-    true_answer, asked = service.answer, itertools.count()
-
-    def answer(method, path, body):
-        if path.startswith("advance/") and next(asked) == 8:
-            break_in(path)
-        return true_answer(method, path, body)
-
-    service.answer = answer
-    try:
+    trouble, folder = [replace(fault) for fault in faults], tmp_path / "trouble"
+    with troubled(service, trouble):
         done = begin(service, folder)
-    finally:
-        service.answer = true_answer
     assert done.exit_code == 0, done.output
     assert all(fault.times == 0 for fault in trouble)
     assert (folder / "trajectory.csv").read_bytes() == (whole / "trajectory.csv").read_bytes()
@@ -166,23 +171,71 @@ def test_a_service_in_trouble_costs_no_step_and_doubles_none(service, whole, tmp
     assert set(pd.Series(times).diff().dropna()) == {900.0}
 
 
-def test_a_service_that_stays_away_ends_the_run_when_patience_does(service, tmp_path):
+def shifted(seconds: float):
+    """The clock of an answer, wrong."""
+
+    def edit(payload):
+        times = payload["time"]
+        return payload | {"time": [t + seconds for t in times] if isinstance(times, list) else times + seconds}
+
+    return edit
+
+
+WRONG = {
+    "redirect": Fault("advance/", "moved"),
+    "redirect after": Fault("advance/", "moved", after_work=True),
+    "page": Fault("advance/", "page"),
+    "page at results": Fault("results/", "page"),
+    "cached": Fault("advance/", "edited", edit=shifted(-900.0)),
+    "clock 900 s ahead": Fault("advance/", "edited", edit=shifted(900.0)),
+    "clock 0.5 s ahead": Fault("advance/", "edited", edit=shifted(0.5)),
+    "clock 0.5 s behind": Fault("advance/", "edited", edit=shifted(-0.5)),
+    "record 900 s ahead": Fault("results/", "edited", edit=shifted(900.0)),
+    "record 0.5 s ahead": Fault("results/", "edited", edit=shifted(0.5)),
+    "record cached": Fault("results/", "edited", edit=shifted(-900.0)),
+    "forecast shifted": Fault("forecast/", "edited", edit=shifted(3600.0)),
+    "null": Fault("advance/", "edited", edit=lambda payload: None),
+    "empty": Fault("advance/", "edited", edit=lambda payload: {}),
+    "null before": Fault("advance/", "null"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize("times", [1, 3])
+def test_a_wrong_answer_is_waited_out(service, whole, tmp_path, wrong, times):
+    folder, done, trouble = tmp_path / "wrong", None, replace(WRONG[wrong], times=times)
+    with troubled(service, [trouble]):
+        done = begin(service, folder)
+    assert done.exit_code == 0, done.output
+    assert trouble.times == 0
+    assert (folder / "trajectory.csv").read_bytes() == (whole / "trajectory.csv").read_bytes()
+
+
+@pytest.mark.parametrize("resumed", [True, False])
+def test_a_service_that_stays_away_ends_the_run_when_patience_does_and_keeps_its_test(
+    service, whole, tmp_path, resumed
+):
     folder, stopped = tmp_path / "away", len(service.stopped)
-    true_answer, asked = service.answer, itertools.count()
-
-    def answer(method, path, body):
-        if path.startswith("advance/") and next(asked) == 8:
-            service.faults[:] = [Fault("(advance|forecast|results)/", "500", times=10**6)]
-        return true_answer(method, path, body)
-
-    service.answer = answer
-    try:
+    with troubled(service, [Fault("(advance|forecast|results)/", "500", times=10**6)]):
         done = begin(service, folder, "--set", "plant.patience_min=2")
-    finally:
-        service.answer = true_answer
     assert isinstance(done.exception, PlantError)
     assert str(folder) in str(done.exception)
-    assert len(service.stopped) == stopped + 1
+    assert "Internal error in the simulation" in str(done.exception)
+    assert f"resume {folder} --stop" in str(done.exception)
     assert (folder / "INCOMPLETE.txt").exists()
-    # The steps until then are whole, and the service, had it kept its test, could go on from there.
     assert sum(entry.kind == "done" for entry in read_journal(folder / "journal.jsonl").entries) >= 8
+    assert len(service.stopped) == stopped, "its test stands where it stood"
+    if resumed:
+        again = call("resume", folder)
+        assert again.exit_code == 0, again.output
+        assert (folder / "trajectory.csv").read_bytes() == (whole / "trajectory.csv").read_bytes()
+    else:
+        assert call("resume", folder, "--stop").output == "The test was stopped.\n"
+        assert isinstance(call("resume", folder).exception, NoSuchTest)
+    assert len(service.stopped) == stopped + 1
+
+
+def test_a_run_without_a_service_has_no_test_to_stop(tmp_path):
+    assert call("run", *WORDS, "--out", tmp_path / "simulated").exit_code == 0
+    assert "its plant is simulated" in str(call("resume", tmp_path / "simulated", "--stop").exception)

@@ -79,7 +79,8 @@ class Fault:
     """What goes wrong with the next `times` requests whose path matches `pattern`."""
 
     pattern: str
-    kind: str  # "500", "drop", "truncated", "slow", "drip", "drip head", "garbage", "moved", "gone", "edited"
+    # "500", "drop", "truncated", "slow", "drip", "drip head", "garbage", "moved", "gone", "edited", "page", "null"
+    kind: str
     times: int = 1
     after_work: bool = False  # the request is carried out, only its answer is lost
     seconds: float = 1.0  # how slow
@@ -99,6 +100,7 @@ class Service:
     prices: dict[str, str] = field(default_factory=dict)
     bodies: list[tuple[str, dict]] = field(default_factory=list)
     message: str = ""
+    page: str = "<html>No such page.</html>"
     faults: list[Fault] = field(default_factory=list)
     requests: list[str] = field(default_factory=list)
     stopped: list[str] = field(default_factory=list)
@@ -198,6 +200,7 @@ class Service:
 
     def _advance(self, testid, plant, body):
         if plant.now_s >= self.ends[testid]:
+            self.message = "End of test case scenario time period reached."
             return {}
         overrides = {}
         for name, low, high in OVERWRITES:
@@ -303,14 +306,18 @@ def running_service(service: Service | None = None) -> Iterator[Any]:
             if kind == "garbage":
                 text = "<html>not json</html>"
             if kind == "moved":
-                status = 301
+                status = 302
+            if kind == "null":
+                text = json.dumps({"status": 200, "message": "", "payload": None})
+            if kind == "page":
+                status, text = 404, service.page
             try:
                 if kind == "drip head":
                     self.wfile.write(b"HTTP/1.0 200 OK\r\nX-Slowly: ")
                     self._drip(b"x" * 10_000)
                 self.send_response(status)
-                self.send_header("Content-Type", "application/json")
-                self.send_header("Content-Length", str(len(text)))
+                self.send_header("Content-Type", "text/html" if kind == "page" else "application/json")
+                self.send_header("Content-Length", str(len(text.encode())))
                 if kind == "moved":
                     self.send_header("Location", "https://elsewhere.example/")
                 self.end_headers()

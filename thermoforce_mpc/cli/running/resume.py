@@ -20,6 +20,7 @@ import click
 @click.option("--fmu", metavar="FILE", help="FMU of the run, given again.")
 @click.option("--code", metavar="FILE", multiple=True, help="File of Python that the run names, given again.")
 @click.option("--plant", metavar="NAME", help="Plugin's plant of the run, given again.")
+@click.option("--stop", is_flag=True, help="Stop the run's test at the service instead; the run cannot go on then.")
 @click.option("--quiet", is_flag=True, help="Print only the final table.")
 def command(
     run: Path,
@@ -28,6 +29,7 @@ def command(
     fmu: str | None,
     code: tuple[str, ...],
     plant: str | None,
+    stop: bool,
     quiet: bool,
 ) -> None:
     """Go on with the run in folder RUN, which was killed, interrupted, or ended by a full disk or a plant that failed.
@@ -39,7 +41,8 @@ def command(
     is not made again.
 
     At a BOPTEST service the test is taken up where it stands, if it still exists; a step that was on its way is neither
-    lost nor repeated. Ctrl-C and SIGTERM stop the test, so only a run that was killed can go on there.
+    lost nor repeated. A run that failed or was killed leaves its test there (--stop gives it back); Ctrl-C and SIGTERM
+    stop the test.
 
     A journal that is damaged in the middle is refused with the line and the command that goes on from the last good
     one (--from); what comes after is kept in journal.jsonl.lost. A simulated plant repeats what is lost; a service goes
@@ -57,11 +60,15 @@ def command(
     Example:
       tf-mpc resume runs/bestest_hydronic_heat_pump-peak_heat_day-constant-thermoforce_mpc-001
     """
-    from thermoforce_mpc.simulation.run import resume_run
+    from thermoforce_mpc.simulation.run import resume_run, stop_test
     from thermoforce_mpc.simulation.views.display import RunDisplay
 
-    display = RunDisplay(quiet)
     again = {"plant.url": url, "plant.path": fmu, "plant.kind": plant}
     given = {key: value for key, value in again.items() if value is not None}
+    if stop:
+        stop_test(run, given, code)
+        click.echo("The test was stopped.")
+        return
+    display = RunDisplay(quiet)
     folder = resume_run(run, display, since, given, code)
     display.console.print(f"Report: {shlex.quote(str(folder / 'report.html'))}", soft_wrap=True, markup=False)

@@ -224,7 +224,7 @@ class BoptestPlant(Releasing):
             InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
             NoForecast: it failed (with forecast uncertainty it refuses horizons beyond 48 h), or returned other
                 instants than requested. After that it is asked without patience, until it answers again.
-            PlantError: the test is gone, or stands at another time.
+            PlantError: the test is gone.
         """
         instants = forecast_times(self._now_s, horizon_s, interval_s)
         tariff = next(name for name in PRICES if name == self._scenario.electricity_price)
@@ -242,14 +242,7 @@ class BoptestPlant(Releasing):
                 self._forecasts = False
                 raise NoForecast(f"BOPTEST service: {error}") from error
         self._forecasts = True
-        series = {name: np.array(values) for name, values in data.items()}
-        if abs(series["time"][0] - self._now_s) > _CLOCK_TOLERANCE_S:
-            raise PlantError(
-                f"BOPTEST service: {self._client.url}/forecast/{self._client.testid}: it begins at "
-                f"{series['time'][0]:.10g} s, the last step ended at {self._now_s:.10g} s: somebody else "
-                "advanced the test"
-            )
-        series = {name: values[: instants.size] for name, values in series.items()}
+        series = {name: np.array(values[: instants.size]) for name, values in data.items()}
         weather = series[self._points.forecast_outdoor] - ZERO_C_K, series[self._points.forecast_solar]
         return boundary(series["time"], series, self._points, tariff, weather)
 
@@ -321,6 +314,10 @@ class BoptestPlant(Releasing):
         except BoptestError as error:
             _LOG.warning("the test was not stopped, the service will drop it when idle: %s", error)
 
+    def leave(self) -> None:
+        """See `OutlivingPlant.leave`."""
+        self._client.leave()
+
     def _stepped(self, applied: Mapping[str, float], duration_s: float) -> dict[str, float]:
         """The points at the end of a step, to which the clock is set: of a new one, or of that whose answer was lost.
 
@@ -334,7 +331,7 @@ class BoptestPlant(Releasing):
                 self._step_s = duration_s
             points = self._client.advance(applied)
         if not points:
-            raise PlantError(f"the service's scenario is over at day {before_s / DAY_S:g}")
+            raise PlantError(f"the service says that its scenario is over, at day {before_s / DAY_S:g}")
         self._now_s = points["time"]
         if self._now_s - before_s - duration_s < -_CLOCK_TOLERANCE_S:
             raise PlantError(f"the service advanced by {self._now_s - before_s:g} s instead of {duration_s:g} s")

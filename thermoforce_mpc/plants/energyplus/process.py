@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 from typing import Generic
 
+from boptest_client import safe_text
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import InputError, PlantError
 from thermoforce_mpc.plants.energyplus.live import Advance, Building, Stretch, U, serve
@@ -104,7 +105,7 @@ class EngineProcess(Generic[U, R]):
             raise
         if isinstance(answer, Stretch):
             return answer
-        raise self._failed(f"failed: {answer}")
+        raise self._failed(f"failed: {safe_text(answer)}")
 
     def _exchanged(self, request: object) -> object:
         self._pipe.send(request)

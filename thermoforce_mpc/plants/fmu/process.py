@@ -16,12 +16,13 @@ from typing import IO, Any
 
 import numpy as np
 
+from boptest_client import safe_text
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.plants.fmu.messages import SAMPLE_S, Job, Stretch
 from thermoforce_mpc.plants.waiting import PATIENCE_S, PIECE_S, START_S, wait_for
 
-_SAID_BYTES = 2000
+_SAID_BYTES = 500
 _END_S = 5.0
 
 
@@ -104,9 +105,8 @@ class WorkerProcess:
             raise PlantError(f"the FMU's process {self._end()} at {when}{self._last_words()}") from error
         if isinstance(answer, Stretch):
             return answer
-        raise PlantError(
-            f"the FMU could not {doing} at {when}: {answer}{missing_library(str(answer))}{self._last_words()}"
-        )
+        why = f"{safe_text(answer)}{missing_library(str(answer))}{self._last_words()}"
+        raise PlantError(f"the FMU could not {doing} at {when}: {why}")
 
     def _exchanged(self, request: tuple[Any, ...]) -> Any:
         assert self._process.stdin is not None  # both are pipes
@@ -126,11 +126,11 @@ class WorkerProcess:
         return f"ended with code {code}"
 
     def _last_words(self) -> str:
-        """Return the last 2000 bytes that the FMU and its process printed."""
+        """Return the last of what the FMU and its process printed."""
         size = os.fstat(self._said.fileno()).st_size
         said = os.pread(self._said.fileno(), _SAID_BYTES, max(size - _SAID_BYTES, 0)) if hasattr(os, "pread") else b""
-        text = said.decode(errors="replace").strip()
-        return f"\nIts last output:\n{text}" if text else ""
+        text = safe_text(said.decode(errors="replace").strip())
+        return f"\nIts last output (of {size:,} bytes):\n{text}" if text else ""
 
 
 def missing_library(error: str) -> str:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
@@ -52,7 +54,7 @@ class RunBook:
     def begin(cls, folder: Path, scenario: Scenario, command: Sequence[str]) -> RunBook:
         """Begin the journal of a run; raises `StorageError`, and then leaves no folder behind."""
         try:
-            journal = Journal(folder / NAME, durable=_is_real(scenario))
+            journal = Journal(folder / NAME, durable=is_real(scenario))
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)  # what went wrong is the reason, not that it may be gone
             raise
@@ -88,9 +90,9 @@ class RunBook:
             command = tuple(str(word) for word in head.content["command"])
         scenario = settled(scenario)
         if since is not None:
-            text = _with_its_loop(path, text) if _is_real(scenario) else text
+            text = _with_its_loop(path, text) if is_real(scenario) else text
             set_aside(path, text)
-        journal = Journal(path, text, durable=_is_real(scenario))
+        journal = Journal(path, text, durable=is_real(scenario))
         return cls(folder, scenario, command, journal, text.entries[1:], resumed=True, cut=since is not None)
 
     def connect(self, build: Callable[[str | None], Plant]) -> JournaledPlant:
@@ -111,6 +113,18 @@ class RunBook:
             plant.close()
             raise
         return JournaledPlant(plant, self.journal)
+
+    @contextmanager
+    def released(self, plant: JournaledPlant) -> Iterator[JournaledPlant]:
+        """Close `plant` at the end; one that outlives us is left where a run that failed can go on from there."""
+        try:
+            yield plant
+        except Exception as error:
+            if self.has_begun or isinstance(error, PlantError):
+                plant.leave()
+            raise
+        finally:
+            plant.close()
 
     @property
     def has_begun(self) -> bool:
@@ -162,6 +176,6 @@ def _with_its_loop(path: Path, text: JournalText) -> JournalText:
     return text
 
 
-def _is_real(scenario: Scenario) -> bool:
+def is_real(scenario: Scenario) -> bool:
     """Whether the plant goes on while we are down, so that the journal must outlast a power failure."""
     return scenario.plant.kind == "boptest"

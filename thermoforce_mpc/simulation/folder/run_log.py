@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TextIO
 
+from boptest_client import safe_text
 from thermoforce_mpc.data import Plan
 from thermoforce_mpc.files import storage_errors
 from thermoforce_mpc.simulation.closed_loop import StepRecord
@@ -21,6 +22,8 @@ from thermoforce_mpc.simulation.folder.plain_files import open_plain
 
 NAME = "log.jsonl"
 _LOGGERS = ("thermoforce_mpc", "controllers", "boptest_client")
+# A message of ours may name many keys; what it quotes is cut where it enters.
+_MOST_SAID = 20_000
 _STEPS = logging.getLogger("thermoforce_mpc.step")
 
 
@@ -48,7 +51,7 @@ class _Announcer(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Say one."""
-        self._say(f"{record.levelname.lower()}: {record.getMessage()}")
+        self._say(safe_text(f"{record.levelname.lower()}: {record.getMessage()}", _MOST_SAID))
 
 
 class _Lines(logging.StreamHandler[TextIO]):

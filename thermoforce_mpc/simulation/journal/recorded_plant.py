@@ -118,6 +118,11 @@ class RecordedPlant:
 
         return self._answer("kpis", {}, self._plant.kpis, to_json, from_json)
 
+    def leave(self) -> None:
+        """Leave a plant that outlives us where it stands; nothing for another."""
+        if isinstance(self._plant, OutlivingPlant):
+            self._plant.leave()
+
     def close(self) -> None:
         """Close the plant."""
         self._plant.close()
