@@ -114,7 +114,7 @@ def solved_plan(
         iterations=solution.iterations,
         export_calls=solution.export_calls,
         own=solution.own,
-        seconds={**context.seconds, "solve": solve_s},
+        seconds={name: round(s, 6) for name, s in (*context.seconds.items(), ("solve", solve_s))},
         margins={**instance.bounds.first_step, "offset": learned.offset_K, "unused_capacity": learned.unused},
         names=names,
         state=replace(

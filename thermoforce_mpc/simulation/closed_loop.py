@@ -246,9 +246,9 @@ def run_closed_loop(
             boundary=boundary,
             plan=plan,
             refused=refused,
-            plan_seconds=t2 - t1,
-            forecast_seconds=t1 - t0,
-            plant_seconds=t3 - t2,
+            plan_seconds=round(t2 - t1, 6),
+            forecast_seconds=round(t1 - t0, 6),
+            plant_seconds=round(t3 - t2, 6),
             samples=tuple(samples),
             notes=tuple(dict.fromkeys(doubts)),
         )

@@ -1,6 +1,6 @@
 """Journal of a run: an append-only file of JSON lines, each with a checksum that goes on from the line before.
 
-A line is `{"n": …, "kind": …, …, "crc": "…"}`; `crc` is the CRC-32 of the text before it, begun with the checksum of
+A line is `{"n":…,"kind":…,…,"crc":"…"}`; `crc` is the CRC-32 of the text before it, begun with the checksum of
 the line before, so that a changed, missing or exchanged line is found. A record is written at once and handed to the
 system: a killed process loses none. What a crash left half-written at the end is dropped when the journal is read.
 
@@ -28,11 +28,11 @@ from thermoforce_mpc.files import read_pieces, storage_errors, written
 from thermoforce_mpc.simulation.folder.plain_files import open_plain
 
 NAME = "journal.jsonl"
-FORMAT = 2
+FORMAT = 3
 PART_BYTES = 32_000_000
 # A part ends with the record that makes it too long; that of the longest plant's past is some 10 MB.
 _MOST_BYTES = 2 * PART_BYTES + 50_000_000
-_CRC = ', "crc": "'
+_CRC = ',"crc":"'
 
 
 class JournalError(InputError):
@@ -121,7 +121,8 @@ class Journal:
         Raises:
             StorageError: the disk is full, or the file was removed; the journal ends with the record before.
         """
-        text = json.dumps({"n": self._n, "kind": kind, **content}, ensure_ascii=False, allow_nan=False)[:-1]
+        record = {"n": self._n, "kind": kind, **content}
+        text = json.dumps(record, ensure_ascii=False, allow_nan=False, separators=(",", ":"))[:-1]
         body = text.encode(errors="backslashreplace")  # half a surrogate, as in the name of a file: \\udcff is JSON too
         crc = zlib.crc32(body, self._crc)
         line = body + f'{_CRC}{crc:08x}"}}\n'.encode()

@@ -29,27 +29,29 @@ from thermoforce_mpc.data import (
 
 Json = dict[str, Any]
 
-_DTYPES, _MOST_VALUES = ("<f8", "<f4"), 20_000_000
+_MOST_VALUES = 20_000_000
 
-# Arrays of a plan that a journal keeps for people, to four digits or so: a resumed run plans again.
-_COURSES = ("u", "T_free_now_C", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C")
-PLANNED = (*_COURSES, "lower_C", "upper_C", "slack_K", "power_W")
+# Arrays of a plan that a journal keeps for people, and to what they are rounded: a resumed run plans again.
+_KELVIN = ("T_free_now_C", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "lower_C", "upper_C",
+           "slack_K")
+_ROUNDED = {"u": 0.01, **dict.fromkeys(_KELVIN, 0.01), "power_W": 1.0}
+_NOTHING = -(2**31)
+_READINGS = ("T_out_C", "solar_W_m2", "T_zone_C", *ACTING)
 
 
-def pack(rows: Array, dtype: str = "<f8") -> Json:
+def pack(rows: Array) -> Json:
     """An array as JSON."""
-    content = zlib.compress(np.ascontiguousarray(rows, dtype=dtype).tobytes(), 6)
-    return {"shape": list(rows.shape), "dtype": dtype, "zlib": base64.b64encode(content).decode()}
+    content = zlib.compress(np.ascontiguousarray(rows, dtype="<f8").tobytes(), 6)
+    return {"shape": list(rows.shape), "zlib": base64.b64encode(content).decode()}
 
 
 def unpack(packed: Mapping[str, Any]) -> Array:
     """The array of `pack`; raises `ValueError` for what it did not make."""
-    shape, dtype = [int(n) for n in packed["shape"]], str(packed["dtype"])
-    if dtype not in _DTYPES or min(shape, default=0) < 0 or not math.prod(shape) <= _MOST_VALUES:
-        raise ValueError(f"an array of shape {shape} and type {dtype[:20]}")
-    size = math.prod(shape) * np.dtype(dtype).itemsize
-    content = zlib.decompressobj().decompress(base64.b64decode(packed["zlib"]), size + 1)
-    return np.asarray(np.frombuffer(content, dtype=dtype).reshape(shape), dtype=np.float64)
+    shape = [int(n) for n in packed["shape"]]
+    if min(shape, default=0) < 0 or not math.prod(shape) <= _MOST_VALUES:
+        raise ValueError(f"an array of shape {shape}")
+    content = zlib.decompressobj().decompress(base64.b64decode(packed["zlib"]), 8 * math.prod(shape) + 1)
+    return np.asarray(np.frombuffer(content, dtype="<f8").reshape(shape), dtype=np.float64)
 
 
 def number(value: float) -> float | str | None:
@@ -73,18 +75,21 @@ def names_of(content: Mapping[str, Any]) -> Names:
 
 
 def measurement_json(measurement: Measurement) -> Json:
-    """A measurement without the plant's own points."""
-    content: Json = {name: number(getattr(measurement, name)) for name in ("time_s", "T_out_C", "solar_W_m2")}
-    for name in ("T_zone_C", *ACTING):
-        content[name] = [number(value) for value in getattr(measurement, name)]
-    return content
+    """A measurement without the plant's own points: its time, and its values as float64 in base64."""
+    rows = [np.atleast_1d(getattr(measurement, name)) for name in _READINGS]
+    values = np.concatenate(rows).astype("<f8").tobytes()
+    return {"time_s": number(measurement.time_s), "values": base64.b64encode(values).decode()}
 
 
 def measurement_of(content: Mapping[str, Any], names: Names) -> Measurement:
-    """The measurement of `measurement_json`."""
-    scalars = {name: _number(content[name]) for name in ("time_s", "T_out_C", "solar_W_m2")}
-    rows = {name: np.array([_number(value) for value in content[name]]) for name in ("T_zone_C", *ACTING)}
-    return Measurement(**scalars, **rows, names=names)  # type: ignore[arg-type]
+    """The measurement of `measurement_json`; raises `ValueError` where it is of other `names`."""
+    values = np.frombuffer(base64.b64decode(content["values"]), "<f8")
+    sizes = [1, 1, *(names.rows(name) for name in _READINGS[2:])]
+    if values.size != sum(sizes):
+        raise ValueError(f"{values.size} readings where there are {sum(sizes)}")
+    T_out_C, solar_W_m2, *rows = np.split(values, np.cumsum(sizes)[:-1])
+    acting = dict(zip(_READINGS[2:], rows, strict=True))
+    return Measurement(float(content["time_s"]), T_out_C=T_out_C[0], solar_W_m2=solar_W_m2[0], **acting, names=names)
 
 
 def record_json(record: Record) -> Json:
@@ -97,19 +102,40 @@ def record_of(content: Mapping[str, Any], names: Names) -> Record:
     return Record(**{name: unpack(content[name]) for name in SIGNALS}, names=names)
 
 
-def boundary_json(boundary: Boundary) -> Json:
-    """Boundary conditions, all rows in one packed array."""
-    return pack(np.vstack([np.atleast_2d(getattr(boundary, name)) for name in CONDITIONS]))
+def boundary_rows(boundary: Boundary) -> Array:
+    """Boundary conditions, all rows in one array (rows, N + 1)."""
+    return np.vstack([np.atleast_2d(getattr(boundary, name)) for name in CONDITIONS])
 
 
-def boundary_of(packed: Mapping[str, Any], names: Names) -> Boundary:
-    """The boundary conditions of `boundary_json`."""
-    rows, signals, at = unpack(packed), {}, 0
+def boundary_of(rows: Array, names: Names) -> Boundary:
+    """The boundary conditions of `boundary_rows`."""
+    signals, at = {}, 0
     for name in CONDITIONS:
         n = 1 if name in ("time_s", "T_out_C", "solar_W_m2") else names.rows(name)
         signals[name] = rows[at] if name in ("time_s", "T_out_C", "solar_W_m2") else rows[at : at + n]
         at += n
     return Boundary(**signals, names=names)
+
+
+def rows_json(rows: Array, before: Array | None) -> Json:
+    """A forecast (`boundary_rows`): how many columns are those of the one `before` from which on, and the others."""
+    at = n = 0
+    if before is not None:
+        at = int(np.searchsorted(before[0], rows[0, 0]))
+        n = min(before.shape[1] - at, rows.shape[1])
+        if not np.array_equal(before[:, at : at + n], rows[:, :n], equal_nan=True):
+            at = n = 0
+    return {"from": at, "same": n, "new": pack(rows[:, n:])}
+
+
+def repeated_rows(content: Mapping[str, Any], before: Array | None) -> Array:
+    """The rows of `rows_json`; raises `ValueError` where `before` is not what it was then."""
+    new, at, n = unpack(content["new"]), int(content["from"]), int(content["same"])
+    if before is None or not n:
+        before = np.empty((len(new), 0))
+    if not 0 <= at <= at + n <= before.shape[1]:
+        raise ValueError(f"a forecast that repeats {n} columns from {at} on of one of {before.shape[1]}")
+    return np.hstack([before[:, at : at + n], new])
 
 
 def block_json(block: Block) -> Json:
@@ -153,10 +179,45 @@ def plan_json(plan: Plan, blocks: Sequence[Block], refused: str) -> Json:
     if plan.margins:
         content["margins"] = {name: np.round(values, 4).tolist() for name, values in plan.margins.items()}
     if plan.u.size:
-        content["plan"] = {name: pack(getattr(plan, name), "<f4") for name in PLANNED}
+        content["plan"] = _planned_json(plan)
     return content
 
 
+def _planned_json(plan: Plan) -> Json:
+    """The planned courses, rounded: changes from value to value of all of them, their four bytes apart, in zlib."""
+    shapes, changes = [], []
+    for name, unit in _ROUNDED.items():
+        values = np.asarray(getattr(plan, name)) / unit
+        codes = np.where(np.abs(values) < -_NOTHING, np.rint(values), _NOTHING).astype(np.int32)
+        shapes.append(list(codes.shape))
+        changes.append(np.diff(codes, axis=-1, prepend=np.int32(0)).ravel())
+    change = np.concatenate(changes)
+    # Small changes of either sign become small numbers without one.
+    octets = ((change << 1) ^ (change >> 31)).astype("<u4").view(np.uint8).reshape(-1, 4).T
+    return {"shapes": shapes, "zlib": base64.b64encode(zlib.compress(octets.tobytes(), 9)).decode()}
+
+
+def planned_of(told: Mapping[str, Any]) -> dict[str, Array]:
+    """The planned courses of a decision by name, NaN where there is no number; empty where nothing was planned."""
+    if "plan" not in told:
+        return {}
+    shapes = [[int(n) for n in shape] for shape in told["plan"]["shapes"]]
+    size = sum(math.prod(shape) for shape in shapes)
+    if not size <= _MOST_VALUES or any(min(shape) < 0 for shape in shapes):
+        raise ValueError(f"planned courses of shapes {shapes}")
+    content = zlib.decompressobj().decompress(base64.b64decode(told["plan"]["zlib"]), 4 * size + 1)
+    octets = np.frombuffer(content, np.uint8).reshape(4, size)
+    z = np.ascontiguousarray(octets.T).view("<u4").ravel().astype(np.uint32)
+    change = (z >> 1).astype(np.int32) ^ -(z & 1).astype(np.int32)
+    courses, at = {}, 0
+    for name, shape in zip(_ROUNDED, shapes, strict=True):
+        n = math.prod(shape)
+        codes = np.cumsum(change[at : at + n].reshape(shape), axis=-1, dtype=np.int32)
+        courses[name] = np.where(codes == _NOTHING, np.nan, codes * _ROUNDED[name])
+        at += n
+    return courses
+
+
 def margins_of(told: Mapping[str, Any]) -> dict[str, Array]:
-    """The margins of a decision (`Plan.margins`); empty where nothing was planned, and in journals of before."""
+    """The margins of a decision (`Plan.margins`); empty where nothing was planned."""
     return {str(name): np.asarray(values, dtype=np.float64) for name, values in dict(told.get("margins", {})).items()}

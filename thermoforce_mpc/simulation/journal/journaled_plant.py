@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
-from thermoforce_mpc.data import Bands, Block, Boundary, Levels, Measurement, Plan
+from thermoforce_mpc.data import Array, Bands, Block, Boundary, Levels, Measurement, Plan
 from thermoforce_mpc.errors import NoForecast
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.simulation.closed_loop import StepRecord
@@ -23,10 +23,12 @@ from thermoforce_mpc.simulation.journal.journal_values import (
     Json,
     block_json,
     block_of,
-    boundary_json,
     boundary_of,
+    boundary_rows,
     measurement_of,
     plan_json,
+    repeated_rows,
+    rows_json,
 )
 from thermoforce_mpc.simulation.journal.recorded_plant import RecordedPlant
 
@@ -38,6 +40,7 @@ class JournaledPlant(RecordedPlant):
         """Wrap `plant`; `entries` are the records to catch up with, `cut`: later ones are lost."""
         super().__init__(plant, journal, entries, cut=cut)
         self._ahead: Json = {}
+        self._rows: Array | None = None  # of the last forecast
         self._to_come = 0
         self._advances: list[Json] = []
         self.differing = 0
@@ -76,7 +79,8 @@ class JournaledPlant(RecordedPlant):
 
         def call() -> Json:
             try:
-                return {"asked": request, "forecast": boundary_json(self._plant.forecast(horizon_s, interval_s))}
+                rows = boundary_rows(self._plant.forecast(horizon_s, interval_s))
+                return {"asked": request, "forecast": rows_json(rows, self._rows)}
             except NoForecast as error:
                 return {"asked": request, "forecast": None, "no_forecast": str(error)}
 
@@ -86,7 +90,7 @@ class JournaledPlant(RecordedPlant):
                 raise self._mismatch(entry, f"'forecast' {request}")
             with making_sense(entry.where):
                 recorded = entry.content["forecast"]
-                recorded is None or boundary_of(recorded, self._names)
+                recorded is None or boundary_of(repeated_rows(recorded, self._rows), self._names)
             self._compare(entry, "forecast", recorded, lambda: call()["forecast"])
             self._ahead = {name: entry.content.get(name) for name in ("asked", "forecast", "no_forecast")}
         else:
@@ -94,7 +98,8 @@ class JournaledPlant(RecordedPlant):
             self._ahead = call()
         if self._ahead["forecast"] is None:
             raise NoForecast(str(self._ahead["no_forecast"]), past=bool(self._entries))
-        return boundary_of(self._ahead["forecast"], self._names)
+        self._rows = repeated_rows(self._ahead["forecast"], self._rows)
+        return boundary_of(self._rows, self._names)
 
     def kpis_so_far(self) -> dict[str, float]:
         """The plant's KPIs for the display; none while a service is not asked."""

@@ -12,16 +12,18 @@ from thermoforce_mpc.simulation.journal.journal import Entry, Journal, JournalEr
 from thermoforce_mpc.simulation.journal.journal_values import (
     Json,
     block_json,
-    boundary_json,
     boundary_of,
+    boundary_rows,
     measurement_json,
     measurement_of,
     names_json,
     names_of,
     number,
+    pack,
     period_json,
     record_json,
     record_of,
+    unpack,
 )
 
 _Answer = TypeVar("_Answer")
@@ -96,7 +98,13 @@ class RecordedPlant:
         def call() -> Boundary:
             return self._plant.forecast(horizon_s, interval_s)
 
-        return self._answer("forecast", request, call, boundary_json, lambda content: boundary_of(content, self._names))
+        def to_json(boundary: Boundary) -> Json:
+            return pack(boundary_rows(boundary))
+
+        def from_json(content: Mapping[str, Any]) -> Boundary:
+            return boundary_of(unpack(content), self._names)
+
+        return self._answer("forecast", request, call, to_json, from_json)
 
     def past(self, step_s: float) -> Record:
         """See `Plant.past`."""

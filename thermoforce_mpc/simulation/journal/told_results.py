@@ -14,12 +14,11 @@ from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, sample_of
 from thermoforce_mpc.simulation.journal.journal import NAME, Entry, JournalError, making_sense, read_run
 from thermoforce_mpc.simulation.journal.journal_values import (
-    PLANNED,
     block_of,
     margins_of,
     measurement_of,
     names_of,
-    unpack,
+    planned_of,
 )
 from thermoforce_mpc.simulation.journal.told_steps import ToldStep, next_forecast, told_loops, told_steps
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
@@ -138,9 +137,7 @@ def _record(step: ToldStep, boundary: Boundary) -> StepRecord:
 
 def _plan(step: ToldStep, blocks: tuple[Block, ...], seconds: Mapping[str, float]) -> Plan:
     decision = step.told
-    planned = decision.get("plan", {})
-    # Journals of before hold no bounds of plans.
-    arrays: dict[str, Any] = {name: unpack(planned[name]) for name in PLANNED if name in planned}
+    arrays: dict[str, Any] = planned_of(decision)
     plan = Plan(
         blocks=blocks,
         status=PlanStatus(decision["status"]),
@@ -148,7 +145,7 @@ def _plan(step: ToldStep, blocks: tuple[Block, ...], seconds: Mapping[str, float
         news=str(decision.get("news", "")),
         solver_status=str(decision["solver_status"]),
         iterations=int(decision["iterations"]),
-        export_calls=int(decision.get("export_calls", 0)),  # not in journals of before
+        export_calls=int(decision["export_calls"]),
         seconds=seconds,
         margins=margins_of(decision),
         names=step.names,

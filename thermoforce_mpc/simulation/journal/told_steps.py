@@ -8,13 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import SIGNALS, SINGLE, Boundary, Measurement, Names, Record
+from thermoforce_mpc.data import SIGNALS, SINGLE, Array, Boundary, Measurement, Names, Record
 from thermoforce_mpc.model.forecast_gaps import completed, lengthened
 from thermoforce_mpc.model.screening import Limits, screened_history
 from thermoforce_mpc.simulation.closed_loop import with_level
 from thermoforce_mpc.simulation.forecasts import empty_forecast, holes
 from thermoforce_mpc.simulation.journal.journal import Entry, JournalError
-from thermoforce_mpc.simulation.journal.journal_values import block_of, boundary_of, measurement_of, names_of, record_of
+from thermoforce_mpc.simulation.journal.journal_values import (
+    block_of,
+    boundary_of,
+    measurement_of,
+    names_of,
+    record_of,
+    repeated_rows,
+)
 
 Json = Mapping[str, Any]
 
@@ -23,14 +30,16 @@ Json = Mapping[str, Any]
 class ToldStep:
     """One step.
 
-    `told` is its record of kind `step`; `before` the readings it began with; `advances` what was asked of the plant in
-    it, and its answers, in order; `done` the record that closed it, None while it goes on or where the run ended in it.
-    `past` is the plant's record, where it was asked for between the step before and this one.
+    `told` is its record of kind `step`; `before` the readings it began with; `given` the forecast as the plant gave it,
+    None where it gave none; `advances` what was asked of the plant in it, and its answers, in order; `done` the record
+    that closed it, None while it goes on or where the run ended in it. `past` is the plant's record, where it was asked
+    for between the step before and this one.
     """
 
     told: Json
     names: Names
     before: Measurement | None
+    given: Boundary | None = None
     advances: tuple[Json, ...] = ()
     done: Json | None = None
     past: Json | None = None
@@ -39,12 +48,6 @@ class ToldStep:
     def time_s(self) -> float:
         """Its begin, s since 1 January."""
         return float(self.told["time_s"])
-
-    @property
-    def given(self) -> Boundary | None:
-        """The forecast as the plant gave it; None where it gave none."""
-        packed = self.told.get("forecast")
-        return None if packed is None else boundary_of(packed, self.names)
 
     @property
     def after(self) -> tuple[Measurement, ...]:
@@ -81,6 +84,7 @@ class StepReader:
         self.before: Measurement | None = None
         """The latest readings of a step that is closed."""
         self._past: Json | None = None
+        self._rows: Array | None = None  # of the last forecast
         self._step: Json | None = None
         self._advances: list[Json] = []
 
@@ -89,7 +93,7 @@ class StepReader:
         """The step that was decided and is not closed."""
         if self._step is None:
             return None
-        return ToldStep(self._step, self.names, self.before, tuple(self._advances), None, self._past)
+        return self._told(tuple(self._advances), None)
 
     def read(self, entry: Entry) -> ToldStep | None:
         """Take the next record; the step that it closes, if it does."""
@@ -101,14 +105,22 @@ class StepReader:
             self._past = content["answer"]
         elif entry.kind == "step":
             self._step, self._advances = content, []
+            if content["forecast"] is not None:
+                self._rows = repeated_rows(content["forecast"], self._rows)
         elif entry.kind == "advance":
             self._advances.append(content)
         elif entry.kind == "done" and self._step is not None:
-            advances = (*self._advances, *content["advances"])
-            step = ToldStep(self._step, self.names, self.before, advances, content, self._past)
+            step = self._told((*self._advances, *content["advances"]), content)
             self.before, self._past, self._step = (step.after or (self.before,))[-1], None, None
             return step
         return None
+
+    def _told(self, advances: tuple[Json, ...], done: Json | None) -> ToldStep:
+        assert self._step is not None
+        given = None
+        if self._rows is not None and self._step["forecast"] is not None:
+            given = boundary_of(self._rows, self.names)
+        return ToldStep(self._step, self.names, self.before, given, advances, done, self._past)
 
 
 def told_steps(entries: Sequence[Entry]) -> Iterator[ToldStep]:

@@ -34,7 +34,7 @@ from thermoforce_mpc.simulation.models.probing import Probed
 from thermoforce_mpc.version import VERSION
 
 FOLDER = "probing"
-_FORMAT = 1
+_FORMAT = 2
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.simulation.folder.plain_files import check_plain
 from thermoforce_mpc.simulation.journal.journal import NAME, JournalError, making_sense, read_run
-from thermoforce_mpc.simulation.journal.journal_values import margins_of, unpack
+from thermoforce_mpc.simulation.journal.journal_values import margins_of, planned_of
 from thermoforce_mpc.simulation.journal.told_steps import ToldStep, forecast_of, history_before, told_loops, told_steps
 
 # A planned temperature nearer to its bound than this is bound by it, K.
@@ -182,8 +182,8 @@ def _decision_at(path: Path, at: str | None, controller: str | None) -> Decision
                 f"{last + step_s:.0f} s)"
             )
         steps = [step for step in steps if step.time_s <= seconds]
-    plan = {key: unpack(packed) for key, packed in steps[-1].told.get("plan", {}).items()}
-    return Decision(name, tuple(steps), forecast_of(steps), plan, margins_of(steps[-1].told))
+    told = steps[-1].told
+    return Decision(name, tuple(steps), forecast_of(steps), planned_of(told), margins_of(told))
 
 
 def seconds_of(at: str, option: str = "--at") -> float:

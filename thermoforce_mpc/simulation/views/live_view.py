@@ -20,7 +20,7 @@ from thermoforce_mpc.simulation.folder.plain_files import check_plain
 from thermoforce_mpc.simulation.folder.run_folder import is_complete, plain_json
 from thermoforce_mpc.simulation.forecasts import holes, price_paid
 from thermoforce_mpc.simulation.journal.journal import FORMAT, NAME, Entry, JournalError, JournalTail, making_sense
-from thermoforce_mpc.simulation.journal.journal_values import block_of, unpack
+from thermoforce_mpc.simulation.journal.journal_values import block_of, planned_of
 from thermoforce_mpc.simulation.journal.told_steps import StepReader, ToldStep
 
 # Past shown, and steps of it at most.
@@ -252,10 +252,10 @@ class LiveRun:
 
     def _planned(self, decision: Mapping[str, Any]) -> tuple[Point, ...]:
         """The plan of a step, one point at the end of each of its steps."""
-        packed, b = decision.get("plan"), self._boundary
-        if packed is None or b is None:
+        planned, b = planned_of(decision), self._boundary
+        if not planned or b is None:
             return ()
-        u, T = unpack(packed["u"]), compose(unpack(packed["T_free_C"]), unpack(packed["T_forced_K"]))
+        u, T = planned["u"], compose(planned["T_free_C"], planned["T_forced_K"])
         n = min(u.shape[1], b.n_steps)
         # A forecast that stands in for one that was not given began earlier.
         late_s = float(decision["time_s"]) - float(b.time_s[0])
