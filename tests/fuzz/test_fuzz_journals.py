@@ -50,7 +50,7 @@ def written(folder, found: list) -> None:
             record.pop("crc", None)
         text = json.dumps(record, ensure_ascii=True)[:-1]
         crc = zlib.crc32(text.encode(), crc)
-        lines.append(f'{text}, "crc": "{crc:08x}"}}\n')
+        lines.append(f'{text},"crc":"{crc:08x}"}}\n')
     (folder / NAME).write_text("".join(lines))
 
 

@@ -89,7 +89,7 @@ def test_a_run_killed_without_a_forecast_goes_on_to_the_same_bytes_and_is_explai
     assert done.exit_code == 0, done.output
     assert done.output.count("the weather service is down") == 1
     lines = (tmp_path / "run" / "journal.jsonl").read_bytes().split(b"\n")
-    ended = [i for i, line in enumerate(lines) if b'"kind": "done"' in line][7]
+    ended = [i for i, line in enumerate(lines) if b'"kind":"done"' in line][7]
     folder = tmp_path / "killed"
     shutil.copytree(tmp_path / "run" / "model", folder / "model")
     (folder / "journal.jsonl").write_bytes(b"\n".join(lines[: ended + 1]) + b"\n")

@@ -56,7 +56,7 @@ def single(tmp_path_factory):
 def cut(folder, there, kind: bytes, number: int):
     """The journal as it was right after the `number`th record of a kind."""
     lines = (folder / "journal.jsonl").read_bytes().split(b"\n")
-    at = [i for i, line in enumerate(lines) if b'"kind": "%s"' % kind in line][number]
+    at = [i for i, line in enumerate(lines) if b'"kind":"%s"' % kind in line][number]
     there.mkdir(exist_ok=True)
     (there / "journal.jsonl").write_bytes(b"\n".join(lines[: at + 1]) + b"\n")
     return there

@@ -81,7 +81,7 @@ def test_a_run_killed_between_two_records_goes_on_to_the_same_bytes(whole, tmp_p
     """After a decision and before it acted (or before that was recorded); after the step was closed."""
     lines = (whole / "journal.jsonl").read_bytes().split(b"\n")
     for kind in (b"step", b"done"):
-        last = [i for i, line in enumerate(lines) if b'"kind": "%s"' % kind in line][20]
+        last = [i for i, line in enumerate(lines) if b'"kind":"%s"' % kind in line][20]
         folder = killed(whole, sum(len(line) + 1 for line in lines[: last + 1]), tmp_path / kind.decode())
         assert call("resume", folder).exit_code == 0
         assert results(folder) == results(whole)
@@ -186,7 +186,7 @@ def test_damage_in_a_part_that_is_not_the_last_is_refused(tmp_path, monkeypatch,
     if harm == "torn":
         second.write_bytes(content[:-5])
     elif harm == "changed":
-        second.write_bytes(content.replace(b'"value": ', b'"value":  ', 1))
+        second.write_bytes(content.replace(b'"value":', b'"value": ', 1))
     elif harm == "missing":
         third.replace(second)
         journal_module.part_of(path, 4).replace(third)

@@ -104,7 +104,7 @@ def killed_while_probing(whole: Path, share: float, folder: Path) -> Path:
     """What a run leaves that was killed when `share` of its probing was recorded."""
     (folder / PROBING).parent.mkdir(parents=True)
     lines = (whole / "journal.jsonl").read_bytes().splitlines(keepends=True)
-    assert b'"kind": "models"' in lines[3]
+    assert b'"kind":"models"' in lines[3]
     (folder / "journal.jsonl").write_bytes(b"".join(lines[:3]))
     content = (whole / PROBING).read_bytes()
     (folder / PROBING).write_bytes(content[: int(share * len(content))])

@@ -88,7 +88,7 @@ def test_alternatives_stand_beside_the_plan(folder, tmp_path):
     assert {"plan", "off", "full", "levels of the step before", "thermostat rule"} < set(courses)
     assert all(name in done.output for name in courses)
     free_C, forced_K = (np.array(told["plan"][name]) for name in ("T_free_C", "T_forced_K"))
-    assert courses["plan"]["T_zone_C"] == pytest.approx(free_C + forced_K, abs=0.01)
+    assert courses["plan"]["T_zone_C"] == pytest.approx(free_C + forced_K, abs=0.015)
     energy = {name: course["parts"]["energy"] for name, course in courses.items()}
     assert energy["off"] == 0.0 < energy["plan"] < energy["full"]
     assert courses["off"]["discomfort_Kh"] > courses["plan"]["discomfort_Kh"]
@@ -155,7 +155,7 @@ def test_the_last_step_and_other_controllers(folder):
 def test_a_run_that_was_killed_is_explained(folder, tmp_path):
     """After a decision and before it acted."""
     lines = (folder / "journal.jsonl").read_bytes().split(b"\n")
-    at = [i for i, line in enumerate(lines) if b'"kind": "step"' in line][6]
+    at = [i for i, line in enumerate(lines) if b'"kind":"step"' in line][6]
     (tmp_path / "journal.jsonl").write_bytes(b"\n".join(lines[: at + 1]) + b'\n{"n": 99, "ki')
     done = call("explain", tmp_path)
     assert done.exit_code == 0, done.output

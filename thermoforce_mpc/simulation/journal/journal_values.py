@@ -34,7 +34,7 @@ _MOST_VALUES = 20_000_000
 # Arrays of a plan that a journal keeps for people, and to what they are rounded: a resumed run plans again.
 _KELVIN = ("T_free_now_C", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "lower_C", "upper_C",
            "slack_K")
-_ROUNDED = {"u": 0.01, **dict.fromkeys(_KELVIN, 0.01), "power_W": 1.0}
+_ROUNDED = {"u": 0.001, **dict.fromkeys(_KELVIN, 0.01), "power_W": 1.0}
 _NOTHING = -(2**31)
 _READINGS = ("T_out_C", "solar_W_m2", "T_zone_C", *ACTING)
 
@@ -87,9 +87,9 @@ def measurement_of(content: Mapping[str, Any], names: Names) -> Measurement:
     sizes = [1, 1, *(names.rows(name) for name in _READINGS[2:])]
     if values.size != sum(sizes):
         raise ValueError(f"{values.size} readings where there are {sum(sizes)}")
-    T_out_C, solar_W_m2, *rows = np.split(values, np.cumsum(sizes)[:-1])
-    acting = dict(zip(_READINGS[2:], rows, strict=True))
-    return Measurement(float(content["time_s"]), T_out_C=T_out_C[0], solar_W_m2=solar_W_m2[0], **acting, names=names)
+    signals: dict[str, Any] = dict(zip(_READINGS, np.split(values, np.cumsum(sizes)[:-1]), strict=True))
+    signals |= {name: float(signals[name][0]) for name in _READINGS[:2]}
+    return Measurement(float(content["time_s"]), names=names, **signals)
 
 
 def record_json(record: Record) -> Json:
