@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from controllers.checks import ControllerConfigError
 from controllers.entries.entry import HANDED, Entry, build_on_model, named, own_entry, plugin_entry
+from controllers.policy.trained import is_policy, policy_entry
 from controllers.rules.native import NativeConfig, NativeController
 from controllers.rules.pi import PIConfig, PIController, check_layout
 from controllers.rules.thermostat import Thermostat, ThermostatConfig
@@ -179,13 +180,15 @@ def lent(controller: Controller | type) -> Iterator[str]:
 
 
 def find_entry(name: str) -> Entry:
-    """The entry of `name`, also of a class or function `file.py:name` of the user's.
+    """The entry of `name`, also of a class or function `file.py:name` of the user's, or a trained policy `file.zip`.
 
     Raises:
         ControllerConfigError: there is none; with a suggestion and all known names.
     """
     if is_own_code(name):
         return own_entry(name, own_code(name, "controller", ControllerConfigError))
+    if is_policy(name):
+        return policy_entry(name)
     return _lent[name] if name in _lent else REGISTRY.find(name)
 
 

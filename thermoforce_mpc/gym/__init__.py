@@ -21,7 +21,9 @@ if find_spec("gymnasium") is None:
 
 from gymnasium.envs.registration import register
 
+from thermoforce_mpc.gym.policy import observe, save, spec_of
+
 ID = "thermoforce_mpc/Building-v0"
 register(id=ID, entry_point="thermoforce_mpc.gym.making:building")
 
-__all__ = ["ID"]
+__all__ = ["ID", "observe", "save", "spec_of"]

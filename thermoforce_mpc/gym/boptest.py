@@ -7,11 +7,14 @@ from thermoforce_mpc.gym.boptest import EmbeddedBoptestGymEnv as BoptestGymEnv, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import inspect
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.boundary.weather.year import Weather
+from thermoforce_mpc.errors import ConfigError, suggestion
+from thermoforce_mpc.files import storage_errors
 from thermoforce_mpc.gym.env import BuildingEnv
 from thermoforce_mpc.gym.episodes import Episodes
 from thermoforce_mpc.gym.points import PointsView
@@ -21,6 +24,7 @@ from thermoforce_mpc.gym.wrappers import (
     NormalizedActionWrapper,
     NormalizedObservationWrapper,
 )
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
 __all__ = [
     "BoptestGymEnv",
@@ -31,6 +35,16 @@ __all__ = [
 ]
 
 _ROOM_K = (280.0, 310.0)
+
+
+def check_keywords(given: Iterable[str], *takers: Callable[..., Any]) -> None:
+    """Raise `ConfigError` for a name that none of `takers` has a parameter of."""
+    variable = inspect.Parameter.VAR_KEYWORD
+    parameters = [one for taker in takers for one in inspect.signature(taker).parameters.values()]
+    known = sorted({one.name for one in parameters if one.kind is not variable})
+    for name in given:
+        if name not in known:
+            raise ConfigError(f"unknown argument '{name}'{suggestion(name, known)}; known: {', '.join(known)}")
 
 
 class BoptestGymEnv(BuildingEnv):
@@ -61,6 +75,7 @@ class BoptestGymEnv(BuildingEnv):
         scenario: Mapping[str, Any] | None = None,
         step_period: float = 900.0,
         discomfort_weight: float = 1.0,
+        reward: Callable[[BuildingEnv], float] | None = None,
         render_episodes: bool = False,
         log_dir: str | None = None,
         render_mode: str | None = None,
@@ -84,6 +99,7 @@ class BoptestGymEnv(BuildingEnv):
             scenario: BOPTEST's scenario, such as `{"electricity_price": "dynamic"}`.
             step_period: length of a step, s.
             discomfort_weight: weight of tdis_tot beside cost_tot in the reward.
+            reward: see `BuildingEnv`.
             render_episodes: draw each episode that ends into `log_dir`, episode_1.png and on.
             log_dir: folder of these pictures; default: the current one.
             render_mode: see `BuildingEnv`.
@@ -93,6 +109,7 @@ class BoptestGymEnv(BuildingEnv):
             ConfigError: an argument does not fit the test case; names it.
             PlantError: the service cannot be reached or failed.
         """
+        check_keywords(source, BoptestGymEnv, self._source)
         source_of = self._source(url, testcase, **source)
         try:
             view = PointsView(
@@ -118,6 +135,7 @@ class BoptestGymEnv(BuildingEnv):
                 episodes,
                 scenario=scenario,
                 discomfort_weight=discomfort_weight,
+                reward=reward,
                 render_mode="rgb_array" if render_episodes else render_mode,
             )
         except BaseException:
@@ -138,6 +156,8 @@ class BoptestGymEnv(BuildingEnv):
             import matplotlib.image
 
             self._drawn += 1
+            with storage_errors(self.log_dir):
+                self.log_dir.mkdir(parents=True, exist_ok=True)
             matplotlib.image.imsave(self.log_dir / f"episode_{self._drawn}.png", self.render())
         return result
 
@@ -156,10 +176,12 @@ class EmbeddedBoptestGymEnv(BoptestGymEnv):
     default the synthetic one.
     """
 
-    def _source(self, url: str, testcase: str, **options: Any) -> Source:
+    def _source(
+        self, url: str, testcase: str, weather: Weather | None = None, plant: EmbeddedPlant | None = None
+    ) -> Source:
         if testcase != "bestest_hydronic_heat_pump":
             raise ConfigError(
                 f"testcase: the embedded emulator is bestest_hydronic_heat_pump, not '{testcase}'; use BoptestGymEnv "
                 "with the url of a service"
             )
-        return EmbeddedSource(**options)
+        return EmbeddedSource(weather, plant=plant)

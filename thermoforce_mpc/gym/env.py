@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,6 +54,7 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         *,
         scenario: Mapping[str, Any] | None = None,
         discomfort_weight: float = 1.0,
+        reward: Callable[[BuildingEnv], float] | None = None,
         render_mode: str | None = None,
     ) -> None:
         """Put a view into episodes.
@@ -61,6 +62,7 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         Args:
             scenario: BOPTEST's scenario, of which `electricity_price` is known to every plant.
             discomfort_weight: weight of a K·h, currency/m².
+            reward: the reward of the last step of the environment that it is called with, instead of `get_reward`'s.
             render_mode: 'rgb_array', or None.
 
         Raises:
@@ -72,7 +74,7 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
             raise ConfigError(f"discomfort_weight: {discomfort_weight!r}: expected a number from 0")
         self._view, self._episodes = view, episodes
         self.scenario = dict(scenario or {"electricity_price": "constant"})
-        self.discomfort_weight, self.render_mode = discomfort_weight, render_mode
+        self.discomfort_weight, self.render_mode, self._reward = discomfort_weight, render_mode, reward
         self.observation_space, self.action_space = view.box.space, view.action_space
         self.observations, self.action_names = list(view.box.names), view.action_names
         self.start_time = episodes.start_time
@@ -82,6 +84,11 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         self._last: Array | None = None
         self._kpis: dict[str, float] = {}
         self._running = False
+
+    @property
+    def view(self) -> View:
+        """What is seen and done of the plant."""
+        return self._view
 
     @property
     def max_episode_length(self) -> float:
@@ -138,7 +145,7 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         applied = np.minimum(np.maximum(requested, self._view.action_space.low), self._view.action_space.high)
         self._view.act(applied)
         self._kpis = {}
-        reward = float(self.get_reward())
+        reward = float(self._reward(self) if self._reward else self.get_reward())
         self.episode_rewards.append(reward)
         state = {"time": self._view.now_s} if self.render_mode is None else self._view.state()
         if self.render_mode is not None:

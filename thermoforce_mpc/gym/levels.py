@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
-from thermoforce_mpc.data import DAY_S, Array, Boundary, Measurement
+from controllers.policy.seen import FORECAST, PolicySpec
+from thermoforce_mpc.data import Array, Boundary, Measurement
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.gym.view import ObservationBox, copied
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
+from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.scenario.testcase import TestCase
-
-# Bounds of what is observed, °C, W/m², levels, persons per zone and currency/kWh. What lies outside is clipped.
-_BOUNDS = {
-    "T_zone_C": (10.0, 35.0), "T_out_C": (-30.0, 45.0), "solar_W_m2": (0.0, 1200.0), "u": (-1.0, 1.0),
-    "lower_C": (10.0, 35.0), "upper_C": (10.0, 35.0), "occupancy": (0.0, 20.0), "price_per_kWh": (-0.5, 1.5),
-}  # fmt: skip
-# What is forecast, in the order of the observation.
-_FORECAST = ("T_out_C", "solar_W_m2", "occupancy", "lower_C", "upper_C", "price_per_kWh")
 
 
 @dataclass(frozen=True)
@@ -42,7 +36,8 @@ class LevelsView:
     Actions (A,) are levels in [0, 1]. Observations, in this order: sine and cosine of the hour of the day; zone
     temperatures (Z), °C; outdoor temperature, °C; global irradiance, W/m²; mean levels of the last step (A); the zone
     temperatures and levels of earlier steps, latest first; and the forecast from now to `ahead_s` every `every_s` of
-    outdoor temperature, irradiance, occupancy and comfort bounds (Z each) and price (M).
+    outdoor temperature, irradiance, occupancy and comfort bounds (Z each) and price (M). `PolicySpec` puts them
+    together, `spec` here.
     """
 
     def __init__(
@@ -54,6 +49,7 @@ class LevelsView:
         ahead_s: float,
         every_s: float,
         behind_s: float = 0.0,
+        observations: Mapping[str, tuple[float, float] | None] | None = None,
         perfect: bool,
     ) -> None:
         """Look at a plant.
@@ -63,40 +59,31 @@ class LevelsView:
             ahead_s: length of the forecast, s.
             every_s: distance of its instants, s, a whole number of steps.
             behind_s: length of the past that is observed, s.
+            observations: what is observed (`SIGNALS`), with its bounds, None for the default ones; by default all.
             perfect: forecasts depend on the time alone, so that those of an episode can be read at once.
 
         Raises:
-            ConfigError: actuators that take room set-points instead of levels, or lengths that do not fit the step.
+            ConfigError: actuators that take room set-points instead of levels, lengths that do not fit the step, or
+                observations that there are not.
         """
         for name, value, least in (("predictive_period", ahead_s, 0.0), ("regressive_period", behind_s, 0.0)):
             if not (np.isfinite(value) and value >= least):
                 raise ConfigError(f"{name}: {value!r} s: expected {least:g} s or more")
-        if not every_s >= step_s or abs(every_s / step_s - round(every_s / step_s)) > 1e-9:
-            raise ConfigError(f"forecast_every: {every_s!r} s: expected a whole number of steps of {step_s:g} s")
         if any(isinstance(point.actuator, RoomSetpoints) for point in testcase.points.actuators):
             raise ConfigError(
                 f"test case '{testcase.name}' is run by room set-points, not by levels: choose convention='boptest' "
                 "with url=…, where their points are actions"
             )
         self._plant, self._layout, self._perfect = plant, testcase.layout, perfect
-        self._step_s, self._ahead_s, self._every = step_s, ahead_s, round(every_s / step_s)
-        self._offsets = np.arange(0, int(ahead_s / step_s + 1e-9) + 1, self._every)
-        self._behind = int(behind_s / step_s + 1e-9)
-        names, self.action_names = self._layout.names, self._layout.names.actuators
-        n = len(names.actuators)
-        self.action_space = spaces.Box(np.array(self._layout.lowest, np.float32), np.ones(n, np.float32))
-        sampled = [(names.label("T_zone_C", z), _BOUNDS["T_zone_C"]) for z in range(len(names.zones))]
-        acted = [(names.label("u", a), (self._layout.lowest[a], 1.0)) for a in range(n)]
-        weather = [(name, _BOUNDS[name]) for name in ("T_out_C", "solar_W_m2")]
-        clock = [("hour_sin", (-1.0, 1.0)), ("hour_cos", (-1.0, 1.0))]
-        entries = clock + sampled + weather + acted
-        for back in range(1, self._behind + 1):
-            entries += [(f"{name}-{back * step_s:g}s", pair) for name, pair in (*sampled, *acted)]
-        for name in _FORECAST:
-            is_weather = name in ("T_out_C", "solar_W_m2")
-            labels = [name] if is_weather else [names.label(name, row) for row in range(names.rows(name))]
-            entries += [(f"{label}+{k * step_s:g}s", _BOUNDS[name]) for label in labels for k in self._offsets]
-        self.box = ObservationBox.of(entries)
+        self._step_s, self._ahead_s = step_s, ahead_s
+        names, lowest = self._layout.names, self._layout.lowest
+        chosen = {} if observations is None else {"observations": dict(observations)}
+        seen = {"step_s": step_s, "ahead_s": ahead_s, "every_s": every_s, "behind_s": behind_s, **chosen}
+        self.spec = validate(PolicySpec, {**asdict(names), "lowest": lowest, **seen}, "the environment")
+        self.spec.check()
+        self._behind, self.action_names = self.spec.n_behind, names.actuators
+        self.action_space = spaces.Box(np.array(lowest, np.float32), np.ones(len(lowest), np.float32))
+        self.box = ObservationBox.of(self.spec.entries)
 
     @property
     def now_s(self) -> float:
@@ -113,15 +100,13 @@ class LevelsView:
             raise ConfigError(f"scenario: unknown key '{unknown}'; this convention knows electricity_price")
         price = scenario.get("electricity_price") or "constant"
         self._now = self._plant.reset(start_s, warmup_s, price)
-        past = self._plant.past(self._step_s) if self._behind else None
-        values = np.concatenate([self._now.T_zone_C, np.zeros(len(self.action_names))])
-        rows = [values]
-        if past is not None and past.n_steps:
-            before = np.vstack([past.T_zone_C[:, 1:], past.u]).T[::-1]
-            rows = [*before[: self._behind + 1]]
-        self._past = np.array([*rows, *[rows[-1]] * (self._behind + 1 - len(rows))])
-        if np.isnan(self._now.u).any():  # right after a reset there is no step yet
-            self._now = replace(self._now, u=np.nan_to_num(self._now.u))
+        past = self._plant.past(self._step_s)
+        before = np.vstack([past.T_zone_C[:, 1:], past.u]).T[::-1][: self._behind + 1]
+        if not len(before):
+            before = np.concatenate([self._now.T_zone_C, np.zeros(len(self.action_names))])[None]
+        self._past = np.vstack([before, *[before[-1:]] * (self._behind + 1 - len(before))])
+        if np.isnan(self._now.u).any():  # right after a reset, what the native control did in the step before
+            self._now = replace(self._now, u=np.nan_to_num(before[0, len(self._now.T_zone_C) :]))
         self._table = (start_s, self._forecast(length_s + self._ahead_s)) if self._perfect else (start_s, np.empty(0))
 
     def act(self, action: Array) -> None:
@@ -137,13 +122,8 @@ class LevelsView:
     def observe(self) -> Array:
         """The observation now, in the order of the class's description."""
         now = self._now
-        angle = 2.0 * np.pi * (now.time_s % DAY_S) / DAY_S
-        clock, weather = np.array([np.sin(angle), np.cos(angle)]), np.array([now.T_out_C, now.solar_W_m2])
-        parts = [clock, now.T_zone_C, weather, now.u]
-        if self._behind:
-            parts.append(self._past[1:].ravel())
-        parts.append(self._coming().ravel())
-        return np.concatenate(parts)
+        past = np.vstack([np.concatenate([now.T_zone_C, now.u]), self._past[1:]])
+        return self.spec.values(now.time_s, past, (now.T_out_C, now.solar_W_m2), self._coming())
 
     def kpis(self) -> dict[str, float]:
         """BOPTEST's KPIs since the start."""
@@ -184,14 +164,14 @@ class LevelsView:
         """Forecast from now at the observed instants (signals, n)."""
         start_s, table = self._table
         first = round((self.now_s - start_s) / self._step_s)
-        if not table.size or first + self._offsets[-1] >= table.shape[1]:
+        if not table.size or first + self.spec.offsets[-1] >= table.shape[1]:
             first, table = 0, self._forecast(self._ahead_s)
-        return np.asarray(table[:, first + self._offsets])
+        return np.asarray(table[:, first + self.spec.offsets])
 
     def _forecast(self, horizon_s: float) -> Array:
         """Forecast from now at every step (signals, n); NaN at instants that the plant leaves out."""
         steps = max(int(horizon_s / self._step_s + 1e-9), 1)
         boundary: Boundary = self._plant.forecast(steps * self._step_s, self._step_s)
-        rows = np.vstack([np.atleast_2d(getattr(boundary, name)) for name in _FORECAST])
+        rows = np.vstack([np.atleast_2d(getattr(boundary, name)) for name in FORECAST])
         missing = steps + 1 - rows.shape[1]
         return np.pad(rows, ((0, 0), (0, max(missing, 0))), constant_values=np.nan)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.gym.boptest import BoptestGymEnv, EmbeddedBoptestGymEnv
+from thermoforce_mpc.gym.boptest import BoptestGymEnv, EmbeddedBoptestGymEnv, check_keywords
 from thermoforce_mpc.gym.env import BuildingEnv
 from thermoforce_mpc.gym.episodes import Episodes
 from thermoforce_mpc.gym.levels import LevelsView
@@ -32,7 +32,7 @@ def building(
     """The environment of a test case.
 
     Args:
-        testcase: a test case that ships, `house:Nrooms`, or a YAML file.
+        testcase: a test case that ships, `house:Nrooms`, `generated:SEED:INDEX`, or a YAML file.
         convention: 'levels' (see `levels_env`), or 'boptest' for BOPTEST-Gym's points (see `BoptestGymEnv`).
         url: address of a BOPTEST service, instead of a plant of our own.
         fmu: the test case's FMU, instead of a plant of our own ('levels').
@@ -46,6 +46,7 @@ def building(
     if convention not in CONVENTIONS:
         raise ConfigError(f"convention: '{convention}': expected one of {', '.join(CONVENTIONS)}")
     if convention == "levels":
+        check_keywords(options, building, levels_env)
         return levels_env(testcase, url=url, fmu=fmu, weather=weather, **options)
     if fmu is not None:
         raise ConfigError("fmu: BOPTEST's points need the embedded test case or url=…; take convention='levels'")
@@ -75,7 +76,9 @@ def levels_env(
     forecast_every: float = HOUR_S,
     regressive_period: float = 0.0,
     scenario: Mapping[str, Any] | None = None,
+    observations: Mapping[str, tuple[float, float] | None] | None = None,
     discomfort_weight: float = 1.0,
+    reward: Callable[[BuildingEnv], float] | None = None,
     render_mode: str | None = None,
 ) -> BuildingEnv:
     """Any plant by the levels of its actuators; `LevelsView` describes actions and observations.
@@ -97,7 +100,9 @@ def levels_env(
         forecast_every: distance of its instants, s.
         regressive_period: length of the observed past, s.
         scenario: `{"electricity_price": "constant" | "dynamic" | "highly_dynamic"}`.
+        observations: what is observed (`SIGNALS`), with its bounds or None for the default ones; by default all.
         discomfort_weight: weight of tdis_tot beside cost_tot in the reward.
+        reward: see `BuildingEnv`.
         render_mode: see `BuildingEnv`.
 
     Raises:
@@ -131,10 +136,16 @@ def levels_env(
             ahead_s=float(predictive_period),
             every_s=float(forecast_every),
             behind_s=float(regressive_period),
+            observations=observations,
             perfect=url is None and forecast_uncertainty == "none",
         )
         return BuildingEnv(
-            view, episodes, scenario=scenario, discomfort_weight=discomfort_weight, render_mode=render_mode
+            view,
+            episodes,
+            scenario=scenario,
+            discomfort_weight=discomfort_weight,
+            reward=reward,
+            render_mode=render_mode,
         )
     except BaseException:
         built.close()

@@ -8,12 +8,12 @@ from typing import Any, Protocol
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
+from controllers.policy.seen import Seen, inside
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError
 
-Observed = NDArray[np.float32]
+Observed = Seen
 
 
 class View(Protocol):
@@ -110,10 +110,8 @@ class ObservationBox:
         A missing value is that of `before`, or the middle of its bounds.
         """
         missing = np.isnan(values)
-        count = int(np.count_nonzero(missing))
-        if count:
-            values = np.where(missing, self.middle if before is None else before, values)
-        return np.minimum(np.maximum(values.astype(np.float32), self.space.low), self.space.high), values, count
+        values = np.where(missing, self.middle if before is None else before, values)
+        return inside(values, self.space.low, self.space.high), values, int(np.count_nonzero(missing))
 
 
 def copied(plant: Any, what: str) -> Any:

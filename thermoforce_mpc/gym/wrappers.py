@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from controllers.policy.seen import of_bins, scaled, unscaled
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.gym.view import Observed
 
@@ -25,8 +26,7 @@ class NormalizedObservationWrapper(gymnasium.ObservationWrapper[Observed, Any, O
 
     def observation(self, observation: Observed) -> Observed:
         """The scaled observation (n,)."""
-        low, high = self._box.low, self._box.high
-        return np.clip(2.0 * (observation - low) / (high - low) - 1.0, -1.0, 1.0).astype(np.float32)
+        return scaled(observation, self._box.low, self._box.high)
 
 
 class NormalizedActionWrapper(gymnasium.ActionWrapper[Any, NDArray[np.float32], Any]):
@@ -39,8 +39,7 @@ class NormalizedActionWrapper(gymnasium.ActionWrapper[Any, NDArray[np.float32], 
 
     def action(self, action: NDArray[np.float32]) -> NDArray[np.float32]:
         """The action (A,) within its limits."""
-        low, high = self._box.low, self._box.high
-        return np.asarray(low + (np.asarray(action) + 1.0) / 2.0 * (high - low), dtype=np.float32)
+        return unscaled(action, self._box.low, self._box.high).astype(np.float32)
 
 
 class DiscretizedActionWrapper(gymnasium.ActionWrapper[Any, int, Any]):
@@ -55,13 +54,12 @@ class DiscretizedActionWrapper(gymnasium.ActionWrapper[Any, int, Any]):
             raise ConfigError(f"n_bins_act: {n_bins_act}: expected 1 or more")
         box = _box(env.action_space, "action_space")
         self.n_bins_act, self.n_act = n_bins_act, int(box.shape[0])
-        self.val_bins_act = np.linspace(box.low, box.high, n_bins_act + 1, axis=-1)
+        self._box, self.val_bins_act = box, np.linspace(box.low, box.high, n_bins_act + 1, axis=-1)
         self.action_space = spaces.Discrete((n_bins_act + 1) ** self.n_act)  # type: ignore[assignment]
 
     def action(self, action: int) -> NDArray[np.float32]:
         """The values (A,) of a number."""
-        bins = np.unravel_index(int(action), (self.n_bins_act + 1,) * self.n_act)
-        return np.asarray(self.val_bins_act[np.arange(self.n_act), bins], dtype=np.float32)
+        return of_bins(int(action), self.n_bins_act, self._box.low, self._box.high).astype(np.float32)
 
 
 def _box(space: spaces.Space[Any], name: str) -> spaces.Box:

@@ -1,0 +1,84 @@
+"""From an environment to a run: what a trained policy needs to be a controller."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+from gymnasium.wrappers.common import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, TimeLimit
+
+from controllers.policy.seen import PolicySpec, Seen
+from controllers.policy.trained import ALGORITHMS
+from thermoforce_mpc.data import Observation
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.gym.env import BuildingEnv
+from thermoforce_mpc.gym.levels import LevelsView
+from thermoforce_mpc.gym.wrappers import (
+    DiscretizedActionWrapper,
+    NormalizedActionWrapper,
+    NormalizedObservationWrapper,
+)
+
+# Wrappers that change neither observations nor actions.
+_TRANSPARENT = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, TimeLimit)
+
+
+def spec_of(env: gymnasium.Env[Any, Any]) -> PolicySpec:
+    """What an agent sees and does in an environment of convention 'levels', wrappers of `wrappers.py` included.
+
+    Raises:
+        ConfigError: it is of another convention, or in another wrapper.
+    """
+    changes: dict[str, Any] = {}
+    while isinstance(env, gymnasium.Wrapper):
+        if isinstance(env, NormalizedObservationWrapper):
+            changes["scaled_observations"] = True
+        elif isinstance(env, NormalizedActionWrapper):
+            changes["scaled_actions"] = True
+        elif isinstance(env, DiscretizedActionWrapper):
+            changes["bins"] = env.n_bins_act
+        elif not isinstance(env, _TRANSPARENT):
+            raise ConfigError(
+                f"env: what {type(env).__name__} changes cannot be repeated in a run; use the wrappers of "
+                "thermoforce_mpc.gym.wrappers"
+            )
+        env = env.env
+    if not (isinstance(env, BuildingEnv) and isinstance(env.view, LevelsView)):
+        raise ConfigError("env: a policy can be run from an environment of convention='levels' only")
+    return env.view.spec.model_copy(update=changes)
+
+
+def observe(spec: PolicySpec, observation: Observation) -> Seen:
+    """The environment's observation of what a controller sees; `spec` is that of `spec_of`.
+
+    Raises:
+        DataError: the observation is of another building, or its step is another.
+    """
+    return spec.observe(observation)
+
+
+def save(agent: Any, env: gymnasium.Env[Any, Any], path: str | Path) -> None:
+    """Write a policy for `tf-mpc run --controller policy.zip`: `path`, and the settings of `env` beside it as .json.
+
+    Args:
+        agent: an algorithm of Stable-Baselines3 that was trained in `env`.
+        env: the environment, with its wrappers; not a vector of them.
+        path: file that ends in .zip.
+
+    Raises:
+        ConfigError: the algorithm, the environment or the file's name does not fit.
+        StorageError: a file cannot be written.
+    """
+    path, algorithm = Path(path), type(agent).__name__
+    if path.suffix != ".zip":
+        raise ConfigError(f"path: {path}: expected a name that ends in .zip")
+    if algorithm not in ALGORITHMS:
+        raise ConfigError(f"agent: {algorithm} cannot be run; known: {', '.join(ALGORITHMS)}")
+    if agent.get_vec_normalize_env() is not None:
+        raise ConfigError("agent: VecNormalize is not kept in a run; use NormalizedObservationWrapper instead")
+    spec = spec_of(env).model_copy(update={"algorithm": algorithm})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    agent.save(path)
+    write_whole(path.with_suffix(".json"), spec.model_dump_json(indent=2) + "\n")
