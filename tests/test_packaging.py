@@ -164,7 +164,7 @@ def test_without_any_extra_everything_can_be_imported_that_is_named(wheel, insta
     extra = {one.name.lower() for one in wanted if one.marker is not None} - always - {"thermoforce-mpc"}
     provides = packages_distributions()
     modules = {module for module, names in provides.items() if {name.lower() for name in names} & extra}
-    assert {"flask", "fmpy", "statsmodels"} <= modules
+    assert {"flask", "fmpy", "pyarrow", "statsmodels"} <= modules
     done = run(
         [sys.executable, "-c", WITHOUT, ",".join(sorted(modules - {"packaging", "jsonschema"}))], installed, tmp_path
     )

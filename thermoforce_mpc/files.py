@@ -177,3 +177,12 @@ def _not_finite(text: str) -> NoReturn:
 def _finite(text: str) -> float:
     value = float(text)
     return value if math.isfinite(value) else _not_finite(text)
+
+
+def pyarrow_for(what: object, error: type[InputError]) -> Any:
+    """The package pyarrow, which reads and writes Parquet; raises `error` for `what` where it is not installed."""
+    try:
+        import pyarrow.parquet
+    except ModuleNotFoundError as missing:
+        raise error(f"{what}: Parquet needs {missing.name}: pip install 'thermoforce-mpc[parquet]'") from missing
+    return pyarrow

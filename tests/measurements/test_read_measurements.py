@@ -5,6 +5,7 @@ from __future__ import annotations
 import bz2
 import gzip
 import lzma
+import sys
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,9 @@ import yaml
 
 import thermoforce_mpc as tf
 from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.measurements.map.mapped_table import CsvFormat
 from thermoforce_mpc.measurements.map.starting_map import starting_map
+from thermoforce_mpc.measurements.tables.files import read_table
 
 BASE = {
     "outdoor": "out",
@@ -511,3 +514,11 @@ def test_a_packed_file_that_was_damaged_is_named(suffix, packed, tmp_path):
     for read in (lambda: tf.read_measurements(file, rules), lambda: starting_map(file)):
         with pytest.raises(DataError, match=rf"house\.csv{suffix}: cannot be read"):
             read()
+
+
+def test_parquet_without_pyarrow_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    with pytest.raises(
+        DataError, match=r"house\.parquet: Parquet needs pyarrow.*pip install 'thermoforce-mpc.parquet.'"
+    ):
+        read_table(tmp_path / "house.parquet", None, ["T"], CsvFormat())

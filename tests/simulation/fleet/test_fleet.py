@@ -36,13 +36,15 @@ from thermoforce_mpc.simulation.comparison.store import Identified
 from thermoforce_mpc.simulation.comparison.tasks import failure
 from thermoforce_mpc.simulation.fleet import models as fleet_models
 from thermoforce_mpc.simulation.fleet.buildings import buildings_of
-from thermoforce_mpc.simulation.fleet.dataset import FORMAT, SCHEMA, read_dataset
+from thermoforce_mpc.simulation.fleet.dataset import FORMAT, read_dataset, schema
 from thermoforce_mpc.simulation.fleet.file import load_fleet
 from thermoforce_mpc.simulation.fleet.page import fleet_page, headline, run_command
 from thermoforce_mpc.simulation.fleet.runs import FleetResults, Ran, runs_of, tasks_of
 from thermoforce_mpc.simulation.fleet.summary import causes, groups, lost, paired
 
 RULES = {"thermostat": {"controller": "thermostat", "options": {"step_s": 300}}, "native": {"controller": "native"}}
+
+SCHEMA = schema()
 
 
 def _file(folder: Path, **keys: Any) -> Path:

@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.files import pyarrow_for
 from thermoforce_mpc.measurements.map.mapped_table import CsvFormat
 from thermoforce_mpc.measurements.tables.raw_table import RawTable, known_column, raw_table
 
@@ -80,12 +81,10 @@ def check_columns(path: Path, stamps: str | None, columns: Sequence[str], form: 
     if path.suffix not in _PARQUET:
         _known_header(path, stamps, columns, form)
         return
-    import pyarrow.parquet as parquet
-    from pyarrow import ArrowException
-
+    pyarrow = pyarrow_for(path, DataError)
     try:
-        names = parquet.read_schema(path).names
-    except (ArrowException, OSError, ValueError) as error:
+        names = pyarrow.parquet.read_schema(path).names
+    except (pyarrow.ArrowException, OSError, ValueError) as error:
         raise DataError(f"{path}: no Parquet file that can be read ({_short(error)})") from error
     for key in (*([stamps] if stamps else []), *columns):
         known_column(key, pd.Index(names), str(path))
@@ -93,18 +92,16 @@ def check_columns(path: Path, stamps: str | None, columns: Sequence[str], form: 
 
 def _parquet(path: Path, stamps: str | None, columns: Sequence[str] | None) -> pd.DataFrame:
     """The table with time stamps (or index) and `columns`; None: all of them."""
-    import pyarrow.parquet as parquet
-    from pyarrow import ArrowException
-
+    pyarrow = pyarrow_for(path, DataError)
     try:
-        schema = parquet.read_schema(path)
+        schema = pyarrow.parquet.read_schema(path)
         # The index of a data frame stands among the columns of its file.
         index = [name for name in (schema.pandas_metadata or {}).get("index_columns", []) if isinstance(name, str)]
         stamp_columns = [stamps] if stamps else index or schema.names[:1]
         columns = schema.names if columns is None else columns
         present = [name for name in dict.fromkeys([*stamp_columns, *columns]) if name in schema.names]
-        table = parquet.read_table(path, columns=present).to_pandas()
-    except (ArrowException, OSError, ValueError) as error:
+        table = pyarrow.parquet.read_table(path, columns=present).to_pandas()
+    except (pyarrow.ArrowException, OSError, ValueError) as error:
         raise DataError(f"{path}: no Parquet file that can be read ({_short(error)})") from error
     missing = [name for name in columns if name not in schema.names]
     if missing:

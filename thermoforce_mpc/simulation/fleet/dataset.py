@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.files import pyarrow_for, write_whole
 from thermoforce_mpc.simulation.comparison.store import DONE
 from thermoforce_mpc.simulation.fleet.runs import Run
 
@@ -28,15 +27,17 @@ _TEXT = ("building", "source", "emitter", "machine", "mass", "description", "win
 _NUMBERS = ("area_m2", "days", "start_day", "cost_tot", "tdis_tot", "ener_tot", "emis_tot", "pele_tot", "pgas_tot",
             "pdih_tot", "seconds", "plan_median_s", "plan_longest_s")  # fmt: skip
 _PLANS = tuple(f"plans_{status.value}" for status in PlanStatus)
-SCHEMA = pa.schema(
-    [
-        *(pa.field(name, pa.string(), nullable=False) for name in _TEXT),
-        pa.field("seed", pa.int64(), nullable=False),
-        *(pa.field(name, pa.float64()) for name in _NUMBERS),
-        *(pa.field(name, pa.int64(), nullable=False) for name in (*_PLANS, "plans_refused")),
-    ],
-    metadata={_FORMAT_KEY: FORMAT.encode()},
-)
+
+
+@cache
+def schema() -> Any:
+    """Columns and types of the dataset; raises `ConfigError` where pyarrow is not installed."""
+    pa = pyarrow_for(NAME, ConfigError)
+    texts = [pa.field(name, pa.string(), nullable=False) for name in _TEXT]
+    numbers = [pa.field(name, pa.float64()) for name in _NUMBERS]
+    whole = [pa.field(name, pa.int64(), nullable=False) for name in (*_PLANS, "plans_refused")]
+    seed = pa.field("seed", pa.int64(), nullable=False)
+    return pa.schema([*texts, seed, *numbers, *whole], metadata={_FORMAT_KEY: FORMAT.encode()})
 
 
 def row_of(run: Run, record: Mapping[str, Any]) -> dict[str, Any]:
@@ -61,7 +62,7 @@ def row_of(run: Run, record: Mapping[str, Any]) -> dict[str, Any]:
         "plan_median_s": seconds.get("plan_median"),
         "plan_longest_s": seconds.get("plan_longest"),
     }
-    row |= {name: kpis.get(name) for name in SCHEMA.names if name.endswith("_tot")}
+    row |= {name: kpis.get(name) for name in _NUMBERS if name.endswith("_tot")}
     return row | {name: plans.get(name.removeprefix("plans_"), 0) for name in (*_PLANS, "plans_refused")}
 
 
@@ -102,22 +103,23 @@ def reused_row(run: Run, row: Mapping[str, Any]) -> dict[str, Any]:
 def write_dataset(folder: Path, rows: Iterable[Mapping[str, Any]]) -> Path:
     """Write the rows (`row_of`) in the order given as `runs.parquet`, whole or not at all; raises `StorageError`."""
     path, content = folder / NAME, io.BytesIO()
-    pq.write_table(pa.Table.from_pylist([dict(row) for row in rows], schema=SCHEMA), content)
+    pa = pyarrow_for(path, ConfigError)
+    pa.parquet.write_table(pa.Table.from_pylist([dict(row) for row in rows], schema=schema()), content)
     write_whole(path, content.getvalue())
     return path
 
 
 def check_dataset(path: Path) -> None:
     """Refuse a dataset, the file or its folder, of another schema; raises `ConfigError`."""
-    path = _file(path)
+    pa, path = pyarrow_for(path, ConfigError), _file(path)
     if not path.exists():
         return
     try:
-        schema = pq.read_schema(path)
+        found = pa.parquet.read_schema(path)
     except (OSError, pa.ArrowException) as error:
         raise ConfigError(f"{path}: is no dataset of a fleet ({error}); give another folder, or remove it") from error
-    version = (schema.metadata or {}).get(_FORMAT_KEY, b"none").decode(errors="replace")
-    if version != FORMAT or schema.names != SCHEMA.names or schema.types != SCHEMA.types:
+    version = (found.metadata or {}).get(_FORMAT_KEY, b"none").decode(errors="replace")
+    if version != FORMAT or found.names != schema().names or found.types != schema().types:
         version += " with other columns" if version == FORMAT else ""
         raise ConfigError(
             f"{path}: its schema is {version}, this release writes {FORMAT}; give another folder, or remove it to have "
@@ -133,7 +135,7 @@ def read_dataset(path: Path) -> pd.DataFrame:
     check_dataset(path)
     try:
         return pd.read_parquet(path)
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, pyarrow_for(path, ConfigError).ArrowException) as error:
         raise ConfigError(f"{path}: is damaged ({str(error).strip()}); remove it, or give another dataset") from error
 
 

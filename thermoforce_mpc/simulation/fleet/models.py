@@ -8,12 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
-from thermoforce_mpc.errors import ArtifactError, DataError
+from thermoforce_mpc.errors import ArtifactError, ConfigError, DataError
 from thermoforce_mpc.execution import Task, content_key
-from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.files import pyarrow_for, write_whole
 from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.scenario.settings import merge
 from thermoforce_mpc.simulation.comparison.input_files import NO_FILES, SentFiles, input_files, task_of
@@ -24,16 +21,22 @@ from thermoforce_mpc.simulation.models.measured_model import model_of_measuremen
 
 NAME = "models.parquet"
 _LEAD_H = (1, 6, 24)
-SCHEMA = pa.schema(
-    [
-        *(pa.field(name, pa.string(), nullable=False) for name in ("building", "window", "from", "actuator", "key")),
-        pa.field("seed", pa.int64()),
-        pa.field("competent", pa.bool_()),
-        pa.field("verdict", pa.string(), nullable=False),
-        *(pa.field(name, pa.float64()) for name in ("effect_K", "effect_sd_K", "sign_probability", "log_odds")),
-        *(pa.field(f"{what}_{h}h_K", pa.float64()) for h in _LEAD_H for what in ("model", "persistence", "weather")),
-    ]
-)
+
+
+def _schema(pa: Any) -> Any:
+    """Columns and types of the verdicts; `pa` is pyarrow."""
+    places = ("building", "window", "from", "actuator", "key")
+    errors = [f"{what}_{h}h_K" for h in _LEAD_H for what in ("model", "persistence", "weather")]
+    numbers = ["effect_K", "effect_sd_K", "sign_probability", "log_odds", *errors]
+    return pa.schema(
+        [
+            *(pa.field(name, pa.string(), nullable=False) for name in places),
+            pa.field("seed", pa.int64()),
+            pa.field("competent", pa.bool_()),
+            pa.field("verdict", pa.string(), nullable=False),
+            *(pa.field(name, pa.float64()) for name in numbers),
+        ]
+    )
 
 
 @dataclass(frozen=True)
@@ -130,7 +133,8 @@ def write_models(
                 | {"seed": run.cell.scenario.seed},
             )
     content, path = io.BytesIO(), folder / NAME
-    pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), content)
+    pa = pyarrow_for(path, ConfigError)
+    pa.parquet.write_table(pa.Table.from_pylist(rows, schema=_schema(pa)), content)
     write_whole(path, content.getvalue())
     return path
 
