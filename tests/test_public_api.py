@@ -54,10 +54,9 @@ def blocks(page: str) -> list[str]:
     [
         ("README.md", 0, "2025-01-25 00:15:00+01:00"),
         ("docs/reference/python.md", 0, "2025-01-25 00:15:00+01:00"),
-        ("docs/reference/python.md", 1, ""),
         ("docs/how-to/many.md", 0, "2074800.0 as planned\nsouth"),
     ],
-    ids=["readme", "table", "loop", "many"],
+    ids=["readme", "table", "many"],
 )
 def test_documented_code_runs(page, number, says, tables, tmp_path):
     tables[0].to_csv(tmp_path / "room.csv")

@@ -45,6 +45,7 @@ def test_the_command_line_reference_has_every_command_and_its_options(site):
     for name in cli.list_commands(click.Context(cli)):
         assert f"tf-mpc {name}" in text, name
     assert "--forecast-uncertainty" in text
+    assert "130  interrupted by Ctrl-C" in text
 
 
 def test_the_python_reference_has_every_public_name(site):

@@ -75,7 +75,7 @@ EXIT_CODES = """\
 3    the plant or its service failed, or one of many runs (compare, sweep, fleet)
 4    the model is below the bar (identify, plan)
 5    the service no longer has the test (resume)
-6    a file cannot be written: disk full, folder read-only or removed
+6    a file cannot be written: disk full, folder read-only or removed; out of memory
 7    the Dask cluster of --scheduler is gone or does not fit
 129  the terminal was closed (control)
 130  interrupted by Ctrl-C

@@ -1,6 +1,7 @@
-"""Markdown extension: `::: commands MODULE:GROUP` becomes the help of every command of a click group.
+"""Markdown extension: `::: commands MODULE:GROUP as NAME` becomes the help of every command of a click group.
 
 Each command gets a heading, its text, with what `\\b` keeps as typed in a block of code, and a table of its options.
+`::: text MODULE:NAME` becomes a text of the program, in a block of code.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from markdown import Markdown
 from markdown.extensions import Extension
 from markdown.preprocessors import Preprocessor
 
-_LINE = re.compile(r"::: commands ([\w.]+):(\w+) as ([\w-]+)\s*")
+_LINE = re.compile(r"::: (commands|text) ([\w.]+):(\w+)(?: as ([\w-]+))?\s*")
 
 
 def pages(command: click.Command, name: str, level: int = 2, above: click.Context | None = None) -> Iterator[str]:
@@ -43,12 +44,18 @@ def _escaped(text: str) -> str:
     return re.sub(r"(?<!`)([*_<>|\[\]])(?!`)", r"\\\1", text)
 
 
+def _of_program(kind: str, module: str, name: str, title: str | None) -> Iterator[str]:
+    """Yield the lines for an object of the program: a click group called `title`, or a text."""
+    found = getattr(importlib.import_module(module), name)
+    return pages(found, title or name) if kind == "commands" else iter(("```text", *found.splitlines(), "```"))
+
+
 class _Expand(Preprocessor):
     def run(self, lines: list[str]) -> list[str]:
         out: list[str] = []
         for line in lines:
             found = _LINE.fullmatch(line)
-            out += pages(getattr(importlib.import_module(found[1]), found[2]), found[3]) if found else [line]
+            out += _of_program(*found.groups()) if found else [line]
         return out
 
 
