@@ -1,4 +1,4 @@
-"""Seeded draw of a building of rooms. Distributions and sources: docs/how-it-works/random-buildings.md, and in `use`."""
+"""Seeded draw of a building of rooms. Sources: docs/how-it-works/random-buildings.md, and in `use`."""
 
 from __future__ import annotations
 
