@@ -1,7 +1,7 @@
 """Deterministic synthetic weather year of a temperate-maritime climate, the default without a weather file.
 
 Seasonal and daily cycles, passing weather systems and clouds with the statistics of a north-west European coast, not a
-real site; the name says 'synthetic'. Comparison with a measured year: docs/how-it-works/weather.md.
+real site; the name says 'synthetic'. Comparison with a measured year: docs/how-it-works/plants.md.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _radiation(hour: Array, cover: Array) -> tuple[Array, Array, Array]:
 
     Clear sky after Haurwitz (1945), cover factor after Kasten and Czeplak (1980), diffuse share after Erbs, Klein and
     Duffie (1982). The latter is written out because pvlib's version includes the sun's distance, which gives 2.6 % less
-    diffuse irradiance over the year than the figures in docs/how-it-works/weather.md.
+    diffuse irradiance over the year than the figures in docs/how-it-works/plants.md.
     """
     # Imported here: pvlib takes 0.3 s to import and a run with a weather file does not need it yet.
     from thermoforce_mpc.boundary.weather.clearness import clear_sky_W_m2

@@ -21,9 +21,9 @@ def command() -> None:
         click.echo(f"  {name}\n      {testcase.description}\n      plant: {plants}; {path}")
     click.echo("  house:Nrooms, house:Nrooms:SEED\n      drawn house of N rooms (1 to 30), a valve each, one heat pump")
     click.echo("  office:Nrooms, office:Nrooms:SEED\n      drawn office likewise, light and set back at night")
-    click.echo("      plant: its own, nothing to install (docs/how-it-works/house-of-rooms.md)")
+    click.echo("      plant: its own, nothing to install (docs/how-it-works/random-buildings.md)")
     click.echo("  generated:SEED:INDEX\n      house number INDEX of a population, one zone, any emitter and machine")
-    click.echo("      plant: its own, nothing to install (docs/how-it-works/generated-houses.md)")
+    click.echo("      plant: its own, nothing to install (docs/how-it-works/random-buildings.md)")
     for entry in MADE_TESTCASES.listing():
         if entry.origin != OWN:
             click.echo(f"  {entry.name}\n      {entry.problem or 'made by a plugin'}\n      from {entry.origin}")

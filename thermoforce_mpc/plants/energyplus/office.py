@@ -1,7 +1,7 @@
 """The DOE small office as a plant with five zones; the engine runs in its own process.
 
 Actuators are the heating and cooling set-point of each zone's thermostat, so the building's own loops deliver the heat
-and its own protection stays in force. Building: `office_model`; what was measured: docs/how-it-works/small-office.md.
+and its own protection stays in force. Building: `office_model`; what was measured: docs/how-it-works/plants.md.
 """
 
 from __future__ import annotations

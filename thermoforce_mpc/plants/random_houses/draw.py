@@ -1,4 +1,4 @@
-"""Seeded draw of a single-zone house. Distributions and sources: docs/how-it-works/generated-houses.md."""
+"""Seeded draw of a single-zone house. Distributions and sources: docs/how-it-works/random-buildings.md."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ def ground_C(warmer_K: float) -> float:
 def draw_house(seed: int, index: int) -> House:
     """Draw house `index` of the population `seed`; the same arguments give the same house.
 
-    Houses are independent. Every distribution is given here; sources in docs/how-it-works/generated-houses.md.
+    Houses are independent. Every distribution is given here; sources in docs/how-it-works/random-buildings.md.
     """
     rng = np.random.default_rng([seed, index])
     # Envelope. Areas and U-values span TABULA's single-family and terraced houses, from not refurbished to passive.

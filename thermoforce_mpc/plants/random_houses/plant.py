@@ -1,4 +1,4 @@
-"""Plant of a generated house, see `draw.House` and docs/how-it-works/generated-houses.md."""
+"""Plant of a generated house, see `draw.House` and docs/how-it-works/random-buildings.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Seeded draw of a building of rooms. Distributions and sources: docs/how-it-works/house-of-rooms.md, and in `use`."""
+"""Seeded draw of a building of rooms. Sources: docs/how-it-works/random-buildings.md, and in `use`."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def emulator_fixed_share() -> float:
 def draw_rooms(n_rooms: int, seed: int, use: Use = HOUSE) -> DrawnHouse:
     """Draw a house, or an office, of `n_rooms` rooms; the same arguments give the same one.
 
-    Every distribution is given here; sources in docs/how-it-works/house-of-rooms.md.
+    Every distribution is given here; sources in docs/how-it-works/random-buildings.md.
 
     Raises:
         InputError: `n_rooms` is not a whole number from 1 to 30.

@@ -1,4 +1,4 @@
-"""Plant of a house of rooms, see `house.DrawnHouse` and docs/how-it-works/house-of-rooms.md."""
+"""Plant of a house of rooms, see `house.DrawnHouse` and docs/how-it-works/random-buildings.md."""
 
 from __future__ import annotations
 
