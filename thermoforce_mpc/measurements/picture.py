@@ -13,6 +13,7 @@ from thermoforce_mpc.measurements.load import Measurements
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # More zones or actuators than this share one panel without a legend.
 _MOST_LABELS = 10
@@ -22,6 +23,12 @@ _MOST_BARS = 3000
 
 def draw_measurements(path: Path, measured: Measurements, title: str = "") -> None:
     """Write the picture (PNG, SVG or PDF by suffix) of `measured`."""
+    figure = measurements_figure(measured, title)
+    figure.savefig(path, dpi=150, metadata={"Software": None} if path.suffix == ".png" else None)
+
+
+def measurements_figure(measured: Measurements, title: str = "") -> Figure:
+    """The picture of `measured` at the width of a page, 7.2 inches."""
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
@@ -72,7 +79,7 @@ def draw_measurements(path: Path, measured: Measurements, title: str = "") -> No
         panel.grid(visible=True, linewidth=0.3)
         panel.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=2))
         panel.tick_params(labelbottom=True)
-    figure.savefig(path, dpi=150, metadata={"Software": None} if path.suffix == ".png" else None)
+    return figure
 
 
 def _clock(measured: Measurements, time_s: Array) -> Any:
