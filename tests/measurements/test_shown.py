@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,7 +13,7 @@ import thermoforce_mpc as tf
 from thermoforce_mpc.cli.building.data_shown import show_measurements
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.map.starting_map import starting_map
-from thermoforce_mpc.measurements.picture import draw_measurements
+from thermoforce_mpc.measurements.picture import draw_measurements, measurements_figure
 from thermoforce_mpc.simulation.views.display import RunDisplay
 
 
@@ -130,3 +132,27 @@ def test_the_picture_is_drawn_whatever_is_missing(tmp_path):
     }.items():
         draw_measurements(tmp_path / name, tf.read_measurements(df, rules), "title")
         assert (tmp_path / name).stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("days", [0.5, 3, 60, 400])
+def test_every_panel_of_the_picture_has_labels_on_both_axes_that_do_not_overlap(days):
+    n = int(days * 48)
+    at = pd.date_range("2025-01-10", periods=n, freq="30min")
+    df = pd.DataFrame(
+        {"when": at, "T": 21 + np.sin(np.arange(n) / 7), "out": 4.0, "sun": 9.0, "u": np.arange(n) % 2, "P": 900.0}
+    )
+    rules = {
+        "time": {"column": "when"}, "outdoor": "out", "sun": "sun", "zones": {"living": {"temperature": "T"}},
+        "actuators": {"hp": {"level": "u"}}, "machines": {"meter": {"power": "P"}},
+    }  # fmt: skip
+    figure = measurements_figure(tf.read_measurements(df, rules), "a title")
+    figure.canvas.draw()
+    assert figure.get_figwidth() <= 7.5, "at most a page wide, so that labels keep their size in print"
+    for axes in figure.axes[:4]:
+        for axis, side in ((axes.xaxis, 0), (axes.yaxis, 1)):
+            boxes = [
+                label.get_window_extent() for label in axis.get_ticklabels() if label.get_visible() and label.get_text()
+            ]
+            spans = sorted((box.intervalx if side == 0 else box.intervaly).tolist() for box in boxes)
+            assert len(spans) >= 2
+            assert all(one[1] < other[0] for one, other in pairwise(spans)), spans

@@ -13,6 +13,7 @@ from thermoforce_mpc.measurements.load import Measurements
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # More zones or actuators than this share one panel without a legend.
 _MOST_LABELS = 10
@@ -22,17 +23,25 @@ _MOST_BARS = 3000
 
 def draw_measurements(path: Path, measured: Measurements, title: str = "") -> None:
     """Write the picture (PNG, SVG or PDF by suffix) of `measured`."""
+    figure = measurements_figure(measured, title)
+    figure.savefig(path, dpi=150, metadata={"Software": None} if path.suffix == ".png" else None)
+
+
+def measurements_figure(measured: Measurements, title: str = "") -> Figure:
+    """The picture of `measured` at the width of a page, 7.2 inches."""
+    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     record, conditions, names = measured.record, measured.conditions, measured.record.names
     at = _clock(measured, record.time_s)
     with_power = bool(np.isfinite(record.power_W).any())
-    figure = Figure(figsize=(12.0, 9.5 if with_power else 8.0), layout="constrained")
+    figure = Figure(figsize=(7.2, 7.6 if with_power else 6.4), layout="constrained")
     if title:
-        figure.suptitle(title, x=0.01, ha="left", fontsize="medium")
+        figure.suptitle(title, x=0.01, ha="left", fontsize="small", wrap=True)
     panels = figure.subplots(4 if with_power else 3, 1, sharex=True, height_ratios=[3, 2, 1.5, 1.5][: 3 + with_power])
     for z, zone in enumerate(names.zones):
-        panels[0].plot(at, record.T_zone_C[z], color=f"C{z % 10}", linewidth=0.9, label=zone)
+        panels[0].plot(at, record.T_zone_C[z], **_look(z), linewidth=0.9, label=zone)
         for bound in (conditions.lower_C[z], conditions.upper_C[z]):
             panels[0].plot(at, bound, color=f"C{z % 10}", linewidth=0.6, linestyle=":")
         _flags(panels[0], measured, f"zones.{zone}.temperature")
@@ -48,21 +57,29 @@ def draw_measurements(path: Path, measured: Measurements, title: str = "") -> No
     sun.set_ylabel("sun, W/m²", color="tab:orange")
     for a, actuator in enumerate(names.actuators):
         alone = len(names.actuators) == 1 and record.n_steps <= _MOST_BARS
-        panels[2].stairs(record.u[a], at, color=f"C{a % 10}", fill=alone, alpha=0.6, label=actuator, baseline=0.0)
+        panels[2].stairs(record.u[a], at, **_look(a), fill=alone, alpha=0.6, label=actuator, baseline=0.0)
         _gaps(panels[2], at, record.u[a], f"C{a % 10}")
     panels[2].set_ylabel("level u")
     panels[2].set_ylim(min(0.0, *measured.layout.lowest) * 1.05, 1.05)
     _legend(panels[2], len(names.actuators))
     if with_power:
         for m, machine in enumerate(names.machines):
-            panels[3].stairs(record.power_W[m] / 1000.0, at, color=f"C{m % 10}", label=machine, baseline=None)
+            panels[3].stairs(record.power_W[m] / 1000.0, at, **_look(m), label=machine, baseline=None)
         panels[3].set_ylabel("power, kW")
         _legend(panels[3], len(names.machines))
     panels[-1].set_xlim(at[0], at[-1])
-    panels[-1].set_xlabel(f"shaded: gaps; crosses: flagged readings{_zone(measured)}")
+    first, last = np.datetime_as_string(at[[0, -1]], unit="D")
+    panels[-1].set_xlabel(
+        f"{first} to {last}{_zone(measured)}; shaded: gaps; crosses: flagged readings", fontsize="small", wrap=True
+    )
+    dates = AutoDateLocator(maxticks=8)
+    panels[-1].xaxis.set_major_locator(dates)
+    panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(dates, show_offset=False))
     for panel in panels:
         panel.grid(visible=True, linewidth=0.3)
-    figure.savefig(path, dpi=120, metadata={"Software": None} if path.suffix == ".png" else None)
+        panel.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=2))
+        panel.tick_params(labelbottom=True)
+    return figure
 
 
 def _clock(measured: Measurements, time_s: Array) -> Any:
@@ -73,6 +90,11 @@ def _clock(measured: Measurements, time_s: Array) -> Any:
 
 def _zone(measured: Measurements) -> str:
     return f"; standard time of {measured.understood.zone}" if measured.understood.zone else ""
+
+
+def _look(place: int) -> dict[str, Any]:
+    """Colour and dashes of one of several; dots are for bounds."""
+    return {"color": f"C{place % 10}", "linestyle": ("-", "--", "-.")[place % 3]}
 
 
 def _legend(axes: Axes, n: int) -> None:

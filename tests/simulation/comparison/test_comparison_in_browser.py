@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 from browser import Seen, chromium
 from comparison_records import record
 
+from controllers.registry import REGISTRY
 from thermoforce_mpc.simulation.comparison.files import write_outcome
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
@@ -68,6 +71,44 @@ def test_cheaper_is_lower_and_calmer_further_left(seen):
                 assert at[name][0] < at[other][0]
     titles = seen.page.locator("#pareto figcaption").all_inner_texts()
     assert titles == ["day 16, constant tariff", "day 44, constant tariff", "day 108, constant tariff"]
+
+
+# Six whose names are long and whose points nearly coincide.
+CLOSE = {
+    "thermoforce_mpc": (0.0388, 0.001), "rc_mpc": (0.0389, 0.0), "pi": (0.0425, 0.02), "thermostat": (0.0450, 0.0),
+    "candidate_search": (0.0960, 0.004), "native": (0.0729, 0.13),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("width", [600, 1400])
+def test_no_name_is_on_another_or_on_a_mark(browser, tmp_path, width):
+    records = [
+        record(name, cost, discomfort, needs_model=True, window="108") for name, (cost, discomfort) in CLOSE.items()
+    ]
+    write_outcome(tmp_path, records, name="compare", title="close", currency="EUR")
+    seen = Seen(browser, tmp_path / "comparison.html", width=width)
+    boxes = seen.ask("""[...document.querySelectorAll("#pareto .name, #pareto .mark")].map((part) => {
+      const box = part.getBBox(), at = part.getAttribute("transform")?.match(/[-\\d.]+/g).map(Number) || [0, 0];
+      return [part.getAttribute("class"), part.textContent, box.x + at[0], box.x + box.width + at[0],
+        box.y + at[1] + 1, box.y + box.height + at[1] - 1];
+    })""")
+    names = [box for box in boxes if box[0] == "name"]
+    assert len(names) == len(CLOSE)
+    for name in names:
+        for other in boxes:
+            apart = name[3] < other[2] or other[3] < name[2] or name[5] < other[4] or other[5] < name[4]
+            assert name is other or apart, (name, other)
+    seen.close()
+
+
+def test_controllers_that_ship_look_alike_on_every_page_and_unlike_one_another(seen):
+    among = seen.ask(f"Object.fromEntries(Looks.of({json.dumps([*REGISTRY.own, 'mine', 'yours'])}))")
+    for name in REGISTRY.own:
+        assert seen.ask(f"Looks.of(['{name}']).get('{name}')") == among[name], name
+    assert len({(look["colour"], look["shape"]) for look in among.values()}) == len(among)
+    # Without colour: no two of these share shape or dash.
+    common = [among[name] for name in CLOSE]
+    assert len({look["shape"] for look in common}) == len({str(look.get("dash")) for look in common}) == len(CLOSE)
 
 
 def test_the_scale_of_discomfort_can_be_straight(seen):

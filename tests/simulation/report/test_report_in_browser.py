@@ -115,6 +115,16 @@ def test_every_chart_of_the_page_has_something_in_it(seen):
     assert seen.page.locator("#answers svg path.answer-line").count() == 1
 
 
+def test_every_axis_has_two_labels_and_every_dash_its_own_in_the_legend(seen):
+    labels = seen.ask("""Chart.all.filter((chart) => chart.spec.unit).map((chart) =>
+      chart.plot.axes.filter((axis) => axis.show).map((axis) => axis._values.filter(Boolean).length))""")
+    assert len(labels) > 5
+    assert min(n for chart in labels for n in chart) >= 2
+    dashes = seen.ask("""[...document.querySelectorAll("#cumulative-legend line")]
+      .map((line) => line.getAttribute("stroke-dasharray"))""")
+    assert len(dashes) == len(set(dashes)) == 2
+
+
 def test_the_slider_shows_the_plan_made_then_beside_what_came(seen, one_zone):
     run, _ = one_zone
     told = []

@@ -10,7 +10,16 @@ from thermoforce_mpc.simulation.comparison.paired import CONFIDENCE, Difference,
 from thermoforce_mpc.simulation.comparison.store import DONE
 from thermoforce_mpc.simulation.report.page import rendered
 
-SCRIPTS = ("base.js", "tip.js", "marks.js", "pareto_panel.js", "pareto.js", "paired.js", "comparison_page.js")
+SCRIPTS = (
+    "base.js",
+    "tip.js",
+    "looks.js",
+    "marks.js",
+    "pareto_panel.js",
+    "pareto.js",
+    "paired.js",
+    "comparison_page.js",
+)
 
 
 def comparison_page(rows: Sequence[Row], currency: str, swept: Mapping[str, str] | None = None, **values: Any) -> str:
@@ -31,14 +40,14 @@ def comparison_page(rows: Sequence[Row], currency: str, swept: Mapping[str, str]
 def comparison_data(rows: Sequence[Row], currency: str, swept: Mapping[str, str]) -> dict[str, Any]:
     """What the scripts of the page read, see `assets/pareto.js` and `assets/paired.js`."""
     finished = [row for row in rows if row["status"] == DONE]
-    models = {row["controller"]: row["needs_model"] for row in finished}
-    compared = [pair for name in models for pair in pairs(rows, name)]
+    names = dict.fromkeys(row["controller"] for row in finished)
+    compared = [pair for name in names for pair in pairs(rows, name)]
     return {
         "currency": currency,
         # Swept values in the order of the sweep: the line joins them in it.
         "controllers": [
-            {"name": name, "needs_model": models[name], "swept": swept.get(name)}
-            for name in [*(name for name in swept if name in models), *(name for name in models if name not in swept)]
+            {"name": name, "swept": swept.get(name)}
+            for name in [*(name for name in swept if name in names), *(name for name in names if name not in swept)]
         ],
         "groups": [
             {
@@ -58,7 +67,7 @@ def comparison_data(rows: Sequence[Row], currency: str, swept: Mapping[str, str]
             }
             for group, members in grouped(rows).items()
         ],
-        "references": list(models) if compared else [],
+        "references": list(names) if compared else [],
         "reference": reference_of(rows),
         "paired": [
             {

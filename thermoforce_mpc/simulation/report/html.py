@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
 SCRIPTS = (
-    UPLOT, "base.js", "tip.js", "group.js", "chart.js", "run.js", "course.js", "plan_facts.js", "plans.js",
+    UPLOT, "base.js", "tip.js", "group.js", "chart.js", "looks.js", "run.js", "course.js", "plan_facts.js", "plans.js",
     "cumulative.js", "others.js", "status.js", "answers.js", "run_page.js",
 )  # fmt: skip
 # So many stretches are listed; `steps.csv` has all.

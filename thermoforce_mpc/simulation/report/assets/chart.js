@@ -22,7 +22,8 @@ const Chart = (() => {
       scale, side, label, labelSize: 18, size: 46, gap: 4, labelGap: 0, labelFont: "12px system-ui, sans-serif",
       font: "12px system-ui, sans-serif", stroke: () => Theme.colour("--quiet"),
       grid: { show: side !== 1, stroke: () => Theme.colour("--grid"), width: 1 },
-      ticks: { show: false }, ...extra,
+      // Two labels at least, also in a low chart.
+      space: (plot, axis, least, most, length) => Math.max(14, Math.min(30, length / 5)), ticks: { show: false }, ...extra,
     };
   }
 
@@ -69,7 +70,7 @@ const Chart = (() => {
         r: { range: (plot, least, most) => uPlot.rangeNum(least ?? 0, most ?? 1, 0.06, true) },
       };
       const axes = [
-        axis("x", 2, null, { size: 26, incrs: INCREMENTS, space: 64, values: timeLabels }),
+        axis("x", 2, null, { size: 30, gap: 8, incrs: INCREMENTS, space: 64, values: timeLabels }),
         axis("y", 3, spec.unit, spec.ticks || {}),
       ];
       if (spec.right) axes.push(axis("r", 1, spec.right));

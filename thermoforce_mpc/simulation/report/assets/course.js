@@ -13,7 +13,7 @@ const CourseView = (() => {
   function temperature(host, group, z) {
     const lines = [
       ...others.map((other, i) => ({
-        key: `T-${i}`, name: other.name, x: other.end, y: other.T[z], ...Run.baseline(i), width: 1.1, unit: "°C",
+        key: `T-${i}`, name: other.name, x: other.end, y: other.T[z], ...Run.look(other), width: 1.1, unit: "°C",
         shown: false, rank: 3,
       })),
       { key: "measured", name: "measured", x: own.end, y: own.T[z], colour: "--measured", width: 1.8, unit: "°C", rank: 0 },

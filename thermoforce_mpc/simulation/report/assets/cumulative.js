@@ -11,8 +11,7 @@ const CumulativeView = (() => {
 
   function draw(group) {
     const host = byId("cumulative");
-    const all = [{ course: own, style: { colour: "--planned", width: 2.2 } },
-      ...others.map((course, i) => ({ course, style: { ...Run.baseline(i), width: 1.5 } }))];
+    const all = [own, ...others].map((course) => ({ course, style: { ...Run.look(course), width: course === own ? 2.2 : 1.5 } }));
     const lines = (values, digits, unit) => all.map(({ course, style }, i) => ({
       key: `run-${i}`, name: course.name, ...fromZero(course, values(course)), ...style, digits, unit,
     }));

@@ -9,21 +9,13 @@ const Marks = (() => {
     diamond: (r) => `M0,${-1.3 * r}L${1.3 * r},0L0,${1.3 * r}L${-1.3 * r},0Z`,
     up: (r) => `M0,${-1.25 * r}L${1.2 * r},${r}L${-1.2 * r},${r}Z`,
     down: (r) => `M0,${1.25 * r}L${1.2 * r},${-r}L${-1.2 * r},${-r}Z`,
+    plus: (r) => `M${-r / 3},${-r}h${r / 1.5}v${r / 1.5}h${r / 1.5}v${r / 1.5}h${-r / 1.5}v${r / 1.5}h${-r / 1.5}v${-r / 1.5}h${-r / 1.5}v${-r / 1.5}h${r / 1.5}Z`,
+    cross: (r) => `M${-r},${-r / 2}L${-r / 2},${-r}L0,${-r / 2}L${r / 2},${-r}L${r},${-r / 2}L${r / 2},0L${r},${r / 2}L${r / 2},${r}L0,${r / 2}L${-r / 2},${r}L${-r},${r / 2}L${-r / 2},0Z`,
   };
 
-  /* Colour and shape of each controller: squares have no model, swept values are one colour and circles. */
-  const looks = new Map();
-  let plain = 0, modelled = 0;
-  for (const controller of data.controllers) {
-    if (controller.swept) looks.set(controller.name, { colour: "--planned", shape: "circle" });
-    else if (!controller.needs_model) looks.set(controller.name, { colour: `--series-${(plain++ % 5) + 1}`, shape: "square" });
-    else {
-      const shape = ["circle", "diamond", "up", "down"][modelled % 4];
-      looks.set(controller.name, { colour: modelled ? `--series-${(modelled % 5) + 1}` : "--planned", shape });
-      modelled += 1;
-    }
-  }
-  const look = (name) => looks.get(name);
+  /* Swept values are one colour and circles. */
+  const looks = Looks.of(data.controllers.filter((controller) => !controller.swept).map((controller) => controller.name));
+  const look = (name) => looks.get(name) || { colour: "--planned", shape: "circle" };
 
   /* What a controller is called beside its mark: a swept one by its value. */
   const labels = new Map(data.controllers.map((controller) => [controller.name, controller.swept || controller.name]));

@@ -93,7 +93,7 @@ const ParetoPanel = (() => {
         && y(p.cost) >= TOP - 1 && y(p.cost) <= HEIGHT - BOTTOM + 1);
       const named = visible.length <= MOST_LABELS || data.controllers.some((controller) => controller.swept);
       // Places of marks and names, [left, right, height]: a name stands where there is none.
-      const taken = visible.map((point) => [x(point.discomfort) - 7, x(point.discomfort) + 7, y(point.cost) + 4]);
+      const taken = visible.map((point) => [x(point.discomfort) - 8, x(point.discomfort) + 8, y(point.cost) + 4]);
       for (const point of visible) {
         const at = [x(point.discomfort), y(point.cost)], made = Marks.mark(point.name);
         made.setAttribute("transform", `translate(${at[0]},${at[1]})`);
@@ -182,14 +182,16 @@ const ParetoPanel = (() => {
     return lines;
   }
 
-  /* The name beside a point, above or below it, where no other name is. */
+  /* The name beside a point, right or left of it, above or below, where no mark and no other name is. */
   function nameBeside(point, [px, py], width, taken) {
-    const text = Marks.label(point.name), long = 6.2 * text.length;
-    const right = px + 9 + long < width, at = right ? px + 9 : px - 9;
-    const free = (py2) => taken.every(([x1, x2, y2]) => Math.abs(y2 - py2) > 11 || x2 < at - (right ? 0 : long) || x1 > at + (right ? long : 0));
-    const height = [4, -9, 17, -22, 30, -35, 43].map((off) => py + off).find(free) ?? py + 4;
-    taken.push(right ? [at, at + long, height] : [at - long, at, height]);
-    return drawn("text", { class: "name", x: at, y: height, "text-anchor": right ? "start" : "end" }, text);
+    const text = Marks.label(point.name), long = 7 * text.length;
+    const sides = [[px + 9, px + 9 + long, "start"], [px - 9 - long, px - 9, "end"]].filter(([from, to]) => from > LEFT && to < width);
+    const places = [4, -12, 20, -28, 36, -44, 52].flatMap((off) => sides.map((side) => [...side, py + off]))
+      .filter(([, , , height]) => height > TOP + 8 && height < HEIGHT - BOTTOM);
+    const free = ([from, to, , height]) => taken.every(([x1, x2, y2]) => Math.abs(y2 - height) > 15 || x2 < from || x1 > to);
+    const [from, to, anchor, height] = places.find(free) || [px + 9, px + 9 + long, "start", py + 4];
+    taken.push([from, to, height]);
+    return drawn("text", { class: "name", x: anchor === "start" ? from : to, y: height, "text-anchor": anchor }, text);
   }
 
   return Panel;

@@ -53,7 +53,9 @@ const Run = (() => {
   const DASHES = [[6, 3], [2, 3], [10, 3, 2, 3], [4, 2, 1, 2], [12, 4]];
   /* Colour and dash of the number `i` of several of a kind: told apart without colour, too. */
   const style = (i) => ({ colour: `--series-${i % 6}`, dash: i === 0 ? undefined : DASHES[(i - 1) % DASHES.length] });
-  const baseline = (i) => ({ colour: `--series-${(i % 5) + 1}`, dash: DASHES[i % DASHES.length] });
+  const looks = Looks.of([own, ...others].map((course) => course.name));
+  /* Colour and dash of a controller. */
+  const look = ({ name }) => ({ colour: looks.get(name).colour, dash: looks.get(name).dash });
 
-  return { data, own, others, steps, span, why, reason, text, zone, actuator, machine, style, baseline, formatted };
+  return { data, own, others, steps, span, why, reason, text, zone, actuator, machine, style, look, formatted };
 })();

@@ -2,7 +2,7 @@
 "use strict";
 
 const Tip = (() => {
-  const { element } = Page;
+  const { drawn, element } = Page;
 
   const box = element("div", { class: "tip", role: "status", hidden: true });
   document.body.append(box);
@@ -27,9 +27,10 @@ const Tip = (() => {
 
   /* What a line looks like, for legends. */
   function swatch({ colour, dash, band }) {
-    const mark = element("i", { class: band ? "swatch area" : "swatch" });
+    const line = { x1: 0, x2: 26, y1: 2, y2: 2, "stroke-dasharray": (dash || []).join(" ") };
+    const mark = band ? element("i", { class: "swatch area" })
+      : drawn("svg", { class: "swatch", viewBox: "0 0 26 4", width: 26, height: 4 }, drawn("line", line));
     mark.style.setProperty("--c", `var(${colour})`);
-    if (dash) mark.classList.add("dashed");
     return mark;
   }
 
