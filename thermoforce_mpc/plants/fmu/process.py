@@ -106,7 +106,8 @@ class WorkerProcess:
         if isinstance(answer, Stretch):
             return answer
         raise PlantError(
-            f"the FMU could not {doing} at {when}: {safe_text(answer)}{missing_library(str(answer))}{self._last_words()}"
+            f"the FMU could not {doing} at {when}: {safe_text(answer)}"
+            f"{missing_library(str(answer))}{self._last_words()}"
         )
 
     def _exchanged(self, request: tuple[Any, ...]) -> Any:
