@@ -202,8 +202,13 @@ class BoptestClient:
         return self._get("step", parse)
 
     def set_step(self, step_s: float) -> None:
-        """Set the length of a step, s."""
-        self._put("step", {"step": step_s}, lambda payload: None)
+        """Set the length of a step, s; the service is asked whether it has it."""
+
+        def check(_: Any) -> None:
+            if abs((found_s := self.step()) - step_s) > _CLOCK_TOLERANCE_S:
+                raise ProtocolError(self._at("step"), f"the step is {found_s:g} s after it was set to {step_s:g} s")
+
+        self._put("step", {"step": step_s}, check)
         self._step_s = float(step_s)
 
     def advance(self, inputs: Mapping[str, float] | None = None) -> dict[str, float]:

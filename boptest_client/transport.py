@@ -7,6 +7,7 @@ import math
 import os
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 from urllib.parse import urlsplit
@@ -115,7 +116,7 @@ class Transport:
     ) -> _Result:
         """The result of `request`, repeated with growing pauses while it fails in a way that may pass.
 
-        Within a `request` that is repeated, another is asked once: there is one patience.
+        Within a `request` that is repeated, another is repeated only where it is refused: there is one patience.
 
         Args:
             passing: errors that may pass; a refused request is repeated `refusals` times.
@@ -125,6 +126,9 @@ class Transport:
             BoptestError: that of the last attempt.
         """
         if self._waiting:
+            for _ in range(refusals):
+                with suppress(RequestRejected):
+                    return request()
             return request()
         c = self.config
         patience_s = min(self.patience_s, most_s)
@@ -135,6 +139,7 @@ class Transport:
             if isinstance(error, RequestRejected):
                 refused += 1
                 return refused <= refusals
+            refused = 0
             return isinstance(error, passing) and (self.in_a_run or not isinstance(error, TlsError))
 
         def over(state: tenacity.RetryCallState) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.cases import TaskFailed
 from benchmarks.chaos.episode import Outcome, Setting, run_episode
-from benchmarks.chaos.troubles import Trouble, drawn
+from benchmarks.chaos.troubles import CLASSES, Trouble, drawn
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.execution import LocalEngine, Task, execute
@@ -131,17 +131,19 @@ def _line(outcome: Outcome) -> str:
 
 
 def _rows(calm: Outcome, outcomes: list[Outcome]) -> list[dict[str, Any]]:
-    """One row a kind of trouble; an episode stands in the row of each kind that it met."""
-    rows = [_row("none", [calm])]
-    for kind in sorted({kind for outcome in outcomes for kind in outcome.made}):
-        rows.append(_row(kind, [outcome for outcome in outcomes if kind in outcome.made]))
-    return [*rows, _row("all", outcomes)]
+    """One row a kind of trouble, by class; an episode stands in the row of each kind that it met."""
+    rows = [_row("", "none", [calm])]
+    for group, kinds in CLASSES.items():
+        met = [(kind, [outcome for outcome in outcomes if kind in outcome.made]) for kind in kinds]
+        rows += [_row(group, kind, those) for kind, those in met if those]
+    return [*rows, _row("", "all", outcomes)]
 
 
-def _row(kind: str, outcomes: list[Outcome]) -> dict[str, Any]:
+def _row(group: str, kind: str, outcomes: list[Outcome]) -> dict[str, Any]:
     every = kind in ("all", "none")
     done = [outcome for outcome in outcomes if outcome.ended == "done"]
     return {
+        "class": group,
         "trouble": kind,
         "episodes": len(outcomes),
         "made": sum(sum(o.made.values()) if every else o.made[kind] for o in outcomes),

@@ -20,10 +20,12 @@ from benchmarks.chaos.troubles import (
     BROKEN,
     INSIDE,
     NO_FORECAST,
+    NOT_ITSELF,
     READINGS,
     REFUSALS,
     RESTART,
     SILENT,
+    WRONG_CLOCK,
     Trouble,
 )
 
@@ -70,6 +72,7 @@ class Proxy:
         self._back_how = ""
         self._stuck: float | None = None
         self._refused_on_end = 0
+        self._before: dict[str, tuple[int, bytes]] = {}
         self._late: tuple[str, str, bytes] | None = None
 
     def sleep(self, seconds: float) -> None:
@@ -109,8 +112,12 @@ class Proxy:
         if kind == "doubled":
             self._forwarded(method, path, body, verb)
             return self._forwarded(method, path, body, verb)
+        if kind in NOT_ITSELF:
+            return self._another(kind, method, path, body, verb)
         if kind in READINGS:
             return self._misread(kind, self._forwarded(method, path, body, verb))
+        if kind in WRONG_CLOCK:
+            return _shifted(WRONG_CLOCK[kind], self._forwarded(method, path, body, verb))
         return self._broken(kind, method, path, body, verb)
 
     def _silent(self, kind: str, method: str, path: str, body: bytes, verb: str) -> None:
@@ -120,6 +127,16 @@ class Proxy:
         if kind == "late":
             self._late = (method, path, body)
         time.sleep(self._silent_s)
+
+    def _another(self, kind: str, method: str, path: str, body: bytes, verb: str) -> tuple[int, bytes]:
+        """The answer of something else in the service's place, or an old one."""
+        if kind == "cached":
+            return self._before.get(verb) or self._forwarded(method, path, body, verb)
+        if kind.endswith("after"):
+            self._forwarded(method, path, body, verb)
+        page = b"<html><body>No such page.\x1b[31m</body></html>"
+        answers = {"redirect": (302, page), "page": (404, page), "null": (200, b'{"message": "", "payload": null}')}
+        return answers[kind.removesuffix(" after")]
 
     def _broken(self, kind: str, method: str, path: str, body: bytes, verb: str) -> tuple[int, bytes] | None:
         if kind not in BROKEN:
@@ -158,6 +175,7 @@ class Proxy:
             _, told = self._ask("GET", path.replace("stop", "kpi", 1), b"")
             self.seen.kpis = {k: v for k, v in (_payload(told) or {}).items() if v is not None}
         status, answer = self._ask(method, path, body)
+        self._before[verb] = status, answer
         with self._lock:
             payload = _payload(answer) if status == 200 else None
             if verb in ("initialize", "advance") and isinstance(payload, dict) and "time" in payload:
@@ -179,7 +197,9 @@ class Proxy:
             return answered
         sensors = sorted(name for name in payload if name.startswith("rea"))
         name = self._zone_point if self._rng.random() < 0.5 else str(self._rng.choice(sensors))
-        if kind == "stuck":
+        if kind == "in °C":
+            payload[self._zone_point] -= 273.15
+        elif kind == "stuck":
             self._stuck = payload[self._zone_point] if self._stuck is None else self._stuck
             payload[self._zone_point] = self._stuck
         elif kind == "nan":
@@ -218,7 +238,9 @@ def serving(proxy: Proxy) -> Iterator[str]:
             status, content = answer
             try:
                 self.send_response(abs(status))
-                self.send_header("Content-Type", "application/json")
+                self.send_header("Content-Type", "text/html" if content[:1] == b"<" else "application/json")
+                if abs(status) == 302:
+                    self.send_header("Location", "https://elsewhere.example/")
                 self.send_header("Content-Length", str(len(content)))
                 self.send_header("Connection", "close")
                 self.end_headers()
@@ -242,6 +264,16 @@ def serving(proxy: Proxy) -> Iterator[str]:
 
 def _refusal(status: int) -> tuple[int, bytes]:
     return status, json.dumps({"status": status, "message": "made by chaos", "payload": None}).encode()
+
+
+def _shifted(seconds: float, answered: tuple[int, bytes]) -> tuple[int, bytes]:
+    """The answer with another clock, where it has one."""
+    content, payload = _mapping(answered[1]), _payload(answered[1])
+    if not (isinstance(payload, dict) and "time" in payload):
+        return answered
+    times = payload["time"]
+    payload["time"] = [time_s + seconds for time_s in times] if isinstance(times, list) else times + seconds
+    return answered[0], json.dumps(content | {"payload": payload}).encode()
 
 
 def _mapping(text: bytes) -> dict[str, Any]:

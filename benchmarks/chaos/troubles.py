@@ -11,13 +11,22 @@ from thermoforce_mpc.data import DAY_S, HOUR_S
 # Single requests, with the endpoints they are drawn for ("" is any).
 REFUSALS = ("500", "500 after", "502", "503", "504", "429", "400")
 BROKEN = ("reset before", "reset after", "half answer", "html", "other json", "empty")
+NOT_ITSELF = ("redirect", "redirect after", "page", "page after", "null", "null after", "cached")
+WRONG_CLOCK = {"clock 900 s ahead": 900.0, "clock 900 s behind": -900.0, "clock 0.5 s ahead": 0.5,
+               "clock 0.5 s behind": -0.5, "forecast 1 h ahead": 3600.0}  # fmt: skip
 TWICE = ("doubled", "late")
 SILENT = ("silent before", "silent after")
-READINGS = ("missing point", "nan", "stuck")
+READINGS = ("missing point", "nan", "stuck", "in °C")
 INSIDE = tuple(f"{who} {what}" for who in ("solver", "forecaster") for what in ("raises", "nan", "hangs"))
 AWAY = ("refusing", "unavailable")
 NO_FORECAST = "no forecast"
 RESTART = "restarted"
+CLASSES: dict[str, tuple[str, ...]] = {
+    "refused": REFUSALS, "broken": BROKEN, "not itself": NOT_ITSELF, "wrong clock": tuple(WRONG_CLOCK), "twice": TWICE,
+    "silent": SILENT, "readings": READINGS, "inside": INSIDE, "away": AWAY, "no forecast": (NO_FORECAST,),
+    "restarted": (RESTART,),
+}  # fmt: skip
+_WEIGHTS = np.array([4, 4, 4, 4, 2, 1, 4, 4, 3, 1, 0.5])
 
 # Kinds that cost real time: at most this many requests in an episode.
 _MOST_SLOW = 2
@@ -49,9 +58,8 @@ class Trouble:
 
 def drawn(rng: np.random.Generator, days: float) -> tuple[Trouble, ...]:
     """One to three troubles of an episode; a service that forgets its tests comes last and alone of its kind."""
-    groups = (REFUSALS, BROKEN, TWICE, SILENT, READINGS, INSIDE, AWAY, (NO_FORECAST,), (RESTART,))
-    weights = np.array([4, 4, 2, 1, 4, 4, 3, 1, 0.5])
-    chosen = rng.choice(len(groups), size=int(rng.integers(1, 4)), replace=False, p=weights / weights.sum())
+    groups = list(CLASSES.values())
+    chosen = rng.choice(len(groups), size=int(rng.integers(1, 4)), replace=False, p=_WEIGHTS / _WEIGHTS.sum())
     return tuple(_drawn(rng, str(rng.choice(groups[i])), days * DAY_S) for i in sorted(chosen))
 
 
@@ -78,4 +86,6 @@ def _drawn(rng: np.random.Generator, kind: str, length_s: float) -> Trouble:
 def _endpoint(rng: np.random.Generator, kind: str) -> str:
     if kind in TWICE:
         return "advance"
+    if kind.startswith("forecast"):
+        return "forecast"
     return str(rng.choice(["", "advance", "forecast", "results"], p=[0.4, 0.3, 0.15, 0.15]))

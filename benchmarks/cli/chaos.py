@@ -39,7 +39,8 @@ def command(
     """Run episodes of an MPC on the embedded plant over REST, with a faulty proxy between client and service.
 
     Each episode meets one to three troubles, drawn from the seed: errors (400, 429, 5xx), time-outs, connections reset
-    before or after the request was handed on, half answers, doubled and late requests, JSON of another kind, a service
+    before or after the request was handed on, half answers, doubled and late requests, JSON of another kind, redirects,
+    pages, null and old answers in place of the service's, clocks that are wrong, readings in °C, a service
     away for up to 14 minutes, one that gives no forecasts, for hours or for good, or forgot its test, readings missing,
     NaN or stuck, and a solver or forecaster that raises, hangs or returns NaN. Pauses of the client pass at once;
     services run in these processes.

@@ -246,7 +246,14 @@ def test_a_refused_step_length_is_set_again(client, service):
 
     service.faults.append(Fault("step/", "edited", times=2, edit=edit))
     client.set_step(900)
-    assert service.count("step/") == 3
+    assert service.count("step/") == 4, "and read"
+    assert client.advance({})["time"] == start["time"] + 900
+
+
+def test_a_step_length_that_did_not_arrive_is_set_again(client, service):
+    start = client.initialize(86400, 0)
+    service.faults.append(Fault("step/", "null"))
+    client.set_step(900)
     assert client.advance({})["time"] == start["time"] + 900
 
 
