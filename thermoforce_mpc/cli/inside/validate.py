@@ -25,8 +25,8 @@ def command(file: Path) -> None:
     """Check FILE, a scenario, test case, comparison, fleet or map; an error names file, key and allowed values.
 
     A comparison has the key `variants`, a fleet `buildings`, a map `outdoor`, a test case `actuator`, `zones` or
-    `measurements`. Of a scenario, weather, prices, model and forecaster are loaded too. Whether a map fits a table is said
-    by `tf-mpc data check`. Exit code 2 when it is invalid.
+    `measurements`. Of a scenario, weather, prices, model and forecaster are loaded too. Whether a map fits a table
+    is said by `tf-mpc data check`. Exit code 2 when it is invalid.
     """
     data = read_yaml(file)
     kind = next((kind for key, kind in _KIND_OF.items() if key in data), "scenario")
