@@ -132,16 +132,24 @@ class DoubtfulInput(UserWarning):
     """Input that is possible, but more often a mistake; the message names the file and the reason."""
 
 
-def read_bounded(path: Path, most_bytes: int, error: type[InputError]) -> bytes:
-    """Return the content of a regular file of at most `most_bytes`; raises `error` naming the file and the reason."""
+def check_regular(path: Path, error: type[InputError]) -> None:
+    """Raise `error` unless `path` is a file or a link to one: a device may have no end, and a pipe waits for one."""
     try:
-        # Checked before opening: opening a pipe without a writer waits for one.
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise error(f"{path}: not a file")
-        with path.open("rb") as file:
-            content = read_pieces(file, most_bytes)
+        regular = stat.S_ISREG(path.stat().st_mode)
     except (OSError, ValueError) as problem:  # ValueError: a NUL in the name
         raise error(f"{path}: cannot be read ({getattr(problem, 'strerror', None) or problem})") from problem
+    if not regular:
+        raise error(f"{path}: not a file")
+
+
+def read_bounded(path: Path, most_bytes: int, error: type[InputError]) -> bytes:
+    """Return the content of a regular file of at most `most_bytes`; raises `error` naming the file and the reason."""
+    check_regular(path, error)
+    try:
+        with path.open("rb") as file:
+            content = read_pieces(file, most_bytes)
+    except OSError as problem:
+        raise error(f"{path}: cannot be read ({problem.strerror or problem})") from problem
     if len(content) > most_bytes:
         raise error(f"{path}: more than {most_bytes:,} bytes, the most that is read here; is it the right file?")
     return content

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -71,6 +72,10 @@ class StateFormat:
         """
         content = read_bounded(path, _MOST_BYTES, InputError)
         try:
+            with zipfile.ZipFile(BytesIO(content)) as archive:
+                unpacked = sum(member.file_size for member in archive.infolist())
+            if unpacked > _MOST_BYTES:
+                raise ValueError(f"{unpacked:,} bytes when unpacked, at most {_MOST_BYTES:,} are read")
             with np.load(BytesIO(content), allow_pickle=False) as stored:
                 return self._built(json.loads(bytes(stored[_TEXT])), stored)
         except Exception as error:  # of a damaged archive, of other classes, of what their constructors refuse

@@ -27,6 +27,7 @@ from thermoforce_mpc.service.sessions import Sessions, UnknownTestid
 NAME = "bestest_hydronic_heat_pump"
 SOON_S = LONG_S
 TOKEN = "kept-in-a-drawer-0123456789"
+JSON = {"Content-Type": "application/json"}
 
 
 @pytest.fixture(scope="module")
@@ -157,10 +158,10 @@ def test_a_limit_of_nothing_is_refused(limit):
 
 def test_a_body_longer_than_the_limit_gets_413():
     with running_emulator_service(most_bytes=2000) as address:
-        answer = requests.put(f"{address}/step", data=b" " * 2001, timeout=SOON_S)
+        answer = requests.put(f"{address}/step", data=b" " * 2001, headers=JSON, timeout=SOON_S)
         assert answer.status_code == 413
         assert answer.json()["payload"] is None
-        assert requests.put(f"{address}/step", data=b'{"step": 900}' + b" " * 1900, timeout=SOON_S).ok
+        assert requests.put(f"{address}/step", data=b'{"step": 900}' + b" " * 1900, headers=JSON, timeout=SOON_S).ok
 
 
 @pytest.mark.parametrize(
@@ -180,7 +181,7 @@ def test_paths_that_lead_elsewhere_lead_nowhere(url, method, path):
     host, port = url.removeprefix("http://").split(":")
     with socket.create_connection((host, int(port)), timeout=SOON_S) as connection:  # `requests` would tidy the path
         connection.sendall(
-            f"{method} {path} HTTP/1.1\r\nHost: x\r\nContent-Length: 0\r\nConnection: close\r\n\r\n".encode()
+            f"{method} {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\nConnection: close\r\n\r\n".encode()
         )
         answer = b""
         while part := connection.recv(65536):
@@ -191,7 +192,7 @@ def test_paths_that_lead_elsewhere_lead_nowhere(url, method, path):
 
 @pytest.mark.parametrize("body", ["[" * 200_000, '{"step":' * 100_000, '{"step": ' + "[" * 12 + "]" * 12 + "}"])
 def test_deep_json_is_refused(url, body):
-    answer = requests.put(f"{url}/step", data=body, timeout=SOON_S)
+    answer = requests.put(f"{url}/step", data=body, headers=JSON, timeout=SOON_S)
     assert answer.status_code == 400
     assert len(answer.text) < 1000
 

@@ -30,6 +30,7 @@ from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.service.server import build_server
 
 NAME = "bestest_hydronic_heat_pump"
+JSON = {"Content-Type": "application/json"}
 QUICK = TransportConfig(connect_timeout_s=2.0, read_timeout_s=LONG_S, patience_s=0.0)
 
 
@@ -463,7 +464,7 @@ def test_bad_requests_get_the_services_status_and_a_reason(client, method, path,
 
 @pytest.mark.parametrize(("body", "message"), [(b"{step", "not JSON"), (b"[1]", "a JSON list"), (b"[" * 5000, "JSON")])
 def test_bodies_that_are_no_json_object_are_refused(client, body, message):
-    answer = requests.put(f"{client.url}/step/{client.testid}", data=body, timeout=LONG_S)
+    answer = requests.put(f"{client.url}/step/{client.testid}", data=body, headers=JSON, timeout=LONG_S)
     assert answer.status_code == 400
     assert message in answer.json()["message"]
 
@@ -483,7 +484,7 @@ def test_forms_are_understood_as_older_clients_send_them(client):
 def test_a_body_that_is_too_long_is_refused(client):
     # Refused by the announced length: the server need not read it, and may close before all is sent.
     try:
-        answer = requests.put(f"{client.url}/step/{client.testid}", data=b"x" * 1_100_000, timeout=LONG_S)
+        answer = requests.put(f"{client.url}/step/{client.testid}", data=b"x" * 1_100_000, headers=JSON, timeout=LONG_S)
     except requests.ConnectionError:
         pass
     else:

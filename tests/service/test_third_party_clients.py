@@ -19,6 +19,7 @@ from waiting import LONG_S
 from thermoforce_mpc.data import DAY_S
 
 NAME = "bestest_hydronic_heat_pump"
+JSON = {"Content-Type": "application/json"}
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +107,7 @@ class TestTheExampleInterface:
         y = payload(requests.post(f"{url}/advance", data=u, timeout=LONG_S))
         assert (y["time"], y["oveHeaPumY_u"]) == (body["start_time"] + 900, 0.6)
         everything = b'{"point_names": ["reaTZon_y", "oveHeaPumY_u"], "start_time": -Infinity, "final_time": Infinity}'
-        results = payload(requests.put(f"{url}/results", data=everything, timeout=LONG_S))
+        results = payload(requests.put(f"{url}/results", data=everything, headers=JSON, timeout=LONG_S))
         assert [results["time"][0], results["time"][-1]] == [body["start_time"], y["time"]]
         assert payload(requests.get(f"{url}/kpi", timeout=LONG_S))["ener_tot"] > 0
         assert payload(requests.put(f"{url}/scenario", json=current, timeout=LONG_S))["time_period"] is None
@@ -218,6 +219,14 @@ class TestTheLearningEnvironment:
         assert (table["oveHeaPumY_u"] == 1.0).all()
 
 
+@pytest.mark.parametrize("how", ["", "-", "-async", "-true", "now"])
+@pytest.mark.parametrize("namespace", ["", "ibpsa/"])
+def test_a_test_is_selected_by_every_form_of_the_services_route(url, how, namespace):
+    """`select-?:async?`, as Express reads it."""
+    selected = requests.post(f"{url}/testcases/{namespace}{NAME}/select{how}", timeout=LONG_S)
+    assert requests.put(f"{url}/stop/{selected.json()['testid']}", timeout=LONG_S).text == "OK"
+
+
 class TestTheServicesOwnChecks:
     """Bad values that BOPTEST's own tests send, with the code they expect."""
 
@@ -228,6 +237,13 @@ class TestTheServicesOwnChecks:
             ("put", "step", {"step": -5 * 7 * 24 * 3600}),
             ("put", "scenario", {"electricity_price": "invalid_scenario", "time_period": "peak_heat_day"}),
             ("put", "scenario", {"electricity_price": "highly_dynamic", "time_period": "invalid_time_period"}),
+            *(
+                ("put", "scenario", {key: wrong})
+                for wrong in ({}, [], False, True)
+                for key in ("seed", "electricity_price", "time_period", "solar_uncertainty")
+            ),
+            ("put", "initialize", {"start_time": 0, "warmup_period": 0, "final_time": {}}),
+            ("put", "forecast", None),
             ("put", "initialize", {"start_time": "0.5 * 24 * 3600", "warmup_period": 43200.0}),
             ("put", "initialize", {"start_time": 43200.0, "warmup_period": "0.5 * 24 * 3600"}),
             ("put", "initialize", {"start_time": -43200.0, "warmup_period": 43200.0}),

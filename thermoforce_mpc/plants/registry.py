@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from boptest_client import TransportConfig
     from thermoforce_mpc.boundary.forecast_error import ForecastError
     from thermoforce_mpc.boundary.tariffs import Tariff
+    from thermoforce_mpc.boundary.weather.year import Weather
 
 WEATHER, PRICES, UNCERTAINTY = "weather", "prices_file", "forecast_uncertainty"
 
@@ -110,6 +111,17 @@ def check_plant(spec: PlantSpec, testcase: TestCase) -> StrictModel:
     return validate(entry.config(), spec.options, f"plant.options of plant '{name}'")
 
 
+def check_surroundings(spec: PlantSpec) -> None:
+    """Read the files of weather and prices that a plant is given.
+
+    Raises:
+        WeatherError: that of the weather cannot be used.
+        ConfigError: that of the prices cannot be.
+    """
+    _weather(spec)
+    _tariff(spec)
+
+
 def windows_of(spec: PlantSpec, testcase: TestCase) -> tuple[str, ...] | None:
     """Names of the windows that the plant of a scenario has beside start days; None where only the plant knows them.
 
@@ -185,17 +197,21 @@ def _on_engine(spec: PlantSpec, seed: int) -> dict[str, Any]:
 
 
 def _emulator(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
-    from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
     from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
-    weather = synthetic_weather() if spec.weather == "synthetic" else load_weather(Path(spec.weather))
-    return EmbeddedPlant(weather, highly_dynamic=_tariff(spec), forecast_error=_error(spec, seed))
+    return EmbeddedPlant(_weather(spec), highly_dynamic=_tariff(spec), forecast_error=_error(spec, seed))
 
 
 def _error(spec: PlantSpec, seed: int) -> ForecastError | None:
     from thermoforce_mpc.boundary.forecast_error import ForecastError
 
     return None if spec.forecast_uncertainty == "none" else ForecastError(spec.forecast_uncertainty, seed)
+
+
+def _weather(spec: PlantSpec) -> Weather:
+    from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
+
+    return synthetic_weather() if spec.weather == "synthetic" else load_weather(Path(spec.weather))
 
 
 def _tariff(spec: PlantSpec) -> Tariff | None:

@@ -1,4 +1,4 @@
-"""Who may ask, and how often: a token for all requests, and a rate for each address."""
+"""Who may ask, and how often: names of the service, pages of a browser, a token, and a rate for each address."""
 
 from __future__ import annotations
 
@@ -7,6 +7,10 @@ import ipaddress
 import threading
 import time
 from collections import OrderedDict
+from collections.abc import Iterable
+from urllib.parse import urlsplit
+
+from werkzeug.datastructures import Headers
 
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.service.refusal import Refusal
@@ -15,6 +19,8 @@ LEAST_TOKEN = 16
 # Addresses remembered; the one that asked longest ago is forgotten first.
 _MOST_ADDRESSES = 10_000
 _SCHEME = "bearer"
+# What a browser says of a request by a page of the service, or by its user.
+_HERE = ("same-origin", "none")
 
 
 def is_loopback(host: str) -> bool:
@@ -38,6 +44,35 @@ def check_token(host: str, token: str | None) -> None:
             raise ConfigError(f"{host} can be reached from other machines, so the service needs a token: {advice}")
     elif len(token) < LEAST_TOKEN or not token.isascii() or not token.isprintable() or " " in token:
         raise ConfigError(f"the token needs {LEAST_TOKEN} or more printable ASCII characters without spaces; {advice}")
+
+
+class Names:
+    """Names by which the service may be asked, and so which pages of a browser may ask: its own.
+
+    An address may always be asked: only a name can be made to lead here by whom it belongs to (DNS rebinding).
+    """
+
+    def __init__(self, names: Iterable[str] = ()) -> None:
+        self._names = {"localhost", *(name.lower() for name in names)}
+
+    def check(self, headers: Headers) -> None:
+        """Raise `Refusal` (403) for a host of another name, or for a request that a page of elsewhere makes."""
+        asked, page = headers.get("Host", ""), headers.get("Origin")
+        if asked and not self._own(asked):
+            raise Refusal(
+                403, f"This service is not called {asked!r:.80}; ask by its address, or start it with --name."
+            )
+        # `same-site` is a page of another port. Not every request of a page states an Origin.
+        elsewhere = page is not None and page.partition("://")[2] != asked
+        if elsewhere or headers.get("Sec-Fetch-Site", "none") not in _HERE:
+            raise Refusal(403, "A page of another site may not ask this service.")
+
+    def _own(self, asked: str) -> bool:
+        try:
+            name = (urlsplit(f"//{asked}").hostname or "").lower()
+            return name in self._names or bool(ipaddress.ip_address(name))
+        except ValueError:
+            return False
 
 
 class Token:

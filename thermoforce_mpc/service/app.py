@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import IO, Any
 
@@ -14,7 +14,7 @@ from werkzeug.exceptions import HTTPException, MethodNotAllowed, NotFound
 
 from thermoforce_mpc.data import Period
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.service.access import Rate, Token
+from thermoforce_mpc.service.access import Names, Rate, Token
 from thermoforce_mpc.service.endpoints import ENDPOINTS, TESTCASE, Endpoint
 from thermoforce_mpc.service.openapi import NAMESPACE, document
 from thermoforce_mpc.service.refusal import Refusal
@@ -34,6 +34,7 @@ class Limits:
 
     Attributes:
         most_tests: largest number of tests at a time.
+        tests_each: largest number of tests that one address started; None: all.
         idle_s: time without requests after which a test is dropped, s.
         lifetime_s: time after which a test is dropped in any case, s.
         most_bytes: longest request body, bytes.
@@ -41,6 +42,7 @@ class Limits:
     """
 
     most_tests: int = 8
+    tests_each: int | None = None
     idle_s: float = 900.0
     lifetime_s: float = 7 * 86400.0
     most_bytes: int = 1_000_000
@@ -48,7 +50,11 @@ class Limits:
 
 
 def create_app(
-    make_plant: Callable[[], EmbeddedPlant], limits: Limits | None = None, *, token: str | None = None
+    make_plant: Callable[[], EmbeddedPlant],
+    limits: Limits | None = None,
+    *,
+    token: str | None = None,
+    names: Iterable[str] = (),
 ) -> Flask:
     """WSGI application of the service.
 
@@ -56,26 +62,31 @@ def create_app(
         make_plant: builds the plant of a new test.
         limits: bounds; default: `Limits()`.
         token: token that every request needs; None: none.
+        names: by which it may be asked, besides addresses and localhost.
     """
     limits = limits or Limits()
     windows = _Windows(make_plant)
     sessions = Sessions(
         lambda: Session(make_plant(), windows.period),
         most=limits.most_tests,
+        each=limits.tests_each,
         idle_s=limits.idle_s,
         lifetime_s=limits.lifetime_s,
     )
     app = Flask(__name__, static_folder=None)
     app.config["MAX_CONTENT_LENGTH"] = limits.most_bytes
     app.url_map.merge_slashes = False
-    rate, key = Rate(limits.per_second), Token(token) if token else None
+    rate, own, key = Rate(limits.per_second), Names(names), Token(token) if token else None
     described = document(token=token is not None)
 
     @app.before_request
     def admit() -> None:
-        rate.admit(request.remote_addr or "")
+        rate.admit(_client())
+        own.check(request.headers)
         if key:
             key.check(request.headers.get("Authorization"))
+        if request.content_length and request.mimetype not in ("application/json", *_FORMS):
+            raise Refusal(415, f"A body of type {request.mimetype or 'none'!r:.80} is not read; send application/json.")
 
     @app.get("/openapi.json")
     def openapi() -> Response:
@@ -91,13 +102,13 @@ def create_app(
         return _json(200, [{"testcaseid": TESTCASE}])
 
     @app.post("/testcases/<name>/select")
-    @app.post("/testcases/<name>/select-async")
+    @app.post("/testcases/<name>/select<how>")
     @app.post(f"/testcases/{NAMESPACE}/<name>/select")
-    @app.post(f"/testcases/{NAMESPACE}/<name>/select-async")
-    def select(name: str) -> Response:
+    @app.post(f"/testcases/{NAMESPACE}/<name>/select<how>")
+    def select(name: str, how: str = "") -> Response:
         if name != TESTCASE:
             return _envelope(404, f"No test case {name[:80]!r}; this service offers {TESTCASE}.", None)
-        return _json(200, {"testid": sessions.select()})
+        return _json(200, {"testid": sessions.select(_client())})
 
     @app.get("/status/<testid>")
     def status(testid: str) -> Response:
@@ -113,7 +124,7 @@ def create_app(
         def answer(testid: str | None = None) -> Response:
             body = _body(request) if endpoint.body is not None else {}
             # Up to BOPTEST 0.6 a container ran one test case, and paths had no test id.
-            with sessions.using(sessions.lone() if testid is None else testid) as session:
+            with sessions.using(sessions.lone(_client()) if testid is None else testid) as session:
                 reply = endpoint.answer(session, body)
             return _envelope(200, reply.message, reply.payload)
 
@@ -172,6 +183,11 @@ class _Windows:
             if self._plant is None:
                 self._plant = self._make_plant()
             return self._plant.period(name)
+
+
+def _client() -> str:
+    """Address of who asks."""
+    return request.remote_addr or ""
 
 
 def _body(request: Request) -> dict[str, Any]:

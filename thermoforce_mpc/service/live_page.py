@@ -13,11 +13,11 @@ from typing import Any
 from flask import Flask, Response, request
 
 from thermoforce_mpc.errors import PlantError, ThermoForceError
+from thermoforce_mpc.service.access import Names
 from thermoforce_mpc.service.connections import Server, serve_on
+from thermoforce_mpc.service.refusal import Refusal
 
 HOST = "127.0.0.1"
-# A page of another site that has its name point here (DNS rebinding) sends that name.
-_NAMES = ("127.0.0.1", "localhost")
 _MOST_BYTES, _THREADS = 10_000, 4
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -33,11 +33,15 @@ def live_app(view: Callable[[], Mapping[str, Any]]) -> Flask:
     app = Flask(__name__, static_folder=None)
     page = files("thermoforce_mpc.service").joinpath("live_page.html").read_text(encoding="utf-8")
 
+    own = Names()
+
     @app.before_request
-    def only_here() -> Response | None:
-        if request.host.rsplit(":", 1)[0] not in _NAMES:
-            return Response("This page is for this machine alone.", 403, mimetype="text/plain")
-        return None
+    def only_here() -> None:
+        own.check(request.headers)
+
+    @app.errorhandler(Refusal)
+    def refused(error: Refusal) -> Response:
+        return Response(error.message, error.status, mimetype="text/plain")
 
     @app.after_request
     def with_headers(response: Response) -> Response:

@@ -13,8 +13,10 @@ _FORMS = ("multipart/form-data", "application/x-www-form-urlencoded")
 _REASONS = {
     400: "invalid value or test id, see `message` or `errors`",
     401: "the token is missing or wrong",
+    403: "asked by a name that the service has not, or by a page of another site",
     404: "no such test case or path",
     413: "the body is too long",
+    415: "the body is neither JSON nor a form",
     429: "too many requests a second, requests of one test at a time, or tests",
 }
 
@@ -31,9 +33,9 @@ def document(*, token: bool) -> dict[str, Any]:
     chosen: Schema = {"type": "object", "required": ["testid"], "properties": {"testid": {"type": "string"}}}
     for prefix in ("/testcases", f"/testcases/{NAMESPACE}"):
         paths[prefix] = {"get": _bare("Test cases offered", listed, token)}
-        for verb in ("select", "select-async"):
-            operation = _bare("Start a test", chosen, token, ("name",), body={"type": "object"})
-            paths[f"{prefix}/{{name}}/{verb}"] = {"post": operation}
+        for end, more in (("", ()), ("{how}", ("how",))):
+            operation = _bare("Start a test", chosen, token, ("name", *more), body={"type": "object"})
+            paths[f"{prefix}/{{name}}/select{end}"] = {"post": operation}
     for endpoint in ENDPOINTS:
         for path, names in ((f"/{endpoint.verb}/{{testid}}", ("testid",)), (f"/{endpoint.verb}", ())):
             paths.setdefault(path, {})[endpoint.method.lower()] = _operation(endpoint, token, names)
@@ -68,7 +70,7 @@ def _bare(
 ) -> dict[str, Any]:
     """One operation: `answer` is the schema of its reply, `names` are the parameters in its path."""
     responses: dict[str, Any] = {"200": _response("done", answer, kind)}
-    statuses = [429, *([401] if token else []), *([413] if body is not None else [])]
+    statuses = [403, 429, *([401] if token else []), *([413, 415] if body is not None else [])]
     # Paths without a test id use the one test of such clients; only a body can be wrong there.
     statuses += [400] if "testid" in names or body is not None else []
     statuses += [404] if "name" in names else []

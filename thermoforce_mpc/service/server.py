@@ -7,8 +7,9 @@ import logging
 import os
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from thermoforce_mpc.boundary.tariffs import Tariff
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.service.access import check_token
+from thermoforce_mpc.service.access import check_token, is_loopback
 from thermoforce_mpc.service.app import Limits, create_app
 from thermoforce_mpc.service.connections import Server, serve_on
 from thermoforce_mpc.service.sessions import MOST_ASKING
@@ -34,6 +35,7 @@ def build_server(
     port: int = DEFAULT_PORT,
     highly_dynamic: Tariff | None = None,
     token: str | None = None,
+    names: Sequence[str] = (),
     **limits: Any,
 ) -> Server:
     """Bind the service; `run()` of the returned server serves until `close()`.
@@ -44,7 +46,8 @@ def build_server(
         port: port, or 0 for a free one (see `effective_port`).
         highly_dynamic: tariff of that name; default: a synthetic one.
         token: token that every request must send as `Authorization: Bearer TOKEN`.
-        limits: fields of `Limits`.
+        names: by which it may be asked, besides `host`, addresses and localhost.
+        limits: fields of `Limits`; by default one address has half of the tests where other machines reach `host`.
 
     Raises:
         ConfigError: `port`, a limit or the token is out of range, or the token is missing.
@@ -53,9 +56,11 @@ def build_server(
     if not 0 <= port <= 65535:
         raise ConfigError(f"port {port}: expected 0 to 65535")
     for name, value in limits.items():
-        if not value > 0:
+        if value is not None and not value > 0:
             raise ConfigError(f"{name} is {value}: expected a positive number")
     bounds = Limits(**limits)
+    if bounds.tests_each is None and not is_loopback(host):
+        bounds = replace(bounds, tests_each=(bounds.most_tests + 1) // 2)
     check_token(host, token)
     # Bound here, since waitress leaves its own socket open when binding fails.
     try:
@@ -65,7 +70,7 @@ def build_server(
         # Without the address that Python appends to the system's message.
         reason = os.strerror(error.errno) if error.errno and error.errno > 0 else str(error)
         raise PlantError(f"cannot listen on {host}:{port} ({reason}); choose another address or port") from error
-    app = create_app(plants(weather, highly_dynamic), bounds, token=token)
+    app = create_app(plants(weather, highly_dynamic), bounds, token=token, names=(host, *names))
     # One thread per admitted request, plus free ones: long simulations do not block other requests.
     threads = bounds.most_tests * MOST_ASKING + _FREE_THREADS
     # Twice as long, so that what is moderately too long gets an answer in the service's own form.

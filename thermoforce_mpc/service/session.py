@@ -29,7 +29,7 @@ from thermoforce_mpc.service.points import (
     recorded_points,
 )
 from thermoforce_mpc.service.refusal import Refusal
-from thermoforce_mpc.service.scenario import forecast_error, level
+from thermoforce_mpc.service.scenario import LEVELS, NOTHING, choice, forecast_error, seed
 
 __all__ = ["DEFAULT_STEP_S", "LEAST_STEP_S", "MOST_STEP_S", "MOST_VALUES", "PERIODS", "Reply", "Session"]
 
@@ -101,7 +101,7 @@ class Session:
         """Start at `start_time`, s, after `warmup_period`, s, of native control; `final_time`, s, ends the test."""
         start_s = _number(body, "start_time", low=0.0)
         warmup_s = _number(body, "warmup_period", low=0.0)
-        final_s = _number(body, "final_time") if body.get("final_time") else math.inf
+        final_s = math.inf if body.get("final_time") in (*NOTHING, 0) else _number(body, "final_time")
         return self._start(start_s, warmup_s, final_s)
 
     def scenario(self) -> Reply:
@@ -113,18 +113,13 @@ class Session:
 
         Price and time period are kept when not given; uncertainties and seed are reset. Other keys are ignored.
         """
-        price = body.get("electricity_price")
-        if price and price not in self._plant.tariff_names:
-            raise Refusal(
-                400, f"Invalid electricity_price {price!r}; expected one of {', '.join(self._plant.tariff_names)}."
-            )
-        period = body.get("time_period")
-        if period and period not in PERIODS:
-            raise Refusal(400, f"Invalid time_period {period!r}; expected one of {', '.join(PERIODS)}.")
+        price = choice(body, "electricity_price", self._plant.tariff_names)
+        period = choice(body, "time_period", PERIODS)
         changed: dict[str, Any] = {
-            name: level(name, body.get(name)) for name in ("temperature_uncertainty", "solar_uncertainty")
+            name: choice(body, name, LEVELS, (*NOTHING, "none"))
+            for name in ("temperature_uncertainty", "solar_uncertainty")
         }
-        changed["seed"] = _seed(body.get("seed"))
+        changed["seed"] = seed(body.get("seed"))
         if price:
             changed["electricity_price"] = price
         if period:
@@ -309,17 +304,10 @@ def _switch(key: str, value: Any) -> bool:
     raise Refusal(400, f"Invalid value {value!r} of {key}: expected 0 or 1.")
 
 
-def _seed(value: Any) -> int | None:
-    """Seed of a request; None for null, '' and 0. As in BOPTEST, text is refused and whole floats are allowed."""
-    if not value:
-        return None
-    if not isinstance(value, int | float) or value < 0 or value != value // 1:
-        raise Refusal(400, f"Invalid seed {value!r}: expected a nonnegative integer.")
-    return int(value)
-
-
 def _names(body: Mapping[str, Any], points: Mapping[str, Any], what: str) -> list[str]:
-    names = body.get("point_names")
+    if "point_names" not in body:
+        raise Refusal(400, "Missing parameter point_names.")
+    names = body["point_names"]
     if isinstance(names, str):
         names = [names]
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):

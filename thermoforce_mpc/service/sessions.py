@@ -25,6 +25,7 @@ class UnknownTestid(Exception):
 @dataclass
 class _Entry:
     session: Session
+    client: str
     born_s: float
     used_s: float
     asking: int = 0
@@ -32,35 +33,44 @@ class _Entry:
 
 
 class Sessions:
-    """At most `most` tests at a time. Thread-safe.
+    """At most `most` tests at a time, `each` of them (None: all) by one client. Thread-safe.
 
     One without requests for `idle_s`, s, is dropped, and any that is `lifetime_s`, s, old.
     """
 
-    def __init__(self, make: Callable[[], Session], *, most: int, idle_s: float, lifetime_s: float = math.inf) -> None:
-        self._make, self._most, self._idle_s, self._lifetime_s = make, most, idle_s, lifetime_s
+    def __init__(
+        self,
+        make: Callable[[], Session],
+        *,
+        most: int,
+        idle_s: float,
+        lifetime_s: float = math.inf,
+        each: int | None = None,
+    ) -> None:
+        self._make, self._most, self._each = make, most, each or most
+        self._idle_s, self._lifetime_s = idle_s, lifetime_s
         self._entries: dict[str, _Entry] = {}
         # Stopped tests that are still simulating, which cannot be interrupted.
         self._ending: list[_Entry] = []
         self._lock = threading.Lock()
 
-    def select(self) -> str:
-        """Start a test; returns its id. Raises `Refusal` (429) when `most` tests are running."""
+    def select(self, client: str = "") -> str:
+        """Start a test for the address `client`; returns its id. Raises `Refusal` (429) where there is none left."""
         with self._lock:
             self._drop_idle()
             testid = str(uuid.uuid4())
-            self._entries[testid] = self._new_entry()
+            self._entries[testid] = self._new_entry(client)
             return testid
 
-    def lone(self) -> str:
+    def lone(self, client: str = "") -> str:
         """Id of the test of clients without test ids: started on the first request, never dropped.
 
-        Such a client could not detect that its test was replaced. Raises `Refusal` (429) when `most` tests are running.
+        Such a client could not detect that its test was replaced. Raises `Refusal` (429) as `select`.
         """
         with self._lock:
             self._drop_idle()
             if _LONE not in self._entries:
-                self._entries[_LONE] = self._new_entry()
+                self._entries[_LONE] = self._new_entry(client)
             return _LONE
 
     def stop(self, testid: str) -> None:
@@ -100,11 +110,14 @@ class Sessions:
             raise UnknownTestid(testid)
         return self._entries[testid]
 
-    def _new_entry(self) -> _Entry:
-        if len(self._entries) + len(self._ending) >= self._most:
+    def _new_entry(self, client: str) -> _Entry:
+        running = [*self._entries.values(), *self._ending]
+        if len(running) >= self._most:
             raise Refusal(429, f"All {self._most} tests of this service are in use; stop one, or try again later.")
+        if sum(entry.client == client for entry in running) >= self._each:
+            raise Refusal(429, f"{client} runs {self._each} tests of this service, its share; stop one.")
         now_s = time.monotonic()
-        return _Entry(self._make(), now_s, now_s)
+        return _Entry(self._make(), client, now_s, now_s)
 
     def _drop_idle(self) -> None:
         now_s = time.monotonic()

@@ -245,6 +245,7 @@ def test_the_page_is_for_this_machine_and_tells_the_view(single):
         told = requests.get(f"{url}/view.json", timeout=LONG_S).json()
         assert told == json.loads(json.dumps(LiveRun(single[0]).now().to_json()))
         assert requests.get(url, headers={"Host": "evil.example"}, timeout=LONG_S).status_code == 403
+        assert requests.get(url, headers={"Origin": "http://evil.example"}, timeout=LONG_S).status_code == 403
         assert requests.post(f"{url}/view.json", timeout=LONG_S).status_code == 405
         assert requests.get(f"{url}/../etc/passwd", timeout=LONG_S).status_code == 404
         with pytest.raises(PlantError, match="choose another --port"):

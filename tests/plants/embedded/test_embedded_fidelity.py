@@ -63,6 +63,15 @@ def test_native_control_switches_at_the_sample_at_which_the_real_one_does(plant,
     assert samples.abs().max() < 0.5, "as many of the thirty samples are on"
 
 
+def test_the_air_holds_as_much_CO2_as_the_real_sensor_shows(plant, shared):
+    real = pd.read_csv(shared / "boptest_hp" / "native_d7_28d.csv.gz")
+    plant.reset(7 * DAY_S, 7 * DAY_S)
+    plant.advance(None, 28 * DAY_S)
+    record = plant.recorded(7 * DAY_S, 1e9)
+    ours = np.interp(real.time, record["time"], record["CO2"])
+    np.testing.assert_allclose(ours, real.reaCO2RooAir_y, rtol=1e-5)
+
+
 def test_native_control_on_the_peak_window(plant):
     period = plant.period("peak_heat_day")
     assert period.start_s == 16 * DAY_S

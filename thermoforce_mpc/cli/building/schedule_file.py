@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,9 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import Array, Names
 from thermoforce_mpc.data.dataframes import column, seconds_at
 from thermoforce_mpc.errors import DataError, InputError
+from thermoforce_mpc.files import read_bounded
+
+_MOST_BYTES = 10_000_000
 
 
 def levels_of(schedule: Path | None, level: float | None, names: Names, time_s: Array, origin: pd.Timestamp) -> Array:
@@ -25,8 +29,8 @@ def levels_of(schedule: Path | None, level: float | None, names: Names, time_s: 
     if schedule is None:
         return np.full((len(names.actuators), time_s.size), level)
     try:
-        frame = pd.read_csv(schedule, dtype={"time": str})
-    except (OSError, ValueError) as error:
+        frame = pd.read_csv(BytesIO(read_bounded(schedule, _MOST_BYTES, InputError)), dtype={"time": str})
+    except ValueError as error:
         raise InputError(f"--schedule {schedule}: cannot be read as CSV ({error})") from error
     if "time" not in frame.columns:
         raise DataError(f"--schedule {schedule}: no column 'time'; there are {', '.join(map(str, frame.columns))}")

@@ -15,10 +15,18 @@ from thermoforce_mpc.errors import ConfigError
 @click.option(
     "--port", type=click.IntRange(0, 65535), default=8000, show_default=True, help="Port; 0 picks a free one."
 )
+@click.option(
+    "--name", "names", multiple=True, help="Name by which clients ask, besides its address and localhost; repeatable."
+)
 @click.option("--weather", default="synthetic", show_default=True, help="'synthetic', or a .mos or .epw file.")
 @click.option("--prices", type=click.Path(path_type=Path), help="CSV (time s, price per kWh): highly dynamic tariff.")
 @click.option(
     "--tests", type=click.IntRange(1, 100), default=8, show_default=True, help="Largest number of tests at a time."
+)
+@click.option(
+    "--tests-each",
+    type=click.IntRange(1, 100),
+    help="Largest number of tests that one address started.  [default: all; half where other machines can ask]",
 )
 @click.option(
     "--idle",
@@ -57,9 +65,11 @@ from thermoforce_mpc.errors import ConfigError
 def command(
     host: str,
     port: int,
+    names: tuple[str, ...],
     weather: str,
     prices: Path | None,
     tests: int,
+    tests_each: int | None,
     idle: float,
     lifetime: float,
     request_bytes: int,
@@ -104,7 +114,9 @@ def command(
         port=port,
         highly_dynamic=tariff,
         token=token or None,
+        names=names,
         most_tests=tests,
+        tests_each=tests_each,
         idle_s=idle,
         lifetime_s=lifetime,
         most_bytes=request_bytes,

@@ -19,27 +19,27 @@ import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.files import pyarrow_for
+from thermoforce_mpc.files import check_regular, pyarrow_for
 from thermoforce_mpc.measurements.map.mapped_table import CsvFormat
 from thermoforce_mpc.measurements.tables.raw_table import RawTable, known_column, raw_table
 
-# What is read at once, bytes: about 15 million rows of six columns, in 4 GB of memory. A compressed file is taken to
-# hold ten times its size.
+# What is read at once, bytes when unpacked: about 15 million rows of six columns, in 4 GB of memory.
 MOST_BYTES = 1_000_000_000
 _COMPRESSED: dict[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
-_PACKING = 10
 _BLOCK = 1_000_000
 _PARQUET = (".parquet", ".pq")
+# Bytes of one value of a table; a Parquet file may pack a million equal ones into a few.
+_CELL = 8
 _SEPARATORS = ",;\t"
 # What reading a damaged file raises: the errors of pandas and of text that cannot be decoded are ValueErrors.
-_DAMAGED = (ValueError, OSError, EOFError, LookupError, csv.Error, lzma.LZMAError, zlib.error)
+_DAMAGED = (ValueError, OSError, EOFError, LookupError, csv.Error, lzma.LZMAError, zlib.error, MemoryError)
 
 
 def found_files(patterns: Sequence[str | Path], most_bytes: int = MOST_BYTES) -> list[Path]:
     """The files of paths and patterns (`data/*.csv`), each once.
 
     Raises:
-        DataError: there is none, or they hold more than `most_bytes`.
+        DataError: there is none, one is a device or pipe, or they hold more than `most_bytes` when unpacked.
     """
     files: list[Path] = []
     for item in patterns:
@@ -52,15 +52,34 @@ def found_files(patterns: Sequence[str | Path], most_bytes: int = MOST_BYTES) ->
         files += [match for match in matches if match not in files]
     if not files:
         raise DataError("no file of measurements was given")
-    sizes = [path.stat().st_size * (_PACKING if path.suffix in _COMPRESSED else 1) for path in files]
+    sizes = [_unpacked_bytes(path, most_bytes) for path in files]
     if sum(sizes) > most_bytes:
         largest = files[int(np.argmax(sizes))]
+        amount = f"{sum(sizes) / 1e9:.1f}"
+        if largest.suffix in _COMPRESSED:
+            amount = f"unpacked more than {most_bytes / 1e9:.1f}"
         raise DataError(
-            f"{largest}: {sum(sizes) / 1e9:.1f} GB to read{' in all' if len(files) > 1 else ''}, at most "
+            f"{largest}: {amount} GB to read{' in all' if len(files) > 1 else ''}, at most "
             f"{most_bytes / 1e9:.1f} GB are read at once: keep the columns of the map and the last year, or write "
-            "means over a minute to a Parquet file; a model needs a few weeks"
+            "means over a minute to a Parquet file; a model needs a few weeks. In Python `most_bytes` of "
+            "`read_measurements` raises it"
         )
     return files
+
+
+def _unpacked_bytes(path: Path, most_bytes: int) -> int:
+    """Unpacked bytes of a file, counted to a little more than `most_bytes`; raises `DataError` as `found_files`."""
+    check_regular(path, DataError)
+    if path.suffix not in _COMPRESSED:
+        return path.stat().st_size
+    n = 0
+    try:
+        with _COMPRESSED[path.suffix](path, "rb") as file:
+            while n <= most_bytes and (piece := file.read(_BLOCK)):
+                n += len(piece)
+    except _DAMAGED as error:
+        raise DataError(f"{path}: cannot be read ({_short(error)})") from error
+    return n
 
 
 def read_table(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> RawTable:
@@ -77,7 +96,8 @@ def read_table(path: Path, stamps: str | None, columns: Sequence[str], form: Csv
 
 
 def check_columns(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> None:
-    """Refuse a file that lacks a column, by its head alone; raises `DataError` as `read_table`."""
+    """Refuse a file that lacks a column or is too large; raises `DataError` as `found_files` and `read_table`."""
+    found_files([path])
     if path.suffix not in _PARQUET:
         _known_header(path, stamps, columns, form)
         return
@@ -94,12 +114,17 @@ def _parquet(path: Path, stamps: str | None, columns: Sequence[str] | None) -> p
     """The table with time stamps (or index) and `columns`; None: all of them."""
     pyarrow = pyarrow_for(path, DataError)
     try:
-        schema = pyarrow.parquet.read_schema(path)
+        told = pyarrow.parquet.read_metadata(path)
+        schema = told.schema.to_arrow_schema()
         # The index of a data frame stands among the columns of its file.
         index = [name for name in (schema.pandas_metadata or {}).get("index_columns", []) if isinstance(name, str)]
         stamp_columns = [stamps] if stamps else index or schema.names[:1]
         columns = schema.names if columns is None else columns
         present = [name for name in dict.fromkeys([*stamp_columns, *columns]) if name in schema.names]
+        if told.num_rows * len(present) * _CELL > MOST_BYTES:
+            raise DataError(
+                f"{path}: {told.num_rows:,} rows, more than {MOST_BYTES / 1e9:.0f} GB; write means or a part"
+            )
         table = pyarrow.parquet.read_table(path, columns=present).to_pandas()
     except (pyarrow.ArrowException, OSError, ValueError) as error:
         raise DataError(f"{path}: no Parquet file that can be read ({_short(error)})") from error
@@ -212,7 +237,8 @@ def _header(path: Path, form: CsvFormat) -> tuple[str, list[str]]:
     """Separator and names of the columns."""
     try:
         with _COMPRESSED.get(path.suffix, open)(path, "rt", encoding=form.encoding) as lines:
-            header = next(itertools.islice(lines, form.skip_lines, None), "").lstrip("\ufeff").rstrip("\r\n")
+            parts = iter(lambda: lines.readline(_BLOCK), "")  # not the whole of a line without end
+            header = next(itertools.islice(parts, form.skip_lines, None), "").lstrip("\ufeff").rstrip("\r\n")
             if not header.strip():
                 if not any(line.strip() for line in lines):
                     raise DataError(f"{path}: the file is empty")

@@ -41,11 +41,12 @@ RECORD = (
 _SIGMA = 5.670374419e-8
 _CP_AIR = 1006.0 + 1860.0 * 0.006  # dry air with 6 g/kg of vapour
 _AIR_J_K = 1.2 * c.VOLUME_M3 * _CP_AIR
-_INFILTRATION_KG_S = 1.2 * c.VOLUME_M3 * 0.5 / 3600.0
+_AIR_CHANGES_S = 0.5 / 3600.0
+_INFILTRATION_KG_S = 1.2 * c.VOLUME_M3 * _AIR_CHANGES_S
 _INFILTRATION_W_K = _INFILTRATION_KG_S * _CP_AIR
 _OUTDOOR_PPM = 400.0
-_PPM_PER_KG_KG = 1e6 * 28.97 / 44.01
-_CO2_KG_S_PERSON = 1.0817e-5
+_PPM_PER_KG_KG = 1e6 / 1.528635  # the test case's ratio of molar masses, CO2 to moist air
+_CO2_KG_S_PERSON = 1.08167e-5
 _GAIN_RADIANT_W, _GAIN_CONVECTIVE_W = 219.0, 146.0  # five people
 
 # Floor heating: one circuit, 168.9 kg of water, resistance water to pipe plane after Koschenz and Lehmann (2000).
@@ -341,9 +342,8 @@ def advance(
             radiant += _SHARE[k] * nodes[inside[k]]
         scalars[T_OPERATIVE] = 0.5 * (air + radiant)
         people = float(s.PEOPLE) if occupied else 0.0
-        exchange = dt * _INFILTRATION_KG_S / (1.2 * c.VOLUME_M3)
-        source = dt * people * _CO2_KG_S_PERSON / (1.2 * c.VOLUME_M3) * _PPM_PER_KG_KG
-        scalars[CO2_PPM] = (scalars[CO2_PPM] + exchange * _OUTDOOR_PPM + source) / (1.0 + exchange)
+        steady_ppm = _OUTDOOR_PPM + people * _CO2_KG_S_PERSON / _INFILTRATION_KG_S * _PPM_PER_KG_KG
+        scalars[CO2_PPM] = steady_ppm + (scalars[CO2_PPM] - steady_ppm) * math.exp(-_AIR_CHANGES_S * dt)
 
         _operate(scalars, t, overrides)
         _note(scalars, w, record[step])

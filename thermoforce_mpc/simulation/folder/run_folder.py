@@ -20,8 +20,8 @@ import yaml
 from filelock import FileLock, Timeout
 
 from thermoforce_mpc.data import DAY_S, Names, Plan, PlantInfo
-from thermoforce_mpc.errors import ArtifactError, ConfigError, StorageError
-from thermoforce_mpc.files import storage_errors, write_whole
+from thermoforce_mpc.errors import ArtifactError, ConfigError, InputError, StorageError
+from thermoforce_mpc.files import check_regular, storage_errors, write_whole
 from thermoforce_mpc.registry import plugins
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held
@@ -273,8 +273,10 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes, hexadecimal."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    """SHA-256 of a file's bytes, hexadecimal; raises `InputError` for a device or pipe."""
+    check_regular(path, InputError)
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def plain_json(value: Any) -> Any:
