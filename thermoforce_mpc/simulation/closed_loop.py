@@ -148,9 +148,9 @@ def gates_held(result: RunResult, others: Mapping[str, RunResult]) -> dict[str, 
     """Return the runs in which the gate held, by controller."""
     gates = {}
     for name, run in {result.controller: result, **others}.items():
-        plans = [step.plan for step in run.steps if step.plan.status is PlanStatus.GATE]
-        if plans:
-            gates[name] = GateHeld(len(plans), len(run.steps), plans[0].why)
+        why = [step.plan.why for step in run.steps if step.plan.status is PlanStatus.GATE]
+        if why:
+            gates[name] = GateHeld(len(why), len(run.steps), why[0])
     return gates
 
 
