@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pickle
 import resource
+import tracemalloc
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,13 +13,15 @@ from simple_house import SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.registry import controller_config
-from thermoforce_mpc.data import DAY_S, Period
+from thermoforce_mpc.data import DAY_S, Period, PlanStatus
 from thermoforce_mpc.errors import StorageError
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+from thermoforce_mpc.simulation.closed_loop import gates_held, run_closed_loop
 from thermoforce_mpc.simulation.folder.run_folder import steps_frame, trajectory_frame
+from thermoforce_mpc.simulation.journal.journal import Journal, JournalError, read_journal
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
 from thermoforce_mpc.simulation.report.forecast_check import forecast_errors
+from thermoforce_mpc.simulation.views.watching import watch_spells
 
 
 def test_steps_come_back_in_order(tmp_path):
@@ -55,6 +59,8 @@ def test_a_run_is_the_same_wherever_its_steps_are(tmp_path):
     said = ["time_s", "status", "u_planned", "T_free_next_C", "slack_sum_K", "why"]
     assert steps_frame(here.steps)[said].equals(steps_frame(away.steps)[said])
     assert forecast_errors(here) == forecast_errors(away)
+    # A step that kept a part of the record would keep it whole, one for each step in memory.
+    assert all(step.T_zone_C.base is None for step in here.steps)
 
 
 def test_a_full_disk_is_named(tmp_path):
@@ -67,3 +73,41 @@ def test_a_full_disk_is_named(tmp_path):
             kept.append(b"y")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("status", [PlanStatus.WATCH, PlanStatus.GATE])
+def test_what_is_told_of_a_long_run_takes_its_steps_one_by_one(tmp_path, status):
+    steps: KeptSteps[SimpleNamespace] = KeptSteps(tmp_path, in_memory=1)
+    plan = SimpleNamespace(status=status, why="watch: colder", news="", u=np.zeros(12_500))
+    for i in range(200):
+        sample = SimpleNamespace(start_s=i * 3600.0, duration_s=3600.0)
+        steps.append(SimpleNamespace(time_s=i * 3600.0, plan=plan, samples=(sample,)))
+    result = SimpleNamespace(controller="mpc", steps=steps)
+    tracemalloc.start()
+    try:
+        spells, gates = watch_spells(result), gates_held(result, {})
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 2_000_000, "the steps are 20 MB"
+    assert [(spell.start_s, spell.end_s) for spell in spells] == [(0.0, 720_000.0)] * (status is PlanStatus.WATCH)
+    assert [gate.steps for gate in gates.values()] == [200] * (status is PlanStatus.GATE)
+
+
+def test_a_journal_that_was_read_leaves_its_records_in_the_file(tmp_path):
+    journal = Journal(tmp_path / "journal.jsonl")
+    for i in range(200):
+        journal.write("note", {"value": i, "text": "x" * 100_000})
+    journal.close()
+    tracemalloc.start()
+    try:
+        entries = read_journal(tmp_path / "journal.jsonl").entries
+        kept = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+    assert kept < 1_000_000, "the journal is 20 MB"
+    assert [entry.content["value"] for entry in entries] == list(range(200))
+    assert set(entries[0].content) == {"n", "value", "text"}
+    (tmp_path / "journal.jsonl").unlink()
+    with pytest.raises(JournalError, match=r"journal.jsonl, line 8: cannot be read any more"):
+        entries[7].content  # noqa: B018

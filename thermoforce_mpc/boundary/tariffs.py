@@ -25,8 +25,10 @@ GAS, GAS_EMISSION_KG_PER_KWH = 0.07, 0.181
 # A price for each minute of a year has 10 MB.
 _MOST_BYTES = 20_000_000
 _MOST_PRICES = 600_000
-# Per kWh in any currency; a mean beyond the second is a sum of money in few of them, or a price per MWh.
-_MOST_PRICE, _USUAL_PRICE = 1e5, 5.0
+# Per kWh in any currency.
+_MOST_PRICE = 1e5
+# Means of energy that is sold in EUR or USD: gas in the cheapest years, and electricity in the dearest.
+_USUAL_PRICES = (0.01, 2.0)
 _PRICE_COLUMNS = ("price", "PriceElectricPowerHighlyDynamic")
 
 Tariff = Callable[[Array], Array]
@@ -92,12 +94,8 @@ def tariff_from_file(path: Path) -> Tariff:
         raise ConfigError(
             f"{path}: a price of {price[np.abs(price).argmax()]:g} per kWh; at most {_MOST_PRICE:g} is read"
         )
-    if np.abs(price).mean() > _USUAL_PRICE:
-        warnings.warn(
-            f"{path}: prices of {np.abs(price).mean():g} per kWh on average; are they per MWh?",
-            DoubtfulInput,
-            stacklevel=2,
-        )
+    if doubt := price_doubt(price):
+        warnings.warn(f"{path}: {doubt}", DoubtfulInput, stacklevel=2)
     if time_s[-1] > YEAR_S:  # a row at its end may close the year
         warnings.warn(
             f"{path}: has prices until day {time_s[-1] / DAY_S:g}; those after day 365 are not used, since the year "
@@ -106,6 +104,16 @@ def tariff_from_file(path: Path) -> Tariff:
             stacklevel=2,
         )
     return held_prices(time_s, price, str(path))
+
+
+def price_doubt(price: Array) -> str:
+    """What is doubtful about the size of prices per kWh, of any shape; '' where nothing is, or energy costs nothing."""
+    known = np.abs(price[np.isfinite(price)])
+    mean, (low, high) = (float(known.mean()) if known.size else 0.0), _USUAL_PRICES
+    if mean == 0.0 or low <= mean <= high:
+        return ""
+    unit = "per MWh, or in cents" if mean > high else "too low by a factor of 10, 100 or 1000"
+    return f"prices of {mean:.3g} per kWh on average, where {low:g} to {high:g} EUR or USD are usual: are they {unit}?"
 
 
 def held_prices(time_s: Array, price: Array, source: str = "tariff") -> Tariff:

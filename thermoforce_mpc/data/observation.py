@@ -29,8 +29,8 @@ class Observation:
 
     @property
     def T_zone_C(self) -> Array:
-        """Zone temperatures now (Z,), °C (NaN when the sensor is silent)."""
-        return np.asarray(self.history.T_zone_C[:, -1])
+        """Zone temperatures now (Z,), °C (NaN when the sensor is silent); who keeps them does not keep the record."""
+        return np.array(self.history.T_zone_C[:, -1])
 
     @property
     def names(self) -> Names:

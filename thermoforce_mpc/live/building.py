@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from controllers.safety.deadline import BoundedCalls, Crashed
-from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Record
+from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Record
 from thermoforce_mpc.errors import ConfigError, DataError, InputError, NoForecast, PlantError
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import Measurements, read_measurements
@@ -54,10 +54,10 @@ class LiveBuilding:
         return self._rules.names.actuators if self._measured is None else self._measured.record.names.actuators
 
     @property
-    def lowest(self) -> tuple[float, ...]:
-        """Lowest level of each actuator (A,); known after the first record."""
+    def layout(self) -> Layout:
+        """What acts where; known after the first record."""
         assert self._measured is not None
-        return self._measured.layout.lowest
+        return self._measured.layout
 
     @property
     def origin(self) -> pd.Timestamp:

@@ -25,6 +25,7 @@ from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.simulation.closed_loop import checked_blocks
 from thermoforce_mpc.simulation.folder.run_log import log_decision
 from thermoforce_mpc.simulation.forecasts import OUTAGE_H, Forecasts
+from thermoforce_mpc.simulation.unit_doubts import UnitDoubts
 
 _LOG = logging.getLogger(__name__)
 # How often a building that does not take its levels back at the end is asked again, and how long between, s.
@@ -130,6 +131,7 @@ class _Loop:
         self._new_forecasts = partial(Forecasts, building, controller.horizon_s, controller.step_s, outage_h)
         self._forecasts = self._new_forecasts()
         self._allowed = limits_of(controller)
+        self._units: UnitDoubts | None = None
         self._state: object = None
         self._applied: list[Applied] = []
         self._set = False
@@ -175,14 +177,19 @@ class _Loop:
 
     def _decision(self, instant: pd.Timestamp) -> Decision:
         building, controller = self._building, self._controller
-        record, doubts = screened_history(building.record(instant, self._applied), self._allowed)
+        as_read = building.record(instant, self._applied)
+        record, doubts = screened_history(as_read, self._allowed)
         model = getattr(controller, "model", None)
         if model is not None:
             check_same_building("the model", model.names, "the map", record.names)
-        forecast, _, gaps = self._forecasts.now(record)
+        forecast, filled, gaps = self._forecasts.now(record)
+        self._units = self._units or UnitDoubts(building.layout, model)
+        gaps += self._units.now(as_read, filled)
         plan = controller.plan(Observation(record, forecast), self._state)
         plan, after = replace(plan, state=None), plan.state
-        blocks, refused = checked_blocks(plan, controller.step_s, controller.step_s, building.lowest, record.names)
+        blocks, refused = checked_blocks(
+            plan, controller.step_s, controller.step_s, building.layout.lowest, record.names
+        )
         if any(band is not None for block in blocks for band in block.band_C):
             refused = "refused room set-points, which a connection has none of: native control instead"
             blocks = (Block.native(len(building.names), controller.step_s),)

@@ -29,6 +29,7 @@ from thermoforce_mpc.model.screening import Limits, limits_of, screened, screene
 from thermoforce_mpc.protocols import Controller, Plant, RoomSetpointPlant
 from thermoforce_mpc.simulation.forecasts import OUTAGE_H, Forecasts
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
+from thermoforce_mpc.simulation.unit_doubts import UnitDoubts
 
 # Tolerance on times, s: shorter remainders are rounding errors of the clock.
 _CLOCK_TOLERANCE_S = 1e-6
@@ -148,9 +149,9 @@ def gates_held(result: RunResult, others: Mapping[str, RunResult]) -> dict[str, 
     """Return the runs in which the gate held, by controller."""
     gates = {}
     for name, run in {result.controller: result, **others}.items():
-        plans = [step.plan for step in run.steps if step.plan.status is PlanStatus.GATE]
-        if plans:
-            gates[name] = GateHeld(len(plans), len(run.steps), plans[0].why)
+        why = [step.plan.why for step in run.steps if step.plan.status is PlanStatus.GATE]
+        if why:
+            gates[name] = GateHeld(len(why), len(run.steps), why[0])
     return gates
 
 
@@ -178,6 +179,7 @@ def run_closed_loop(
     steps: KeptSteps[StepRecord] | None = None,
     record_days: float = _RECORD_DAYS,
     outage_h: float = OUTAGE_H,
+    units: UnitDoubts | None = None,
 ) -> RunResult:
     """Run `controller` on `plant` over the scored window of `period` after its warm-up.
 
@@ -192,6 +194,7 @@ def run_closed_loop(
         steps: where the steps are kept, also if the plant fails; empty.
         record_days: controllers get the record of these latest days, or up to a day more.
         outage_h: how long the plant may give no forecast before the run ends, h; see `Forecasts`.
+        units: says which readings and prices are probably in a wrong unit.
 
     Raises:
         PlantError: the plant or its service failed; the KPIs so far are lost.
@@ -201,7 +204,8 @@ def run_closed_loop(
     start = plant.reset(period.start_s, period.warmup_s, price)
     allowed = allowed or limits_of(controller)
     lowest = [allowed.lowest] if lowest is None else lowest
-    history, doubts = screened_history(plant.past(controller.step_s), allowed)
+    as_read = plant.past(controller.step_s)
+    history, doubts = screened_history(as_read, allowed)
     end_s = period.start_s + period.scored_s
     now_s = start.time_s
     records: KeptSteps[StepRecord] = KeptSteps() if steps is None else steps
@@ -210,6 +214,7 @@ def run_closed_loop(
     while end_s - now_s > _CLOCK_TOLERANCE_S:
         t0 = time.perf_counter()
         forecast, boundary, gaps = forecasts.now(history)
+        doubts += units.now(history if records else as_read, boundary) if units else ()
         t1 = time.perf_counter()
         # The controller fills holes of the forecast itself, and says so.
         observation = Observation(history, forecast)

@@ -64,6 +64,7 @@ from thermoforce_mpc.simulation.models.run_models import (
 )
 from thermoforce_mpc.simulation.outside import note_given, with_given
 from thermoforce_mpc.simulation.own_kpis import OwnKpi, own_kpis, with_own_kpis
+from thermoforce_mpc.simulation.unit_doubts import UnitDoubts
 from thermoforce_mpc.simulation.views.display import RunDisplay
 from thermoforce_mpc.simulation.views.explaining import seconds_of
 from thermoforce_mpc.simulation.views.verdict import verdict
@@ -433,4 +434,5 @@ def _follow(
             keeper,
             steps,
             outage_h=scenario.plant.forecast_outage_h,
+            units=UnitDoubts(testcase.layout, getattr(controller, "model", None)),
         )

@@ -227,7 +227,7 @@ def test_the_tail_of_a_journal_in_parts_is_what_is_read_at_once(tmp_path, monkey
     journal.close()
     found += tail.more()
     assert tail.more() == []
-    assert found == list(read_journal(path).entries)
+    assert [replace(entry, told=entry.content) for entry in read_journal(path).entries] == found
     assert len({entry.path for entry in found}) > 3
 
 

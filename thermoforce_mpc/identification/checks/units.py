@@ -1,4 +1,4 @@
-"""Whether heat, power and outdoor temperature are in their units, by what no building and no machine can do.
+"""Whether temperatures, heat and power are in their units, by what no building and no machine can do.
 
 | compared | possible | else |
 |---|---|---|
@@ -7,16 +7,25 @@
 | heat per floor area and K to outdoors | up to 4 W/m²K | Wh per step beside W |
 | full load | 15 W to 300 kW; by floor area 1.5 to 500 W/m² | kW beside W |
 | outdoor temperature while heating | mostly below that of the room | °F |
+| most temperatures of a sensor | those of a room, or of weather | K, °C or °F for another |
+| power and heat at a level, with a model | about what the model says | kW, kWh or Wh per step for W |
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array, Layout, Record
-from thermoforce_mpc.data.limits import LOAD_W_PER_M2
+from thermoforce_mpc.data.limits import LOAD_W_PER_M2, OUTDOOR_C, ZONE_C
 from thermoforce_mpc.identification.checks.regression import fitted
 from thermoforce_mpc.identification.checks.remark import Remark
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Heat per energy: least of any heater over a season; share of Carnot's between outdoor air and water of 35 °C that no
 # heat pump passes, and no less than 6.5, of one with a borehole.
@@ -31,14 +40,96 @@ _LEAST_W, _LEAST_W_M2, _MOST_W = 15.0, 1.5, 3e5
 # Share of the heating that may happen while it is as warm outdoors as in the room, less 1 K.
 _MOST_WARM_SHARE, _WARM_K, _COLDER_K = 0.3, 1.0, 3.0
 _ON, _LEAST_ROWS, _CLEAR = 0.1, 24, 2.0
+# Without known levels a machine runs where its load goes up and down by this factor.
+_UP_AND_DOWN = 10.0
+# Steps at a known level that a comparison with a model needs; what differs by less than the factor is for the watch.
+# A ratio so near to the length of a step, h, is that of Wh per step; closer ones may be those of a machine.
+_LEAST_STEPS, _FAR, _NEAR, _LONGEST_H = 8, 30.0, 1.2, 0.5
+# Temperatures, °C, of rooms that are lived in, and of weather.
+_ROOM_C, _WEATHER_C = (5.0, 40.0), (-40.0, 50.0)
 
 
-def unit_remarks(record: Record, layout: Layout) -> list[Remark]:
-    """Units of heat, power and the outdoor temperature that cannot be right."""
-    found: list[Remark] = []
+def unit_remarks(record: Record, layout: Layout, model: ThermalModel | None = None) -> list[Remark]:
+    """Units of temperatures, heat and power that cannot be right, in a record as it was read.
+
+    `model`: that of the building, where there is one; its meters are then compared with it too.
+    """
+    rows = [(record.names.label("T_zone_C", z), T, ZONE_C, _ROOM_C) for z, T in enumerate(record.T_zone_C)]
+    found = [
+        one for row in [*rows, ("T_out_C", record.T_out_C, OUTDOOR_C, _WEATHER_C)] if (one := _of_temperature(*row))
+    ]
     for m, machine in enumerate(layout.names.machines):
         found += _of_machine(record, layout, m, machine)
+    if model is not None:
+        said = " ".join(one.where for one in found)
+        found += [one for one in _beside_model(record, layout, model) if one.where not in said]
     return found + _of_outdoors(record, layout)
+
+
+def _of_temperature(
+    where: str, values_C: Array, possible_C: tuple[float, float], usual_C: tuple[float, float]
+) -> Remark | None:
+    """Readings (n,) of which most are impossible, and another unit that makes them usual."""
+    known = values_C[np.isfinite(values_C)]
+    outside = known[(known < possible_C[0]) | (known > possible_C[1])]
+    if 2 * outside.size <= known.size:
+        return None
+    middle = float(np.median(outside))
+    as_K = middle + ZERO_C_K  # what was sent, where K is converted
+    for sent, unit, value_C in (
+        (as_K, "°C where the protocol says K", as_K),
+        (as_K, "°F where the protocol says K", (as_K - 32.0) / 1.8),
+        (middle, "K where °C is expected", middle - ZERO_C_K),
+        (middle, "°F where °C is expected", (middle - 32.0) / 1.8),
+    ):
+        if usual_C[0] <= value_C <= usual_C[1]:
+            words = f"{outside.size} readings of {sent:.4g}: {unit}?"
+            remedy = "until the plant gives the unit that is expected (a map: `unit`), they count as not measured"
+            return Remark("unit of temperature", where, words, remedy, float("inf"))
+    return None
+
+
+def _beside_model(record: Record, layout: Layout, model: ThermalModel) -> Iterator[Remark]:
+    """Meters of machines with one actuator, and of heat, far from what a model says of the known levels."""
+    T_out, names = record.T_out_C[:-1], record.names
+    for a, m in enumerate(layout.machine_of):
+        u = np.clip(record.u[a], layout.lowest[a], 1.0)
+        power, law = model.power[m], model.operator.of_actuator(a).heat_input.law
+        meters = []
+        if power is not None and len(layout.fed_by(m)) == 1:
+            expected_W = power.metered(u, record.time_s[:-1], T_out, record.T_return_C[m])
+            meters.append((names.label("power_W", m), record.power_W[m], expected_W))
+        if law is not None:
+            meters.append((names.label("heat_W", a), np.abs(record.heat_W[a]), law(np.maximum(u, 0.0), T_out)))
+        for where, load_W, expected_W in meters:
+            rows = (np.abs(u) > _ON) & np.isfinite(load_W) & (expected_W > 0.0)
+            if rows.sum() >= _LEAST_STEPS:
+                ratio = float(np.median(load_W[rows] / expected_W[rows]))
+                if unit := _unit_by(ratio, record.step_s / HOUR_S):
+                    words = f"{ratio:.3g} of what the model expects at these levels"
+                    yield Remark("unit of power", where, words, f"{unit}: convert it at the meter", float("inf"))
+
+
+def _unit_by(ratio: float, step_h: float) -> str:
+    """The unit that a meter probably has, by what it shows over the W expected; '' where W is."""
+    if ratio > _FAR:
+        return "mW, or W taken for kW, is likelier than W"
+    if step_h <= _LONGEST_H and 1.0 / _NEAR < ratio / step_h < _NEAR:
+        return "Wh per step is likelier than W, or the machine gives much less than it did"
+    if not 0.0 < ratio < 1.0 / _FAR:
+        return ""
+    factors = {"kW": 1e-3, "kWh per step": 1e-3 * step_h}
+    unit, factor = min(factors.items(), key=lambda one: abs(math.log(ratio / one[1])))
+    return f"{unit} is likelier than W" if factor / _FAR < ratio < factor * _FAR else ""
+
+
+def _runs(record: Record, fed: list[int], load_W: Array) -> bool:
+    """Whether a machine ran: by its levels, or by its load (n,) where they are not known."""
+    u = record.u[fed]
+    if (np.abs(np.nan_to_num(u)) > _ON).any():
+        return True
+    known = load_W[np.isfinite(load_W)]
+    return not np.isfinite(u).all() and known.size > 0 and bool(_most(known) > _UP_AND_DOWN * np.percentile(known, 5.0))
 
 
 def _of_machine(record: Record, layout: Layout, m: int, machine: str) -> list[Remark]:
@@ -48,7 +139,7 @@ def _of_machine(record: Record, layout: Layout, m: int, machine: str) -> list[Re
     of_heat = " + ".join(record.names.label("heat_W", a) for a in fed)
     found = []
     for what, load in ((record.names.label("power_W", m), power), (of_heat, heat)):
-        size = _size(load, _area_m2(layout, fed))
+        size = _size(load, _area_m2(layout, fed)) if _runs(record, fed, load) else None
         if size:
             found.append(Remark("unit of power", what, *size, float("inf")))
     if found or not fed:

@@ -55,8 +55,8 @@ def _capped(cap_W: float, step_s: float, means_W: Array) -> Capped:
 
 def _means_W(run: RunResult, step_s: float) -> Array:
     """Metered mean power of all machines over windows of `step_s` seconds, NaN where it was not metered."""
-    samples = run.samples
-    ends_s = np.array([samples[0].start_s, *(sample.start_s + sample.duration_s for sample in samples)])
-    power_W = np.array([sample.power_W.sum() for sample in samples])
+    samples = (sample for step in run.steps for sample in step.samples)
+    starts_s, lengths_s, power_W = np.array([(s.start_s, s.duration_s, s.power_W.sum()) for s in samples]).T
+    ends_s = np.append(starts_s[0], starts_s + lengths_s)
     unknown = window_means(ends_s, np.isnan(power_W), step_s) > 0.0
     return np.where(unknown, np.nan, window_means(ends_s, np.nan_to_num(power_W), step_s))

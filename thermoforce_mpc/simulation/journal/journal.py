@@ -20,6 +20,7 @@ import shlex
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,13 +48,32 @@ class DamagedJournal(JournalError):
         self.good = good
 
 
-class Entry(NamedTuple):
-    """One record: its line in its file, from 1; its kind; what it says; and the file."""
+@dataclass(frozen=True)
+class Entry:
+    """One record: its line in its file, from 1; its kind; what it says, or its bytes in the file; and the file."""
 
     line: int
     kind: str
-    content: Mapping[str, Any]
+    told: Mapping[str, Any] | range
     path: Path = Path(NAME)
+
+    @property
+    def content(self) -> Mapping[str, Any]:
+        """What it says; read anew each time from a file, since a long journal does not fit in memory.
+
+        Raises:
+            JournalError: the file cannot be read any more, or was changed.
+        """
+        if isinstance(self.told, Mapping):
+            return self.told
+        try:
+            with os.fdopen(open_plain(self.path, os.O_RDONLY), "rb") as file:
+                file.seek(self.told.start)
+                content: dict[str, Any] = json.loads(file.read(len(self.told)))
+                del content["kind"], content["crc"]
+        except (OSError, ValueError, KeyError) as error:
+            raise JournalError(f"{self.where}: cannot be read any more ({error}); was it changed meanwhile?") from error
+        return content
 
     @property
     def where(self) -> str:
@@ -310,8 +330,8 @@ def _read_part(path: Path, entries: list[Entry], crc: int, most: int | None) -> 
         if record is None:
             break
         content, crc = record
+        entries.append(Entry(line + 1, str(content["kind"]), range(size, end), path))
         size, line = end + 1, line + 1
-        entries.append(Entry(line, str(content.pop("kind")), content, path))
     return size, crc, raw[size:]
 
 

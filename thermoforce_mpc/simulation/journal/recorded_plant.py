@@ -170,8 +170,9 @@ class RecordedPlant:
         if self._entries:
             entry = self._next_entry(kind, request)
             with making_sense(entry.where):
-                answer = from_json(entry.content["answer"])
-            self._compare(entry, kind, entry.content["answer"], lambda: to_json(call()))
+                recorded = entry.content["answer"]
+                answer = from_json(recorded)
+            self._compare(entry, kind, recorded, lambda: to_json(call()))
             return answer
         self._catch_up()
         content = to_json(call())

@@ -77,7 +77,8 @@ def told_run(folder: Path) -> ToldRun:
 def _plant(entries: Sequence[Entry]) -> Mapping[str, Any]:
     """What the plant said of itself, and how it was started again."""
     info: Mapping[str, Any] = next((entry.content["info"] for entry in entries if entry.kind == "plant"), {})
-    answered = [told for entry in entries for told in (entry.content, *entry.content.get("advances", ()))]
+    contents = (entry.content for entry in entries)
+    answered = (told for content in contents for told in (content, *content.get("advances", ())))
     restarts = [words for told in answered for words in (told.get("answer") or {}).get("restarts", ())]
     return {**info, "description": "; ".join([str(info.get("description")), *dict.fromkeys(restarts)])}
 
@@ -109,6 +110,8 @@ def _records(loop: Sequence[Entry]) -> Iterator[StepRecord]:
             return
         boundary, last_forecast = next_forecast(steps, last_forecast)
         yield _record(step, boundary)
+        # Of steps before, only what was measured is asked for: their plans would not fit in memory.
+        steps[-1] = replace(step, told={}, done=None)
 
 
 def _record(step: ToldStep, boundary: Boundary) -> StepRecord:

@@ -12,6 +12,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Period, PlantInfo, Recor
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.testcase import TestCase
+from thermoforce_mpc.simulation.unit_doubts import UnitDoubts
 
 if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.identification.config import IdentificationConfig
@@ -99,11 +100,13 @@ class Identifying:
         """`step_s`: step of the models, s, by default the test case's."""
         self.testcase, self.config = testcase, config
         self._step_s, self._say = step_s or testcase.step_s, say
+        self._units = UnitDoubts(testcase.layout)
 
     def look(self, record: Record, plant: PlantInfo, config: IdentificationConfig | None = None) -> Look:
         """Identify from the record of a probing of `plant`; data that cannot be fitted give the reason."""
         from thermoforce_mpc.identification.pipeline import identify
 
+        self._units.now(record)
         first, days = float(record.time_s[0]) / DAY_S, record.n_steps * record.step_s / DAY_S
         where = f"days {first:g} to {first + days:g}) on {plant.kind} {plant.testcase}, {plant.weather}"
         try:

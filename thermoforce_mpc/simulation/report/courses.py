@@ -101,7 +101,8 @@ def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> C
             ):  # fmt: skip
                 rows.setdefault(name, []).append(getattr(sample, name))
             rows.setdefault("u", []).append(sample.u_measured)
-            heating_price.append(step.boundary.heating_price_per_kWh[:, in_force(step.boundary, sample.start_s)])
+            heating = step.boundary.heating_price_per_kWh
+            heating_price.append(heating[:, in_force(step.boundary, sample.start_s)].copy())  # not the whole forecast
             bands.append(_band_C(step, k))
     columns = {name: np.array(values, dtype=np.float64).T for name, values in rows.items()}
     price = price_paid(columns["u"], columns["price_per_kWh"], np.array(heating_price).T, layout)

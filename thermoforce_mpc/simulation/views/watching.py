@@ -31,7 +31,7 @@ def watch_spells(result: RunResult) -> tuple[Spell, ...]:
     """Return the spells of `result` in which the watch had handed control back."""
     spells, first = [], 0
     for watched, steps in groupby(result.steps, key=lambda step: step.plan.status is PlanStatus.WATCH):
-        last = first + len(list(steps))
+        last = first + sum(1 for _ in steps)
         if watched:
             end = result.steps[last - 1].samples[-1]
             news = result.steps[last].plan.news if last < len(result.steps) else ""
