@@ -33,7 +33,7 @@ FIRST_ANSWER_S = 10.0
 _CLOCK_TOLERANCE_S = 1e-3
 _STATUSES = ("Running", "Queued")
 # Time for lists of points and the like before a run, s: nothing is simulated for them.
-_LOOKUP_S = 30.0
+LOOKUP_S = 30.0
 # BOPTEST's recording interval, s.
 _SAMPLE_S = 30.0
 # The record is read so many steps beyond the one that is in doubt.
@@ -484,7 +484,7 @@ class BoptestClient:
 
     def _get(self, what: str, parse: Callable[[Any], _Parsed]) -> _Parsed:
         """The parsed answer to a GET request, repeated while it fails or is nonsense."""
-        path, most_s = f"{what}/{self.testid}", math.inf if self._transport.in_a_run else _LOOKUP_S
+        path, most_s = f"{what}/{self.testid}", math.inf if self._transport.in_a_run else LOOKUP_S
         return self._transport.patiently(lambda: parse(self._transport.call("GET", path, most_s=most_s).payload))
 
     def _put(

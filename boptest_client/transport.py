@@ -40,7 +40,7 @@ _REFUSALS = 2
 # Failures after which a request is repeated: the service is away, or something else answers in its place.
 _PASSING = (ConnectError, ConnectionLost, ServiceTimeout, InternalError, ProtocolError)
 # Silence is said after this time, s, and again whenever it has doubled; later where a request usually takes longer.
-_SAID_AFTER_S = 5.0
+SAID_AFTER_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ class Transport:
             min(s, most_s, left_s) for s in (self.config.connect_timeout_s, self.config.read_timeout_s)
         )
         in_all_s, verb, began_s = min(connect_s + read_s, most_s, left_s), path.partition("/")[0], time.monotonic()
-        say_s = min(max(_SAID_AFTER_S, 2.0 * self._longest_s.get(verb, 0.0)), in_all_s / 2.0)
+        say_s = min(max(SAID_AFTER_S, 2.0 * self._longest_s.get(verb, 0.0)), in_all_s / 2.0)
         late = ServiceTimeout(endpoint, f"no complete answer within {in_all_s:.3g} s")
         with self._adapter.cut_after(in_all_s, endpoint, say_s) as cut:
             try:

@@ -496,8 +496,8 @@ def never(seconds):
 
 
 def test_silence_is_said_and_ends_before_a_run(service, caplog, monkeypatch):
-    monkeypatch.setattr("boptest_client.transport._SAID_AFTER_S", 0.2)
-    monkeypatch.setattr("boptest_client.client._LOOKUP_S", 1.0)
+    monkeypatch.setattr("boptest_client.transport.SAID_AFTER_S", 0.2)
+    monkeypatch.setattr("boptest_client.client.LOOKUP_S", 1.0)
     with BoptestClient(service.url, NAME, config=TransportConfig(connect_timeout_s=0.5)) as client:
         service.faults.append(Fault("inputs/", "slow", times=9, seconds=LATE_S))
         with pytest.raises(ServiceTimeout, match=r"inputs/.*within 1 s"):

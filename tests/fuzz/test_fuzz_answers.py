@@ -29,7 +29,7 @@ CALLS = {
     "step": (lambda c: c.step(), 3600),
     "scenario": (lambda c: c.scenario(), {"electricity_price": "dynamic", "time_period": None, "seed": 1}),
     "set_scenario": (lambda c: c.set_scenario(Scenario(time_period="peak_heat_day")), {"time_period": STATE}),
-    "initialize": (lambda c: c.initialize(0.0, 0.0), STATE),
+    "initialize": (lambda c: c.initialize(3600.0, 0.0), STATE),
     "advance": (lambda c: c.advance({"oveTSet_u": 294.0}), STATE),
     "forecast": (lambda c: c.forecast(["TDryBul"], 3600.0, 3600.0), SERIES),
     "results": (lambda c: c.results(["TDryBul"], 0.0, 3600.0), SERIES),
