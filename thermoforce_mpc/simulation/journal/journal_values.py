@@ -32,8 +32,7 @@ Json = dict[str, Any]
 _MOST_VALUES = 20_000_000
 
 # Arrays of a plan that a journal keeps for people, and to what they are rounded: a resumed run plans again.
-_KELVIN = ("T_free_now_C", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "lower_C", "upper_C",
-           "slack_K")
+_KELVIN = ("T_free_now_C", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "lower_C", "upper_C", "slack_K")
 _ROUNDED = {"u": 0.001, **dict.fromkeys(_KELVIN, 0.01), "power_W": 1.0}
 _NOTHING = -(2**31)
 _READINGS = ("T_out_C", "solar_W_m2", "T_zone_C", *ACTING)
