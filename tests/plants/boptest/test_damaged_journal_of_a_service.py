@@ -55,7 +55,7 @@ def damaged(folder: Path, kind: str, which: int) -> list[str]:
     """Flip a bit in a record; the words of the command that the refusal of `resume` gives."""
     path = folder / "journal.jsonl"
     lines = path.read_bytes().split(b"\n")
-    at = [i for i, line in enumerate(lines) if b'"kind": "%s"' % kind.encode() in line][which]
+    at = [i for i, line in enumerate(lines) if b'"kind":"%s"' % kind.encode() in line][which]
     lines[at] = lines[at][:-20] + bytes([lines[at][-20] ^ 4]) + lines[at][-19:]
     path.write_bytes(b"\n".join(lines))
     error = call("resume", folder).exception

@@ -107,7 +107,7 @@ def test_a_run_goes_on_from_a_time_or_an_earlier_line(whole, tmp_path):
     folder = copied(whole, tmp_path / "back")
     done = call("resume", folder, "--from", f"{10.25 * DAY_S:.0f}s")
     assert done.exit_code == 0, done.output
-    assert b'"time_s": 885600.0' in (folder / "journal.jsonl.lost").read_bytes().split(b"\n")[0]
+    assert b'"time_s":885600.0' in (folder / "journal.jsonl.lost").read_bytes().split(b"\n")[0]
     assert results(folder) == results(whole)
     again = copied(whole, tmp_path / "at the second line")
     assert call("resume", again, "--from", "2").exit_code == 0

@@ -221,7 +221,7 @@ def test_a_probing_that_cannot_be_used_is_refused_with_file_and_reason(whole, tm
 def test_a_damaged_probing_is_refused_by_its_line(whole, tmp_path):
     folder = killed_while_probing(whole, 0.8, tmp_path / "damaged")
     lines = (folder / PROBING).read_bytes().split(b"\n")
-    lines[40] = lines[40].replace(b'"time_s":2', b'"time_s":3', 1)
+    lines[40] = lines[40].replace(b'"n":40', b'"n":41', 1)
     (folder / PROBING).write_bytes(b"\n".join(lines))
     for error in (resumed(House(), folder).exception, refused(folder)):
         assert isinstance(error, JournalError)

@@ -170,7 +170,7 @@ def _with_its_loop(path: Path, text: JournalText) -> JournalText:
     It goes on in the loop that it is in. A loop that is over there, or of which no step is left, begins again.
     """
     begin = _last(text.entries, "loop")
-    over = any(b'"kind": "reset"' in part for part in rest_of(path, text))
+    over = any(b'"kind":"reset"' in part for part in rest_of(path, text))
     if begin >= 0 and (over or _last(text.entries, "step") < begin):
         return read_run(path, begin)
     return text

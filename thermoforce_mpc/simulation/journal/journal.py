@@ -234,7 +234,7 @@ def read_journal(path: Path, most: int | None = None) -> JournalText:
 def _damaged(what: str, path: Path, good: JournalText) -> DamagedJournal:
     """The error of a journal of which only `good` can be read, with what is lost."""
     lines = [line for part in rest_of(path, good) for line in part.splitlines()]
-    steps = sum(b'"kind": "done"' in line for line in lines)
+    steps = sum(b'"kind":"done"' in line for line in lines)
     lost = f"{counted(len(lines), 'line')} from there on cannot be relied on" + (f", with {steps} steps" * (steps > 0))
     return DamagedJournal(f"{what}; {lost}", good)
 
