@@ -39,7 +39,7 @@ class PolicyController:
 
     def __init__(self, spec: PolicySpec, agent: Agent, layout: Layout, *, name: str) -> None:
         check_same_building("the policy", spec.names, "the test case", layout.names, error=ControllerConfigError)
-        self.name, self._spec, self._agent, self._layout = name, spec, agent, layout
+        self.name, self._spec, self.agent, self._layout = name, spec, agent, layout
 
     @property
     def step_s(self) -> float:
@@ -57,7 +57,7 @@ class PolicyController:
         if np.isnan(observation.T_zone_C).any():
             blocks, why = Block.native(len(names.actuators), self.step_s), "zone temperature missing: native control"
         else:
-            action, _ = self._agent.predict(self._spec.observe(observation), deterministic=True)
+            action, _ = self.agent.predict(self._spec.observe(observation), deterministic=True)
             levels: list[float | None] = self._spec.levels(action).tolist()
             why = "the policy's levels: " + ", ".join(f"{level:.2f}" for level in levels)
             for a in self._layout.excluded(levels):

@@ -55,19 +55,19 @@ def test_a_policy_sees_in_a_run_what_it_saw_in_its_environment() -> None:
     while not over:
         seen.append(observation)
         observation, _, _, over, _ = env.step(rule.predict(observation, deterministic=True)[0])
-    plant, testcase = env.unwrapped.view._plant, load_testcase(_TESTCASE)
+    plant, testcase = env.unwrapped.view.plant, load_testcase(_TESTCASE)
     period = Period("day", start_s=16 * DAY_S, scored_s=DAY_S, warmup_s=DAY_S)
     controller = PolicyController(tf_gym.spec_of(env), Rule(), testcase.layout, name="rule")
     result = run_closed_loop(plant, controller, period)
-    np.testing.assert_allclose(controller._agent.seen[0], seen[0], atol=1e-6)
+    np.testing.assert_allclose(controller.agent.seen[0], seen[0], atol=1e-6)
     assert result.kpis["cost_tot"] == pytest.approx(env.unwrapped.get_kpis()["cost_tot"])
-    np.testing.assert_allclose(controller._agent.seen, seen, atol=1e-6)
+    np.testing.assert_allclose(controller.agent.seen, seen, atol=1e-6)
     assert {sample.u_applied for step in result.steps for sample in step.samples} == {(0.0,), (1.0,)}
 
 
 def observed(env: gymnasium.Env) -> Observation:
     """What a controller sees where the environment stands."""
-    plant = env.unwrapped.view._plant
+    plant = env.unwrapped.view.plant
     return Observation(plant.past(_STEP_S), plant.forecast(6 * _STEP_S, _STEP_S))
 
 
@@ -90,7 +90,7 @@ def test_observe_gives_the_observation_of_the_environment(observations) -> None:
 def test_an_observation_of_another_step_is_refused() -> None:
     env = made()
     env.reset(seed=1)
-    plant = env.unwrapped.view._plant
+    plant = env.unwrapped.view.plant
     other = Observation(plant.past(900.0), plant.forecast(6 * _STEP_S, 900.0))
     with pytest.raises(DataError, match="its step is 900 s, the policy's 3600 s"):
         tf_gym.observe(tf_gym.spec_of(env), other)

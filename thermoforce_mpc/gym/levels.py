@@ -74,7 +74,7 @@ class LevelsView:
                 f"test case '{testcase.name}' is run by room set-points, not by levels: choose convention='boptest' "
                 "with url=…, where their points are actions"
             )
-        self._plant, self._layout, self._perfect = plant, testcase.layout, perfect
+        self.plant, self._layout, self._perfect = plant, testcase.layout, perfect
         self._step_s, self._ahead_s = step_s, ahead_s
         names, lowest = self._layout.names, self._layout.lowest
         chosen = {} if observations is None else {"observations": dict(observations)}
@@ -99,8 +99,8 @@ class LevelsView:
         for unknown in sorted(set(scenario) - {"electricity_price"}):
             raise ConfigError(f"scenario: unknown key '{unknown}'; this convention knows electricity_price")
         price = scenario.get("electricity_price") or "constant"
-        self._now = self._plant.reset(start_s, warmup_s, price)
-        past = self._plant.past(self._step_s)
+        self._now = self.plant.reset(start_s, warmup_s, price)
+        past = self.plant.past(self._step_s)
         before = np.vstack([past.T_zone_C[:, 1:], past.u]).T[::-1][: self._behind + 1]
         if not len(before):
             before = np.concatenate([self._now.T_zone_C, np.zeros(len(self.action_names))])[None]
@@ -114,7 +114,7 @@ class LevelsView:
         levels: list[float | None] = [float(level) for level in action]
         for a in self._layout.excluded(levels) if self._layout.exclusive else ():
             levels[a] = 0.0
-        self._now = self._plant.advance(levels, self._step_s)
+        self._now = self.plant.advance(levels, self._step_s)
         if self._behind:
             row = np.concatenate([self._now.T_zone_C, self._now.u])
             self._past = np.concatenate([row[None], self._past[:-1]])
@@ -127,7 +127,7 @@ class LevelsView:
 
     def kpis(self) -> dict[str, float]:
         """BOPTEST's KPIs since the start."""
-        return self._plant.kpis()
+        return self.plant.kpis()
 
     def state(self) -> dict[str, float]:
         """Time, temperatures, levels and comfort bounds now."""
@@ -141,24 +141,24 @@ class LevelsView:
 
     def snapshot(self) -> _State:
         """See `View.snapshot`."""
-        return _State(copied(self._plant, self._plant.info.testcase), self._now, self._past.copy(), self._table)
+        return _State(copied(self.plant, self.plant.info.testcase), self._now, self._past.copy(), self._table)
 
     def restore(self, snapshot: _State) -> None:
         """See `View.restore`."""
-        self._plant.restore(snapshot.plant)  # type: ignore[attr-defined]
+        self.plant.restore(snapshot.plant)  # type: ignore[attr-defined]
         self._now, self._past, self._table = snapshot.now, snapshot.past.copy(), snapshot.table
 
     def branched(self) -> LevelsView:
         """See `View.branched`; both plants share what no step changes."""
         snapshot = self.snapshot()
         other = copy.copy(self)
-        other._plant = copy.copy(self._plant)
+        other.plant = copy.copy(self.plant)
         other.restore(snapshot)
         return other
 
     def close(self) -> None:
         """Release the plant."""
-        self._plant.close()
+        self.plant.close()
 
     def _coming(self) -> Array:
         """Forecast from now at the observed instants (signals, n)."""
@@ -171,7 +171,7 @@ class LevelsView:
     def _forecast(self, horizon_s: float) -> Array:
         """Forecast from now at every step (signals, n); NaN at instants that the plant leaves out."""
         steps = max(int(horizon_s / self._step_s + 1e-9), 1)
-        boundary: Boundary = self._plant.forecast(steps * self._step_s, self._step_s)
+        boundary: Boundary = self.plant.forecast(steps * self._step_s, self._step_s)
         rows = np.vstack([np.atleast_2d(getattr(boundary, name)) for name in FORECAST])
         missing = steps + 1 - rows.shape[1]
         return np.pad(rows, ((0, 0), (0, max(missing, 0))), constant_values=np.nan)
