@@ -27,7 +27,7 @@ from thermoforce_mpc.errors import DataError, InputError, WeatherError
 from thermoforce_mpc.measurements.map.starting_map import starting_map
 from thermoforce_mpc.measurements.tables import files as tables
 from thermoforce_mpc.scenario.yaml_file import read_yaml
-from thermoforce_mpc.simulation.folder.run_folder import file_sha256
+from thermoforce_mpc.simulation.comparison.input_files import input_files
 from thermoforce_mpc.simulation.models.measured_model import check_measurements
 from thermoforce_mpc.state_file import StateFormat
 
@@ -65,7 +65,7 @@ READERS = {
     "schedule": levels,
     "prices": tariff_from_file,
     "map or scenario": read_yaml,
-    "hash": file_sha256,
+    "input files": lambda path: input_files([str(path)]),
     "state": StateFormat({}).read,
 }
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import platform
 import re
+import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
@@ -20,8 +22,8 @@ import yaml
 from filelock import FileLock, Timeout
 
 from thermoforce_mpc.data import DAY_S, Names, Plan, PlantInfo
-from thermoforce_mpc.errors import ArtifactError, ConfigError, InputError, StorageError
-from thermoforce_mpc.files import check_regular, storage_errors, write_whole
+from thermoforce_mpc.errors import ArtifactError, ConfigError, StorageError
+from thermoforce_mpc.files import storage_errors, write_whole
 from thermoforce_mpc.registry import plugins
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held
@@ -273,8 +275,9 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes, hexadecimal; raises `InputError` for a device or pipe."""
-    check_regular(path, InputError)
+    """SHA-256 of a file's bytes, hexadecimal; raises `OSError` where it cannot be read, as a device or pipe."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise OSError(errno.EINVAL, "not a file", str(path))
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -47,7 +47,7 @@ def _Kh(kpis: Kpis) -> str:
 
 def _difference(own: float, other: float, currency: str) -> str:
     """'7 % less than', '2 % more than' or 'as much as'; in currency where the other costs nothing, or earns."""
-    if other > 0 and 0 <= own and isfinite(own):
+    if other > 0 and own >= 0 and isfinite(own):
         share = own / other - 1.0
         if abs(share) < _SAME:
             return "as much as"
