@@ -99,7 +99,7 @@ PARTS = {
     "closed-loop": Part(
         _closed_loop,
         (Table("tab:closedloop", "Closed loop over two weeks", tables.closed_loop, ("pareto.png",)),),
-        "our emulator of the test case, the horizon is 24 h (not printed in the paper); real test case: "
+        "our emulator of the test case; a horizon of 24 h, which the paper does not print; for the real test case "
         "tf-mpc run --config paper_closed_loop --url URL",
     ),
     "ablation": Part(
@@ -121,6 +121,6 @@ PARTS = {
 # Tables and figures of the paper that hold nothing measured.
 NOT_MEASURED = {
     "tab:positioning, tab:thermostill": "a comparison of publications in words; nothing to measure",
-    "tab:datasets": "the sources; ours stand in the column `what differs`",
+    "tab:datasets": "the sources; ours stand under 'What differs'",
     "fig:framework": "a drawing; docs/how-it-works has ours",
 }

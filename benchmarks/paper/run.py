@@ -72,8 +72,12 @@ def _markdown(name: str, table: Table, rows: Rows, part: Mapping[str, Any]) -> s
 
 
 def _pair(paper: float | None, here: float | None) -> str:
-    mine = "–" if here is None else f"{here:.3g}"
-    return mine if paper is None else f"{mine} ({paper:.4g})"
+    mine = "–" if here is None else _number(here)
+    return mine if paper is None else f"{mine} ({_number(paper)})"
+
+
+def _number(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
 
 
 def _write(out: Path, content: Mapping[str, Any], texts: Sequence[str]) -> None:

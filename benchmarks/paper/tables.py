@@ -110,7 +110,10 @@ def gamma(result: Result) -> Rows:
 
 def efficiency(result: Result) -> Rows:
     """Computing time and trained parameters."""
-    return {f"{row['component']}, {row['unit']}": {"figure": (row["paper"], row["here"])} for row in result["rows"]}
+    return {
+        row["component"] + (", ms" if row["unit"] == "ms" else ""): {"figure": (row["paper"], row["here"])}
+        for row in result["rows"]
+    }
 
 
 def _with(result: Result, key: str) -> Iterator[dict[str, Any]]:

@@ -25,7 +25,7 @@ def test_a_days_closed_loop_stands_beside_the_papers(tmp_path):
     ours = {r["row"] for r in rows}
     assert ours == {f"{window}: {name}" for window, name in CLOSED_LOOP}
     text = (tmp_path / "p" / "tables.md").read_text()
-    assert f"{float(native['here']):.3g} (3.478)" in text
+    assert f"{float(native['here']):.3g} (3.48)" in text
     assert (tmp_path / "p" / "closed-loop" / "pareto.png").stat().st_size > 10_000
 
 
