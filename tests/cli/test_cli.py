@@ -40,6 +40,16 @@ def tf_mpc(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[
     return subprocess.run(call, capture_output=True, text=True, cwd=cwd, timeout=120, check=False)
 
 
+def test_what_a_message_quotes_does_nothing_to_the_terminal(tmp_path):
+    file = tmp_path / "\x1b[31m\x9bred.yaml"
+    file.write_text("testcase: bestest_hydronic_heat_pump\n\x00")
+    done = tf_mpc("validate", str(file))
+    assert done.returncode == 2
+    assert "[31mred.yaml" in done.stderr
+    assert "\x1b" not in done.stderr
+    assert "\x9b" not in done.stderr
+
+
 @pytest.fixture
 def simple(monkeypatch, tmp_path):
     """`tf-mpc run` on the simple house, in an empty folder; gives a function that runs it in this process."""
