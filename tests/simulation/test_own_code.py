@@ -135,6 +135,30 @@ def test_a_changed_file_is_read_again(folder):
     assert build_controller("my_rules.py:Night", {}, testcase).step_s == 1800.0
 
 
+LOUD = """
+from thermoforce_mpc.data import Block, Plan, PlanStatus
+class Loud:
+    step_s = horizon_s = 3600.0
+    def plan(self, observation, state=None):
+        why = "\\x1b]0;title\\x07\\x1b[2Jcleared" + "x" * 5000
+        return Plan((Block(0.5, self.step_s),), PlanStatus.RULE, why, news="\\x1b[2Jnews")
+"""
+
+
+def test_texts_of_a_journal_never_reach_the_terminal_as_control_characters(folder):
+    (folder / "my_rules.py").write_text(LOUD)
+    done = tf_run("--controller", "my_rules.py:Loud", "--baselines", "")
+    assert done.exit_code == 0, done.output
+    assert "[2Jnews" in done.output
+    assert "\x1b" not in done.output
+    for words in (["explain", "out", "--at", "10 03:00"], ["watch", "out", "--once"]):
+        shown = CliRunner().invoke(cli, words)
+        assert shown.exit_code == 0, shown.output
+        assert "[2Jcleared" in shown.output
+        assert "\x1b" not in shown.output
+        assert "more characters left out" in shown.output
+
+
 class Half:
     """Half level."""
 

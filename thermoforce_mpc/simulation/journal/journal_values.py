@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from boptest_client import safe_text
 from thermoforce_mpc.data import (
     ACTING,
     CONDITIONS,
@@ -69,8 +70,9 @@ def names_json(names: Names) -> Json:
 
 
 def names_of(content: Mapping[str, Any]) -> Names:
-    """The names of `names_json`."""
-    return Names(tuple(content["zones"]), tuple(content["actuators"]), tuple(content["machines"]))
+    """The names of `names_json`, as a terminal may show them."""
+    zones, actuators, machines = (tuple(map(safe_text, content[key])) for key in ("zones", "actuators", "machines"))
+    return Names(zones, actuators, machines)
 
 
 def measurement_json(measurement: Measurement) -> Json:

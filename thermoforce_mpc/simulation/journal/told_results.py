@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from boptest_client import safe_text
 from thermoforce_mpc.data import DAY_S, Block, Boundary, Period, Plan, PlanStatus
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
@@ -66,8 +67,8 @@ def told_run(folder: Path) -> ToldRun:
             raise JournalError(f"{path}: no step has ended yet, so that there is nothing to show")
         return ToldRun(
             scenario,
-            tuple(str(word) for word in first.content["command"]),
-            str(first.content.get("version")),
+            tuple(safe_text(word) for word in first.content["command"]),
+            safe_text(first.content.get("version")),
             _plant(entries),
             next((entry.content["models"] for entry in entries if entry.kind == "models"), {}),
             results,
@@ -80,7 +81,8 @@ def _plant(entries: Sequence[Entry]) -> Mapping[str, Any]:
     contents = (entry.content for entry in entries)
     answered = (told for content in contents for told in (content, *content.get("advances", ())))
     restarts = [words for told in answered for words in (told.get("answer") or {}).get("restarts", ())]
-    return {**info, "description": "; ".join([str(info.get("description")), *dict.fromkeys(restarts)])}
+    said = {key: safe_text(value) if isinstance(value, str) else value for key, value in info.items()}
+    return {**said, "description": safe_text("; ".join([str(info.get("description")), *dict.fromkeys(restarts)]))}
 
 
 def _kept_steps(loop: Sequence[Entry]) -> KeptSteps[StepRecord]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from boptest_client import safe_text
 from thermoforce_mpc.data import SIGNALS, SINGLE, Array, Boundary, Measurement, Names, Record
 from thermoforce_mpc.model.forecast_gaps import completed, lengthened
 from thermoforce_mpc.model.screening import Limits, screened_history
@@ -24,6 +25,8 @@ from thermoforce_mpc.simulation.journal.journal_values import (
 )
 
 Json = Mapping[str, Any]
+_TEXTS = ("why", "refused", "solver_status", "news", "status")
+_MOST_SHOWN = 2_000
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,12 @@ class ToldStep:
     @property
     def notes(self) -> tuple[str, ...]:
         """What was in doubt."""
-        return () if self.done is None else tuple(self.done["notes"])
+        return () if self.done is None else tuple(safe_text(note, _MOST_SHOWN) for note in self.done["notes"])
+
+
+def _safe(decision: Json) -> dict[str, str]:
+    """The texts of a decision as a terminal may show them; they name every actuator, so they may be long."""
+    return {key: safe_text(decision[key], _MOST_SHOWN) for key in _TEXTS if isinstance(decision.get(key), str)}
 
 
 def told_loops(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
@@ -70,7 +78,7 @@ def told_loops(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
     loops: dict[str, list[Entry]] = {}
     for entry in entries:
         if entry.kind == "loop":
-            loops[str(entry.content["controller"])] = []
+            loops[safe_text(entry.content["controller"])] = []
         elif loops:
             next(reversed(loops.values())).append(entry)
     return loops
@@ -104,7 +112,7 @@ class StepReader:
         elif entry.kind == "past":
             self._past = content["answer"]
         elif entry.kind == "step":
-            self._step, self._advances = content, []
+            self._step, self._advances = {**content, **_safe(content)}, []
             if content["forecast"] is not None:
                 self._rows = repeated_rows(content["forecast"], self._rows)
         elif entry.kind == "advance":

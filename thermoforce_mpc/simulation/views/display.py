@@ -13,6 +13,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from boptest_client import safe_text
 from thermoforce_mpc.data import DAY_S, Period, PlanStatus
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import Sample, StepRecord
@@ -23,6 +24,8 @@ from thermoforce_mpc.simulation.views.whole_tables import print_whole
 Kpis = Callable[[], Mapping[str, float]]
 # Loops that end sooner say nothing of it.
 _SHORT_S, _MINUTE_S = 5.0, 60.0
+# Characters of a message: it may list many things, and quote what comes from elsewhere.
+_MOST_SHOWN = 20_000
 
 KPI_COLUMNS = {
     "cost_tot": "cost\n{currency}/m²",
@@ -67,7 +70,7 @@ class LoopDisplay:
             return
         if record.plan.news:
             news = f"{self._controller}: day {record.time_s / DAY_S:.2f}: {record.plan.news}"
-            self._console.print(news, highlight=False, markup=False, soft_wrap=True)
+            self._console.print(safe_text(news, _MOST_SHOWN), highlight=False, markup=False, soft_wrap=True)
         last_sample = record.samples[-1]
         day = (last_sample.start_s + last_sample.duration_s - self._period.start_s) / DAY_S
         days_done = int(day + 1e-9)
@@ -171,7 +174,7 @@ class RunDisplay:
     def say(self, text: str) -> None:
         """Print `text` unless quiet."""
         if not self.quiet:
-            self.console.print(text, soft_wrap=True, markup=False)
+            self.console.print(safe_text(text, _MOST_SHOWN), soft_wrap=True, markup=False)
 
     def working(self, text: str) -> AbstractContextManager[object]:
         """Status text shown while the context is open."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from boptest_client import safe_text
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Measurement, Record
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import InputError
@@ -152,7 +153,7 @@ class LiveRun:
                 raise JournalError(f"{entry.path}: is not of format {FORMAT}, which this release reads")
             self._scenario = entry.content["scenario"]
         if entry.kind == "loop":
-            self._loops.append(str(entry.content["controller"]))
+            self._loops.append(safe_text(entry.content["controller"]))
             if self._wanted == self._loops[-1] or (self._wanted is None and (self._latest or len(self._loops) == 1)):
                 self._begin(self._loops[-1])
         if not self._loops or self._loops[-1] != self._controller:
