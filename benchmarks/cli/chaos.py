@@ -45,6 +45,9 @@ def command(
     NaN or stuck, and a solver or forecaster that raises, hangs or returns NaN. Pauses of the client pass at once;
     services run in these processes.
 
+    A quarter as many trials with files follow: journals with flipped bits, folders of other people with a link, a pipe
+    or an address, tables that never end.
+
     Of every episode it is checked that no error ended it (a service that forgot its test may, with a named one), that
     every action sent was finite and in range, that the journal has every simulated step once, that the test was
     stopped, and that discomfort was at most 1.5 times that of the same run without faults and 1 K·h. Exit code 1 where

@@ -1,0 +1,141 @@
+"""Trials with files from elsewhere: damaged journals, folders of other people, and tables that never end."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import re
+import shlex
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from click.testing import CliRunner, Result
+
+from benchmarks.chaos.episode import Outcome
+from benchmarks.chaos.troubles import Trouble
+from thermoforce_mpc.cli import cli
+from thermoforce_mpc.errors import InputError, ThermoForceError
+from thermoforce_mpc.plants.testcases import load_scenario
+from thermoforce_mpc.simulation.folder.run_book import RunBook
+from thermoforce_mpc.simulation.journal.journal import NAME
+
+_WORDS = ("--testcase", "bestest_hydronic_heat_pump", "--controller", "thermostat", "--baselines", "", "--days", "0.1")
+# Longest time of a refusal, s, and bytes of a table after unpacking.
+_MOST_S, _BOMB_BYTES = 60.0, 1_500_000_000
+_MAP = "time: {column: time, zone: UTC}\noutdoor: T\nzones: {zone: {temperature: T}}\nactuators: {a: {level: u}}\n"
+
+Trial = Callable[[np.random.Generator, Path], list[str]]
+
+
+def _call(*words: object) -> Result:
+    return CliRunner().invoke(cli, [str(word) for word in words])
+
+
+def whole_run(folder: Path) -> Path:
+    """A finished run, whose journal the trials damage."""
+    done = _call("run", *_WORDS, "--no-equal-comfort", "--quiet", "--out", folder)
+    if done.exit_code:
+        raise ThermoForceError(f"the run without faults ended with {done.exception}")
+    return folder
+
+
+def flipped_bits(rng: np.random.Generator, folder: Path) -> list[str]:
+    """One to three bits of a journal: the run goes on to the same bytes, if need be by the command that is said."""
+    whole, run = folder / "whole", folder / f"run{rng.integers(10**9)}"
+    run.mkdir()
+    content = bytearray((whole / NAME).read_bytes())
+    for at in rng.integers(0, len(content), size=int(rng.integers(1, 4))):
+        content[at] ^= 1 << int(rng.integers(8))
+    (run / NAME).write_bytes(content)
+    done = _call("resume", run, "--quiet")
+    said = re.search(r"tf-mpc (resume .* --from \d+)", str(done.exception))
+    if done.exit_code and said:
+        done = _call(*shlex.split(said[1]), "--quiet")
+    if isinstance(done.exception, InputError) and "start again" in str(done.exception):
+        return []  # the first line, which says what the run is
+    if done.exit_code:
+        return _unnamed(done) or [f"ended with {done.exception}"]
+    same = (run / "trajectory.csv").read_bytes() == (whole / "trajectory.csv").read_bytes()
+    return [] if same else ["step lost: another trajectory than without the fault"]
+
+
+def foreign_folder(rng: np.random.Generator, folder: Path) -> list[str]:
+    """A folder with a link, a pipe or somebody's address in it: refused, and nothing outside it is written."""
+    run, victim = folder / f"foreign{rng.integers(10**9)}", folder / "victim"
+    victim.write_text("mine")
+    kind = str(rng.choice(["link", "pipe", "address"]))
+    run.mkdir()
+    plant = {"kind": "boptest", "url": "http://127.0.0.1:9"} if kind == "address" else {}
+    keys = {"testcase": _WORDS[1], "controller": {"name": "thermostat"}, "plant": plant}
+    RunBook.begin(run, load_scenario(None, keys), ["tf-mpc", "run"]).journal.close()
+    if kind == "link":
+        (run / "log.jsonl").symlink_to(victim)
+    elif kind == "pipe":
+        os.mkfifo(run / str(rng.choice(["log.jsonl", "report.html"])))
+    refused = _refused(_call("resume", run, "--quiet"))
+    return refused + (["a file outside was written"] if victim.read_text() != "mine" else [])
+
+
+def endless_table(rng: np.random.Generator, folder: Path) -> list[str]:
+    """A table that unpacks without end, a device or a pipe: refused in time."""
+    made = folder / f"table{rng.integers(10**9)}"
+    kind = str(rng.choice(["bomb", "device", "pipe"]))
+    table, map_file = made.with_suffix(".csv.gz" if kind == "bomb" else ".csv"), folder / "map.yaml"
+    map_file.write_text(_MAP)
+    if kind == "bomb":
+        with gzip.open(table, "wb", compresslevel=1) as packed:
+            packed.write(b"time,T,u\n")
+            row = b"2026-01-01 00:00:00,20.0,0.5\n" * 100_000
+            for _ in range(_BOMB_BYTES // len(row)):
+                packed.write(row)
+    elif kind == "device":
+        table = Path("/dev/zero")
+    else:
+        os.mkfifo(table)
+    try:
+        return _refused(_call("data", "check", table, "--map", map_file, "--no-fit", "--plot", folder / "p.png"))
+    finally:
+        if kind != "device":
+            table.unlink()
+
+
+TRIALS: dict[str, Trial] = {
+    "flipped bits": flipped_bits, "foreign folder": foreign_folder, "endless table": endless_table,
+}  # fmt: skip
+
+
+def run_trial(kind: str, seed: tuple[int, int], folder: Path) -> Outcome:
+    """A trial of one kind, as an episode without steps."""
+    began = time.perf_counter()
+    try:
+        faults = TRIALS[kind](np.random.default_rng(seed), folder)
+    except Exception as error:  # of a trial itself, too
+        faults = [f"ended with {type(error).__name__}: {error}"]
+    seconds = time.perf_counter() - began
+    if seconds > _MOST_S:
+        faults.append(f"took {seconds:.0f} s")
+    return Outcome((Trouble(kind, 0.0, 0.0),), "done", "", {kind: 1}, 0, 0, 0.0, seconds, tuple(faults))
+
+
+def prepared(folder: Path) -> Path:
+    """The folder of all trials, with the run that they damage."""
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(folder / "whole", ignore_errors=True)
+    whole_run(folder / "whole")
+    return folder
+
+
+def _refused(done: Result) -> list[str]:
+    if isinstance(done.exception, InputError):
+        return []
+    return _unnamed(done) or [f"ended with {done.exception or 'no error'}, and should have been refused"]
+
+
+def _unnamed(done: Result) -> list[str]:
+    """An error that is none of the package's: a traceback for the user."""
+    if done.exception is None or isinstance(done.exception, ThermoForceError | SystemExit):
+        return []
+    return [f"ended with {type(done.exception).__name__}: {done.exception}"]
