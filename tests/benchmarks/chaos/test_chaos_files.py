@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.chaos import files
 from benchmarks.chaos.files import TRIALS, prepared, run_trial
 
 
