@@ -68,7 +68,7 @@ class PolicyController:
 
 def is_policy(name: str) -> bool:
     """Whether `name` is that of a policy's file."""
-    return name.endswith(".zip")
+    return name.endswith(".zip")  # as `own_code.code_file`
 
 
 def policy_entry(name: str) -> Entry:

@@ -18,6 +18,13 @@ def is_own_code(name: str) -> bool:
     return ".py:" in name
 
 
+def code_file(name: str) -> str | None:
+    """The file whose code a controller or KPI of this `name` runs; a trained policy (`.zip`) is unpickled."""
+    if is_own_code(name):
+        return name.rpartition(":")[0]
+    return name if name.endswith(".zip") else None
+
+
 def own_code(where: str, key: str, error: Callable[[str], InputError]) -> Any:
     """What stands in a file under a name, as it was at the file's last change.
 

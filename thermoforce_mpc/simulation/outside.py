@@ -1,10 +1,11 @@
 """What a run names that acts outside its folder, and whether this user has given it here before.
 
 The folder of a run may come from anybody. Its journal names a service, to which requests and BOPTEST_TOKEN would go, an
-FMU, which is native code, files of Python (`file.py:name`), or a plugin's plant, which may be a real one. From a
-journal such a setting is used only if the user gives it again, or gave it before: `tf-mpc run` and `resume` note what
-they were given in the user's cache folder, an address as it is and a file by the SHA-256 of its content. No folder of a
-run can forge that. Who owns the folder says nothing: what one unpacks is one's own.
+FMU, which is native code, files of Python (`file.py:name`), trained policies, which are unpickled, or a plugin's plant,
+which may be a real one. From a journal such a setting is used only if the user gives it again, or gave it before:
+`tf-mpc run` and `resume` note what they were given in the user's cache folder, an address as it is and a file by the
+SHA-256 of its content. No folder of a run can forge that. Who owns the folder says nothing: what one unpacks is one's
+own.
 
 All else that a journal names is read as data: weather, prices, test cases, models and weights (safetensors).
 """
@@ -24,7 +25,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.plants.registry import REGISTRY, plant_name
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.scenario.own_code import is_own_code
+from thermoforce_mpc.scenario.own_code import code_file
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
 
@@ -67,10 +68,10 @@ def outside(scenario: Scenario) -> list[Outside]:
 
 
 def _python(scenario: Scenario) -> list[str]:
-    """Files of Python that a scenario names."""
+    """Files of Python and policies that a scenario names."""
     controller = scenario.controller
     named = [controller.name, *scenario.baselines, *scenario.kpis, str(controller.options.get("terms") or "")]
-    return sorted({where.rpartition(":")[0] for where in named if is_own_code(where)})
+    return sorted({file for where in named if (file := code_file(where)) is not None})
 
 
 def note_given(scenario: Scenario) -> None:

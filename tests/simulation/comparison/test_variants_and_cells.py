@@ -167,6 +167,23 @@ def test_a_model_learned_by_other_code_is_not_taken_up(monkeypatch):
     assert after.key == before.key, "finished cells are kept, with a note"
 
 
+def test_code_of_the_users_counts_by_content(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rules, kpis = tmp_path / "rules.py", tmp_path / "kpis.py"
+    text = "class Hold:\n    step_s = horizon_s = 3600.0\n    def plan(self, observation, state=None): ...\n"
+
+    def key(*own: str) -> str:
+        return keys(Variant(controller="rules.py:Hold"), Scenario(testcase=TESTCASE, days=1, kpis=own))[0]
+
+    rules.write_text(text)
+    kpis.write_text("def one(trajectory):\n    return 1.0\n")
+    first, second = key(), key("kpis.py:one")
+    rules.write_text(text + "# changed\n")
+    third = key()
+    kpis.write_text("def one(trajectory):\n    return 2.0\n")
+    assert len({first, second, third, key("kpis.py:one")}) == 4
+
+
 def test_files_that_decide_a_run_count_by_content(tmp_path):
     """The FMU at the same path may be another one tomorrow, and so may a forecaster's checkpoint."""
     fmu, backbone = tmp_path / "wrapped.fmu", tmp_path / "checkpoint"

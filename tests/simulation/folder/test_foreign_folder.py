@@ -249,3 +249,12 @@ def test_what_was_given_is_noted_once_and_needs_no_home(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     outside.note_given(scenario)
     assert [one.key for one in outside.unknown(scenario)] == ["plant.url"]
+
+
+def test_a_trained_policy_is_code(tmp_path):
+    """It is unpickled, which runs what is in it."""
+    policy = tmp_path / "policy.zip"
+    policy.write_bytes(b"one")
+    keys = {"testcase": "bestest_hydronic_heat_pump", "controller": {"name": str(policy)}}
+    (found,) = outside.outside(load_scenario(None, keys))
+    assert (found.key, found.value, found.option) == (outside.CODE, str(policy), "--code")

@@ -12,6 +12,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution.keys import digest, source_fingerprint
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.registry import plugin_sources
+from thermoforce_mpc.scenario.own_code import code_file
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.comparison.input_files import named_files
@@ -154,9 +155,12 @@ def _cell(name: str, scenario: Scenario, provenance: Mapping[str, Any], hash_of:
             model = task.to_json() | {"plant": _plant_by_content(task.plant, hash_of), "probed": probed}
             identification_key = digest({**provenance, "source": source_fingerprint(), "task": model})
     options = controller_config(controller, controller_options(scenario, controller), testcase).model_dump(mode="json")
-    files = {path: hash_of(path) for path in named_files(controller, options)}
-    # What a controller is compared with decides nothing of its run.
-    decides = scenario.model_dump(mode="json", exclude={"equal_comfort"}) | {
+    named = [file for name in (controller, *scenario.kpis) if (file := code_file(name)) is not None]
+    named += [str(Path(file).with_suffix(".json")) for file in named if file.endswith(".zip")]
+    files = {path: hash_of(path) for path in (*named_files(controller, options), *named)}
+    # What a controller is compared with decides nothing of its run. Keys that came later count where they are given.
+    without = {"equal_comfort", *(key for key in ("comfort", "kpis") if not getattr(scenario, key))}
+    decides = scenario.model_dump(mode="json", exclude=without) | {
         "testcase": testcase.model_dump(mode="json"),
         "plant": _plant_by_content(scenario.plant, hash_of),
         "controller": {"name": controller, "options": options, "files": files},
