@@ -125,6 +125,9 @@ def test_what_else_a_plant_can_stays():
         def go_on(self, *_, **__):
             """A plant that outlives its process."""
 
+        def leave(self):
+            """It is left where it stands."""
+
     testcase = load_testcase("bestest_hydronic_heat_pump")
     plant = WithComfort(Room(), Comfort(schedule="else 20-24"), testcase)
     assert isinstance(plant, Plant)

@@ -217,7 +217,7 @@ def test_forecast_of_the_coming_day_needs_only_weather(house: Path) -> None:
             ("counterfactual", "--start", "2026-01-05", "--level", "0", "--out", "x.txt"),
             "end the name in .csv or .json",
         ),
-        (("counterfactual", "--start", "2026-01-05", "--schedule", "nowhere.csv"), "cannot be read as CSV"),
+        (("counterfactual", "--start", "2026-01-05", "--schedule", "nowhere.csv"), "nowhere.csv: cannot be read"),
         (("counterfactual", "--start", "2026-01-05", "--level", "0", "--hours", "inf"), "'--hours': inf is no number"),
         (("forecast", "--start", "2026-01-05", "--hours", "nan"), "'--hours': nan is no number"),
         (("forecast", "--start", "2026-01-05", "--level", "nan"), "must be finite"),

@@ -114,8 +114,6 @@ class Plan:
     T_forced_K: Array = field(default_factory=lambda: np.empty(0))
     T_free_low_C: Array = field(default_factory=lambda: np.empty(0))
     T_free_high_C: Array = field(default_factory=lambda: np.empty(0))
-    lower_C: Array = field(default_factory=lambda: np.empty(0))
-    upper_C: Array = field(default_factory=lambda: np.empty(0))
     slack_K: Array = field(default_factory=lambda: np.empty(0))
     power_W: Array = field(default_factory=lambda: np.empty(0))
     time_s: Array = field(default_factory=lambda: np.empty(0))
@@ -129,6 +127,8 @@ class Plan:
     margins: Mapping[str, Array] = field(default_factory=dict)
     names: Names = SINGLE
     acting: tuple[PlanStatus, ...] = ()
+    lower_C: Array = field(default_factory=lambda: np.empty(0))
+    upper_C: Array = field(default_factory=lambda: np.empty(0))
     state: object = field(default=None, repr=False)
 
     def __post_init__(self) -> None:

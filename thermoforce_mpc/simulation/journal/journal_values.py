@@ -132,10 +132,11 @@ def rows_json(rows: Array, before: Array | None) -> Json:
 def repeated_rows(content: Mapping[str, Any], before: Array | None) -> Array:
     """The rows of `rows_json`; raises `ValueError` where `before` is not what it was then."""
     new, at, n = unpack(content["new"]), int(content["from"]), int(content["same"])
-    if before is None or not n:
-        before = np.empty((len(new), 0))
-    if not 0 <= at <= at + n <= before.shape[1]:
-        raise ValueError(f"a forecast that repeats {n} columns from {at} on of one of {before.shape[1]}")
+    if not n:
+        return new
+    if before is None or not 0 <= at <= at + n <= before.shape[1]:
+        there = 0 if before is None else before.shape[1]
+        raise ValueError(f"a forecast that repeats {n} columns from {at} on of one of {there}")
     return np.hstack([before[:, at : at + n], new])
 
 
