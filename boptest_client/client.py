@@ -31,6 +31,8 @@ _POLL_S = 0.2
 # Time for the first answer of a service, s: its address may be wrong.
 FIRST_ANSWER_S = 10.0
 _CLOCK_TOLERANCE_S = 1e-3
+# Length of a scenario of a named period, s.
+_SCENARIO_S = 14 * 86400.0
 _STATUSES = ("Running", "Queued")
 # Time for lists of points and the like before a run, s: nothing is simulated for them.
 LOOKUP_S = 30.0
@@ -263,7 +265,7 @@ class BoptestClient:
         state = self._numbers("advance", answer.payload)
         found_s = state.get("time", math.nan)
         # A scenario ends on time, whatever the step.
-        cut = self._scenario_ends and self.time_s < found_s < self.time_s + step_s
+        cut = self._scenario_ends and abs(found_s - self._started_s - _SCENARIO_S) <= _CLOCK_TOLERANCE_S
         if not cut and (abs(found_s - self.time_s - step_s) > _CLOCK_TOLERANCE_S or math.isnan(found_s)):
             raise ProtocolError(
                 self._at("advance"),
