@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 from controllers.checks import ControllerConfigError
 from controllers.entries.entry import HANDED, Entry, build_on_model, named, own_entry, plugin_entry
-from controllers.policy.trained import is_policy, policy_entry
+from controllers.policy.trained import policy_entry
 from controllers.rules.native import NativeConfig, NativeController
 from controllers.rules.pi import PIConfig, PIController, check_layout
 from controllers.rules.thermostat import Thermostat, ThermostatConfig
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.registry import Registry
-from thermoforce_mpc.scenario.own_code import is_own_code, own_code
+from thermoforce_mpc.scenario.own_code import is_own_code, is_policy, own_code
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.settings import StrictModel, merge, validate
 from thermoforce_mpc.scenario.signatures import first_line, unfit

@@ -6,7 +6,6 @@ import gzip
 import os
 import re
 import shlex
-import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -32,14 +31,6 @@ Trial = Callable[[np.random.Generator, Path], list[str]]
 
 def _call(*words: object) -> Result:
     return CliRunner().invoke(cli, [str(word) for word in words])
-
-
-def whole_run(folder: Path) -> Path:
-    """A finished run, whose journal the trials damage."""
-    done = _call("run", *_WORDS, "--no-equal-comfort", "--quiet", "--out", folder)
-    if done.exit_code:
-        raise ThermoForceError(f"the run without faults ended with {done.exception}")
-    return folder
 
 
 def flipped_bits(rng: np.random.Generator, folder: Path) -> list[str]:
@@ -121,10 +112,10 @@ def run_trial(kind: str, seed: tuple[int, int], folder: Path) -> Outcome:
 
 
 def prepared(folder: Path) -> Path:
-    """The folder of all trials, with the run that they damage."""
-    folder.mkdir(parents=True, exist_ok=True)
-    shutil.rmtree(folder / "whole", ignore_errors=True)
-    whole_run(folder / "whole")
+    """The folder of all trials, with a finished run whose journal they damage."""
+    done = _call("run", *_WORDS, "--no-equal-comfort", "--quiet", "--out", folder / "whole")
+    if done.exit_code:
+        raise ThermoForceError(f"the run without faults ended with {done.exception}")
     return folder
 
 

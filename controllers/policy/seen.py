@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from controllers.checks import ControllerConfigError
-from thermoforce_mpc.data import DAY_S, Array, Names, Observation
+from thermoforce_mpc.data import DAY_S, Array, Names, Observation, Record
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError, suggestion
 from thermoforce_mpc.scenario.strict_model import StrictModel
@@ -100,6 +100,17 @@ class PolicySpec(StrictModel):
         parts = [[np.sin(angle), np.cos(angle)], now[:Z], weather, now[Z:], past[1:].ravel(), coming.ravel()]
         return np.concatenate(parts)[self._chosen]
 
+    def past(self, record: Record, now_C: Array) -> Array:
+        """Temperatures and mean levels of the steps of a record, latest first (n_behind + 1, Z + A).
+
+        Where the record is shorter, its first step stands for those before it; without a step, `now_C` (Z,), °C, and
+        level 0 do.
+        """
+        before = np.vstack([record.T_zone_C[:, 1:], record.u]).T[::-1][: self.n_behind + 1]
+        if not len(before):
+            before = np.concatenate([now_C, np.zeros(len(self.actuators))])[None]
+        return np.vstack([before, *[before[-1:]] * (self.n_behind + 1 - len(before))])
+
     def of(self, observation: Observation) -> Array:
         """`values` of what a controller sees.
 
@@ -111,10 +122,7 @@ class PolicySpec(StrictModel):
         for what, times in (("history", record.time_s), ("forecast", ahead.time_s)):
             if len(times) > 1 and abs(float(times[1] - times[0]) - self.step_s) > 1e-3:
                 raise DataError(f"{what}: its step is {times[1] - times[0]:g} s, the policy's {self.step_s:g} s")
-        before = np.vstack([record.T_zone_C[:, 1:], record.u]).T[::-1][: self.n_behind + 1]
-        if not len(before):
-            before = np.concatenate([record.T_zone_C[:, -1], np.zeros(len(self.actuators))])[None]
-        past = np.vstack([before, *[before[-1:]] * (self.n_behind + 1 - len(before))])
+        past = self.past(record, record.T_zone_C[:, -1])
         past[0, len(self.zones) :] = np.nan_to_num(past[0, len(self.zones) :])
         coming = np.vstack([np.atleast_2d(getattr(ahead, name)) for name in FORECAST])
         missing = int(self.offsets[-1]) + 1 - coming.shape[1]

@@ -15,6 +15,7 @@ from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import suggestion
 from thermoforce_mpc.files import parse_json, read_bounded
 from thermoforce_mpc.protocols import Controller
+from thermoforce_mpc.scenario.own_code import policy_settings
 from thermoforce_mpc.scenario.settings import StrictModel, validate
 from thermoforce_mpc.scenario.testcase import TestCase
 
@@ -66,11 +67,6 @@ class PolicyController:
         return Plan((blocks,), PlanStatus.RULE, why, names=names)
 
 
-def is_policy(name: str) -> bool:
-    """Whether `name` is that of a policy's file."""
-    return name.endswith(".zip")  # as `own_code.code_file`
-
-
 def policy_entry(name: str) -> Entry:
     """The entry of the policy in the file `name`; raises `ControllerConfigError` where it cannot be used."""
     spec = _spec(Path(name))
@@ -82,7 +78,7 @@ def policy_entry(name: str) -> Entry:
 
 
 def _spec(path: Path) -> PolicySpec:
-    settings = path.with_suffix(".json")
+    settings = policy_settings(str(path))
     for file in (path, settings):
         if not file.is_file():
             raise ControllerConfigError(

@@ -82,12 +82,8 @@ def canonical(value: Any, names: Mapping[type, str] = MappingProxyType({})) -> A
     if isinstance(value, bytes):
         return {"bytes": hashlib.sha256(value).hexdigest()}
     if isinstance(value, BaseModel):
-        later = {
-            key: field.get_default(call_default_factory=True)
-            for key, field in type(value).model_fields.items()
-            if ADDED_LATER in field.metadata
-        }
-        kept = {key: item for key, item in value if key not in later or item != later[key]}
+        without = later_at_default(value)
+        kept = {key: item for key, item in value if key not in without}
         return {"model": _name(value, names), "fields": {key: canonical(item, names) for key, item in kept.items()}}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {
@@ -103,6 +99,15 @@ def canonical(value: Any, names: Mapping[type, str] = MappingProxyType({})) -> A
     if isinstance(value, list | tuple):
         return [canonical(item, names) for item in value]
     raise TypeError(f"{type(value).__name__} has no content key: give plain data")
+
+
+def later_at_default(model: BaseModel) -> set[str]:
+    """Fields of a model that were `ADDED_LATER` and have their default: keys leave them out."""
+    return {
+        key
+        for key, field in type(model).model_fields.items()
+        if ADDED_LATER in field.metadata and getattr(model, key) == field.get_default(call_default_factory=True)
+    }
 
 
 def _name(value: Any, names: Mapping[type, str]) -> str:

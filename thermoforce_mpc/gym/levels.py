@@ -100,13 +100,9 @@ class LevelsView:
             raise ConfigError(f"scenario: unknown key '{unknown}'; this convention knows electricity_price")
         price = scenario.get("electricity_price") or "constant"
         self._now = self.plant.reset(start_s, warmup_s, price)
-        past = self.plant.past(self._step_s)
-        before = np.vstack([past.T_zone_C[:, 1:], past.u]).T[::-1][: self._behind + 1]
-        if not len(before):
-            before = np.concatenate([self._now.T_zone_C, np.zeros(len(self.action_names))])[None]
-        self._past = np.vstack([before, *[before[-1:]] * (self._behind + 1 - len(before))])
+        self._past = self.spec.past(self.plant.past(self._step_s), self._now.T_zone_C)
         if np.isnan(self._now.u).any():  # right after a reset, what the native control did in the step before
-            self._now = replace(self._now, u=np.nan_to_num(before[0, len(self._now.T_zone_C) :]))
+            self._now = replace(self._now, u=np.nan_to_num(self._past[0, len(self._now.T_zone_C) :]))
         self._table = (start_s, self._forecast(length_s + self._ahead_s)) if self._perfect else (start_s, np.empty(0))
 
     def act(self, action: Array) -> None:

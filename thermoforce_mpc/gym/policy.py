@@ -20,6 +20,7 @@ from thermoforce_mpc.gym.wrappers import (
     NormalizedActionWrapper,
     NormalizedObservationWrapper,
 )
+from thermoforce_mpc.scenario.own_code import policy_settings
 
 # Wrappers that change neither observations nor actions.
 _TRANSPARENT = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, TimeLimit)
@@ -81,4 +82,4 @@ def save(agent: Any, env: gymnasium.Env[Any, Any], path: str | Path) -> None:
     spec = spec_of(env).model_copy(update={"algorithm": algorithm})
     path.parent.mkdir(parents=True, exist_ok=True)
     agent.save(path)
-    write_whole(path.with_suffix(".json"), spec.model_dump_json(indent=2) + "\n")
+    write_whole(policy_settings(str(path)), spec.model_dump_json(indent=2) + "\n")

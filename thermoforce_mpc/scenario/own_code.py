@@ -18,11 +18,21 @@ def is_own_code(name: str) -> bool:
     return ".py:" in name
 
 
+def is_policy(name: str) -> bool:
+    """Whether `name` is that of a trained policy's file."""
+    return name.endswith(".zip")
+
+
+def policy_settings(name: str) -> Path:
+    """The file of a policy's settings, beside it."""
+    return Path(name).with_suffix(".json")
+
+
 def code_file(name: str) -> str | None:
-    """The file whose code a controller or KPI of this `name` runs; a trained policy (`.zip`) is unpickled."""
+    """The file whose code a controller or KPI of this `name` runs; a trained policy is unpickled."""
     if is_own_code(name):
         return name.rpartition(":")[0]
-    return name if name.endswith(".zip") else None
+    return name if is_policy(name) else None
 
 
 def own_code(where: str, key: str, error: Callable[[str], InputError]) -> Any:

@@ -12,7 +12,6 @@ All else that a journal names is read as data: weather, prices, test cases, mode
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
 import shlex
@@ -28,6 +27,7 @@ from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.own_code import code_file
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
+from thermoforce_mpc.simulation.folder.run_folder import file_sha256
 
 _LOG = logging.getLogger(__name__)
 NAME, _MOST_BYTES = "given.jsonl", 10_000_000
@@ -48,8 +48,7 @@ class Outside(NamedTuple):
         if self.key not in ("plant.path", CODE):
             return json.dumps([self.key, self.value.rstrip("/")])
         try:
-            with open(self.value, "rb") as content:
-                return json.dumps([self.key, hashlib.file_digest(content, "sha256").hexdigest()])
+            return json.dumps([self.key, file_sha256(Path(self.value))])
         except (OSError, ValueError):  # ValueError: a NUL in the name
             return ""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import random
 import re
 import shlex
@@ -10,10 +9,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
+from run_folders import call, results
 from simple_house import SimpleHouse
 
-from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.simulation import report
@@ -22,17 +20,6 @@ from thermoforce_mpc.simulation.journal import journal as journal_module
 from thermoforce_mpc.simulation.journal.journal import JournalError, read_journal
 
 WORDS = ("--testcase", "bestest_hydronic_heat_pump", "--controller", "thermostat", "--baselines", "native")
-
-
-def call(*words: object):
-    return CliRunner().invoke(cli, [str(word) for word in words], catch_exceptions=True)
-
-
-def results(folder: Path) -> dict[str, object]:
-    kpis = json.loads((folder / "kpis.json").read_text())
-    for one in (kpis["kpis"], *kpis["baselines"].values()):
-        one.pop("time_rat")
-    return {"kpis": kpis} | {path.name: path.read_bytes() for path in folder.glob("trajectory*.csv")}
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import signal
@@ -11,12 +10,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 from places import ROOT
+from run_folders import call, results
 from simple_house import SimpleHouse, simple_model
 from waiting import LONG_S, wait_for
 
-from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.simulation import report
 from thermoforce_mpc.simulation import run as simulation_run
@@ -24,18 +22,6 @@ from thermoforce_mpc.simulation.journal import journal as journal_module
 from thermoforce_mpc.simulation.journal.journal import Journal, JournalError, JournalText, read_journal
 
 TESTCASE = "bestest_hydronic_heat_pump"
-
-
-def call(*words: object):
-    return CliRunner().invoke(cli, [str(word) for word in words], catch_exceptions=True)
-
-
-def results(folder: Path) -> dict[str, object]:
-    """What must be the same: all trajectories and KPIs but the computing time."""
-    kpis = json.loads((folder / "kpis.json").read_text())
-    for one in (kpis["kpis"], *kpis["baselines"].values()):
-        one.pop("time_rat")
-    return {"kpis": kpis} | {path.name: path.read_bytes() for path in folder.glob("trajectory*.csv")}
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,7 @@ class Rule:
         return np.asarray(np.isin(day, list(self.days)) & inside)
 
 
+@cache  # asked for in every step
 def rules_from(text: str) -> tuple[Rule, ...]:
     """The rules of a schedule; the first that holds counts, and the last holds else.
 

@@ -9,10 +9,10 @@ from typing import Any
 
 from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.execution.keys import digest, source_fingerprint
+from thermoforce_mpc.execution.keys import digest, later_at_default, source_fingerprint
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.registry import plugin_sources
-from thermoforce_mpc.scenario.own_code import code_file
+from thermoforce_mpc.scenario.own_code import code_file, is_policy, policy_settings
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.comparison.input_files import named_files
@@ -156,11 +156,10 @@ def _cell(name: str, scenario: Scenario, provenance: Mapping[str, Any], hash_of:
             identification_key = digest({**provenance, "source": source_fingerprint(), "task": model})
     options = controller_config(controller, controller_options(scenario, controller), testcase).model_dump(mode="json")
     named = [file for name in (controller, *scenario.kpis) if (file := code_file(name)) is not None]
-    named += [str(Path(file).with_suffix(".json")) for file in named if file.endswith(".zip")]
+    named += [str(policy_settings(file)) for file in named if is_policy(file)]
     files = {path: hash_of(path) for path in (*named_files(controller, options), *named)}
     # What a controller is compared with decides nothing of its run. Keys that came later count where they are given.
-    without = {"equal_comfort", *(key for key in ("comfort", "kpis") if not getattr(scenario, key))}
-    decides = scenario.model_dump(mode="json", exclude=without) | {
+    decides = scenario.model_dump(mode="json", exclude={"equal_comfort", *later_at_default(scenario)}) | {
         "testcase": testcase.model_dump(mode="json"),
         "plant": _plant_by_content(scenario.plant, hash_of),
         "controller": {"name": controller, "options": options, "files": files},

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import isfinite
 
+from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT
+
 Kpis = Mapping[str, float]
-COST, DISCOMFORT = "cost_tot", "tdis_tot"
 # Costs that differ by less are the same.
 _SAME = 0.005
 # Further discomfort from which on two runs are not compared by cost alone, K·h.
