@@ -86,6 +86,7 @@ class GeneratedHousePlant(DrawnHousePlant):
 
     house: House
     _kind = "generated"
+    _changing = (*DrawnHousePlant._changing, "_state")
 
     def __init__(self, house: House, highly_dynamic: tariffs.Tariff | None = None, people: int | None = None) -> None:
         """Build the house.

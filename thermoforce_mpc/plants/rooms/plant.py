@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,27 +30,12 @@ from thermoforce_mpc.plants.rooms import physics, schedule
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
 from thermoforce_mpc.plants.rooms.house import DrawnHouse
 from thermoforce_mpc.plants.rooms.use import USES
-from thermoforce_mpc.plants.shell import CLOCK_S, Samples
-from thermoforce_mpc.scenario.building import Price
+from thermoforce_mpc.plants.shell import CLOCK_S
 
 # Seed of the houses `house:Nrooms`.
 SEED = 15
 
 _NAME = re.compile(r"(house|office):(\d+)rooms?(?::(\d+))?")
-
-
-@dataclass(frozen=True)
-class HouseSnapshot:
-    """State, clock and record of a house at one instant; opaque, for `HouseOfRooms.restore`."""
-
-    T: Array
-    on: Array
-    now_s: float
-    begin_s: float
-    start_s: float
-    price: Price
-    samples: Samples
-    counted: CountedKpis
 
 
 def house_of_rooms(name: str, people: int | None = None) -> HouseOfRooms:
@@ -91,6 +75,7 @@ class HouseOfRooms(DrawnHousePlant):
     house: DrawnHouse
     _counted: CountedKpis
     _kind = "house of rooms"
+    _changing = (*DrawnHousePlant._changing, "_T", "_on", "_counted")
 
     def __init__(self, house: DrawnHouse, people: int | None = None) -> None:
         self.house = house
@@ -194,26 +179,6 @@ class HouseOfRooms(DrawnHousePlant):
     def recorded(self, start_s: float, final_s: float) -> tuple[Array, Array]:
         """Return times (n,), s, and rows (n, 8 + 3 Z) of `physics.advance` between two times, both included."""
         return self._samples.between(start_s, final_s)
-
-    def snapshot(self) -> HouseSnapshot:
-        """Return a snapshot, to restore or branch from."""
-        return HouseSnapshot(
-            self._T.copy(),
-            self._on.copy(),
-            self._now_s,
-            self._begin_s,
-            self._start_s,
-            self._price,
-            self._samples.copy(),
-            self._counted,
-        )
-
-    def restore(self, snapshot: HouseSnapshot) -> None:
-        """Restore a snapshot of this house, or of another plant of the same house."""
-        s = snapshot
-        self._T, self._on, self._samples = s.T.copy(), s.on.copy(), s.samples.copy()
-        self._now_s, self._begin_s, self._start_s, self._price = s.now_s, s.begin_s, s.start_s, s.price
-        self._counted = s.counted
 
     def _violations(self, time_s: Array, rows: Array) -> list[Violation]:
         lower, upper = schedule.bounds_C(self.house, time_s)
