@@ -8,7 +8,7 @@ it to the controller as a forecaster of the user's own.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.model.free_response.checks import LEVELS
 from thermoforce_mpc.model.free_response.persistence import Persistence
 from thermoforce_mpc.model.operator.building import BuildingOperator
-from thermoforce_mpc.model.predictor import Predictor
+from thermoforce_mpc.model.predictor import Predictor, PredictorState
 
 
 @runtime_checkable
@@ -53,12 +53,19 @@ class Oracle:
         Raises:
             InputError: the plant stands at another time than the history ends.
         """
+        return self.follow(free_C, history, boundary, None)[0]
+
+    def follow(
+        self, free_C: Array, history: Record, boundary: Boundary, state: object
+    ) -> tuple[FreeForecast, PredictorState]:
+        """See `FollowingFreeResponse.follow`; follows the forced state as the controller does. Raises as `forecast`."""
         off_C = self._without_control(boundary)
+        followed = self._predictor.followed(history, cast(PredictorState | None, state))
         operator = self._predictor.operator_at(boundary.step_s)
-        forced_K = self._predictor.forced_state(history)
-        left = operator.driven(forced_K, np.zeros((len(operator.actuators), boundary.n_steps)))
-        known_C = control_free(off_C, left.sum(axis=(-3, -1))[self._zone])
-        return FreeForecast(LEVELS, np.tile(known_C, (len(LEVELS), 1)), "known")
+        nothing = np.zeros((len(operator.actuators), boundary.n_steps))
+        left_K = operator.driven(followed.forced_K[:, :, -1], nothing).sum(axis=(-3, -1))
+        known_C = control_free(off_C, left_K[self._zone])
+        return FreeForecast(LEVELS, np.tile(known_C, (len(LEVELS), 1)), "known"), PredictorState(followed)
 
     def _without_control(self, boundary: Boundary) -> Array:
         """Temperature of the zone at the end of each step with all machines off, °C, shape (N,)."""
