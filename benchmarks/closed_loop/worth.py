@@ -107,10 +107,8 @@ def run_worth_bench(
 
     runs = [row for rows in run_all(run_case, cases, engine, told, keep) for row in rows]
     rows = with_shares([row for row in runs if not row["refused"]])
-    refused = [{"building": row["building"], "window": row["window"], "refused": row["refused"]} for row in runs]
-    return results_json(
-        "worth", [*table(rows), *summary(rows), *(row for row in refused if row["refused"])], targets(rows)
-    )
+    refused = [{key: row[key] for key in ("building", "window", "refused")} for row in runs if row["refused"]]
+    return results_json("worth", [*table(rows), *summary(rows), *refused], targets(rows))
 
 
 def run_case(case: Case) -> list[Row]:
