@@ -15,6 +15,7 @@ def command() -> None:
 for _command in (
     closed_loop.buildings_command,
     closed_loop.boptest_command,
+    closed_loop.worth_command,
     closed_loop.zones_command,
     closed_loop.dpc_command,
     closed_loop.faults_command,

@@ -243,7 +243,8 @@ def free_response_command(
     """Score 24 h free-response forecasts of every method from many origins, on the same history (extra [bench]).
 
     Also measures the coverage of the intervals over two weeks and the share of the error that weather can explain
-    (both left out with --quick), the effect of history length and number of resolutions, and the time per forecast.
+    (both left out with --quick), what share of the true future each method knows by length of history, with people and
+    without, the effect of the number of resolutions, and the time per forecast.
     """
     from benchmarks.free_response.bench import run_free_response_bench
 

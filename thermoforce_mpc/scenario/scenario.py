@@ -48,6 +48,14 @@ class PlantSpec(StrictModel):
         None, description="CSV with your own highly dynamic tariff (kind: embedded)", examples=["prices.csv"]
     )
 
+    people: Annotated[int | None, ADDED_LATER] = Field(
+        None,
+        ge=0,
+        description="seed of people who do not keep to the schedule (presence, guests, cooking, windows, blinds), of "
+        "which forecasts know nothing (embedded emulator, drawn houses and offices); null: they keep to it",
+        examples=[7],
+    )
+
     @model_validator(mode="after")
     def _has_its_file(self) -> PlantSpec:
         if (self.kind == "fmu") != (self.path is not None):
