@@ -227,9 +227,7 @@ class BoptestClient:
         except (RequestRejected, UnknownTest, AdvanceInterrupted):
             raise
         except BoptestError as error:
-            raise AdvanceInterrupted(
-                error.endpoint, f"{error.message}, and no better answer within {self._transport.patience_s:g} s"
-            ) from error
+            raise AdvanceInterrupted(error.endpoint, error.message) from error
 
     def _advance_once(self, body: dict[str, float]) -> dict[str, float]:
         step_s = math.nan if math.isnan(self.time_s) else self._in_force()
