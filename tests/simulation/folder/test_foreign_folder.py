@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -219,6 +220,25 @@ def test_what_is_exchanged_after_the_look_is_not_followed_either(tmp_path):
         with pytest.raises(OSError, match=f"is {kind}, not a plain file"):
             open_plain(tmp_path / name, os.O_WRONLY | os.O_CREAT)
     assert not (tmp_path / "target").exists()
+
+
+@pytest.mark.parametrize("what", ["a link", "a pipe"])
+def test_what_is_exchanged_during_a_run_is_not_written_through(monkeypatch, tmp_path, what):
+    """Kept files, report and notes of a run take the place of it."""
+    folder, victim = tmp_path / "run", tmp_path / "victim"
+    victim.write_bytes(b"as it was")
+    names = ("kpis.json", "trajectory.csv", "report.html", "manifest.json")
+
+    def exchanged(*_: object) -> SimpleHouse:
+        for name in names:
+            os.mkfifo(folder / name) if what == "a pipe" else (folder / name).symlink_to(victim)
+        return SimpleHouse()
+
+    monkeypatch.setattr(simulation_run, "build_plant", exchanged)
+    done = call(*WORDS, "--controller", "thermostat", "--out", folder)
+    assert done.exit_code == 0, done.output
+    assert victim.read_bytes() == b"as it was"
+    assert all(stat.S_ISREG((folder / name).lstat().st_mode) for name in names)
 
 
 @pytest.mark.parametrize("name", ["../model", "/etc", "..", None, 3])

@@ -76,7 +76,7 @@ def command(run: Path, at: str | None, controller: str | None, hours: float, jso
         for note in alternatives.notes:
             console.print(f"alternatives: {note}", markup=False)
     if json_file:
-        write_json(json_file, _json(decision) | {"alternatives": alternatives_json(alternatives)})
+        write_json(json_file, _json(decision) | {"alternatives": alternatives_json(alternatives)}, follow=True)
         console.print(f"JSON: {json_file}", markup=False)
 
 
