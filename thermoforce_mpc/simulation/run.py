@@ -437,5 +437,5 @@ def _follow(
             keeper,
             steps,
             outage_h=scenario.plant.forecast_outage_h,
-            units=UnitDoubts(testcase.layout, getattr(controller, "model", None)),
+            units=UnitDoubts(testcase.layout, getattr(controller, "model", None), testcase.currency),
         )

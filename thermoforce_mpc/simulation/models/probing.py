@@ -100,7 +100,7 @@ class Identifying:
         """`step_s`: step of the models, s, by default the test case's."""
         self.testcase, self.config = testcase, config
         self._step_s, self._say = step_s or testcase.step_s, say
-        self._units = UnitDoubts(testcase.layout)
+        self._units = UnitDoubts(testcase.layout, currency=testcase.currency)
 
     def look(self, record: Record, plant: PlantInfo, config: IdentificationConfig | None = None) -> Look:
         """Identify from the record of a probing of `plant`; data that cannot be fitted give the reason."""
