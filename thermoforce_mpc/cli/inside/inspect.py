@@ -236,7 +236,7 @@ def _show_competence(card: ModelCard, console: Console) -> None:
         f"with probability {verdict.sign_probability:.3f}; log odds that it acts at all {verdict.log_odds:.0f}"
     )
     console.print(
-        "Competence: " + ("COMPETENT" if verdict.competent else "BELOW THE BAR, controllers do not act on it")
+        "Competence: " + ("COMPETENT" if verdict.competent else "NOT COMPETENT, controllers do not act on it")
     )
     console.print(f"  {verdict.sentence()}", soft_wrap=True)
     for reason in verdict.reasons:

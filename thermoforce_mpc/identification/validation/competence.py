@@ -1,4 +1,4 @@
-"""Verdict on an identified model from its held-out data, and the bar to reach (docs/how-it-works/competence.md).
+"""Verdict on an identified model from its held-out data, and the criteria (docs/how-it-works/competence.md).
 
 The model as fitted to the training rows, network included, predicts the held-out rows up to 24 h ahead with known
 weather (`errors_ahead`). Whether it predicts better or worse than something simpler is a test, and one held-out part is
