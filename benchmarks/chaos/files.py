@@ -55,7 +55,7 @@ def flipped_bits(rng: np.random.Generator, folder: Path) -> list[str]:
     said = re.search(r"tf-mpc (resume .* --from \d+)", str(done.exception))
     if done.exit_code and said:
         done = _call(*shlex.split(said[1]), "--quiet")
-    if isinstance(done.exception, InputError) and "start again" in str(done.exception):
+    if isinstance(done.exception, InputError) and "start the run again" in str(done.exception):
         return []  # the first line, which says what the run is
     if done.exit_code:
         return _unnamed(done) or [f"ended with {done.exception}"]
