@@ -9,7 +9,7 @@ import click
 from thermoforce_mpc.cli.options import FiniteRange
 
 
-@click.command(short_help="Run controllers with everything around them failing on purpose.")
+@click.command()
 @click.option("--episodes", type=click.IntRange(1, 100_000), default=20, show_default=True, help="Number of episodes.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of the troubles.")
 @click.option("--days", type=FiniteRange(0.1, 60), default=2.0, show_default=True, help="Scored days an episode.")

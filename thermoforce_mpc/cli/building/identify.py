@@ -27,7 +27,7 @@ _OF_PLANTS = (
 )  # fmt: skip
 
 
-@click.command(short_help="Identify and save a model: probe a building, or take measurements from files.")
+@click.command()
 @scenario_options
 @click.option("--probe-days", type=float, help="Days of probing, ending a week before --period.  [default: 3]")
 @probed_option

@@ -24,7 +24,7 @@ from thermoforce_mpc.simulation.views.display import RunDisplay
 _LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 28.0
 
 
-@click.command(short_help="Plan the next hours from recent measurements and a forecast in files.")
+@click.command()
 @click.option("--model", required=True, type=click.Path(path_type=Path), help="Model folder of `tf-mpc identify`.")
 @click.option("--data", "files", required=True, multiple=True, metavar="FILE", help="Recent measurements; repeatable.")
 @click.option("--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements.")

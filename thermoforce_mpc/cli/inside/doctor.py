@@ -10,7 +10,7 @@ import click
 _MARKS = {"ok": "ok      ", "warning": "WARNING ", "failed": "FAILED  ", "skipped": "skipped "}
 
 
-@click.command(short_help="Check installation, solvers, forecaster, plant, service, clock and disk.")
+@click.command()
 @click.option("--url", metavar="URL", help="A BOPTEST service to check too.")
 @click.option(
     "--testcase", metavar="NAME", default="bestest_hydronic_heat_pump", show_default=True, help="Its test case."

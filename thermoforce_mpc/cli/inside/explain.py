@@ -38,7 +38,7 @@ _RUNGS = {
 }
 
 
-@click.command(short_help="Tell what a run decided at an instant, and why.")
+@click.command()
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option(
     "--at", metavar="TIME", help="'16 06:30' (day from 0), '01-17 06:30' or '1405800s'.  [default: last step]"

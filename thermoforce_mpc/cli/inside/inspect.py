@@ -34,7 +34,7 @@ _MEANING = {
 _UNITS = {"T_zone_C": "zone, °C", "T_out_C": "outdoors, °C", "solar_W_m2": "sun, W/m²", "u": "action u"}
 
 
-@click.command(short_help="Show a saved model: parameters, certificate, identification data.")
+@click.command()
 @click.argument("model", type=click.Path(path_type=Path))
 def command(model: Path) -> None:
     """Show the saved MODEL (a folder): operator parameters, certificate, power model, scores and data ranges.
