@@ -7,7 +7,7 @@ import click
 from benchmarks.cli import closed_loop, models, speed, suites
 
 
-@click.group(short_help="Run benchmarks and compare the results with their targets.")
+@click.group()
 def command() -> None:
     """Run a benchmark: print its table, check its targets, write plots and JSON."""
 

@@ -73,7 +73,7 @@ EXIT_CODES = """\
 1    a check failed (doctor, chaos), there is no plan (plan), or your own controller raised (run)
 2    bad input
 3    the plant or its service failed, or one of many runs (compare, sweep, fleet)
-4    the model is below the bar (identify, plan)
+4    the model is not competent (identify, plan)
 5    the service no longer has the test (resume)
 6    a file cannot be written: disk full, folder read-only or removed; out of memory
 7    the Dask cluster of --scheduler is gone or does not fit

@@ -86,7 +86,7 @@ class ProbingSpec(StrictModel):
     )
     days: float = Field(3.0, ge=1, le=60, description="days of probing")
     most_days: float = Field(
-        10.0, ge=1, le=60, description="days of probing after which it ends though the model is below the bar"
+        10.0, ge=1, le=60, description="days of probing after which it ends though the model is not competent"
     )
     end_early: bool = Field(True, description="end probing before `days` once the effect is known well")
     probing: dict[str, Any] = Field(

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 
-@click.command(short_help="Rewrite a saved model of an older release for this one.")
+@click.command()
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write to; must not exist.")
 def command(model: Path, out: Path) -> None:

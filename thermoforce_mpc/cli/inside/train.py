@@ -13,7 +13,7 @@ from thermoforce_mpc.scenario.settings import parse_overrides
 _EVERY = 25
 
 
-@click.command(short_help="Train the policy of the controller dpc.")
+@click.command()
 @click.argument("model", type=click.Path(path_type=Path, exists=True, file_okay=False))
 @click.option("--testcase", required=True, help="Test case that the model was identified on.")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for the policy.")
