@@ -7,8 +7,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from controllers.actuation.actuator import ActuationConfig, ActuationState
 from controllers.monitoring.meters import MeterConfig, MeterState
+from controllers.monitoring.scaled_model import ScaledModel
 from controllers.monitoring.sun_on_sensors import SunState
 from controllers.monitoring.watch_state import Issued, Track, WatchConfig, WatchState
 from controllers.monitoring.zone_sensor_state import Anchor, SensorConfig, SensorState
@@ -27,7 +30,6 @@ from controllers.safety.fallback_policy import FallbackConfig, GoodPlan
 from controllers.safety.overrides import GateConfig, GuardConfig
 from thermoforce_mpc.data import Boundary, Names
 from thermoforce_mpc.execution.keys import canonical, digest
-from thermoforce_mpc.identification.estimation.adaptation import AdaptationConfig, AdaptationState, AdaptationStep
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence, HorizonScore
 from thermoforce_mpc.model.forced_state import ForcedState
@@ -61,6 +63,15 @@ def _without_share(fields: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in fields.items() if name != "explained"}
 
 
+def _as_factors(fields: dict[str, Any]) -> dict[str, Any]:
+    """Fields of `ScaledModel` from those of the last release's adaptation, which kept logarithms."""
+    return {
+        "model": fields["model"],
+        "gain": float(np.exp(fields["log_factors"][0])),
+        "heat": float(np.exp(fields["log_heat"])),
+    }
+
+
 STATE_CLASSES = {
     # States of controllers.
     "mpc": Stored(MPCState, "controllers.planner:MPCState", _with_margins),
@@ -89,9 +100,8 @@ STATE_CLASSES = {
     "calibrated_issued": Stored(IssuedForecasts, "thermoforce_mpc.model.free_response.calibrated:_Issued"),
     "calibrated_scores": Stored(Scores, "thermoforce_mpc.model.free_response.calibrated:_Scores"),
     "residual_weights": Stored(Weights, "thermoforce_mpc.model.free_response.residual:Weights"),
-    # Adaptation, and the model that it adapts.
-    "adaptation": Stored(AdaptationState, "thermoforce_mpc.identification.adaptation:AdaptationState"),
-    "adaptation_step": Stored(AdaptationStep, "thermoforce_mpc.identification.adaptation:AdaptationStep"),
+    # What a watch made of the model, and that model.
+    "scaled_model": Stored(ScaledModel, "thermoforce_mpc.identification.adaptation:AdaptationState", _as_factors),
     "zone_model": Stored(ZoneModel, "thermoforce_mpc.model.zone_model:ZoneModel"),
     "operator": Stored(OperatorParameters, "thermoforce_mpc.model.operator.parameters:OperatorParameters"),
     "heat_input": Stored(HeatInput, "thermoforce_mpc.model.operator.heat_input:HeatInput"),
@@ -109,7 +119,6 @@ STATE_CLASSES = {
 # Names in `controller_key` of classes that have moved since states were first kept.
 _IN_KEY: dict[type, str] = {
     ActuationConfig: "controllers.actuation.ActuationConfig",
-    AdaptationConfig: "thermoforce_mpc.identification.adaptation.AdaptationConfig",
     DeadlineConfig: "controllers.mpc_config.DeadlineConfig",
     FallbackConfig: "controllers.fallback.FallbackConfig",
     FreeResponseConfig: "controllers.mpc_config.FreeResponseConfig",

@@ -22,7 +22,6 @@ from controllers.safety.overrides import GateConfig, GuardConfig
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution.keys import ADDED_LATER
-from thermoforce_mpc.identification.estimation.adaptation import AdaptationConfig
 from thermoforce_mpc.model.forced_state import EstimatorConfig
 from thermoforce_mpc.model.free_response.registry import check_free_response, own_options
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -167,7 +166,6 @@ class MPCConfig(StrictModel):
     move_blocking: MoveBlockingConfig = MoveBlockingConfig()
     free_response: FreeResponseConfig = FreeResponseConfig()
     estimator: EstimatorConfig = EstimatorConfig()
-    adaptation: AdaptationConfig = AdaptationConfig()
     actuation: ActuationConfig = ActuationConfig()
     actuations: dict[str, ActuationConfig] = Field(
         default_factory=dict, description="actuation of single actuators, by name; `actuation` otherwise"

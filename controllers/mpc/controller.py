@@ -40,7 +40,6 @@ from controllers.safety.overrides import (
 )
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
-from thermoforce_mpc.identification.estimation.adaptation import OnlineAdaptation
 from thermoforce_mpc.model.free_response.substitute import WithSubstitutes
 from thermoforce_mpc.model.machine.part_load import level_costs
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -142,13 +141,8 @@ class ThermoForceMPC(ActuatedController):
             watches, self._planners.of, model, enabled=c.watch.enabled and not self._gate.closes_all
         )
         self._readings = ReadingsFilter(c, model, self._planners.base.predictor)
-        adaptations = (
-            [OnlineAdaptation(zone, c.adaptation, n_steps=n_steps) for zone in zone_models]
-            if c.adaptation.enabled
-            else []
-        )
         self._prediction = Prediction(
-            self._planners, adaptations, self._readings.sensors, self._watched, n_steps, c.deadline.forecast_s
+            self._planners, self._readings.sensors, self._watched, n_steps, c.deadline.forecast_s
         )
         alarms = (WatchAlarm(self._fallbacks),) if self._watched.enabled else ()
         self._overrides: tuple[OverrideRule, ...] = (*alarms, self._gate, LostZone(self._fallbacks))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from controllers.actuation.actuators import Actuators
 from controllers.checks import ControllerConfigError
+from controllers.monitoring.scaled_model import ScaledModel
 from controllers.mpc.config import MPCConfig
 from controllers.optimisation.evaluation import Evaluator
 from controllers.optimisation.machines import EquipmentLayout
@@ -19,7 +20,6 @@ from controllers.optimisation.solvers.milp import MilpSolver
 from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.sqp import SQPSolver
 from controllers.optimisation.statement.terms import Terms
-from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
 from thermoforce_mpc.model.forced_state import EstimatorConfig, ForcedStateEstimator
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import Predictor
@@ -90,7 +90,7 @@ def chosen_solver(config: MPCConfig, operator: BuildingOperator, shape: ProblemS
 _KEPT = 4
 
 # What each actuator's model differs in from the identified one; None where in nothing.
-_Factors = tuple[tuple[float, float, float] | None, ...]
+_Factors = tuple[tuple[float, float] | None, ...]
 
 
 class Planners:
@@ -120,7 +120,7 @@ class Planners:
         self.base = self._build(model)
         self._adapted: list[tuple[_Factors, Planner]] = []
 
-    def of(self, adaptation: Sequence[AdaptationState | None]) -> Planner:
+    def of(self, adaptation: Sequence[ScaledModel | None]) -> Planner:
         """The planner of the building with adapted models of its actuators (A,), from the cache if present."""
         factors = tuple(None if state is None or not state.adapted else state.factors for state in adaptation)
         if not any(factors):
