@@ -63,6 +63,11 @@ def _without_share(fields: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in fields.items() if name != "explained"}
 
 
+def _without_covariance(fields: dict[str, Any]) -> dict[str, Any]:
+    """Fields of today's `ForcedState` from those of the last release, which could correct it by a filter."""
+    return {name: fields[name] for name in ("time_s", "forced_K")}
+
+
 def _as_factors(fields: dict[str, Any]) -> dict[str, Any]:
     """Fields of `ScaledModel` from those of the last release's adaptation, which kept logarithms."""
     return {
@@ -94,7 +99,7 @@ STATE_CLASSES = {
     "names": Stored(Names, "thermoforce_mpc.data.names:Names"),
     # The predictor, and what free responses keep.
     "predictor": Stored(PredictorState, "thermoforce_mpc.model.predictor:PredictorState"),
-    "forced": Stored(ForcedState, "thermoforce_mpc.model.forced_state:ForcedState"),
+    "forced": Stored(ForcedState, "thermoforce_mpc.model.forced_state:ForcedState", _without_covariance),
     "substitute": Stored(SubstituteState, "thermoforce_mpc.model.free_response.substitute:SubstituteState"),
     "calibrated": Stored(CalibratedState, "thermoforce_mpc.model.free_response.calibrated:CalibratedState"),
     "calibrated_issued": Stored(IssuedForecasts, "thermoforce_mpc.model.free_response.calibrated:_Issued"),

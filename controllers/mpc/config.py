@@ -22,7 +22,6 @@ from controllers.safety.overrides import GateConfig, GuardConfig
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution.keys import ADDED_LATER
-from thermoforce_mpc.model.forced_state import EstimatorConfig
 from thermoforce_mpc.model.free_response.registry import check_free_response, own_options
 from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.strict_model import one_of
@@ -165,7 +164,6 @@ class MPCConfig(StrictModel):
     objective: ObjectiveConfig = ObjectiveConfig()
     move_blocking: MoveBlockingConfig = MoveBlockingConfig()
     free_response: FreeResponseConfig = FreeResponseConfig()
-    estimator: EstimatorConfig = EstimatorConfig()
     actuation: ActuationConfig = ActuationConfig()
     actuations: dict[str, ActuationConfig] = Field(
         default_factory=dict, description="actuation of single actuators, by name; `actuation` otherwise"

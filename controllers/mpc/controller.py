@@ -121,7 +121,6 @@ class ThermoForceMPC(ActuatedController):
             model,
             self._actuators,
             _free_responses(c.free_response, model, free_response),
-            c.estimator,
             lambda operator: solver_of(operator, shape_of(operator)),
             shape_of,
         )
@@ -209,7 +208,7 @@ class ThermoForceMPC(ActuatedController):
     def plan(self, observation: Observation, state: object = None) -> Plan:
         """Plan for the next step.
 
-        An exception of forecast, estimator or solver is not raised: the fallback policy decides, and `Plan.why` holds
+        An exception of forecast or solver is not raised: the fallback policy decides, and `Plan.why` holds
         the reason. An actuator whose model is not competent or does not hold, or whose zone is not known any more, is
         left to native control or the rule alone; the others follow the plan.
 

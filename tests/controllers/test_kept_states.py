@@ -35,7 +35,6 @@ STORED = Path(__file__).parent / "stored_states"
 OPTIONS = {
     "step_s": HOUR_S,
     "horizon_h": 3.0,
-    "estimator": {"correct": True},
     "watch": {"enabled": True},
     "gate": {"enabled": False},
     "free_response": {"name": "residual", "options": {"backbone": "shipped"}},
