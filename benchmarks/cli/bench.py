@@ -16,7 +16,6 @@ for _command in (
     closed_loop.buildings_command,
     closed_loop.boptest_command,
     closed_loop.zones_command,
-    closed_loop.dpc_command,
     closed_loop.faults_command,
     closed_loop.fallback_command,
     models.operator_command,

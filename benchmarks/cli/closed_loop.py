@@ -8,7 +8,7 @@ import click
 
 from benchmarks.cli.options import FOLDER, JSON, QUICK, say
 from benchmarks.cli.show import show
-from thermoforce_mpc.cli.options import FiniteRange, Opening, execution_options
+from thermoforce_mpc.cli.options import Opening, execution_options
 
 
 @click.command("buildings")
@@ -79,24 +79,6 @@ def zones_command(fmus: Path | None, engine: Opening, only_speed: bool, quick: b
     with engine(say) as where:
         result = run_zones_bench(fmus=fmus, engine=where, quick=quick, only_speed=only_speed, progress=say)
     show(result, json_file)
-
-
-@click.command("dpc")
-@click.option("--days", type=FiniteRange(0, min_open=True), default=14.0, show_default=True, help="Days a window.")
-@click.option(
-    "--price",
-    type=click.Choice(["constant", "dynamic", "highly_dynamic"]),
-    default="constant",
-    show_default=True,
-    help="Tariff.",
-)
-@QUICK
-@JSON
-def dpc_command(days: float, price: str, quick: bool, json_file: Path | None) -> None:
-    """Put a policy trained through the model beside the MPC and the thermostat: cost, discomfort, training, time."""
-    from benchmarks.closed_loop.dpc import run_dpc_bench
-
-    show(run_dpc_bench(days=days, price=price, quick=quick, progress=say), json_file)
 
 
 @click.command("faults")

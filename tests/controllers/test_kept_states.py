@@ -69,7 +69,6 @@ def test_the_state_of_every_controller_is_kept(name, tmp_path):
     testcase = load_testcase("bestest_hydronic_heat_pump")
     plans = REGISTRY.find(name).needs_model
     options = {"step_s": HOUR_S, "gate": {"enabled": False}, "watch": {"enabled": True}} if plans else {}
-    options |= {"training": {"iterations": 1, "buildings": 2, "rollout_h": 1.0}} if name == "dpc" else {}
     check_kept(state_after(build_controller(name, options, testcase, model() if plans else None), 3), tmp_path)
     if plans:
         check_kept(state_after(build_controller(name, options, testcase, "too few data"), 3), tmp_path)

@@ -56,7 +56,6 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "bench": ("benchmarks.cli.bench", "Run benchmarks; compare the results with targets."),
         "paper": ("benchmarks.cli.paper", "Measure the paper's tables here, beside its figures."),
         "chaos": ("benchmarks.cli.chaos", "Run controllers with everything around them failing."),
-        "train": ("inside.train", "Train the policy of the controller dpc."),
     },
 }
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
