@@ -40,7 +40,6 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     "Look inside": {
         "inspect": ("inside.inspect", "Show a saved model: parameters, certificate, data."),
-        "migrate": ("inside.migrate", "Rewrite a model of an older release for this one."),
         "testcases": ("inside.testcases", "List test cases, scenarios, comparisons and fleets."),
         "controllers": ("inside.listing:controllers", "List controllers and their options."),
         "plants": ("inside.listing:plants", "List plants and their options."),
