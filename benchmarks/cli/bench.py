@@ -17,7 +17,6 @@ for _command in (
     closed_loop.boptest_command,
     closed_loop.worth_command,
     closed_loop.zones_command,
-    closed_loop.dpc_command,
     closed_loop.faults_command,
     closed_loop.fallback_command,
     models.operator_command,

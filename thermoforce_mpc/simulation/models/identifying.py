@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,6 @@ from pydantic import BaseModel
 
 from controllers.registry import controller_config
 from thermoforce_mpc.data import Period, Record
-from thermoforce_mpc.execution.keys import ADDED_LATER
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
@@ -60,7 +59,7 @@ class IdentificationTask:
     probing: ProbingConfig
     identification: IdentificationConfig
     probed: str | None = None
-    comfort: Comfort | None = field(default=None, metadata={ADDED_LATER: True})
+    comfort: Comfort | None = None
 
     @property
     def how_probed(self) -> dict[str, Any]:
