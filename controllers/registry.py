@@ -40,18 +40,6 @@ def _build_mpc(name: str, config: Any, testcase: TestCase, model: ThermalModel |
     return build_on_model(ThermoForceMPC, name, config, testcase, model)
 
 
-def _dpc_config() -> type[StrictModel]:
-    from controllers.dpc.config import DPCConfig
-
-    return DPCConfig
-
-
-def _build_dpc(name: str, config: Any, testcase: TestCase, model: ThermalModel | str | None) -> Controller:
-    from controllers.dpc.controller import DPC
-
-    return build_on_model(DPC, name, config, testcase, model)
-
-
 def _mpc_entry(summary: str, **defaults: Any) -> Entry:
     return Entry(summary, True, _mpc_config, _build_mpc, defaults)
 
@@ -91,15 +79,6 @@ _OWN: dict[str, Entry] = {
     "thermoforce_mpc": _mpc_entry(
         "MPC: free response of a linear weather model and a frozen forecaster, on/off blocks, 15 min step",
     ),
-    "thermoforce_hourly": _mpc_entry(
-        "as thermoforce_mpc with a step of 1 h, levels from 0.7 held (heat pumps are inefficient below)",
-        step_s=3600.0,
-        # One hour at 0.7 or more is a large pulse of heat: heating late costs less than overheating with solar gains.
-        comfort_margin_K=0.0,
-        backoff_level=0.45,
-        backoff_violation_K=None,
-        actuation={"mode": "modulating", "lowest_level": 0.7},
-    ),
     "thermoforce_paper": _mpc_entry(
         "the paper's setting: frozen forecaster on T - F, level held for the test case's step, Ipopt",
         **_AS_PRINTED,
@@ -113,13 +92,6 @@ _OWN: dict[str, Entry] = {
         "the paper's search over candidate trajectories, level held for the step",
         **_AS_PRINTED,
         solver="search",
-    ),
-    "dpc": Entry(
-        "differentiable predictive control: a policy trained through the model in the place of the solver, one zone",
-        True,
-        _dpc_config,
-        _build_dpc,
-        {},
     ),
     "thermostat": Entry(
         "on/off thermostat, optional weekday setback",
@@ -233,9 +205,16 @@ def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase)
             defaults["setpoint_C"] = testcase.thermostat_C
         elif set_points:
             defaults["setpoints_C"] = set_points
+    if _free_response_name(options) not in (None, _free_response_name(defaults)):
+        defaults.pop("free_response", None)  # its options are those of another
     config = validate(entry.config(), merge(defaults, options), f"options of controller '{name}'")
     _check_supply(config, points.layout.names.actuators, behind)
     return config
+
+
+def _free_response_name(options: Mapping[str, Any]) -> Any:
+    chosen = options.get("free_response")
+    return chosen.get("name") if isinstance(chosen, Mapping) else None
 
 
 def _check_supply(config: StrictModel, actuators: Sequence[str], behind: Collection[str]) -> None:

@@ -130,24 +130,6 @@ def zones_command(fmus: Path | None, engine: Opening, only_speed: bool, quick: b
     show(result, json_file)
 
 
-@click.command("dpc")
-@click.option("--days", type=FiniteRange(0, min_open=True), default=14.0, show_default=True, help="Days a window.")
-@click.option(
-    "--price",
-    type=click.Choice(["constant", "dynamic", "highly_dynamic"]),
-    default="constant",
-    show_default=True,
-    help="Tariff.",
-)
-@QUICK
-@JSON
-def dpc_command(days: float, price: str, quick: bool, json_file: Path | None) -> None:
-    """Put a policy trained through the model beside the MPC and the thermostat: cost, discomfort, training, time."""
-    from benchmarks.closed_loop.dpc import run_dpc_bench
-
-    show(run_dpc_bench(days=days, price=price, quick=quick, progress=say), json_file)
-
-
 @click.command("faults")
 @click.option("--stand-back", type=click.Choice(["native", "rule"]), default="native", help="Who acts after an alarm.")
 @QUICK

@@ -26,7 +26,7 @@ def operator_command(reference: Path, quick: bool, json_file: Path | None) -> No
 @QUICK
 @JSON
 def probing_command(quick: bool, json_file: Path | None) -> None:
-    """Compare designed with random probing, and test online adaptation to a loss of capacity, on the embedded plant."""
+    """Compare designed with random probing on the embedded plant."""
     from benchmarks.probing.bench import run_probing_bench
 
     show(run_probing_bench(quick=quick, progress=say), json_file)
