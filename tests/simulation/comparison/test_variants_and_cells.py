@@ -158,15 +158,6 @@ def test_everything_that_learning_is_given_is_in_its_key(field, monkeypatch, tmp
     assert after.key != before.key
 
 
-def test_people_count_where_there_are_any_so_that_results_from_before_are_kept(monkeypatch):
-    plants, digest = [], cells.digest
-    monkeypatch.setattr(cells, "digest", lambda of: plants.append(of.get("scenario", of).get("plant")) or digest(of))
-    usual = keys(Variant(controller="native"))
-    assert all("people" not in plant for plant in plants if plant)
-    assert keys(Variant(controller="native"), Scenario(testcase=TESTCASE, days=1, plant={"people": 7})) != usual
-    assert plants[-1]["people"] == 7
-
-
 def test_a_model_learned_by_other_code_is_not_taken_up(monkeypatch):
     variant = {"v": Variant(controller="rc_mpc")}
     (before,) = expand(BASE, variant, ["44"], ["constant"])

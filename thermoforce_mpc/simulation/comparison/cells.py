@@ -171,7 +171,7 @@ def _cell(name: str, scenario: Scenario, provenance: Mapping[str, Any], hash_of:
 
 
 def _plant_by_content(spec: PlantSpec, hash_of: Callable[[str], str]) -> dict[str, Any]:
-    without = later_at_default(spec) | (set() if spec.options else {"options"})
+    without = None if spec.options else {"options"}
     return spec.model_dump(mode="json", exclude=without) | {
         field: hash_of(path) for field, path in spec.files().items()
     }
