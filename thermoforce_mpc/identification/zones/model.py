@@ -157,7 +157,7 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
         operator, trials = modulated.operator, (modulated.last, modulated.before)
         scores, notes = scores | modulated.scores, [*notes, *modulated.notes]
     operator = operator.resampled(step_s or base_step)
-    certainty = uncertainty(final, operator.step_s, task.level_sd) | {"sensor_resolution_K": data.grid_K}
+    certainty = uncertainty(final, task.level_sd) | {"sensor_resolution_K": data.grid_K}
     shape, shape_notes = level_shape(effects.laws, histories, config, power, heat_input)
     notes = [*notes, *shape_notes]
     verdict = judge(*trials, operator, certainty, effects.log_odds, task.heat_W_m2)
