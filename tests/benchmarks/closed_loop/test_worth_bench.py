@@ -41,6 +41,13 @@ def test_shares_are_of_the_gain_in_what_the_controller_minimises_over_all_cases(
     assert [target.holds for target in (share, dearer, less_comfort)] == [False, False, False]
 
 
+def test_there_is_no_share_where_the_truth_gains_nothing():
+    runs = [row("linear_weather", 1.0, 0.0), row("default", 0.9, 0.0), row("oracle", 1.1, 0.0)]
+    rows = with_shares(runs)
+    assert worth.table(rows)[0]["default, share"] is None
+    assert not targets(rows)[0].holds
+
+
 def test_free_responses_are_named_as_a_user_names_them_and_nothing_stands_in_for_the_truth():
     testcase, model, plant = load_testcase(worth.HEAT_PUMP), simple_model(), EmbeddedPlant(synthetic_weather())
     tiny, known = (controller_with(name, testcase, model, plant) for name in ("chronos:shipped_tiny", "oracle"))
