@@ -34,6 +34,12 @@ def show(result, console, before=lambda: None):
             shown.step(step)
 
 
+def test_one_day_is_a_day(result):
+    day = replace(result, period=replace(result.period, scored_s=DAY_S), steps=result.steps[:24])
+    (line,) = lines_of(day)
+    assert line.startswith("native: 1 day in ")
+
+
 def lines_of(result, *, terminal=False, seconds_a_step=0.0, monkeypatch=None):
     """What is shown of a loop whose steps each take a time on a clock of its own."""
     now = [0.0]

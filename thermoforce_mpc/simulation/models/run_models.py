@@ -73,7 +73,7 @@ def _identify(
     try:
         if spec.model is not None:
             model = saved_model(scenario, testcase)
-            display.say(f"Model: {spec.model} ({model.cards[0].source})")
+            display.say(f"Loaded {spec.model} ({model.cards[0].source})")
         else:
             task = identification_task(scenario, testcase, controller)
             with display.probing(task.in_words(keep)) as progress:

@@ -62,7 +62,8 @@ class LoopDisplay:
         if self._live:
             self._live.__exit__(None, None, None)
         if kind is None and not self._quiet:
-            self._print(f"{self._controller}: {self._days:g} days in {self._took()}{self._so_far}{self._odd()}")
+            days = f"{self._days:g} day{'' if self._days == 1 else 's'}"
+            self._print(f"{self._controller}: {days} in {self._took()}{self._so_far}{self._odd()}")
 
     def step(self, record: StepRecord) -> None:
         """Update the display with one control step."""
