@@ -7,6 +7,7 @@ randomly initialised weights if a file lacks tensors. Weights are read from safe
 from __future__ import annotations
 
 import functools
+import json
 import os
 import weakref
 from collections import deque
@@ -17,6 +18,7 @@ from typing import Any
 
 from thermoforce_mpc.errors import BackboneError
 from thermoforce_mpc.model.free_response.backbones.base import Backbone
+from thermoforce_mpc.model.free_response.backbones.graph import GRAPH, Graph
 from thermoforce_mpc.registry import Registry, builder
 
 SHIPPED = "shipped"
@@ -89,6 +91,8 @@ def _chronos(name: str) -> Backbone:
             )
         if not ((folder / _WEIGHTS).is_file() or (folder / _SHARDS).is_file()):
             raise BackboneError(_unsafe(f"backbone {folder}: no {_WEIGHTS} there"))
+        if (folder / GRAPH).is_file():
+            return _by_graph(name, folder)
         pipeline = _pipeline(name, str(folder), local=True)
         weights = folder / _WEIGHTS
     else:
@@ -129,6 +133,25 @@ def _label(name: str) -> str:
     return f"shipped{scale} Bolt checkpoint, trained on synthetic series only"
 
 
+def _by_graph(name: str, folder: Path) -> Backbone:
+    """The backbone of a folder with a graph, which runs it; torch is loaded once it is asked for more."""
+    from thermoforce_mpc.model.free_response.backbones.bolt import BoltBackbone
+
+    try:
+        settings = json.loads((folder / "config.json").read_text(encoding="utf-8"))["chronos_config"]
+    except (ValueError, KeyError) as error:
+        raise BackboneError(f"backbone {folder}: config.json is not that of a checkpoint ({error!r})") from error
+    return BoltBackbone(settings, _label(name), lambda: torch_pipeline(name, folder), Graph(folder))
+
+
+def torch_pipeline(name: str, folder: Path) -> Any:
+    """The library's pipeline of a local checkpoint, its weights checked and frozen; raises `BackboneError`."""
+    pipeline = _pipeline(name, str(folder), local=True)
+    _check_weights(name, pipeline.model, folder / _WEIGHTS)
+    pipeline.model.eval().requires_grad_(False)
+    return pipeline
+
+
 def _wrapped(name: str, pipeline: Any) -> Backbone:
     family = type(pipeline).__name__
     levels = getattr(pipeline, "quantiles", [])
@@ -138,7 +161,7 @@ def _wrapped(name: str, pipeline: Any) -> Backbone:
     if family == "ChronosBoltPipeline":
         from thermoforce_mpc.model.free_response.backbones.bolt import BoltBackbone
 
-        return BoltBackbone(pipeline, _label(name))
+        return BoltBackbone(vars(pipeline.model.chronos_config), _label(name), lambda: pipeline)
     if family == "Chronos2Pipeline":
         from thermoforce_mpc.model.free_response.backbones.chronos2 import Chronos2Backbone
 
