@@ -1,0 +1,41 @@
+"""Chronos-Bolt and Chronos-2 by `chronos-forecasting`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from thermoforce_mpc.errors import BackboneError
+from thermoforce_mpc.model.free_response.backbones.base import Backbone
+
+
+def load(name: str, folder: Path, label: str = "") -> Backbone:
+    """Load a checkpoint of the Chronos family from a folder.
+
+    Raises:
+        BackboneError: it is another Chronos, or its quantiles do not span 0.1 to 0.9.
+    """
+    pipeline = _pipeline(folder)
+    family = type(pipeline).__name__
+    levels = getattr(pipeline, "quantiles", [])
+    # The library clamps quantiles outside its trained levels, which would give too narrow an interval.
+    if family in {"ChronosBoltPipeline", "Chronos2Pipeline"} and not (min(levels) <= 0.1 and max(levels) >= 0.9):
+        raise BackboneError(f"backbone '{name}': trained for the quantiles {levels}; 0.1 to 0.9 are needed")
+    if family == "ChronosBoltPipeline":
+        from thermoforce_mpc.model.free_response.backbones.bolt import BoltBackbone
+
+        return BoltBackbone(pipeline, label or f"Chronos-Bolt '{name}'")
+    if family == "Chronos2Pipeline":
+        from thermoforce_mpc.model.free_response.backbones.chronos2 import Chronos2Backbone
+
+        return Chronos2Backbone(pipeline, label or f"Chronos-2 '{name}' with weather")
+    raise BackboneError(f"backbone '{name}' is a {family}; of this library Chronos-Bolt and Chronos-2 are supported")
+
+
+def _pipeline(folder: Path) -> Any:
+    import torch
+    from chronos import BaseChronosPipeline
+
+    return BaseChronosPipeline.from_pretrained(
+        str(folder), device_map="cpu", dtype=torch.float32, local_files_only=True, use_safetensors=True
+    )
