@@ -56,12 +56,12 @@ class TtmBackbone(ByLength):
         import torch
 
         longest = int(self._model.config.context_length)
-        series = np.full((len(contexts), longest, 1), np.nan, dtype=np.float32)
+        series = np.full((len(contexts), longest), np.nan)
         for row, context in zip(series, contexts, strict=True):
             recent = context.free_C[-longest:]
-            row[longest - recent.size :, 0] = recent
-        known = torch.from_numpy(np.isfinite(series))
-        filled = torch.from_numpy(np.stack([bridged(row[:, 0])[:, None] for row in series]).astype(np.float32))
+            row[longest - recent.size :] = recent
+        known = torch.from_numpy(np.isfinite(series))[:, :, None]
+        filled = torch.from_numpy(np.stack([bridged(row) for row in series]).astype(np.float32))[:, :, None]
         answer = self._model(past_values=filled, past_observed_mask=known, return_loss=False, return_dict=True)
         return np.asarray(answer.quantile_outputs[:, :, :steps, 0].numpy())
 

@@ -5,9 +5,9 @@ Parameters and licences are of the weights, as the packages and model cards stat
 
 from __future__ import annotations
 
+import importlib.util
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec
 from platform import python_version
 
 from packaging.specifiers import SpecifierSet
@@ -48,8 +48,8 @@ class Known:
         if self.torch and (here := _version("torch")) not in SpecifierSet(self.torch):
             own = f"pip install 'torch{self.torch}' 'thermoforce-mpc[{self.extra}]'"
             return f"it needs torch {self.torch}, this is {here}: install both in an environment of their own: {own}"
-        if self.module and find_spec(self.module) is None:
-            return f"its package is not installed: pip install 'thermoforce-mpc[{self.extra}]'"
+        if self.module and importlib.util.find_spec(self.module) is None:
+            return f"it is not installed: pip install 'thermoforce-mpc[{self.extra}]'"
         return ""
 
     def check(self) -> None:

@@ -15,7 +15,7 @@ from importlib import import_module, resources
 from pathlib import Path
 from typing import Any
 
-from thermoforce_mpc.errors import BackboneError
+from thermoforce_mpc.errors import BackboneError, suggestion
 from thermoforce_mpc.model.free_response.backbones import known
 from thermoforce_mpc.model.free_response.backbones.base import Backbone
 from thermoforce_mpc.model.free_response.backbones.hub import SHARDS, WEIGHTS, hub_folder, quiet, unsafe
@@ -94,7 +94,6 @@ def _shipped(name: str) -> Backbone:
 
 def _fracast() -> Backbone:
     """A second pretrained backbone, extra [fracast]."""
-    known.FRACAST.check()
     from thermoforce_mpc.model.free_response.backbones.fracast import FracastBackbone
 
     return FracastBackbone()
@@ -127,8 +126,8 @@ def _named(name: str) -> Backbone:
         return _of_folder(name, folder)
     if name.count("/") != 1:
         raise BackboneError(
-            f"backbone '{name}': neither a directory nor a hub name; use one of {', '.join(REGISTRY.names)}, "
-            f"a directory, or a name like 'amazon/chronos-bolt-small'"
+            f"backbone '{name}': neither a directory nor a hub name{suggestion(name, REGISTRY.names)}; use one of "
+            f"{', '.join(REGISTRY.names)}, a directory, or a name like 'amazon/chronos-bolt-small'"
         )
     return _of_folder(name, hub_folder(name))
 
