@@ -91,8 +91,8 @@ def mpc_options(function: Function) -> Function:
             click.option(
                 "--forecaster",
                 metavar="NAME",
-                help="Free response (see `tf-mpc free-responses`), or a backbone: shipped, a local directory or a hub "
-                "name.",
+                help="Free response or forecaster by name (see `tf-mpc free-responses`), a directory, or a hub's "
+                "owner/model.",
             ),
         ]
     ):

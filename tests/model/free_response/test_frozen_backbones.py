@@ -338,7 +338,7 @@ def test_offline_mode_is_respected(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_without_the_optional_package_its_name_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(BackboneError, match="pip install fracast"):
+    with pytest.raises(BackboneError, match=r"pip install 'thermoforce-mpc\[fracast\]'"):
         loading.REGISTRY.find("fracast")()
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.free_response.backbones.base import Context, frozen_pass, padded_series
 from thermoforce_mpc.model.free_response.backbones.graph import Graph
-from thermoforce_mpc.model.free_response.checks import LEVELS
+from thermoforce_mpc.model.free_response.checks import LEVELS, level_places
 
 if TYPE_CHECKING:
     from torch import nn
@@ -40,9 +40,7 @@ class BoltBackbone:
         self._label, self._load, self.graph = label, load, graph
         self._patch, self._at_once = int(settings["input_patch_size"]), int(settings["prediction_length"])
         self._longest = int(settings["context_length"])
-        quantiles = [round(float(level), 6) for level in settings["quantiles"]]
-        levels = LEVELS.round(1).tolist()
-        self._levels = [quantiles.index(level) for level in levels] if set(levels) <= set(quantiles) else None
+        self._levels = level_places(settings["quantiles"])
 
     @property
     def label(self) -> str:

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.errors import BackboneError
+from thermoforce_mpc.model.free_response.backbones.hub import WEIGHTS
 
-GRAPH, WEIGHTS = "model.onnx", "model.safetensors"
+GRAPH = "model.onnx"
 WEIGHTS_KEY = "weights_sha256"
 
 
