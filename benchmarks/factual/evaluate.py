@@ -199,7 +199,7 @@ class Evaluation:
         first = self.home.steps(min(self.protocol.horizons_h))
         for name in self.others:
             model = ChronosFreeResponse(name, self.protocol.context_steps, resolutions="one")
-            row = {"parameters": float(parameter_count(model.modules))}
+            row = {"parameters": float(parameter_count(model.model))}
             for label, series, ahead in (
                 ("raw", self.home.record.T_zone_C[0], 0.0),
                 ("ours", self._free(forced), self._forced_ahead(forced, "test")),

@@ -126,7 +126,7 @@ def _row(name: str, backbone: ChronosFreeResponse, building: Building) -> dict[s
         weather.append(context.predict(u).total_C[0] - truth)
     row = {
         "backbone": name,
-        "parameters": parameter_count(backbone.modules),
+        "parameters": parameter_count(backbone.model),
         "record": building.name,
         "raw_rmse_K": _rmse(raw),
         "composed_rmse_K": _rmse(composed),

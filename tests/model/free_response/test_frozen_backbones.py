@@ -23,9 +23,7 @@ from safetensors.torch import load_file, save_file
 
 from thermoforce_mpc.errors import BackboneError, ConfigError, DataError
 from thermoforce_mpc.model.free_response.backbones import loading
-from thermoforce_mpc.model.free_response.backbones.base import Context, padded_series
-from thermoforce_mpc.model.free_response.backbones.bolt import BoltBackbone
-from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES, load_backbone, shipped_folder
+from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES, load_backbone
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.registry import build_free_response
 
@@ -108,44 +106,6 @@ def test_the_control_is_never_seen(forecaster: ChronosFreeResponse) -> None:
         forecaster.forecast(free, history_of(free), boundary_of(240, 24)).quantiles_C,
         forecaster.forecast(free, other, boundary_of(240, 24)).quantiles_C,
     )
-
-
-def test_the_traced_model_gives_the_bits_of_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For any number, length and gaps of series, also longer ones than the model reads and horizons it unrolls."""
-    rng = np.random.default_rng(4)
-
-    def context(known: int, steps: int) -> Context:
-        free = daily(hours(known)) + 0.1 * rng.standard_normal(known + 1)
-        free[rng.integers(0, known, 5)] = np.nan
-        return Context(free, np.zeros((known + 1, 2)), np.zeros((steps, 2)))
-
-    sets = [[context(known, steps) for known, steps in of] for of in (
-        [(30, 5)], [(97, 24)], [(511, 64), (240, 24), (168, 48)], [(240, 24)] * 60, [(700, 64)], [(300, 24), (300, 90)],
-    )]  # fmt: skip
-    from chronos import BaseChronosPipeline
-
-    pipeline = BaseChronosPipeline.from_pretrained(shipped_folder(), device_map="cpu", dtype=torch.float32)
-    pipeline.model.eval().requires_grad_(False)
-    by_library = [BoltBackbone(pipeline, "library").quantiles_C(contexts) for contexts in sets]
-    for contexts, quantiles in zip(sets[:3], by_library, strict=False):
-        series = torch.from_numpy(padded_series(contexts))
-        expected, _ = pipeline.predict_quantiles(series, len(quantiles[0][0]), LEVELS.tolist())
-        np.testing.assert_allclose(quantiles[0], expected[0].T.numpy(), atol=1e-5)
-    backbone = BoltBackbone(pipeline, "traced", traced_after=1)
-    backbone.quantiles_C(sets[0])
-    asked, forward = [], pipeline.model.forward
-
-    def counted(*given: object, **options: object) -> object:
-        asked.append(options)
-        return forward(*given, **options)
-
-    monkeypatch.setattr(pipeline.model, "forward", counted)
-    backbone.quantiles_C(sets[1])
-    assert not asked, "what is forecast at once is not asked of the library any more"
-    for _ in range(3):  # the first calls of a traced model are still being optimised
-        for contexts, quantiles in zip(sets, by_library, strict=True):
-            for now, before in zip(backbone.quantiles_C(contexts), quantiles, strict=True):
-                np.testing.assert_array_equal(now, before)
 
 
 def test_level_shifts_pass_through(forecaster: ChronosFreeResponse) -> None:

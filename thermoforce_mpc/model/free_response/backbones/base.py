@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
@@ -39,7 +41,7 @@ class Backbone(Protocol):
 
     @property
     def modules(self) -> tuple[nn.Module, ...]:
-        """Modules with weights, in a fixed order."""
+        """Modules with weights, in a fixed order; none where a `Graph` holds them, as the attribute `graph`."""
         ...
 
     def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
@@ -61,6 +63,25 @@ def padded_series(contexts: Sequence[Context], multiple: int = 1) -> NDArray[np.
     for row, context in zip(series, contexts, strict=True):
         row[longest - context.free_C.size :] = context.free_C
     return series
+
+
+@contextmanager
+def frozen_pass() -> Iterator[None]:
+    """One thread of torch and no gradients, where torch is loaded.
+
+    Results are bitwise reproducible, and models this small gain nothing by more threads.
+    """
+    torch = sys.modules.get("torch")
+    if torch is None:
+        yield
+        return
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with torch.inference_mode():
+            yield
+    finally:
+        torch.set_num_threads(before)
 
 
 class ByLength(ABC):

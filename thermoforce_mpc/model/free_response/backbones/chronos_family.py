@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 from thermoforce_mpc.errors import BackboneError
 from thermoforce_mpc.model.free_response.backbones.base import Backbone
+from thermoforce_mpc.model.free_response.backbones.bolt import BoltBackbone
+from thermoforce_mpc.model.free_response.backbones.checkpoint import check_weights, damaged, quiet
+from thermoforce_mpc.model.free_response.backbones.graph import GRAPH, Graph
 
 
 def load(name: str, folder: Path, label: str = "") -> Backbone:
@@ -15,16 +19,19 @@ def load(name: str, folder: Path, label: str = "") -> Backbone:
     Raises:
         BackboneError: it is another Chronos, or its quantiles do not span 0.1 to 0.9.
     """
-    pipeline = _pipeline(folder)
+    bolt = label or f"Chronos-Bolt '{name}'"
+    if (folder / GRAPH).is_file():
+        settings = json.loads((folder / "config.json").read_text(encoding="utf-8"))["chronos_config"]
+        return BoltBackbone(settings, bolt, lambda: torch_pipeline(name, folder), Graph(folder))
+    pipeline = torch_pipeline(name, folder)
     family = type(pipeline).__name__
     levels = getattr(pipeline, "quantiles", [])
     # The library clamps quantiles outside its trained levels, which would give too narrow an interval.
     if family in {"ChronosBoltPipeline", "Chronos2Pipeline"} and not (min(levels) <= 0.1 and max(levels) >= 0.9):
         raise BackboneError(f"backbone '{name}': trained for the quantiles {levels}; 0.1 to 0.9 are needed")
     if family == "ChronosBoltPipeline":
-        from thermoforce_mpc.model.free_response.backbones.bolt import BoltBackbone
-
-        return BoltBackbone(pipeline, label or f"Chronos-Bolt '{name}'")
+        settings = vars(pipeline.model.chronos_config)
+        return BoltBackbone(settings, bolt, lambda: pipeline)
     if family == "Chronos2Pipeline":
         from thermoforce_mpc.model.free_response.backbones.chronos2 import Chronos2Backbone
 
@@ -32,10 +39,18 @@ def load(name: str, folder: Path, label: str = "") -> Backbone:
     raise BackboneError(f"backbone '{name}' is a {family}; of this library Chronos-Bolt and Chronos-2 are supported")
 
 
-def _pipeline(folder: Path) -> Any:
+def torch_pipeline(name: str, folder: Path) -> Any:
+    """The library's pipeline of a local checkpoint, its weights checked and frozen; raises `BackboneError`."""
     import torch
     from chronos import BaseChronosPipeline
 
-    return BaseChronosPipeline.from_pretrained(
-        str(folder), device_map="cpu", dtype=torch.float32, local_files_only=True, use_safetensors=True
-    )
+    try:
+        with quiet():
+            pipeline = BaseChronosPipeline.from_pretrained(
+                str(folder), device_map="cpu", dtype=torch.float32, local_files_only=True, use_safetensors=True
+            )
+    except Exception as error:  # the libraries raise many types
+        raise damaged(name, folder, error) from error
+    check_weights(name, pipeline.model.state_dict(), folder)
+    pipeline.model.eval().requires_grad_(False)
+    return pipeline

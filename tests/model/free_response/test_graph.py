@@ -1,0 +1,95 @@
+"""Shipped backbones run as graphs: what the library computes, refused with other weights, and exported again."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from forecasting import LEVELS, daily, hours
+from safetensors.torch import load_file, save_file
+
+from benchmarks.pretraining.export import export
+from thermoforce_mpc.data import Array
+from thermoforce_mpc.errors import BackboneError
+from thermoforce_mpc.model.free_response.backbones.base import Context, padded_series
+from thermoforce_mpc.model.free_response.backbones.bolt import BoltBackbone
+from thermoforce_mpc.model.free_response.backbones.chronos_family import torch_pipeline
+from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES, load_backbone, shipped_folder
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """The least of the shipped checkpoints with its graph, to be damaged."""
+    return Path(shutil.copytree(shipped_folder("shipped_tiny"), tmp_path / "copy"))
+
+
+def _contexts(*sizes: tuple[int, int]) -> list[Context]:
+    """Series of so many hours with gaps, one of them with nothing in its first days, and steps ahead."""
+    rng = np.random.default_rng(4)
+    contexts = []
+    for known, steps in sizes:
+        free = daily(hours(known)) + 0.1 * rng.standard_normal(known + 1)
+        free[rng.random(known + 1) < 0.1] = np.nan
+        free[: known // 3] = np.nan
+        contexts.append(Context(free, np.zeros((known + 1, 2)), np.zeros((steps, 2))))
+    return contexts
+
+
+def _by_library(folder: Path, contexts: list[Context]) -> list[Array]:
+    pipeline = torch_pipeline(str(folder), folder)
+    return BoltBackbone(vars(pipeline.model.chronos_config), "library", lambda: pipeline).quantiles_C(contexts)
+
+
+@pytest.mark.parametrize("name", SHIPPED_SCALES)
+def test_a_graph_gives_what_the_library_gives(name: str) -> None:
+    """For any number, length and gaps of series, also longer ones than the model reads and horizons it unrolls."""
+    backbone, folder = load_backbone(name), shipped_folder(name)
+    assert backbone.graph is not None  # type: ignore[attr-defined]
+    for sizes in ([(30, 5)], [(511, 64), (240, 24), (168, 48)], [(240, 24)] * 60, [(700, 64)], [(300, 24), (300, 90)]):
+        contexts = _contexts(*sizes)
+        for graph, library in zip(backbone.quantiles_C(contexts), _by_library(folder, contexts), strict=True):
+            np.testing.assert_allclose(graph, library, rtol=0.0, atol=1e-4)
+
+
+def test_series_of_one_length_are_as_the_pipeline_forecasts_them() -> None:
+    contexts = _contexts((511, 64), (240, 24))
+    expected, _ = torch_pipeline("shipped", shipped_folder()).predict_quantiles(
+        torch.from_numpy(padded_series(contexts)), 64, LEVELS.tolist()
+    )
+    for quantiles, of_pipeline in zip(load_backbone("shipped").quantiles_C(contexts), expected, strict=True):
+        np.testing.assert_allclose(quantiles, of_pipeline.T[:, : quantiles.shape[1]], rtol=0.0, atol=1e-4)
+
+
+def test_a_graph_of_other_weights_is_refused(copy: Path) -> None:
+    weights = load_file(copy / "model.safetensors")
+    weights[sorted(weights)[0]].view(-1)[0] += 1e-2
+    save_file(weights, copy / "model.safetensors", metadata={"format": "pt"})
+    with pytest.raises(BackboneError, match=r"exported from other weights than model\.safetensors; export it again"):
+        load_backbone(str(copy))
+
+
+def test_a_damaged_graph_is_refused_and_without_it_the_weights_are_run_by_torch(copy: Path) -> None:
+    graph = copy / "model.onnx"
+    before = load_backbone(str(copy)).quantiles_C(_contexts((240, 24)))[0]
+    graph.write_bytes(graph.read_bytes()[:-1000])
+    with pytest.raises(BackboneError, match=r"model\.onnx cannot be loaded \(.*or delete it"):
+        load_backbone(str(copy))
+    graph.unlink()
+    backbone = load_backbone(str(copy))
+    assert backbone.modules
+    np.testing.assert_allclose(backbone.quantiles_C(_contexts((240, 24)))[0], before, rtol=0.0, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_an_exported_graph_runs_the_weights_beside_it(bolt_folder: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(bolt_folder, tmp_path / "exported"))
+    contexts = _contexts((100, 16), (60, 10), (30, 5))
+    library = _by_library(folder, contexts)
+    assert export(folder).stat().st_size < 100_000
+    backbone = load_backbone(str(folder))
+    assert not backbone.modules
+    for graph, expected in zip(backbone.quantiles_C(contexts), library, strict=True):
+        np.testing.assert_allclose(graph, expected, rtol=0.0, atol=1e-4)
