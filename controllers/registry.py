@@ -91,15 +91,6 @@ _OWN: dict[str, Entry] = {
     "thermoforce_mpc": _mpc_entry(
         "MPC: free response of a linear weather model and a frozen forecaster, on/off blocks, 15 min step",
     ),
-    "thermoforce_hourly": _mpc_entry(
-        "as thermoforce_mpc with a step of 1 h, levels from 0.7 held (heat pumps are inefficient below)",
-        step_s=3600.0,
-        # One hour at 0.7 or more is a large pulse of heat: heating late costs less than overheating with solar gains.
-        comfort_margin_K=0.0,
-        backoff_level=0.45,
-        backoff_violation_K=None,
-        actuation={"mode": "modulating", "lowest_level": 0.7},
-    ),
     "thermoforce_paper": _mpc_entry(
         "the paper's setting: frozen forecaster on T - F, level held for the test case's step, Ipopt",
         **_AS_PRINTED,
@@ -233,9 +224,16 @@ def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase)
             defaults["setpoint_C"] = testcase.thermostat_C
         elif set_points:
             defaults["setpoints_C"] = set_points
+    if _free_response_name(options) not in (None, _free_response_name(defaults)):
+        defaults.pop("free_response", None)  # its options are those of another
     config = validate(entry.config(), merge(defaults, options), f"options of controller '{name}'")
     _check_supply(config, points.layout.names.actuators, behind)
     return config
+
+
+def _free_response_name(options: Mapping[str, Any]) -> Any:
+    chosen = options.get("free_response")
+    return chosen.get("name") if isinstance(chosen, Mapping) else None
 
 
 def _check_supply(config: StrictModel, actuators: Sequence[str], behind: Collection[str]) -> None:

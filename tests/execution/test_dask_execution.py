@@ -229,6 +229,20 @@ def test_a_silent_port_in_the_place_of_the_scheduler_is_not_waited_for_without_e
 
 
 @pytest.mark.slow
+def test_a_scheduler_that_stands_still_is_asked_no_longer_than_its_return_is_waited_for():
+    port, patience = _free_port(), Patience(connect_s=LONG_S, back_s=2.0, look_s=0.0)
+    scheduler = _dask("scheduler", "--port", str(port), "--no-dashboard")
+    try:
+        with DaskEngine(f"tcp://127.0.0.1:{port}", patience=patience) as engine, _within(60.0):
+            scheduler.send_signal(signal.SIGSTOP)
+            assert engine.width == 0
+            scheduler.send_signal(signal.SIGCONT)
+    finally:
+        scheduler.kill()
+        scheduler.wait()
+
+
+@pytest.mark.slow
 def test_a_scheduler_may_restart(tmp_path):
     """Workers without a nanny end with their scheduler; others take over, and nothing that had ended runs again."""
     port = _free_port()

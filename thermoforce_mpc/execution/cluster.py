@@ -225,7 +225,9 @@ class DaskEngine:
     def _update_workers(self) -> None:
         """Read which workers there are now; report those that are gone, and where there are none for long."""
         try:
-            former, self._threads = self._threads, self._client.nthreads(callback_timeout=self._patience.connect_s)
+            # The client may not have noticed yet that its scheduler is gone, and something silent be in its place.
+            within_s = min(self._patience.connect_s, self._patience.back_s)
+            former, self._threads = self._threads, self._client.nthreads(callback_timeout=within_s)
             self._report_gone(sorted(former.keys() - self._threads.keys()))
             problem = "" if self._threads else self._no_worker()
         except OSError:

@@ -33,7 +33,7 @@ QUICK = dict(OPTIONS) | {"gate": {"enabled": False}, "horizon_h": 12}
 @pytest.fixture(scope="module")
 def setting():
     with running_emulator_service(most_tests=100) as url:
-        yield Setting(url, load_testcase(TESTCASE), simple_model(), QUICK, "thermoforce_hourly", 16 * DAY_S, 0.25)
+        yield Setting(url, load_testcase(TESTCASE), simple_model(), QUICK, "thermoforce_paper", 16 * DAY_S, 0.25)
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +132,7 @@ def test_an_action_out_of_range_is_found(value):
 @pytest.mark.slow
 def test_the_command_prints_its_table_whatever_the_number_of_processes(tmp_path):
     simple_model().save(tmp_path / "model")
-    words = ["--episodes", "2", "--days", "0.25", "--controller", "thermoforce_hourly", "--seed", "3"]
+    words = ["--episodes", "2", "--days", "0.25", "--controller", "thermoforce_paper", "--seed", "3"]
     words += ["--model", str(tmp_path / "model")]
     rows = []
     for workers in ("1", "2"):
@@ -155,7 +155,7 @@ def test_an_interrupt_leaves_the_table_of_the_episodes_until_then():
             raise KeyboardInterrupt
 
     found = run_chaos(
-        episodes=3, seed=3, days=0.25, controller="thermoforce_hourly", model=simple_model(), progress=progress
+        episodes=3, seed=3, days=0.25, controller="thermoforce_paper", model=simple_model(), progress=progress
     )
     assert found["rows"][-1]["episodes"] == 1
     assert told[-1] == "interrupted after 1 of 3 episodes"
@@ -176,7 +176,7 @@ class Deadly(ThermalModel):
 def test_an_episode_whose_process_dies_is_lost_and_the_others_go_on(tmp_path):
     told: list[str] = []
     model = Deadly(**vars(simple_model()), grave=str(tmp_path / "grave"))
-    options = {"episodes": 4, "seed": 3, "days": 0.25, "controller": "thermoforce_hourly", "jobs": 2}
+    options = {"episodes": 4, "seed": 3, "days": 0.25, "controller": "thermoforce_paper", "jobs": 2}
     found = run_chaos(**options, model=model, progress=told.append)
     lost = [line for line in told if "process died" in line]
     assert len(lost) == 1

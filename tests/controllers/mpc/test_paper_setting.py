@@ -42,3 +42,12 @@ def test_a_machine_with_a_fixed_part_is_planned_at_any_level_without_a_choice():
     assert np.any((plan.u > 0.01) & (plan.u < 0.29)), "also levels below 0.3"
     assert [block.duration_s for block in plan.blocks] == [HOUR_S]
     assert plan.blocks[0].u[0] == pytest.approx(plan.u[0, 0], abs=1e-3)
+
+
+def test_another_free_response_is_not_given_the_options_of_the_forecaster():
+    testcase = load_testcase("bestest_hydronic_heat_pump")
+    chosen = controller_config("thermoforce_paper", {"free_response": {"name": "rc"}}, testcase).free_response
+    assert (chosen.name, dict(chosen.options)) == ("rc", {})
+    small = {"free_response": {"name": "chronos", "options": {"backbone": "shipped_small"}}}
+    kept = controller_config("thermoforce_paper", small, testcase).free_response
+    assert dict(kept.options) == {"resolutions": "one", "backbone": "shipped_small"}

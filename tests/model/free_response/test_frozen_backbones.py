@@ -167,7 +167,7 @@ def test_context_steps_limit_what_is_seen(bolt_folder: Path) -> None:
     older = free.copy()
     older[:200] += 5.0
     history, boundary = history_of(free), boundary_of(240, 24)
-    short = build_free_response("chronos", backbone=str(bolt_folder), context_steps=32)
+    short = ChronosFreeResponse(str(bolt_folder), context_steps=32)
     np.testing.assert_array_equal(
         short.forecast(free, history, boundary).quantiles_C, short.forecast(older, history, boundary).quantiles_C
     )

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.slow
 
 
 def test_a_baseline_changes_nothing_about_the_controller_beside_it(tmp_path):
-    """`rc_mpc` switches, `thermoforce_hourly` holds levels between off and full: each is probed for its own way."""
+    """`rc_mpc` switches, `thermoforce_paper` holds levels between off and full: each is probed for its own way."""
 
     def run(name: str, controller: str, baselines: str):
         words = ["--testcase", "bestest_hydronic_heat_pump", "--period", "20", "--days", "0.25", "--quiet"]
@@ -24,14 +24,14 @@ def test_a_baseline_changes_nothing_about_the_controller_beside_it(tmp_path):
         files = (tmp_path / name / "manifest.json", tmp_path / name / "kpis.json")
         return [json.loads(path.read_text(encoding="utf-8")) for path in files]
 
-    (alone, _), (hourly_alone, hourly_kpis) = run("a", "rc_mpc", ""), run("b", "thermoforce_hourly", "")
-    both, both_kpis = run("c", "rc_mpc", "thermoforce_hourly,thermostat")
+    (alone, _), (paper_alone, paper_kpis) = run("a", "rc_mpc", ""), run("b", "thermoforce_paper", "")
+    both, both_kpis = run("c", "rc_mpc", "thermoforce_paper,thermostat")
     assert both["identification"]["data_sha256"] == alone["identification"]["data_sha256"], "the probed record"
-    beside = both["identification"].pop("baselines")["thermoforce_hourly"]
+    beside = both["identification"].pop("baselines")["thermoforce_paper"]
     assert both["identification"] == alone["identification"]
-    hourly_alone["identification"].pop("actuation")  # of the controller, not of its baselines
-    assert beside == hourly_alone["identification"] != both["identification"]
-    for kpis in (both_kpis["baselines"]["thermoforce_hourly"], hourly_kpis["kpis"]):
+    paper_alone["identification"].pop("actuation")  # of the controller, not of its baselines
+    assert beside == paper_alone["identification"] != both["identification"]
+    for kpis in (both_kpis["baselines"]["thermoforce_paper"], paper_kpis["kpis"]):
         kpis.pop("time_rat")  # computing time
-    assert both_kpis["baselines"]["thermoforce_hourly"] == hourly_kpis["kpis"]
+    assert both_kpis["baselines"]["thermoforce_paper"] == paper_kpis["kpis"]
     assert (tmp_path / "a" / "trajectory.csv").read_bytes() == (tmp_path / "c" / "trajectory.csv").read_bytes()

@@ -65,6 +65,25 @@ def padded_series(contexts: Sequence[Context], multiple: int = 1) -> NDArray[np.
     return series
 
 
+@contextmanager
+def frozen_pass() -> Iterator[None]:
+    """One thread of torch and no gradients, where torch is loaded.
+
+    Results are bitwise reproducible, and models this small gain nothing by more threads.
+    """
+    torch = sys.modules.get("torch")
+    if torch is None:
+        yield
+        return
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with torch.inference_mode():
+            yield
+    finally:
+        torch.set_num_threads(before)
+
+
 class ByLength(ABC):
     """`Backbone` of a library's model: contexts of one length and number of steps ahead form a batch.
 
@@ -112,22 +131,3 @@ def bridged(free_C: Array) -> Array:
     """A series (k,) with its gaps bridged by lines, for models that read no gaps; at an end the nearest value holds."""
     known = np.flatnonzero(np.isfinite(free_C))
     return np.interp(np.arange(free_C.size), known, free_C[known])
-
-
-@contextmanager
-def frozen_pass() -> Iterator[None]:
-    """One thread of torch and no gradients, where torch is loaded.
-
-    Results are bitwise reproducible, and models this small gain nothing by more threads.
-    """
-    torch = sys.modules.get("torch")
-    if torch is None:
-        yield
-        return
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        with torch.inference_mode():
-            yield
-    finally:
-        torch.set_num_threads(before)

@@ -9,6 +9,7 @@ from typing import Any
 
 from thermoforce_mpc.errors import BackboneError
 from thermoforce_mpc.model.free_response.backbones.base import Backbone
+from thermoforce_mpc.model.free_response.backbones.checkpoint import check_weights, damaged, quiet
 from thermoforce_mpc.model.free_response.backbones.graph import GRAPH, Graph
 
 
@@ -18,7 +19,7 @@ def load(name: str, folder: Path, label: str = "") -> Backbone:
     Raises:
         BackboneError: it is another Chronos, its quantiles do not span 0.1 to 0.9, or its graph is not of its weights.
     """
-    graph, pipeline = None, functools.cache(functools.partial(_pipeline, folder))
+    graph, pipeline = None, functools.cache(functools.partial(torch_pipeline, name, folder))
     if (folder / GRAPH).is_file():
         config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
         family, settings, graph = config["chronos_pipeline_class"], config["chronos_config"], Graph(folder)
@@ -39,13 +40,18 @@ def load(name: str, folder: Path, label: str = "") -> Backbone:
     raise BackboneError(f"backbone '{name}' is a {family}; of this library Chronos-Bolt and Chronos-2 are supported")
 
 
-def _pipeline(folder: Path) -> Any:
-    """The library's pipeline of a checkpoint, frozen."""
+def torch_pipeline(name: str, folder: Path) -> Any:
+    """The library's pipeline of a local checkpoint, its weights checked and frozen; raises `BackboneError`."""
     import torch
     from chronos import BaseChronosPipeline
 
-    pipeline = BaseChronosPipeline.from_pretrained(
-        str(folder), device_map="cpu", dtype=torch.float32, local_files_only=True, use_safetensors=True
-    )
+    try:
+        with quiet():
+            pipeline = BaseChronosPipeline.from_pretrained(
+                str(folder), device_map="cpu", dtype=torch.float32, local_files_only=True, use_safetensors=True
+            )
+    except Exception as error:  # the libraries raise many types
+        raise damaged(name, folder, error) from error
+    check_weights(name, pipeline.model.state_dict(), folder)
     pipeline.model.eval().requires_grad_(False)
     return pipeline

@@ -12,6 +12,7 @@ import numpy as np
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import BackboneError
 from thermoforce_mpc.model.free_response.backbones.base import Backbone, ByLength, Context, bridged
+from thermoforce_mpc.model.free_response.backbones.checkpoint import quiet
 from thermoforce_mpc.model.free_response.checks import LEVELS
 
 
@@ -27,7 +28,10 @@ def load_ttm(name: str, folder: Path) -> Backbone:
     if not config.get("multi_quantile_head"):
         raise BackboneError(f"backbone '{name}': this TTM forecasts no quantiles; releases from 3 do")
     (architecture,) = config["architectures"]
-    model = getattr(tinytimemixer, architecture).from_pretrained(folder, local_files_only=True, use_safetensors=True)
+    with quiet():
+        model = getattr(tinytimemixer, architecture).from_pretrained(
+            folder, local_files_only=True, use_safetensors=True
+        )
     _check_levels(name, model.config.quantile_levels)
     return TtmBackbone(model, f"TTM '{name}'")
 
@@ -40,7 +44,8 @@ def load_flowstate(name: str, folder: Path) -> Backbone:
     """
     from tsfm_public.models.flowstate import FlowStateForPrediction
 
-    model = FlowStateForPrediction.from_pretrained(folder, local_files_only=True, use_safetensors=True)
+    with quiet():
+        model = FlowStateForPrediction.from_pretrained(folder, local_files_only=True, use_safetensors=True)
     _check_levels(name, model.config.quantiles)
     return FlowStateBackbone(model, f"FlowState '{name}'")
 

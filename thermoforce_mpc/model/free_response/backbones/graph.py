@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.errors import BackboneError
-from thermoforce_mpc.model.free_response.backbones.hub import WEIGHTS
+from thermoforce_mpc.model.free_response.backbones.checkpoint import WEIGHTS
 
 GRAPH = "model.onnx"
 WEIGHTS_KEY = "weights_sha256"

@@ -11,7 +11,6 @@ import json
 import weakref
 from collections import deque
 from collections.abc import Callable
-from contextlib import nullcontext
 from importlib import import_module, resources
 from pathlib import Path
 from typing import Any
@@ -19,8 +18,15 @@ from typing import Any
 from thermoforce_mpc.errors import BackboneError, suggestion
 from thermoforce_mpc.model.free_response.backbones import known
 from thermoforce_mpc.model.free_response.backbones.base import Backbone
-from thermoforce_mpc.model.free_response.backbones.graph import GRAPH
-from thermoforce_mpc.model.free_response.backbones.hub import SHARDS, WEIGHTS, hub_folder, quiet, unsafe
+from thermoforce_mpc.model.free_response.backbones.checkpoint import (
+    SHARDS,
+    WEIGHTS,
+    check_weights,
+    damaged,
+    hub_folder,
+    stored,
+    unsafe,
+)
 from thermoforce_mpc.registry import Registry, builder
 
 SHIPPED = known.SHIPPED.name
@@ -152,7 +158,7 @@ def _family(name: str, folder: Path) -> tuple[str, str, str]:
             return family
     if str(config.get("model_type")) in _BY_TYPE:
         return _BY_TYPE[str(config["model_type"])]
-    if any(tensor.startswith("stacked_xf.0.") for tensor in _stored(name, folder)):
+    if any(tensor.startswith("stacked_xf.0.") for tensor in stored(name, folder)):
         return _TIMESFM_25
     raise BackboneError(
         f"backbone '{name}': {folder} holds a {config.get('model_type', 'model of an unknown kind')}; "
@@ -168,56 +174,14 @@ def _config(name: str, folder: Path) -> dict[str, Any]:
         raise BackboneError(f"backbone '{name}': {file} cannot be loaded ({error}); copy it again") from error
 
 
-def _stored(name: str, folder: Path) -> set[str]:
-    """Names of the tensors in the folder's file of weights; empty where they are in shards."""
-    from safetensors import SafetensorError, safe_open
-
-    if not (folder / WEIGHTS).is_file():
-        return set()
-    try:
-        with safe_open(str(folder / WEIGHTS), framework="pt") as content:
-            return set(content.keys())
-    except (OSError, SafetensorError) as error:
-        raise _damaged(name, folder, error) from error
-
-
 def _checked(name: str, folder: Path, load: Callable[[str, Path], Backbone]) -> Backbone:
     """The backbone that `load` makes of a folder, unless its weights are not finite or were not all in the file."""
     try:
-        # A graph is run without the libraries.
-        with nullcontext() if (folder / GRAPH).is_file() else quiet():
-            backbone = load(name, folder)
+        backbone = load(name, folder)
     except BackboneError:
         raise
     except Exception as error:  # the libraries raise many types
-        raise _damaged(name, folder, error) from error
+        raise damaged(name, folder, error) from error
     for module in backbone.modules:
-        _check_weights(name, module.state_dict(), folder)
+        check_weights(name, module.state_dict(), folder)
     return backbone
-
-
-def _damaged(name: str, folder: Path, error: Exception) -> BackboneError:
-    reason = " ".join(str(error).split())[:300]
-    return BackboneError(
-        f"backbone '{name}': {folder} cannot be loaded ({type(error).__name__}: {reason}); "
-        "download or copy the checkpoint again, or use backbone: shipped"
-    )
-
-
-def _check_weights(name: str, state: dict[str, Any], folder: Path) -> None:
-    """Raise `BackboneError` for weights that are not finite or missing in the file (the libraries randomise those)."""
-    import torch
-
-    broken = [key for key, value in state.items() if not bool(torch.isfinite(value).all())]
-    if broken:
-        raise BackboneError(f"backbone '{name}': weights of {broken[0]} are not finite; the checkpoint is damaged")
-    stored = _stored(name, folder)
-    if not stored:
-        return  # in shards, whose index the libraries check
-    filled = {state[key].data_ptr() for key in stored & set(state)}
-    missing = [key for key, value in state.items() if key not in stored and value.data_ptr() not in filled]
-    if missing:
-        raise BackboneError(
-            f"backbone '{name}': {folder / WEIGHTS} lacks {len(missing)} of {len(state)} weights, first {missing[0]}; "
-            "the checkpoint is incomplete"
-        )

@@ -14,6 +14,7 @@ import numpy as np
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.free_response.backbones.base import Backbone, ByLength, Context
+from thermoforce_mpc.model.free_response.backbones.checkpoint import quiet
 
 # Longest horizon of the quantile head of 2.5.
 _AT_ONCE = 1024
@@ -34,7 +35,8 @@ def load3(name: str, folder: Path) -> Backbone:
     """Load a TimesFM 3 from a folder with its config.json and safetensors."""
     from timesfm3 import TimesFM3Forecaster
 
-    forecaster = TimesFM3Forecaster.from_pretrained(str(folder), device="cpu", local_files_only=True)
+    with quiet():
+        forecaster = TimesFM3Forecaster.from_pretrained(str(folder), device="cpu", local_files_only=True)
     return TimesFM3Backbone(forecaster, f"TimesFM 3 '{name}' with weather, non-commercial")
 
 

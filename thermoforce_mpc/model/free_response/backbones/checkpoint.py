@@ -1,7 +1,8 @@
-"""Checkpoints of the Hugging Face hub: from the local cache, else downloaded; told within seconds where neither can be.
+"""Folders of checkpoints: fetched from the Hugging Face hub, and their weights checked.
 
-A name is `owner/model`, or `owner/model@revision`. Only config.json and safetensors files are fetched: other weights
-are pickles, which can run any code.
+A hub's name is `owner/model`, or `owner/model@revision`: from the local cache, else downloaded; where neither can be,
+that is told within seconds. Only config.json and safetensors files are fetched: other weights are pickles, which can
+run any code.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
+from typing import Any
 
 from thermoforce_mpc.errors import BackboneError
 
@@ -65,6 +67,47 @@ def unsafe(what: str) -> str:
         f"{what}; weights in other files (pickle: pytorch_model.bin) are not loaded, since they can run any code: "
         "convert them where you trust them (`model.save_pretrained(folder)` of transformers), or use backbone: shipped"
     )
+
+
+def stored(name: str, folder: Path) -> set[str]:
+    """Names of the tensors in the folder's file of weights; empty where they are in shards."""
+    from safetensors import SafetensorError, safe_open
+
+    if not (folder / WEIGHTS).is_file():
+        return set()
+    try:
+        with safe_open(str(folder / WEIGHTS), framework="numpy") as content:
+            return set(content.keys())
+    except (OSError, SafetensorError) as error:
+        raise damaged(name, folder, error) from error
+
+
+def damaged(name: str, folder: Path, error: Exception) -> BackboneError:
+    """What is raised of a folder that a library cannot load."""
+    reason = " ".join(str(error).split())[:300]
+    return BackboneError(
+        f"backbone '{name}': {folder} cannot be loaded ({type(error).__name__}: {reason}); "
+        "download or copy the checkpoint again, or use backbone: shipped"
+    )
+
+
+def check_weights(name: str, state: dict[str, Any], folder: Path) -> None:
+    """Raise `BackboneError` for weights that are not finite or missing in the file (the libraries randomise those)."""
+    import torch
+
+    broken = [key for key, value in state.items() if not bool(torch.isfinite(value).all())]
+    if broken:
+        raise BackboneError(f"backbone '{name}': weights of {broken[0]} are not finite; the checkpoint is damaged")
+    names = stored(name, folder)
+    if not names:
+        return  # in shards, whose index the libraries check
+    filled = {state[key].data_ptr() for key in names & set(state)}
+    missing = [key for key, value in state.items() if key not in names and value.data_ptr() not in filled]
+    if missing:
+        raise BackboneError(
+            f"backbone '{name}': {folder / WEIGHTS} lacks {len(missing)} of {len(state)} weights, first {missing[0]}; "
+            "the checkpoint is incomplete"
+        )
 
 
 def _cached(name: str, revision: str | None) -> bool:
