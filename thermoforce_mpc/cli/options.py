@@ -282,7 +282,13 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
     if options.get("equal_comfort") is not None:
         keys["equal_comfort"] = options["equal_comfort"]
     path: Path | None = find_config("scenarios", options["config"]) if options.get("config") else None
-    keys = merge(defaults or {}, keys)
-    if path is None and "testcase" not in keys:
+    keys = merge(keys, parse_overrides(options.get("assignments", ())))
+    given = merge(defaults or {}, keys)
+    if path is None and "testcase" not in given:
         raise click.UsageError("no test case: give --testcase NAME or --config FILE (see `tf-mpc testcases`)")
-    return load_scenario(path, merge(keys, parse_overrides(options.get("assignments", ()))))
+    scenario = load_scenario(path, given)
+    if "url" in keys.get("plant", ()):
+        from thermoforce_mpc.plants.boptest.token import allow_token
+
+        allow_token(scenario.plant.url)
+    return scenario

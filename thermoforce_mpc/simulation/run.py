@@ -15,6 +15,7 @@ from controllers.registry import build_controller, find_entry, lent
 from thermoforce_mpc.data import DAY_S, Period, PlantInfo
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.model.screening import limits_of
+from thermoforce_mpc.plants.boptest.token import allow_token
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -143,6 +144,8 @@ def run(
     """
     with nullcontext(controller) if isinstance(controller, str) else lent(controller) as name:
         scenario = load_scenario(None, merge({"testcase": testcase, "controller": {"name": name}}, settings))
+        if "url" in scenario.plant.model_fields_set:
+            allow_token(scenario.plant.url)
         return _execute(scenario, RunDisplay(quiet=not progress), {}, model, own=own_kpis(kpis))
 
 
@@ -434,5 +437,5 @@ def _follow(
             keeper,
             steps,
             outage_h=scenario.plant.forecast_outage_h,
-            units=UnitDoubts(testcase.layout, getattr(controller, "model", None)),
+            units=UnitDoubts(testcase.layout, getattr(controller, "model", None), testcase.currency),
         )

@@ -34,7 +34,7 @@ _MEANING = {
 _UNITS = {"T_zone_C": "zone, °C", "T_out_C": "outdoors, °C", "solar_W_m2": "sun, W/m²", "u": "action u"}
 
 
-@click.command(short_help="Show a saved model: parameters, certificate, identification data.")
+@click.command()
 @click.argument("model", type=click.Path(path_type=Path))
 def command(model: Path) -> None:
     """Show the saved MODEL (a folder): operator parameters, certificate, power model, scores and data ranges.
@@ -236,7 +236,7 @@ def _show_competence(card: ModelCard, console: Console) -> None:
         f"with probability {verdict.sign_probability:.3f}; log odds that it acts at all {verdict.log_odds:.0f}"
     )
     console.print(
-        "Competence: " + ("COMPETENT" if verdict.competent else "BELOW THE BAR, controllers do not act on it")
+        "Competence: " + ("COMPETENT" if verdict.competent else "NOT COMPETENT, controllers do not act on it")
     )
     console.print(f"  {verdict.sentence()}", soft_wrap=True)
     for reason in verdict.reasons:

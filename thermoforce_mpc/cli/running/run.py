@@ -18,7 +18,7 @@ from thermoforce_mpc.cli.options import (
 )
 
 
-@click.command(short_help="Run a controller over a scored window and report KPIs.")
+@click.command()
 @scenario_options
 @click.option("--controller", metavar="NAME", help="Controller (see `tf-mpc controllers`).")
 @click.option("--model", type=click.Path(path_type=Path), help="Saved model to use instead of probing first.")
