@@ -46,7 +46,7 @@ def context(known_steps: int, ahead: int, *, seed: int = 0, warmer_K: float = 0.
     rng = np.random.default_rng(seed)
     free = 21.0 + offset_K + np.sin(np.arange(known_steps) * 2 * np.pi / 24) + 0.1 * rng.standard_normal(known_steps)
     free[[2, 7, -3]] = np.nan
-    return Context(free, rng.standard_normal((known_steps, 2)), rng.standard_normal((ahead, 2)) + warmer_K)
+    return Context(free, rng.standard_normal((known_steps, 3)), rng.standard_normal((ahead, 3)) + warmer_K)
 
 
 def quantiles(backbone: Backbone, *contexts: Context) -> list[np.ndarray]:

@@ -12,6 +12,7 @@ import threading
 import time
 import weakref
 from collections.abc import Iterator
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -150,6 +151,19 @@ def test_only_chronos2_sees_the_weather(forecaster: ChronosFreeResponse) -> None
         - forecaster.forecast(free, history_of(free), cold).quantiles_C
     ).max()
     assert (change > 1e-3) == ("Chronos-2" in forecaster.label)
+
+
+def test_only_chronos2_sees_the_hour_of_the_day(forecaster: ChronosFreeResponse) -> None:
+    """The same temperatures and weather, eight hours later; a whole day later is the same."""
+    free = daily(hours(240))
+    history, boundary = history_of(free), boundary_of(240, 24)
+
+    def shifted(hours_later: float) -> np.ndarray:
+        past, ahead = (replace(of, time_s=of.time_s + hours_later * 3600.0) for of in (history, boundary))
+        return forecaster.forecast(free, past, ahead).quantiles_C
+
+    np.testing.assert_allclose(shifted(24.0), shifted(0.0), atol=1e-4)
+    assert (np.abs(shifted(8.0) - shifted(0.0)).max() > 1e-3) == ("Chronos-2" in forecaster.label)
 
 
 def test_shipped_checkpoint_learns_a_daily_course_and_beats_persistence() -> None:

@@ -31,7 +31,7 @@ def _contexts(*sizes: tuple[int, int]) -> list[Context]:
         free = daily(hours(known)) + 0.1 * rng.standard_normal(known + 1)
         free[rng.random(known + 1) < 0.1] = np.nan
         free[: known // 3] = np.nan
-        contexts.append(Context(free, 5.0 * rng.random((known + 1, 2)), 5.0 * rng.random((steps, 2))))
+        contexts.append(Context(free, 5.0 * rng.random((known + 1, 3)), 5.0 * rng.random((steps, 3))))
     return contexts
 
 

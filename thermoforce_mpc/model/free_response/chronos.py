@@ -11,7 +11,7 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.execution.cooperative import Computation, Request, perform, run
-from thermoforce_mpc.model.free_response.backbones.base import Context, frozen_pass
+from thermoforce_mpc.model.free_response.backbones.base import Context, clock, frozen_pass
 from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED, load_backbone, shipped_folder
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
 from thermoforce_mpc.model.free_response.multi_resolution import (
@@ -166,8 +166,7 @@ class ChronosFreeResponse:
         return ""
 
     def _resolutions_of(self, free: Array, history: Record, boundary: Boundary) -> list[Resolution]:
-        past = np.stack([history.T_out_C, history.solar_W_m2], axis=1)
-        ahead = np.stack([boundary.T_out_C, boundary.solar_W_m2], axis=1)[1:]
+        past, ahead = _known_of(history), _known_of(boundary)[1:]
         longest = self._context_steps
         if self._resolutions == "one":
             return [own_resolution(free, past, ahead, longest)]
@@ -181,3 +180,8 @@ class ChronosFreeResponse:
     def _persistence(self, free: Array, history: Record, boundary: Boundary, why: str) -> FreeForecast:
         short = self._short.forecast(free, history, boundary)
         return FreeForecast(short.levels, short.quantiles_C, f"persistence: {why}")
+
+
+def _known_of(of: Record | Boundary) -> Array:
+    """What a backbone may know of each instant beside the series, see `Context`, (k, 3)."""
+    return np.stack([of.T_out_C, of.solar_W_m2, clock(of.time_s)], axis=1)

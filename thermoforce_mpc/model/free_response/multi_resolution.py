@@ -57,8 +57,8 @@ def resolutions_of(
 
     Args:
         free_C: (k,) °C, the last value is now; NaN if not measured, at least one value known.
-        past_weather: (k, 2) at the same instants.
-        ahead_weather: (N, 2) at the ends of the steps ahead.
+        past_weather: (k, 3) at the same instants, see `Context`.
+        ahead_weather: (N, 3) at the ends of the steps ahead.
         step_s: step of both, s.
         longest: largest number of values of a context.
     """

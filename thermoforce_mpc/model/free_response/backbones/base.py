@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import DAY_S, Array
 
 if TYPE_CHECKING:
     from torch import nn
@@ -22,13 +22,18 @@ if TYPE_CHECKING:
 class Context:
     """Input of a backbone: the control-free series, past and forecast weather. It never contains the control.
 
-    `free_C` (k,) °C with NaN gaps, the last value is now; `past_weather` (k, 2) at the same instants and
-    `ahead_weather` (N, 2) at the ends of the N steps ahead: outdoor temperature °C and irradiance W/m².
+    `free_C` (k,) °C with NaN gaps, the last value is now; `past_weather` (k, 3) at the same instants and
+    `ahead_weather` (N, 3) at the ends of the N steps ahead: outdoor temperature °C, irradiance W/m², and `clock`.
     """
 
     free_C: Array
     past_weather: Array
     ahead_weather: Array
+
+
+def clock(time_s: Array) -> Array:
+    """Hour of the day as a covariate: a wave of a day with its maximum at 15 h, same shape as `time_s`."""
+    return np.asarray(np.cos(2.0 * np.pi * (time_s / DAY_S - 15.0 / 24.0)))
 
 
 class Backbone(Protocol):

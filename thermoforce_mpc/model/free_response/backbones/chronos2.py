@@ -1,4 +1,4 @@
-"""Chronos-2 backbone (Ansari et al. 2025), with the weather forecast as known covariates."""
+"""Chronos-2 backbone (Ansari et al. 2025), with weather forecast and hour of the day as known covariates."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from thermoforce_mpc.model.free_response.checks import LEVELS, level_places
 if TYPE_CHECKING:
     from torch import nn
 
-_COVARIATES = ("outdoor_temperature", "irradiance")
+_COVARIATES = ("outdoor_temperature", "irradiance", "clock")
 # Rows of a context: the series, then its covariates.
 _ROWS = 1 + len(_COVARIATES)
 
 
 class Chronos2Backbone:
-    """`Backbone` of a `Chronos2Pipeline` with past and forecast outdoor temperature and irradiance.
+    """`Backbone` of a `Chronos2Pipeline` with outdoor temperature, irradiance and clock, past and ahead.
 
     Args:
         settings: `chronos_config` of the checkpoint.

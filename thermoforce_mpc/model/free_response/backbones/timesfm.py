@@ -66,7 +66,7 @@ class TimesFM25Backbone(ByLength):
 
 
 class TimesFM3Backbone(ByLength):
-    """`Backbone` of a `TimesFM3Forecaster` with past and forecast outdoor temperature and irradiance."""
+    """`Backbone` of a `TimesFM3Forecaster` with outdoor temperature, irradiance and clock, past and ahead."""
 
     def __init__(self, forecaster: Any, label: str) -> None:
         super().__init__(label, (forecaster.model,), _AT_ONCE)
