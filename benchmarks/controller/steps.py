@@ -19,6 +19,7 @@ from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
 # Parts of `Plan.seconds` by what they are called here.
 _PARTS = {"forecast": "free forecast", "estimate": "forced state", "solve": "solve", "check": "check of the plan"}
 WHOLE, FORECAST = "whole step, without the plant", _PARTS["forecast"]
+PROCESSOR = "processor time, with the plant"
 
 
 class TimedJournal(JournaledPlant):
@@ -49,11 +50,15 @@ def run_timed(plant: Plant, controller: Controller, period: Period) -> tuple[Run
     with TemporaryDirectory() as folder:
         journaled = TimedJournal(plant, Journal(Path(folder) / NAME))
         ends = []
-        result = run_closed_loop(
-            journaled, controller, period, on_step=lambda step: ends.append(time.perf_counter()), keeper=journaled
-        )
+
+        def on_step(step: StepRecord) -> None:
+            ends.append((time.perf_counter(), time.process_time()))
+
+        result = run_closed_loop(journaled, controller, period, on_step=on_step, keeper=journaled)
     # The first step begins with the reset of the plant.
-    return result, parts_of(result.steps[1:], journaled.decided_s[1:], journaled.ended_s[1:], np.diff(ends).tolist())
+    whole_s, processor_s = np.diff(ends, axis=0).T.tolist()
+    parts = parts_of(result.steps[1:], journaled.decided_s[1:], journaled.ended_s[1:], whole_s)
+    return result, parts | {PROCESSOR: processor_s}
 
 
 def parts_of(
