@@ -85,7 +85,7 @@ def tirex2(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             answers = []
             for one in timeseries:
                 assert one.target.dtype == one.future_covariates.dtype == torch.float32
-                assert one.future_covariates.shape == (2, one.target.shape[1] + prediction_length)
+                assert one.future_covariates.shape == (3, one.target.shape[1] + prediction_length)
                 last = one.target[:, -1] + one.future_covariates[:, -1].sum()
                 answers.append(self.model.line(last, prediction_length).numpy())
             return answers
