@@ -32,6 +32,7 @@ def main(threads: int) -> None:
 @click.option("--d-model", default=TrainingConfig.d_model, help="Width of the model; d_ff is four times as large.")
 @click.option("--encoder-layers", default=TrainingConfig.encoder_layers, help="Number of encoder layers.")
 @click.option("--bfloat16", is_flag=True, help="Matrix products in bfloat16 (faster if the processor supports it).")
+@click.option("--weather", is_flag=True, help="A Chronos-2 with known weather ahead instead of a Chronos-Bolt.")
 @click.option("--force", is_flag=True, help="Overwrite the run in the folder.")
 def train(out: Path, start_from: Path | None, force: bool, **options: Any) -> None:
     """Train the forecaster on synthetic series; an interrupted run is resumed.
