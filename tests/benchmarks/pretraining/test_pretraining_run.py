@@ -13,6 +13,7 @@ pytest.importorskip("chronos")
 import torch
 from click.testing import CliRunner
 
+from benchmarks.free_response import scales
 from benchmarks.pretraining import training
 from benchmarks.pretraining.__main__ import main
 from benchmarks.pretraining.evaluation import CONTEXTS, evaluate
@@ -20,7 +21,7 @@ from benchmarks.pretraining.training import TrainingConfig, batch_loss, pretrain
 from thermoforce_mpc.errors import BackboneError, ConfigError
 
 SHIPPED = Path(str(resources.files("thermoforce_mpc"))) / "model/free_response/backbones/weights/bolt_thermal"
-SMALLER = [SHIPPED.with_name(f"bolt_thermal_{scale}") for scale in ("small", "tiny")]
+SMALLER = list(scales.SMALLER.values())
 TINY = TrainingConfig(steps=4, batch=8, save_every=2, validation_batches=1)
 
 

@@ -22,20 +22,21 @@ import torch
 from forecasting import LEVELS, boundary_of, daily, history_of, hours
 from safetensors.torch import load_file, save_file
 
+from benchmarks.free_response.scales import SMALLER
 from thermoforce_mpc.errors import BackboneError, ConfigError, DataError
 from thermoforce_mpc.model.free_response.backbones import loading
-from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES, load_backbone
+from thermoforce_mpc.model.free_response.backbones.loading import load_backbone
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.registry import build_free_response
 
-NAMES = (*SHIPPED_SCALES, "bolt", "chronos2", "fracast")
+NAMES = ("shipped", "bolt", "chronos2", "fracast")
 
 
 @pytest.fixture(scope="module", params=NAMES)
 def forecaster(request: pytest.FixtureRequest) -> ChronosFreeResponse:
     if request.param == "fracast" and importlib.util.find_spec("fracast") is None:
         pytest.skip("optional package fracast is not installed")
-    name = request.param if request.param in (*SHIPPED_SCALES, "fracast") else ""
+    name = request.param if request.param in ("shipped", "fracast") else ""
     return ChronosFreeResponse(name or str(request.getfixturevalue(f"{request.param}_folder")))
 
 
@@ -220,11 +221,11 @@ def test_hash_tells_weights_apart(bolt_folder: Path, copy: Path) -> None:
 
 
 def test_the_last_backbone_is_kept_for_the_next_run_and_no_other() -> None:
-    kept = [weakref.ref(load_backbone(scale)) for scale in ("shipped_small", "shipped_tiny")]
+    kept = [weakref.ref(load_backbone(str(scale))) for scale in SMALLER.values()]
     gc.collect()
     first, last = (reference() for reference in kept)
     assert first is None
-    assert last is load_backbone("shipped_tiny")
+    assert last is load_backbone(str(SMALLER["shipped_tiny"]))
 
 
 def test_a_missing_directory_is_named(tmp_path: Path) -> None:

@@ -10,17 +10,18 @@ import pytest
 from forecasting import daily, hours
 from safetensors.torch import load_file, save_file
 
+from benchmarks.free_response.scales import SMALLER
 from benchmarks.pretraining.export import export
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import BackboneError
 from thermoforce_mpc.model.free_response.backbones.base import Context
-from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES, load_backbone, shipped_folder
+from thermoforce_mpc.model.free_response.backbones.loading import load_backbone, shipped_folder
 
 
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
-    """The least of the shipped checkpoints with its graph, to be damaged."""
-    return Path(shutil.copytree(shipped_folder("shipped_tiny"), tmp_path / "copy"))
+    """The least of the checkpoints with a graph, to be damaged."""
+    return Path(shutil.copytree(SMALLER["shipped_tiny"], tmp_path / "copy"))
 
 
 def _contexts(*sizes: tuple[int, int]) -> list[Context]:
@@ -44,15 +45,17 @@ def _by_library(folder: Path, to: Path, contexts: list[Context]) -> list[Array]:
     return backbone.quantiles_C(contexts)
 
 
-@pytest.mark.parametrize("name", SHIPPED_SCALES)
-def test_a_graph_gives_what_the_library_gives(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "folder", [shipped_folder(), shipped_folder("shipped_weather"), *SMALLER.values()], ids=lambda folder: folder.name
+)
+def test_a_graph_gives_what_the_library_gives(folder: Path, tmp_path: Path) -> None:
     """For any number, length and gaps of series, also longer ones than the model reads and horizons it unrolls."""
-    backbone, folder = load_backbone(name), shipped_folder(name)
+    backbone = load_backbone(str(folder))
     assert backbone.graph is not None  # type: ignore[attr-defined]
     for sizes in ([(30, 5)], [(511, 64), (240, 24), (168, 48)], [(240, 24)] * 60, [(700, 64)], [(300, 24), (300, 90)]):
         contexts = _contexts(*sizes)
         for graph, library in zip(
-            backbone.quantiles_C(contexts), _by_library(folder, tmp_path / name, contexts), strict=True
+            backbone.quantiles_C(contexts), _by_library(folder, tmp_path / folder.name, contexts), strict=True
         ):
             np.testing.assert_allclose(graph, library, rtol=0.0, atol=1e-4)
 

@@ -32,9 +32,6 @@ from thermoforce_mpc.registry import Registry, builder
 SHIPPED = known.SHIPPED.name
 FRACAST = known.FRACAST.name
 _HERE = __package__
-# Shipped forecaster, and smaller scales of it for comparison (`tf-mpc bench backbones`).
-_SHIPPED_FOLDERS = {SHIPPED: "bolt_thermal", "shipped_small": "bolt_thermal_small", "shipped_tiny": "bolt_thermal_tiny"}
-SHIPPED_SCALES = tuple(_SHIPPED_FOLDERS)
 # Backbones in use: frozen, so that one serves all methods that use it, in one pass; and the last one loaded, which
 # the next run of a process will need again.
 _SHARED: weakref.WeakValueDictionary[tuple[object, ...], Backbone] = weakref.WeakValueDictionary()
@@ -86,18 +83,17 @@ def _same(name: str) -> tuple[object, ...]:
     return (str(folder.resolve()), *((file, stat.st_size, stat.st_mtime_ns) for file, stat in files))
 
 
-def shipped_folder(name: str = SHIPPED) -> Path:
-    """Return the folder of a shipped checkpoint, one of `SHIPPED_SCALES`."""
-    return Path(str(resources.files(_HERE).joinpath("weights", _SHIPPED_FOLDERS[name])))
+def shipped_folder() -> Path:
+    """Return the folder of the shipped checkpoint."""
+    return Path(str(resources.files(_HERE).joinpath("weights", "bolt_thermal")))
 
 
-def _shipped(name: str) -> Backbone:
+def _shipped() -> Backbone:
     """Chronos-Bolt trained on synthetic series of buildings, in this package."""
-    scale = name.removeprefix(SHIPPED).replace("_", " ")
     from thermoforce_mpc.model.free_response.backbones.chronos_family import load
 
-    label = f"shipped{scale} Bolt checkpoint, trained on synthetic series only"
-    return _checked(name, shipped_folder(name), functools.partial(load, label=label))
+    label = "shipped Bolt checkpoint, trained on synthetic series only"
+    return _checked(SHIPPED, shipped_folder(), functools.partial(load, label=label))
 
 
 def _fracast() -> Backbone:
@@ -118,7 +114,7 @@ REGISTRY: Registry[Callable[[], Backbone]] = Registry(
     "backbone",
     "backbones",
     {
-        **{name: functools.partial(_shipped, name) for name in SHIPPED_SCALES},
+        SHIPPED: _shipped,
         FRACAST: _fracast,
         **{model.name: functools.partial(_on_hub, model) for model in known.KNOWN if model.checkpoint},
     },
