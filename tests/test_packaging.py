@@ -195,7 +195,7 @@ def test_importing_the_package_loads_nothing_heavy():
 
 def test_the_notices_are_of_the_weights_that_ship():
     notice = (ROOT / "NOTICE.md").read_text(encoding="utf-8")
-    for folder in (shipped_folder(), *SMALLER.values()):
+    for folder in (shipped_folder(), shipped_folder("shipped_weather"), *SMALLER.values()):
         assert hashlib.sha256((folder / "model.safetensors").read_bytes()).hexdigest() in notice
         assert (folder / "DATA_CARD.md").is_file()
     assert "MIT License" in (ROOT / "LICENSE").read_text(encoding="utf-8")

@@ -99,6 +99,7 @@ def test_forecasters_are_listed_with_licence_and_what_they_need():
     listed = said("free-responses")
     rows = {line.split()[0]: line for line in listed.splitlines() if line}
     assert "0.49 M" in rows["shipped"]
+    assert "0.76 M" in rows["shipped_weather"]
     assert rows["shipped"].endswith("yes")
     assert "Apache-2.0" in rows["chronos-2"]
     assert "past and future" in rows["chronos-2"]

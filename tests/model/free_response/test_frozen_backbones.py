@@ -29,14 +29,14 @@ from thermoforce_mpc.model.free_response.backbones.loading import load_backbone
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.registry import build_free_response
 
-NAMES = ("shipped", "bolt", "chronos2", "fracast")
+NAMES = ("shipped", "shipped_weather", "bolt", "chronos2", "fracast")
 
 
 @pytest.fixture(scope="module", params=NAMES)
 def forecaster(request: pytest.FixtureRequest) -> ChronosFreeResponse:
     if request.param == "fracast" and importlib.util.find_spec("fracast") is None:
         pytest.skip("optional package fracast is not installed")
-    name = request.param if request.param in ("shipped", "fracast") else ""
+    name = request.param if request.param in ("shipped", "shipped_weather", "fracast") else ""
     return ChronosFreeResponse(name or str(request.getfixturevalue(f"{request.param}_folder")))
 
 

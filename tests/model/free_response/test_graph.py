@@ -17,6 +17,8 @@ from thermoforce_mpc.errors import BackboneError
 from thermoforce_mpc.model.free_response.backbones.base import Context
 from thermoforce_mpc.model.free_response.backbones.loading import load_backbone, shipped_folder
 
+FOLDERS = (shipped_folder(), shipped_folder("shipped_weather"), *SMALLER.values())
+
 
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
@@ -45,9 +47,7 @@ def _by_library(folder: Path, to: Path, contexts: list[Context]) -> list[Array]:
     return backbone.quantiles_C(contexts)
 
 
-@pytest.mark.parametrize(
-    "folder", [shipped_folder(), shipped_folder("shipped_weather"), *SMALLER.values()], ids=lambda folder: folder.name
-)
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_a_graph_gives_what_the_library_gives(folder: Path, tmp_path: Path) -> None:
     """For any number, length and gaps of series, also longer ones than the model reads and horizons it unrolls."""
     backbone = load_backbone(str(folder))

@@ -69,9 +69,11 @@ _APACHE, _NOT_SOLD = "Apache-2.0", "non-commercial"
 _GRANITE = {"extra": "granite", "module": "tsfm_public", "torch": ">=2.10,<2.12"}
 
 SHIPPED = Known("shipped", "", "0.49 M", "MIT")
+SHIPPED_WEATHER = Known("shipped_weather", "", "0.76 M", "MIT", WEATHER)
 FRACAST = Known("fracast", "", "0.09 M", _APACHE, extra="fracast", module="fracast")
 KNOWN = (
     SHIPPED,
+    SHIPPED_WEATHER,
     FRACAST,
     Known("chronos-bolt-tiny", "amazon/chronos-bolt-tiny", "9 M", _APACHE),
     Known("chronos-bolt-mini", "amazon/chronos-bolt-mini", "21 M", _APACHE),

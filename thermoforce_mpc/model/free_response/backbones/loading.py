@@ -29,7 +29,8 @@ from thermoforce_mpc.model.free_response.backbones.checkpoint import (
 )
 from thermoforce_mpc.registry import Registry, builder
 
-SHIPPED = known.SHIPPED.name
+SHIPPED, SHIPPED_WEATHER = known.SHIPPED.name, known.SHIPPED_WEATHER.name
+_FOLDERS = {SHIPPED: "bolt_thermal", SHIPPED_WEATHER: "chronos2_thermal"}
 FRACAST = known.FRACAST.name
 _HERE = __package__
 # Backbones in use: frozen, so that one serves all methods that use it, in one pass; and the last one loaded, which
@@ -83,17 +84,17 @@ def _same(name: str) -> tuple[object, ...]:
     return (str(folder.resolve()), *((file, stat.st_size, stat.st_mtime_ns) for file, stat in files))
 
 
-def shipped_folder() -> Path:
-    """Return the folder of the shipped checkpoint."""
-    return Path(str(resources.files(_HERE).joinpath("weights", "bolt_thermal")))
+def shipped_folder(name: str = SHIPPED) -> Path:
+    """Return the folder of a shipped checkpoint: 'shipped' or 'shipped_weather'."""
+    return Path(str(resources.files(_HERE).joinpath("weights", _FOLDERS[name])))
 
 
-def _shipped() -> Backbone:
-    """Chronos-Bolt trained on synthetic series of buildings, in this package."""
+def _shipped(name: str, model: str) -> Backbone:
+    """A checkpoint in this package."""
     from thermoforce_mpc.model.free_response.backbones.chronos_family import load
 
-    label = "shipped Bolt checkpoint, trained on synthetic series only"
-    return _checked(SHIPPED, shipped_folder(), functools.partial(load, label=label))
+    label = f"shipped {model} checkpoint, trained on synthetic series only"
+    return _checked(name, shipped_folder(name), functools.partial(load, label=label))
 
 
 def _fracast() -> Backbone:
@@ -114,7 +115,8 @@ REGISTRY: Registry[Callable[[], Backbone]] = Registry(
     "backbone",
     "backbones",
     {
-        SHIPPED: _shipped,
+        SHIPPED: functools.partial(_shipped, SHIPPED, "Bolt"),
+        SHIPPED_WEATHER: functools.partial(_shipped, SHIPPED_WEATHER, "Chronos-2"),
         FRACAST: _fracast,
         **{model.name: functools.partial(_on_hub, model) for model in known.KNOWN if model.checkpoint},
     },
