@@ -26,6 +26,8 @@ from thermoforce_mpc.model.free_response.backbones.loading import load_backbone
 _ROWS, _PATCHES, _PATCHES_AHEAD = 6, 5, 2
 # The first version of ONNX with attention and root mean square normalisation as operations.
 _OPSET = 23
+# ONNX Runtime's attention takes no mask that is to be broadcast, as Chronos-2's is.
+_PLAIN_ATTENTION = ("_attn_implementation", "eager")
 _NORMS = ("T5LayerNorm", "Chronos2LayerNorm")
 
 
@@ -50,10 +52,15 @@ class _Chronos2(nn.Module):
         super().__init__()
         self.model = model
         for layer in model.modules():
-            if hasattr(layer, "config"):  # ONNX Runtime's attention takes no mask that is to be broadcast
-                layer.config._attn_implementation = "eager"
-        model._prepare_patched_future = self._known_ahead
-        model.encoder._construct_and_invert_group_time_mask = _apart
+            if hasattr(layer, "config"):
+                setattr(layer.config, *_PLAIN_ATTENTION)
+        for owner, step, in_place in (
+            (model, "_prepare_patched_future", self._known_ahead),
+            (model.encoder, "_construct_and_invert_group_time_mask", _apart),
+        ):
+            if not hasattr(owner, step):
+                raise BackboneError(f"Chronos-2 has no {step} any more: adapt {__name__} to the installed version")
+            setattr(owner, step, in_place)
 
     def forward(self, context: Tensor, group_ids: Tensor, future_covariates: Tensor) -> Tensor:
         patches = future_covariates.shape[1] // self.model.chronos_config.output_patch_size

@@ -90,5 +90,5 @@ def test_an_exported_graph_runs_the_weights_beside_it(chronos2_folder: Path, tmp
     backbone = load_backbone(str(folder))
     assert not backbone.modules
     for graph, expected in zip(backbone.quantiles_C(contexts), library, strict=True):
-        # Random weights give hundreds of kelvin: single precision.
-        np.testing.assert_allclose(graph, expected, rtol=3e-6, atol=1e-4)
+        # Random weights give hundreds of kelvin, and all of it in single precision.
+        assert np.abs(graph - expected).max() < 1e-5 * np.abs(expected).max()
