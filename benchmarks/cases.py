@@ -4,10 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from pathlib import Path
 from typing import Any, TypeVar
 
 from thermoforce_mpc.errors import ThermoForceError
-from thermoforce_mpc.execution import Engine, Outcome, Task, Watcher, execute
+from thermoforce_mpc.execution import (
+    Engine,
+    JsonResults,
+    Outcome,
+    Results,
+    Task,
+    Watcher,
+    content_key,
+    execute,
+    source_fingerprint,
+)
 
 C = TypeVar("C")
 R = TypeVar("R")
@@ -28,8 +39,10 @@ def collect(
     engine: Engine,
     watcher: Watcher | None = None,
     on_value: Callable[[Any], None] = lambda value: None,
+    results: Results | None = None,
 ) -> list[Any]:
     """The values of all tasks, in their order; the first failure ends the rest. `on_value` is told them as they come.
+    What is in `results` is taken from there, and what is not is kept there.
 
     Raises:
         ThermoForceError: that of the task, of its kind.
@@ -37,7 +50,7 @@ def collect(
     """
     wanted = {task.key for task in tasks}
     values = {}
-    with closing(execute(tasks, engine, watcher=watcher)) as outcomes:
+    with closing(execute(tasks, engine, results, watcher)) as outcomes:
         for outcome in outcomes:
             if outcome.error is not None:
                 raise outcome.error(outcome.reason)
@@ -54,15 +67,26 @@ def run_all(
     cases: Sequence[C],
     engine: Engine,
     on_done: Callable[[int, R], None] = lambda n, value: None,
+    keep: Path | None = None,
 ) -> list[R]:
-    """`function` of every case, in the order of `cases`; nothing is kept, and the first failure ends the rest.
+    """`function` of every case, in the order of `cases`; the first failure ends the rest.
 
-    `on_done` is told the number of cases done so far and the value of the latest.
+    `on_done` is told the number of cases done so far and the value of the latest. Values are kept in the folder `keep`,
+    where they are JSON, so that a run that was cut off goes on; without it nothing is kept.
 
     Raises:
         ThermoForceError, TaskFailed: as `collect`.
     """
-    tasks = [Task(str(n), f"{function.__name__} {n + 1} of {len(cases)}", function, one) for n, one in enumerate(cases)]
+    source = source_fingerprint("benchmarks") if keep else ""
+    tasks = [
+        Task(
+            content_key(function, one, source=source) if keep else str(n),
+            f"{function.__name__} {n + 1} of {len(cases)}",
+            function,
+            one,
+        )
+        for n, one in enumerate(cases)
+    ]
     done = 0
 
     def count(value: R) -> None:
@@ -70,4 +94,4 @@ def run_all(
         done += 1
         on_done(done, value)
 
-    return collect(tasks, engine, on_value=count)
+    return collect(tasks, engine, on_value=count, results=JsonResults(keep) if keep else None)

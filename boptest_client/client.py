@@ -7,10 +7,11 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
-from itertools import pairwise
 from types import TracebackType
 from typing import Any, TypeVar
 
+from boptest_client import answers
+from boptest_client.clock import TOLERANCE_S, Clock
 from boptest_client.errors import (
     AdvanceInterrupted,
     BoptestError,
@@ -22,7 +23,6 @@ from boptest_client.errors import (
     ServiceTimeout,
     UnknownTest,
 )
-from boptest_client.texts import safe_text
 from boptest_client.transport import Transport, TransportConfig
 from boptest_client.types import Point, Scenario
 
@@ -30,14 +30,9 @@ _LOG = logging.getLogger(__name__)
 _POLL_S = 0.2
 # Time for the first answer of a service, s: its address may be wrong.
 FIRST_ANSWER_S = 10.0
-_CLOCK_TOLERANCE_S = 1e-3
-# Length of a scenario of a named period, s.
-_SCENARIO_S = 14 * 86400.0
 _STATUSES = ("Running", "Queued")
 # Time for lists of points and the like before a run, s: nothing is simulated for them.
 LOOKUP_S = 30.0
-# BOPTEST's recording interval, s.
-_SAMPLE_S = 30.0
 # The record is read so many steps beyond the one that is in doubt.
 _STEPS_AHEAD = 10
 
@@ -82,10 +77,7 @@ class BoptestClient:
         self.testcase = testcase
         self._transport = Transport(url, config or TransportConfig(), _user_agent())
         self._stopped, self._stop_timeout_s = False, stop_timeout_s
-        self._scenario_ends = False
-        self.time_s = math.nan
-        """Time at which the test stands, s: that of the last answer."""
-        self._started_s = self._step_s = math.nan
+        self._clock = Clock()
         self._names: list[str] = []
         self._find()
         if testid is not None:
@@ -104,64 +96,53 @@ class BoptestClient:
         """Base URL of the service."""
         return self._transport.url
 
+    @property
+    def time_s(self) -> float:
+        """Time at which the test stands, s: that of the last answer."""
+        return self._clock.now_s
+
+    @time_s.setter
+    def time_s(self, time_s: float) -> None:
+        self._clock.now_s = time_s
+
     def version(self) -> str:
         """Version of the service. Results of a test case differ between versions."""
-        endpoint = f"GET {self.url}/version"
-
-        def parse(payload: Any) -> str:
-            return self._text(endpoint, self._mapping(endpoint, payload).get("version"), "version")
-
-        return self._transport.patiently(lambda: parse(self._transport.call("GET", "version").payload))
+        at, call = f"GET {self.url}/version", self._transport.call
+        return self._transport.patiently(lambda: answers.text(at, call("GET", "version").payload, "version"))
 
     def testcases(self) -> tuple[str, ...]:
         """Names of the available test cases."""
-        endpoint, answer = f"GET {self.url}/testcases", self._transport.call("GET", "testcases").payload
-        if not isinstance(answer, list):
-            raise ProtocolError(endpoint, f"not a list of test cases: {answer!r:.120}")
-        names = [self._mapping(endpoint, item).get("testcaseid") for item in answer]
-        return tuple(sorted(self._text(endpoint, name, "testcaseid") for name in names))
+        return answers.testcases(f"GET {self.url}/testcases", self._transport.call("GET", "testcases").payload)
 
     def name(self) -> str:
         """Name of the test case as reported by the service."""
-
-        at = self._at("name")
-        return self._get("name", lambda answer: self._text(at, self._mapping(at, answer).get("name"), "name"))
+        return self._get("name", lambda at, answer: answers.text(at, answer, "name"))
 
     def status(self) -> str:
         """'Running' or 'Queued'."""
 
-        def parse(answer: Any) -> str:
+        def parse(at: str, answer: Any) -> str:
             if answer not in _STATUSES:
-                raise ProtocolError(self._at("status"), f"expected {' or '.join(_STATUSES)}, got {answer!r:.120}")
+                raise ProtocolError(at, f"expected {' or '.join(_STATUSES)}, got {answer!r:.120}")
             return str(answer)
 
         return self._get("status", parse)
 
     def inputs(self) -> dict[str, Point]:
         """Inputs by name: `<point>_u` and `<point>_activate`."""
-        return self._points("inputs")
+        return self._get("inputs", answers.points)
 
     def measurements(self) -> dict[str, Point]:
         """Measurements by name."""
-        return self._points("measurements")
+        return self._get("measurements", answers.points)
 
     def forecast_points(self) -> dict[str, Point]:
         """Forecast points by name."""
-        return self._points("forecast_points")
+        return self._get("forecast_points", answers.points)
 
     def scenario(self) -> Scenario:
         """Current scenario."""
-
-        def parse(answer: Any) -> Scenario:
-            at = self._at("scenario")
-            values = self._mapping(at, answer)
-            for name in Scenario.__dataclass_fields__:
-                kind = int if name == "seed" else str
-                if not (values.get(name) is None or (isinstance(values[name], kind) and values[name] is not True)):
-                    raise ProtocolError(at, f"{name} is {values[name]!r:.120}, expected {kind.__name__} or null")
-            return Scenario.from_json(values)
-
-        return self._get("scenario", parse)
+        return self._get("scenario", answers.scenario)
 
     def set_scenario(self, scenario: Scenario) -> dict[str, float]:
         """Set the scenario.
@@ -171,13 +152,13 @@ class BoptestClient:
             warm-up, two scored weeks); otherwise an empty dictionary.
         """
 
-        def parse(payload: Any) -> dict[str, float]:
-            answer = self._mapping(self._at("scenario"), payload)
+        def parse(at: str, payload: Any) -> dict[str, float]:
+            answer = answers.mapping(at, payload)
             if scenario.time_period is None:
                 return {}
-            return self._begun("scenario", answer.get("time_period"))
+            return self._clock.begin(at, answers.numbers(at, answer.get("time_period")), math.nan)
 
-        self._scenario_ends = scenario.time_period is not None
+        self._clock.scenario_ends = scenario.time_period is not None
         # A refusal of a named period is an answer: the service does not know it.
         values = self._put("scenario", scenario.as_json(), parse, refusals=2 if scenario.time_period is None else 0)
         self._transport.in_a_run = True
@@ -185,11 +166,11 @@ class BoptestClient:
 
     def initialize(self, start_time_s: float, warmup_period_s: float) -> dict[str, float]:
         """Start at `start_time_s` after `warmup_period_s` under embedded control; returns the first measurements."""
-        self._scenario_ends = False
+        self._clock.scenario_ends = False
         body = {"start_time": start_time_s, "warmup_period": warmup_period_s}
 
-        def parse(payload: Any) -> dict[str, float]:
-            return self._begun("initialize", payload, start_time_s)
+        def parse(at: str, payload: Any) -> dict[str, float]:
+            return self._clock.begin(at, answers.numbers(at, payload), start_time_s)
 
         values = self._put("initialize", body, parse, refusals=0)
         self._transport.in_a_run = True
@@ -197,24 +178,17 @@ class BoptestClient:
 
     def step(self) -> float:
         """Length of a step, s."""
-
-        def parse(answer: Any) -> float:
-            step_s = self._number(self._at("step"), answer)
-            if not (math.isfinite(step_s) and step_s > 0.0):
-                raise ProtocolError(self._at("step"), f"not a length of a step: {answer!r:.120}")
-            return step_s
-
-        return self._get("step", parse)
+        return self._get("step", answers.step)
 
     def set_step(self, step_s: float) -> None:
         """Set the length of a step, s; the service is asked whether it has it."""
 
-        def check(_: Any) -> None:
-            if abs((found_s := self.step()) - step_s) > _CLOCK_TOLERANCE_S:
-                raise ProtocolError(self._at("step"), f"the step is {found_s:g} s after it was set to {step_s:g} s")
+        def check(at: str, _: Any) -> None:
+            if abs((found_s := self.step()) - step_s) > TOLERANCE_S:
+                raise ProtocolError(at, f"the step is {found_s:g} s after it was set to {step_s:g} s")
 
         self._put("step", {"step": step_s}, check)
-        self._step_s = float(step_s)
+        self._clock.step_s = float(step_s)
 
     def advance(self, inputs: Mapping[str, float] | None = None) -> dict[str, float]:
         """Simulate one step; returns measurements and inputs at its end, empty where the service says it is at its end.
@@ -253,27 +227,17 @@ class BoptestClient:
         except (RequestRejected, UnknownTest, AdvanceInterrupted):
             raise
         except BoptestError as error:
-            raise AdvanceInterrupted(
-                error.endpoint, f"{error.message}, and no better answer within {self._transport.patience_s:g} s"
-            ) from error
+            raise AdvanceInterrupted(error.endpoint, error.message) from error
 
     def _advance_once(self, body: dict[str, float]) -> dict[str, float]:
         step_s = math.nan if math.isnan(self.time_s) else self._in_force()
         answer = self._transport.call("POST", f"advance/{self.testid}", body)
         if not answer.payload and answer.message.startswith("End of test case"):
             return {}
-        state = self._numbers("advance", answer.payload)
-        found_s = state.get("time", math.nan)
-        # A scenario ends on time, whatever the step.
-        cut = self._scenario_ends and abs(found_s - self._started_s - _SCENARIO_S) <= _CLOCK_TOLERANCE_S
-        if not cut and (abs(found_s - self.time_s - step_s) > _CLOCK_TOLERANCE_S or math.isnan(found_s)):
-            raise ProtocolError(
-                self._at("advance"),
-                f"its time is {found_s:.10g} s, expected is that of a step of {step_s:g} s from {self.time_s:.10g} s",
-            )
+        state = self._clock.step(self._at("advance"), answers.numbers(self._at("advance"), answer.payload), step_s)
         if answer.message and not answer.message.startswith("Advanced simulation"):
             _LOG.warning("advance: %s", answer.message)
-        return self._with_time("advance", state)
+        return state
 
     def go_on_from(self, time_s: float, step_s: float) -> dict[str, float]:
         """Take the test up at `time_s`, when the last answer was received; `step_s` is the step in force.
@@ -284,10 +248,10 @@ class BoptestClient:
         Raises:
             AdvanceInterrupted: the test stands elsewhere.
         """
-        self.time_s = self._started_s = time_s
-        self._step_s, self._transport.in_a_run = step_s, True
+        self._clock.now_s = self._clock.started_s = time_s
+        self._clock.step_s, self._transport.in_a_run = step_s, True
         end_state = self._transport.patiently(self._simulated)
-        if self.time_s - time_s > step_s + _CLOCK_TOLERANCE_S:
+        if self.time_s - time_s > step_s + TOLERANCE_S:
             raise AdvanceInterrupted(
                 self._at("results"),
                 f"the test stands at {self.time_s:.10g} s, the last answer was of {time_s:.10g} s and a step has "
@@ -304,24 +268,9 @@ class BoptestClient:
         """
         body = {"point_names": list(point_names), "horizon": horizon_s, "interval": interval_s}
 
-        def parse(payload: Any) -> dict[str, list[float]]:
-            series = self._series("forecast", payload, [*point_names, "time"])
-            clock = series["time"]
-            if clock and abs(clock[0] - self.time_s) > _CLOCK_TOLERANCE_S:
-                raise ProtocolError(
-                    self._at("forecast"),
-                    f"it begins at {clock[0]:.10g} s, expected is {self.time_s:.10g} s, where the test stands",
-                )
-            if not clock or any(a == b for a, b in pairwise(clock)):
-                raise ProtocolError(self._at("forecast"), f"its clock ('time') does not rise: {clock[:3]} …")
-            n = math.floor(horizon_s / interval_s + 1e-9) + 1
-            steps = [(i, time_s - clock[0]) for i, time_s in enumerate(clock[:n])]
-            if len(clock) < n or any(abs(after_s - i * interval_s) > _CLOCK_TOLERANCE_S for i, after_s in steps):
-                raise ProtocolError(
-                    self._at("forecast"),
-                    f"asked for {n} instants every {interval_s:g} s, got {len(clock)} from {clock[0]:g} s to "
-                    f"{clock[-1]:g} s",
-                )
+        def parse(at: str, payload: Any) -> dict[str, list[float]]:
+            series = answers.series(at, payload, point_names)
+            self._clock.check_forecast(at, series["time"], horizon_s, interval_s)
             return series
 
         if patiently:
@@ -335,24 +284,17 @@ class BoptestClient:
         """
         body = {"point_names": list(point_names), "start_time": start_s, "final_time": final_s}
 
-        def parse(payload: Any) -> dict[str, list[float]]:
-            series = self._series("results", payload, [*point_names, "time"])
+        def parse(at: str, payload: Any) -> dict[str, list[float]]:
+            series = answers.series(at, payload, point_names)
             if series["time"]:
-                self._check_record(series["time"], start_s, final_s)
+                self._clock.check_record(at, series["time"], start_s, final_s)
             return series
 
         return self._put("results", body, parse)
 
     def kpi(self) -> dict[str, float | None]:
         """Key performance indicators since the end of the warm-up; None for those the test case does not compute."""
-
-        def parse(payload: Any) -> dict[str, float | None]:
-            values = self._numbers("kpi", payload)
-            if not any(name.endswith("_tot") for name in values):
-                raise ProtocolError(self._at("kpi"), f"the answer contains no indicator: {payload!r:.120}")
-            return {key: None if math.isnan(value) else value for key, value in values.items()}
-
-        return self._get("kpi", parse)
+        return self._get("kpi", answers.kpis)
 
     def stop(self) -> None:
         """Stop the test and free its worker; no error if called twice or if the test no longer exists."""
@@ -413,7 +355,7 @@ class BoptestClient:
             answer = self._transport.patiently(
                 lambda: self._transport.call("POST", path, {}, most_s=most_s), passing=(ConnectError,), refusals=0
             ).payload
-            testid = self._text(f"POST {self.url}/{path}", self._mapping(path, answer).get("testid"), "testid")
+            testid = answers.text(f"POST {self.url}/{path}", answer, "testid")
         except UnknownTest as error:
             offered = self._available_testcases()
             raise UnknownTest(error.endpoint, f"no test case '{self.testcase}'{offered}", error.status) from error
@@ -438,22 +380,6 @@ class BoptestClient:
                 raise ServiceTimeout(f"GET {self.url}/status/{self.testid}", f"still '{status}' after {timeout_s:g} s")
             time.sleep(min(_POLL_S, timeout_s))
 
-    def _with_time(self, what: str, state: dict[str, float]) -> dict[str, float]:
-        """The state in the answer to `what`, which must contain a finite 'time'."""
-        if not math.isfinite(state.get("time", math.nan)):
-            raise ProtocolError(self._at(what), "the measurements have no time")
-        self.time_s = state["time"]
-        return state
-
-    def _begun(self, what: str, payload: Any, at_s: float = math.nan) -> dict[str, float]:
-        """The state after an initialisation, which must be of `at_s` where that is known, s."""
-        state = self._numbers(what, payload)
-        found_s = state.get("time", math.nan)
-        if abs(found_s - at_s) > _CLOCK_TOLERANCE_S:
-            raise ProtocolError(self._at(what), f"its time is {found_s:.10g} s, expected is {at_s:.10g} s")
-        self._started_s, self._step_s = found_s, math.nan  # it may reset the step
-        return self._with_time(what, state)
-
     def _simulated(self) -> dict[str, float]:
         """The state where the test stands, if it was advanced since the last answer; else an empty one.
 
@@ -463,113 +389,42 @@ class BoptestClient:
         record = self.results(self._names, self.time_s, self.time_s + _STEPS_AHEAD * self._in_force())
         if not record["time"]:
             raise ProtocolError(self._at("results"), f"it has nothing at {self.time_s:.10g} s, where the test stood")
-        if record["time"][-1] <= self.time_s + _CLOCK_TOLERANCE_S:
+        if not self._clock.moved(record):
             return {}
-        return self._with_time("results", {name: values[-1] for name, values in record.items()})
+        return self._clock.move(self._at("results"), {name: values[-1] for name, values in record.items()})
 
     def _in_force(self) -> float:
         """Length of a step, s, asked for once."""
-        if math.isnan(self._step_s):
-            self._step_s = self.step()
-        return self._step_s
+        if math.isnan(self._clock.step_s):
+            self._clock.step_s = self.step()
+        return self._clock.step_s
 
-    def _check_record(self, clock: Sequence[float], start_s: float, final_s: float) -> None:
-        """Raise `ProtocolError` for a record of other times than asked for, or that lacks what was simulated."""
-        first, last, now_s = clock[0], clock[-1], self.time_s
-        whole = start_s - _CLOCK_TOLERANCE_S <= first and last <= final_s + _CLOCK_TOLERANCE_S
-        since_s, until_s = max(start_s, self._started_s), min(final_s, now_s)  # some services record no warm-up
-        if math.isfinite(now_s) and since_s <= until_s:
-            whole &= first <= since_s + _SAMPLE_S and last >= until_s - _SAMPLE_S
-        if last > now_s + _CLOCK_TOLERANCE_S:  # steps that we do not know of; or the clock is wrong
-            whole &= first <= start_s + _CLOCK_TOLERANCE_S
-        if not whole:
-            raise ProtocolError(
-                self._at("results"),
-                f"its times are {first:.10g} to {last:.10g} s, asked for {start_s:.10g} to {final_s:.10g} s while the "
-                f"test stands at {now_s:.10g} s",
-            )
-
-    def _get(self, what: str, parse: Callable[[Any], _Parsed]) -> _Parsed:
-        """The parsed answer to a GET request, repeated while it fails or is nonsense."""
+    def _get(self, what: str, parse: Callable[[str, Any], _Parsed]) -> _Parsed:
+        """The answer to a GET request, parsed with its address, repeated while it fails or is nonsense."""
         path, most_s = f"{what}/{self.testid}", math.inf if self._transport.in_a_run else LOOKUP_S
-        return self._transport.patiently(lambda: parse(self._transport.call("GET", path, most_s=most_s).payload))
+        return self._transport.patiently(
+            lambda: parse(self._at(what), self._transport.call("GET", path, most_s=most_s).payload)
+        )
 
     def _put(
         self,
         what: str,
         body: dict[str, Any],
-        parse: Callable[[Any], _Parsed],
+        parse: Callable[[str, Any], _Parsed],
         refusals: int = 2,
         most_s: float = math.inf,
     ) -> _Parsed:
         """The same for PUT; all PUT requests of the protocol may be repeated."""
         path = f"{what}/{self.testid}"
         return self._transport.patiently(
-            lambda: parse(self._transport.call("PUT", path, body).payload), refusals=refusals, most_s=most_s
+            lambda: parse(self._at(what), self._transport.call("PUT", path, body).payload),
+            refusals=refusals,
+            most_s=most_s,
         )
 
     def _at(self, what: str) -> str:
         """Address of the endpoint `what` of this test, for an error message."""
         return f"{self.url}/{what}/{self.testid}"
-
-    def _points(self, what: str) -> dict[str, Point]:
-        """Points of a list; one of them at least must have a unit, which JSON of another kind does not."""
-        at = self._at(what)
-
-        def parse(payload: Any) -> dict[str, Point]:
-            entries = {
-                safe_text(name): self._mapping(f"{at}: {safe_text(name)}", data)
-                for name, data in self._mapping(at, payload).items()
-                if name != "time"
-            }
-            if not any("Unit" in data for data in entries.values()):
-                raise ProtocolError(at, f"not a list of points: {payload!r:.120}")
-            return {name: Point.from_json(name, data) for name, data in entries.items()}
-
-        return self._get(what, parse)
-
-    def _mapping(self, endpoint: str, answer: Any) -> Mapping[str, Any]:
-        if not isinstance(answer, Mapping):
-            raise ProtocolError(endpoint, f"expected names and values, got {answer!r:.120}")
-        return answer
-
-    def _text(self, endpoint: str, answer: Any, what: str) -> str:
-        if not isinstance(answer, str) or not answer:
-            raise ProtocolError(endpoint, f"no {what} in the answer ({answer!r:.120})")
-        return safe_text(answer)
-
-    def _number(self, endpoint: str, answer: Any) -> float:
-        """A number, which services also write as text; NaN for null, since JSON has no NaN."""
-        if answer is None:
-            return math.nan
-        try:
-            if not isinstance(answer, bool):
-                return float(answer)
-        except (TypeError, ValueError, OverflowError):
-            pass
-        raise ProtocolError(endpoint, f"a value is not a number ({answer!r:.120})")
-
-    def _numbers(self, what: str, answer: Any) -> dict[str, float]:
-        at = self._at(what)
-        return {key: self._number(at, value) for key, value in self._mapping(at, answer).items()}
-
-    def _series(self, what: str, answer: Any, names: Sequence[str]) -> dict[str, list[float]]:
-        """Values of `names` at the instants 'time', which never fall; none where none are recorded."""
-        endpoint = f"PUT {self._at(what)}"
-        mapping = self._mapping(endpoint, answer)
-        missing = [name for name in names if name not in mapping]
-        if missing:
-            raise ProtocolError(endpoint, f"no values for {', '.join(missing)}")
-        for name in names:
-            if not isinstance(mapping[name], list):
-                raise ProtocolError(endpoint, f"{name} is not a list of numbers: {mapping[name]!r:.120}")
-        series = {name: [self._number(endpoint, value) for value in mapping[name]] for name in names}
-        if any(len(values) != len(series["time"]) for values in series.values()):
-            raise ProtocolError(endpoint, "series differ in length")
-        clock = series["time"]
-        if not (all(map(math.isfinite, clock)) and all(a <= b for a, b in pairwise(clock))):
-            raise ProtocolError(endpoint, "its clock ('time') has gaps or runs back")
-        return series
 
 
 def _user_agent() -> str:

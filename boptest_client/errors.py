@@ -25,6 +25,11 @@ class BoptestError(Exception):
         super().__init__(f"{endpoint}: {message}")
         self.endpoint, self.message = endpoint, message
 
+    def add(self, words: str) -> None:
+        """Let `words` follow the message."""
+        self.message += words
+        self.args = (f"{self.endpoint}: {self.message}",)
+
 
 class BadAddress(BoptestError):
     """The base URL of the service is not an http(s) address."""

@@ -7,7 +7,6 @@ import math
 import os
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 from urllib.parse import urlsplit
@@ -18,6 +17,7 @@ import tenacity
 from boptest_client.adapter import Bearer, CuttableAdapter
 from boptest_client.errors import (
     BadAddress,
+    BoptestError,
     ConnectError,
     ConnectionLost,
     InternalError,
@@ -82,6 +82,20 @@ class Answer:
     message: str
 
 
+@dataclass
+class _Wait:
+    """Patience of one request, s, and how much of its time went to others within it, s."""
+
+    patience_s: float
+    repeats: int = 0
+    apart_s: float = 0.0
+    began_s: float = field(default_factory=time.monotonic)
+
+    @property
+    def used_s(self) -> float:
+        return time.monotonic() - self.began_s - self.apart_s
+
+
 class Transport:
     """Sends requests and unpacks `{"status", "message", "payload"}`."""
 
@@ -92,7 +106,8 @@ class Transport:
         self.config = config
         self.in_a_run = False
         """Whether the test was initialised: requests are then repeated for `patience_s`."""
-        self._waiting, self._until_s = False, math.inf
+        self._wait: _Wait | None = None
+        self._given_up: BaseException | None = None
         self._longest_s: dict[str, float] = {}
         self._session, self._adapter = requests.Session(), CuttableAdapter()
         for scheme in ("http://", "https://"):
@@ -116,7 +131,8 @@ class Transport:
     ) -> _Result:
         """The result of `request`, repeated with growing pauses while it fails in a way that may pass.
 
-        Within a `request` that is repeated, another is repeated only where it is refused: there is one patience.
+        Patience is that of each request: where `request` sends others patiently, their time does not count, and where
+        one of them is given up so is `request`.
 
         Args:
             passing: errors that may pass; a refused request is repeated `refusals` times.
@@ -125,17 +141,13 @@ class Transport:
         Raises:
             BoptestError: that of the last attempt.
         """
-        if self._waiting:
-            for _ in range(refusals):
-                with suppress(RequestRejected):
-                    return request()
-            return request()
-        c = self.config
-        patience_s = min(self.patience_s, most_s)
-        refused, began_s = 0, time.monotonic()
+        c, around, refused = self.config, self._wait, 0
+        wait = self._wait = _Wait(min(self.patience_s, most_s))
 
         def again(error: BaseException) -> bool:
             nonlocal refused
+            if error is self._given_up:
+                return False
             if isinstance(error, RequestRejected):
                 refused += 1
                 return refused <= refusals
@@ -144,12 +156,12 @@ class Transport:
 
         def over(state: tenacity.RetryCallState) -> bool:
             # The requested pauses count too: a clock of tests may make them shorter.
-            return max(state.seconds_since_start or 0.0, state.idle_for) >= patience_s
+            return max(wait.used_s, state.idle_for) >= wait.patience_s
 
         def before_sleep(state: tenacity.RetryCallState) -> None:
             error = state.outcome.exception() if state.outcome else None
             _LOG.warning("%s (asking again in %.2g s)", error, state.upcoming_sleep)
-            self._until_s = began_s + patience_s
+            wait.repeats += 1
 
         retrying = tenacity.Retrying(
             retry=tenacity.retry_if_exception(again),
@@ -159,11 +171,17 @@ class Transport:
             before_sleep=before_sleep,
             reraise=True,
         )
-        self._waiting = True
         try:
             return retrying(request)
+        except BoptestError as error:
+            if wait.repeats and error is not self._given_up and isinstance(error, passing):
+                error.add(f", and no better answer within {wait.patience_s:g} s")
+            self._given_up = error
+            raise
         finally:
-            self._waiting, self._until_s = False, math.inf
+            self._wait = around
+            if around is not None:
+                around.apart_s += time.monotonic() - wait.began_s
 
     def call(
         self, method: Method, path: str, body: dict[str, Any] | None = None, *, most_s: float = math.inf
@@ -180,7 +198,10 @@ class Transport:
         self._session.close()
 
     def _once(self, method: Method, path: str, endpoint: str, body: dict[str, Any] | None, most_s: float) -> Answer:
-        left_s = max(self._until_s - time.monotonic(), self.config.connect_timeout_s)
+        # No repeat takes longer than what is left of its patience.
+        wait = self._wait
+        left_s = wait.patience_s - wait.used_s if wait and wait.repeats else math.inf
+        left_s = max(left_s, self.config.connect_timeout_s)
         connect_s, read_s = (
             min(s, most_s, left_s) for s in (self.config.connect_timeout_s, self.config.read_timeout_s)
         )

@@ -40,18 +40,6 @@ def _build_mpc(name: str, config: Any, testcase: TestCase, model: ThermalModel |
     return build_on_model(ThermoForceMPC, name, config, testcase, model)
 
 
-def _dpc_config() -> type[StrictModel]:
-    from controllers.dpc.config import DPCConfig
-
-    return DPCConfig
-
-
-def _build_dpc(name: str, config: Any, testcase: TestCase, model: ThermalModel | str | None) -> Controller:
-    from controllers.dpc.controller import DPC
-
-    return build_on_model(DPC, name, config, testcase, model)
-
-
 def _mpc_entry(summary: str, **defaults: Any) -> Entry:
     return Entry(summary, True, _mpc_config, _build_mpc, defaults)
 
@@ -104,13 +92,6 @@ _OWN: dict[str, Entry] = {
         "the paper's search over candidate trajectories, level held for the step",
         **_AS_PRINTED,
         solver="search",
-    ),
-    "dpc": Entry(
-        "differentiable predictive control: a policy trained through the model in the place of the solver, one zone",
-        True,
-        _dpc_config,
-        _build_dpc,
-        {},
     ),
     "thermostat": Entry(
         "on/off thermostat, optional weekday setback",

@@ -37,19 +37,23 @@ def check_replaceable(folder: Path, mark: str, what: str, *, overwrite: bool) ->
 
 
 @contextmanager
-def written(path: Path) -> Iterator[Path]:
+def written(path: Path, *, follow: bool = True) -> Iterator[Path]:
     """A file beside `path`, of the same suffix, to write to; it takes the place of `path` when all went well.
 
     Otherwise `path` is as before. A device or pipe, such as /dev/stdout, is written directly.
+
+    Args:
+        path: where to.
+        follow: write to what a link there leads to; else the file takes the place of the link, or of a pipe.
 
     Raises:
         StorageError: the disk is full, the folder is read-only or not there.
     """
     with storage_errors(path):
-        if path.exists() and not path.is_file():
+        if follow and path.exists() and not path.is_file():
             yield path
             return
-        target = Path(os.path.realpath(path))
+        target = Path(os.path.realpath(path)) if follow else path
         handle, name = tempfile.mkstemp(prefix=".", suffix=f".part{target.suffix}", dir=target.parent)
         os.close(handle)
         aside = Path(name)
@@ -63,9 +67,9 @@ def written(path: Path) -> Iterator[Path]:
             aside.unlink(missing_ok=True)
 
 
-def write_whole(path: Path, content: str | bytes) -> None:
+def write_whole(path: Path, content: str | bytes, *, follow: bool = True) -> None:
     """Write `content` (text as UTF-8, with `\\udcff` for half a surrogate) by `written`; raises `StorageError`."""
-    with written(path) as aside:
+    with written(path, follow=follow) as aside:
         aside.write_bytes(content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
 
 

@@ -1,4 +1,4 @@
-"""File of a controller's state: dataclasses, named tuples and enumerations by short names, plain values and arrays.
+"""File of a controller's state: dataclasses, named tuples and enumerations by name, plain values and arrays.
 
 An .npz file without pickles: the arrays, and a JSON text that says where they stand. Reading it builds the classes of a
 closed table by their constructors; nothing that a file names is imported.
@@ -10,8 +10,7 @@ import dataclasses
 import json
 import math
 import zipfile
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
 from enum import Enum
 from io import BytesIO
 from pathlib import Path
@@ -26,28 +25,11 @@ _MOST_BYTES = 200_000_000
 _TEXT = "structure"
 
 
-@dataclass(frozen=True)
-class Stored:
-    """A class that may be in a state file.
-
-    Attributes:
-        of: a dataclass, a named tuple or an enumeration.
-        former: its name in files of the last release; empty where these did not have it.
-        upgraded: today's fields from those that are stored under the former name.
-    """
-
-    of: type[Any]
-    former: str = ""
-    upgraded: Callable[[dict[str, Any]], dict[str, Any]] = dict
-
-
 class StateFormat:
-    """Format of state files that may hold the classes of `table`, by their names in the file."""
+    """Format of state files that may hold these `classes` (dataclasses, named tuples, enumerations) by their names."""
 
-    def __init__(self, table: Mapping[str, Stored]) -> None:
-        self._name_of = {stored.of: name for name, stored in table.items()}
-        former = {stored.former: stored for stored in table.values() if stored.former}
-        self._by_name = former | {name: replace(stored, upgraded=dict) for name, stored in table.items()}
+    def __init__(self, classes: Iterable[type[Any]]) -> None:
+        self._by_name = {of.__name__: of for of in classes}
 
     def write(self, path: Path, value: object) -> None:
         """Write `value` to `path`, whole or not at all.
@@ -65,7 +47,7 @@ class StateFormat:
         write_whole(path, content.getvalue())
 
     def read(self, path: Path) -> Any:
-        """What `write` wrote to `path`, in this release or the last one.
+        """What `write` wrote to `path`.
 
         Raises:
             InputError: there is no such file, it is damaged, or of another version of this package.
@@ -112,9 +94,9 @@ class StateFormat:
 
     def _name(self, value: Any) -> str:
         kind = type(value)
-        if kind not in self._name_of:
+        if self._by_name.get(kind.__name__) is not kind:
             raise TypeError(f"a {kind.__module__}.{kind.__qualname__} cannot be kept")
-        return self._name_of[kind]
+        return kind.__name__
 
     def _built(self, content: Any, arrays: Any) -> Any:
         """The value of `_plain`."""
@@ -132,13 +114,12 @@ class StateFormat:
             case {"dict": items}:
                 return {self._built(key, arrays): self._built(item, arrays) for key, item in items}
             case {"enum": name, "member": member}:
-                return self._stored(name).of[member]
+                return self._of(name)[member]
             case {"is": name, "of": fields}:
-                stored = self._stored(name)
-                return stored.of(**stored.upgraded({key: self._built(item, arrays) for key, item in fields.items()}))
+                return self._of(name)(**{key: self._built(item, arrays) for key, item in fields.items()})
         raise ValueError(f"{sorted(content)} is nothing that is kept")
 
-    def _stored(self, name: str) -> Stored:
+    def _of(self, name: str) -> Any:
         if name not in self._by_name:
             raise ValueError(f"'{name}' is no class that is kept")
         return self._by_name[name]

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.chaos.inside import FailingMPC
-from benchmarks.chaos.judging import jumps, wrong_inputs, wrong_steps
+from benchmarks.chaos.judging import jumps, unsaid_units, wrong_inputs, wrong_steps
 from benchmarks.chaos.proxy import Proxy, serving
 from benchmarks.chaos.troubles import Trouble
 from boptest_client import TransportConfig
@@ -28,6 +28,7 @@ from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.folder.run_book import RunBook
 from thermoforce_mpc.simulation.folder.run_log import log_step, logging_to
 from thermoforce_mpc.simulation.journal.journal import NAME, read_journal
+from thermoforce_mpc.simulation.unit_doubts import UnitDoubts
 
 # Time limits of the client and silence of the proxy, s: silence takes real time, a busy machine needs some.
 _CONNECT_S, _READ_S, _SILENT_S = 10.0, 5.0, 5.5
@@ -107,6 +108,7 @@ def _run(setting: Setting, troubles: tuple[Trouble, ...], seed: int, most_Kh: fl
                     allowed=allowed,
                     lowest=lowest,
                     keeper=plant,
+                    units=UnitDoubts(setting.testcase.layout, setting.model, setting.testcase.currency),
                 )
         except PlantError as error:
             ended, why = "plant failed", str(error)
@@ -119,6 +121,8 @@ def _run(setting: Setting, troubles: tuple[Trouble, ...], seed: int, most_Kh: fl
     expected = ended == "done" or (ended == "plant failed" and seen.restarted)
     faults = [] if expected else [f"ended with {ended}: {why}"]
     faults += wrong_inputs(seen.inputs) + wrong_steps(entries, seen.step_ends_s, troubles, ended == "done")
+    if ended == "done":
+        faults += unsaid_units(entries, seen.made)
     if not (seen.stopped or seen.restarted):
         faults.append("the test was not stopped")
     discomfort_Kh = seen.kpis.get("tdis_tot", math.nan)

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.cases import TaskFailed
 from benchmarks.chaos.episode import Outcome, Setting, run_episode
-from benchmarks.chaos.files import TRIALS, prepared, run_trial
+from benchmarks.chaos.files import TRIAL_CLASSES, TRIALS, prepared, run_trial
 from benchmarks.chaos.troubles import CLASSES, Trouble, drawn
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S
@@ -149,7 +149,7 @@ def _line(outcome: Outcome) -> str:
 def _rows(calm: Outcome, outcomes: list[Outcome]) -> list[dict[str, Any]]:
     """One row a kind of trouble, by class; an episode stands in the row of each kind that it met."""
     rows = [_row("", "none", [calm])]
-    for group, kinds in {**CLASSES, "files": tuple(TRIALS)}.items():
+    for group, kinds in {**CLASSES, **TRIAL_CLASSES}.items():
         met = [(kind, [outcome for outcome in outcomes if kind in outcome.made]) for kind in kinds]
         rows += [_row(group, kind, those) for kind, those in met if those]
     return [*rows, _row("", "all", outcomes)]
@@ -180,6 +180,7 @@ def _targets(calm: Outcome, outcomes: list[Outcome]) -> list[Target]:
         "an action out of range": " was sent",
         "a step lost, doubled without a word, or not in the journal": "step",
         "the test not stopped": "not stopped",
+        "a wrong unit that is not said": "not said",
         "discomfort above 1.5 times that without faults and 1 K·h": "discomfort",
         "a file outside a folder written": "outside",
         "a refusal that took longer than a minute": "took",

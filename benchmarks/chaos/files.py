@@ -1,4 +1,4 @@
-"""Trials with files from elsewhere: damaged journals, folders of other people, and tables that never end."""
+"""Trials with files from elsewhere: damaged journals, folders of others, endless tables, and FMUs that hang."""
 
 from __future__ import annotations
 
@@ -8,20 +8,30 @@ import re
 import shlex
 import time
 from collections.abc import Callable
+from contextlib import closing
+from importlib.util import find_spec
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 from click.testing import CliRunner, Result
 
 from benchmarks.chaos.episode import Outcome
+from benchmarks.chaos.fmu.building import build_house
 from benchmarks.chaos.troubles import Trouble
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.errors import InputError, ThermoForceError
-from thermoforce_mpc.plants.testcases import load_scenario
+from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.errors import ConfigError, InputError, PlantError, ThermoForceError
+from thermoforce_mpc.plants.fmu import FmuPlant
+from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.simulation.folder.run_book import RunBook
 from thermoforce_mpc.simulation.journal.journal import NAME
 
-_WORDS = ("--testcase", "bestest_hydronic_heat_pump", "--controller", "thermostat", "--baselines", "", "--days", "0.1")
+_TESTCASE = "bestest_hydronic_heat_pump"
+_WORDS = ("--testcase", _TESTCASE, "--controller", "thermostat", "--baselines", "", "--days", "0.1",
+          "--no-equal-comfort", "--quiet")  # fmt: skip
+# Begin of the hour of an FMU, its time for a quarter of it, s, and what another tolerance may change, K.
+_FMU_DAY, _FMU_PATIENCE_S, _TOLERATED_K = 30, 3.0, 0.01
 # Longest time of a refusal, s, and bytes of a table after unpacking.
 _MOST_S, _BOMB_BYTES = 60.0, 1_500_000_000
 _MAP = "time: {column: time, zone: UTC}\noutdoor: T\nzones: {zone: {temperature: T}}\nactuators: {a: {level: u}}\n"
@@ -45,7 +55,7 @@ def flipped_bits(rng: np.random.Generator, folder: Path) -> list[str]:
     said = re.search(r"tf-mpc (resume .* --from \d+)", str(done.exception))
     if done.exit_code and said:
         done = _call(*shlex.split(said[1]), "--quiet")
-    if isinstance(done.exception, InputError) and "start again" in str(done.exception):
+    if isinstance(done.exception, InputError) and "start the run again" in str(done.exception):
         return []  # the first line, which says what the run is
     if done.exit_code:
         return _unnamed(done) or [f"ended with {done.exception}"]
@@ -60,7 +70,7 @@ def foreign_folder(rng: np.random.Generator, folder: Path) -> list[str]:
     kind = str(rng.choice(["link", "pipe", "address"]))
     run.mkdir()
     plant = {"kind": "boptest", "url": "http://127.0.0.1:9"} if kind == "address" else {}
-    keys = {"testcase": _WORDS[1], "controller": {"name": "thermostat"}, "plant": plant}
+    keys = {"testcase": _TESTCASE, "controller": {"name": "thermostat"}, "plant": plant}
     RunBook.begin(run, load_scenario(None, keys), ["tf-mpc", "run"]).journal.close()
     if kind == "link":
         (run / "log.jsonl").symlink_to(victim)
@@ -93,9 +103,40 @@ def endless_table(rng: np.random.Generator, folder: Path) -> list[str]:
             table.unlink()
 
 
+def hanging_fmu(rng: np.random.Generator, folder: Path) -> list[str]:
+    """An FMU that hangs, creeps, fails or crashes: at one tolerance it goes on; at all it ends in time, named."""
+    how, passing = str(rng.choice(["SLEEPS", "CREEPS", "FAILS", "CRASHES"])), rng.random() < 0.5
+    trouble = {f"FMU_HOUSE_{how}_ON_DAY": f"{_FMU_DAY + rng.uniform(0.0, 0.03):.4f}"}
+    testcase = load_testcase(_TESTCASE)
+    with closing(FmuPlant(folder / "wrapped.fmu", testcase, patience_s=_FMU_PATIENCE_S)) as plant:
+        calm = _hour_of(plant)
+        with patch.dict(os.environ, trouble | ({"FMU_HOUSE_TROUBLED_AT": "1e-6"} if passing else {})):
+            try:
+                troubled = _hour_of(plant)
+            except PlantError as error:
+                return [f"ended with {error}"] if passing else _restarts_missing(error)
+        if not passing:
+            return ["ended with no error, and no step could be made"]
+        apart_K = max(abs(a - b) for a, b in zip(calm, troubled, strict=True))
+        return [] if apart_K < _TOLERATED_K else [f"a step is lost: {apart_K:.3g} K from the run without the fault"]
+
+
+def _hour_of(plant: FmuPlant) -> list[float]:
+    """Zone temperatures of an hour, °C; without a warm-up, which would take most of the time."""
+    plant.reset(_FMU_DAY * DAY_S, 0.0)
+    return [plant.advance(0.5, HOUR_S / 4).T_zone_C.item() for _ in range(4)]
+
+
+def _restarts_missing(error: PlantError) -> list[str]:
+    restarts = str(error).count("restarted with tolerance")
+    return [] if restarts == 2 else [f"ended with {error}: {restarts} restarts of 2 are told"]
+
+
 TRIALS: dict[str, Trial] = {
     "flipped bits": flipped_bits, "foreign folder": foreign_folder, "endless table": endless_table,
+    "hanging FMU": hanging_fmu,
 }  # fmt: skip
+TRIAL_CLASSES = {"files": ("flipped bits", "foreign folder", "endless table"), "plant": ("hanging FMU",)}
 
 
 def run_trial(kind: str, seed: tuple[int, int], folder: Path) -> Outcome:
@@ -112,8 +153,11 @@ def run_trial(kind: str, seed: tuple[int, int], folder: Path) -> Outcome:
 
 
 def prepared(folder: Path) -> Path:
-    """The folder of all trials, with a finished run whose journal they damage."""
-    done = _call("run", *_WORDS, "--no-equal-comfort", "--quiet", "--out", folder / "whole")
+    """The folder of all trials, with an FMU and a finished run whose journal they damage."""
+    if missing := [name for name in ("fmpy", "pythonfmu") if find_spec(name) is None]:
+        raise ConfigError(f"trials with an FMU need {' and '.join(missing)}: pip install -e '.[dev]'")
+    build_house(folder)
+    done = _call("run", *_WORDS, "--out", folder / "whole")
     if done.exit_code:
         raise ThermoForceError(f"the run without faults ended with {done.exception}")
     return folder

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
-from benchmarks.chaos.troubles import TWICE, Trouble
+from benchmarks.chaos.troubles import TWICE, UNITS, Trouble
 from thermoforce_mpc.simulation.journal.journal import Entry
 
 _CLOCK_TOLERANCE_S = 1e-3
@@ -21,6 +21,12 @@ def wrong_inputs(inputs: Sequence[dict[str, Any]]) -> list[str]:
         if not (isinstance(value, int | float) and math.isfinite(value) and 0.0 <= value <= 1.0)
     ]
     return wrong[:1]
+
+
+def unsaid_units(entries: Sequence[Entry], made: Collection[str]) -> list[str]:
+    """Wrong units that no note of a step tells."""
+    notes = [note for entry in entries if entry.kind == "done" for note in entry.content["notes"]]
+    return [f"{kind}: not said" for kind in made if kind in UNITS and not any(UNITS[kind][2] in note for note in notes)]
 
 
 def _advances(entries: Sequence[Entry]) -> list[tuple[float, float]]:

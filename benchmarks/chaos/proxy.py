@@ -25,6 +25,7 @@ from benchmarks.chaos.troubles import (
     REFUSALS,
     RESTART,
     SILENT,
+    UNITS,
     WRONG_CLOCK,
     Trouble,
 )
@@ -62,7 +63,8 @@ class Proxy:
         """Args: address of the service; troubles and their seed; how long it is silent, s; point of the zone sensor."""
         self.seen, self.slept_s = Seen(), 0.0
         self._upstream, self._rng = upstream, np.random.default_rng(seed)
-        self._troubles = [trouble for trouble in troubles if trouble.kind not in INSIDE]
+        self._troubles = [trouble for trouble in troubles if trouble.kind not in (*INSIDE, *UNITS)]
+        self._units = [trouble.kind for trouble in troubles if trouble.kind in UNITS]
         self._silent_s, self._zone_point = silent_s, zone_point
         self._lock = threading.Lock()
         self._start_s: float | None = None
@@ -174,7 +176,7 @@ class Proxy:
         if verb == "stop":
             _, told = self._ask("GET", path.replace("stop", "kpi", 1), b"")
             self.seen.kpis = {k: v for k, v in (_payload(told) or {}).items() if v is not None}
-        status, answer = self._ask(method, path, body)
+        status, answer = self._in_other_units(*self._ask(method, path, body))
         self._before[verb] = status, answer
         with self._lock:
             payload = _payload(answer) if status == 200 else None
@@ -189,6 +191,18 @@ class Proxy:
         if late:
             self._forwarded(*late, verb)
         return status, answer
+
+    def _in_other_units(self, status: int, answer: bytes) -> tuple[int, bytes]:
+        """The answer with points in other units, where it has some."""
+        content, payload = _mapping(answer), _payload(answer)
+        if not (self._units and status == 200 and isinstance(payload, dict)):
+            return status, answer
+        for kind in self._units:
+            begin, factor, _ = UNITS[kind]
+            for name in [name for name in payload if name.startswith(begin) and not isinstance(payload[name], dict)]:
+                payload[name] = _times(factor, payload[name])
+                self.seen.made[kind] = self.seen.made.get(kind, 0) + 1
+        return status, json.dumps(content | {"payload": payload}).encode()
 
     def _misread(self, kind: str, answered: tuple[int, bytes]) -> tuple[int, bytes]:
         status, answer = answered
@@ -264,6 +278,12 @@ def serving(proxy: Proxy) -> Iterator[str]:
 
 def _refusal(status: int) -> tuple[int, bytes]:
     return status, json.dumps({"status": status, "message": "made by chaos", "payload": None}).encode()
+
+
+def _times(factor: float, value: Any) -> Any:
+    if isinstance(value, list):
+        return [_times(factor, item) for item in value]
+    return value if value is None else value * factor
 
 
 def _shifted(seconds: float, answered: tuple[int, bytes]) -> tuple[int, bytes]:

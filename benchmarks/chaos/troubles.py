@@ -17,6 +17,12 @@ WRONG_CLOCK = {"clock 900 s ahead": 900.0, "clock 900 s behind": -900.0, "clock 
 TWICE = ("doubled", "late")
 SILENT = ("silent before", "silent after")
 READINGS = ("missing point", "nan", "stuck", "in °C")
+# From the start on: points whose names begin so, times a factor; and the words in which a run must say it.
+UNITS = {
+    "prices x 100": ("PriceElectricPower", 100.0, "prices of"),
+    "power in kW": ("reaP", 1e-3, "power_W"),
+    "heat in kW": ("reaQ", 1e-3, "heat_W"),
+}
 INSIDE = tuple(f"{who} {what}" for who in ("solver", "forecaster") for what in ("raises", "nan", "hangs"))
 AWAY = ("refusing", "unavailable")
 NO_FORECAST = "no forecast"
@@ -24,9 +30,9 @@ RESTART = "restarted"
 CLASSES: dict[str, tuple[str, ...]] = {
     "refused": REFUSALS, "broken": BROKEN, "not itself": NOT_ITSELF, "wrong clock": tuple(WRONG_CLOCK), "twice": TWICE,
     "silent": SILENT, "readings": READINGS, "inside": INSIDE, "away": AWAY, "no forecast": (NO_FORECAST,),
-    "restarted": (RESTART,),
+    "restarted": (RESTART,), "units": tuple(UNITS),
 }  # fmt: skip
-_WEIGHTS = np.array([4, 4, 4, 4, 2, 1, 4, 4, 3, 1, 0.5])
+_WEIGHTS = np.array([4, 4, 4, 4, 2, 1, 4, 4, 3, 1, 0.5, 3])
 
 # Kinds that cost real time: at most this many requests in an episode.
 _MOST_SLOW = 2
@@ -64,6 +70,8 @@ def drawn(rng: np.random.Generator, days: float) -> tuple[Trouble, ...]:
 
 
 def _drawn(rng: np.random.Generator, kind: str, length_s: float) -> Trouble:
+    if kind in UNITS:
+        return Trouble(kind, 0.0, length_s)
     from_s = float(rng.uniform(0.0, 0.8)) * length_s
     if kind == RESTART:
         return Trouble(kind, from_s, length_s, most=1)

@@ -7,7 +7,7 @@ import click
 from benchmarks.cli import closed_loop, models, speed, suites
 
 
-@click.group(short_help="Run benchmarks and compare the results with their targets.")
+@click.group()
 def command() -> None:
     """Run a benchmark: print its table, check its targets, write plots and JSON."""
 
@@ -15,8 +15,8 @@ def command() -> None:
 for _command in (
     closed_loop.buildings_command,
     closed_loop.boptest_command,
+    closed_loop.worth_command,
     closed_loop.zones_command,
-    closed_loop.dpc_command,
     closed_loop.faults_command,
     closed_loop.fallback_command,
     models.operator_command,

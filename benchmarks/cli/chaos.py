@@ -9,7 +9,7 @@ import click
 from thermoforce_mpc.cli.options import FiniteRange
 
 
-@click.command(short_help="Run controllers with everything around them failing on purpose.")
+@click.command()
 @click.option("--episodes", type=click.IntRange(1, 100_000), default=20, show_default=True, help="Number of episodes.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of the troubles.")
 @click.option("--days", type=FiniteRange(0.1, 60), default=2.0, show_default=True, help="Scored days an episode.")
@@ -40,18 +40,19 @@ def command(
 
     Each episode meets one to three troubles, drawn from the seed: errors (400, 429, 5xx), time-outs, connections reset
     before or after the request was handed on, half answers, doubled and late requests, JSON of another kind, redirects,
-    pages, null and old answers in place of the service's, clocks that are wrong, readings in °C, a service
-    away for up to 14 minutes, one that gives no forecasts, for hours or for good, or forgot its test, readings missing,
-    NaN or stuck, and a solver or forecaster that raises, hangs or returns NaN. Pauses of the client pass at once;
-    services run in these processes.
+    pages, null and old answers in place of the service's, clocks that are wrong, readings in °C, prices times 100,
+    power or heat in kW, a service away for up to 14 minutes, one that gives no forecasts, for hours or for good, or
+    forgot its test, readings missing, NaN or stuck, and a solver or forecaster that raises, hangs or returns NaN.
+    Pauses of the client pass at once; services run in these processes.
 
-    A quarter as many trials with files follow: journals with flipped bits, folders of other people with a link, a pipe
-    or an address, tables that never end.
+    A quarter as many trials follow: journals with flipped bits, folders of other people with a link, a pipe or an
+    address, tables that never end, FMUs that hang, creep, fail or crash.
 
     Of every episode it is checked that no error ended it (a service that forgot its test may, with a named one), that
     every action sent was finite and in range, that the journal has every simulated step once, that the test was
-    stopped, and that discomfort was at most 1.5 times that of the same run without faults and 1 K·h. Exit code 1 where
-    one of these does not hold. After Ctrl-C the table is that of the episodes until then (exit code 130).
+    stopped, that wrong units were said, and that discomfort was at most 1.5 times that of the same run without faults
+    and 1 K·h. Exit code 1 where one of these does not hold. After Ctrl-C the table is that of the episodes until then
+    (exit code 130).
 
     \b
     Examples:

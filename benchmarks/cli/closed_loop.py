@@ -9,6 +9,7 @@ import click
 from benchmarks.cli.options import FOLDER, JSON, QUICK, say
 from benchmarks.cli.show import show
 from thermoforce_mpc.cli.options import FiniteRange, Opening, execution_options
+from thermoforce_mpc.simulation.comparison.variants import comma_list
 
 
 @click.command("buildings")
@@ -63,6 +64,54 @@ def boptest_command(fmus: Path, price: str, engine: Opening, quick: bool, json_f
         show(run_boptest_bench(fmus, price=price, engine=where, quick=quick, progress=say), json_file)
 
 
+@click.command("worth")
+@click.option("--windows", default="16,44,108", show_default=True, help="Start days of the heat pump case.")
+@click.option("--houses", type=click.IntRange(0), default=4, show_default=True, help="Number of generated houses.")
+@click.option("--days", type=FiniteRange(0, min_open=True), default=7.0, show_default=True, help="Days a window.")
+@click.option("--history", default="1,3", show_default=True, help="Days of history that the controller gets.")
+@click.option("--free-responses", default="", help="Further ones, comma-separated: NAME or NAME:BACKBONE.")
+@click.option(
+    "--uncertainty",
+    type=click.Choice(["none", "low", "medium", "high"]),
+    default="none",
+    show_default=True,
+    help="Weather forecast errors of the heat pump case.",
+)
+@click.option("--keep", type=click.Path(path_type=Path, file_okay=False), help="Folder of finished cases, to go on.")
+@execution_options()
+@JSON
+def worth_command(
+    windows: str,
+    houses: int,
+    days: float,
+    history: str,
+    free_responses: str,
+    uncertainty: str,
+    keep: Path | None,
+    engine: Opening,
+    json_file: Path | None,
+) -> None:
+    """Run free responses in closed loop, in houses with people, between linear weather and the true future.
+
+    Cost per m² and discomfort in K·h of a window, and the share of the oracle's gain over linear weather.
+    """
+    from benchmarks.closed_loop.worth import run_worth_bench
+
+    with engine(say) as where:
+        result = run_worth_bench(
+            windows=comma_list(windows, "--windows"),
+            houses=houses,
+            days=days,
+            history_d=[int(number) for number in comma_list(history, "--history")],
+            methods=comma_list(free_responses, "--free-responses") if free_responses else (),
+            uncertainty=uncertainty,
+            engine=where,
+            keep=keep,
+            progress=say,
+        )
+    show(result, json_file)
+
+
 @click.command("zones")
 @click.option("--fmus", type=FOLDER, help="Folder with twozone_apartment_hydronic.fmu; without it, it is left out.")
 @execution_options()
@@ -79,24 +128,6 @@ def zones_command(fmus: Path | None, engine: Opening, only_speed: bool, quick: b
     with engine(say) as where:
         result = run_zones_bench(fmus=fmus, engine=where, quick=quick, only_speed=only_speed, progress=say)
     show(result, json_file)
-
-
-@click.command("dpc")
-@click.option("--days", type=FiniteRange(0, min_open=True), default=14.0, show_default=True, help="Days a window.")
-@click.option(
-    "--price",
-    type=click.Choice(["constant", "dynamic", "highly_dynamic"]),
-    default="constant",
-    show_default=True,
-    help="Tariff.",
-)
-@QUICK
-@JSON
-def dpc_command(days: float, price: str, quick: bool, json_file: Path | None) -> None:
-    """Put a policy trained through the model beside the MPC and the thermostat: cost, discomfort, training, time."""
-    from benchmarks.closed_loop.dpc import run_dpc_bench
-
-    show(run_dpc_bench(days=days, price=price, quick=quick, progress=say), json_file)
 
 
 @click.command("faults")

@@ -26,7 +26,7 @@ def operator_command(reference: Path, quick: bool, json_file: Path | None) -> No
 @QUICK
 @JSON
 def probing_command(quick: bool, json_file: Path | None) -> None:
-    """Compare designed with random probing, and test online adaptation to a loss of capacity, on the embedded plant."""
+    """Compare designed with random probing on the embedded plant."""
     from benchmarks.probing.bench import run_probing_bench
 
     show(run_probing_bench(quick=quick, progress=say), json_file)
@@ -243,7 +243,8 @@ def free_response_command(
     """Score 24 h free-response forecasts of every method from many origins, on the same history (extra [bench]).
 
     Also measures the coverage of the intervals over two weeks and the share of the error that weather can explain
-    (both left out with --quick), the effect of history length and number of resolutions, and the time per forecast.
+    (both left out with --quick), what share of the true future each method knows by length of history, with people and
+    without, the effect of the number of resolutions, and the time per forecast.
     """
     from benchmarks.free_response.bench import run_free_response_bench
 

@@ -10,7 +10,7 @@ from benchmarks.cli.options import FOLDER, QUICK, say
 from thermoforce_mpc.cli.options import Opening, execution_options
 
 
-@click.command(short_help="Measure the paper's tables here, beside its figures.")
+@click.command()
 @click.option("--only", multiple=True, metavar="TABLE", help="Only this part; repeatable.  [default: all]")
 @click.option("--records", multiple=True, type=FOLDER, help="Folder with measured homes, as for bench factual.")
 @click.option(

@@ -65,7 +65,7 @@ class Score:
 class Answer:
     """What the model of a building, described in `words`, from `days` of probing says.
 
-    `refused`: why there is no model; `missed`: what it misses of the bar, empty where it is competent.
+    `refused`: why there is no model; `missed`: what it misses, empty where it is competent.
     """
 
     building: str

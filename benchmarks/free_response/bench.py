@@ -13,9 +13,10 @@ from benchmarks.free_response.baselines.autoregressive import Autoregressive
 from benchmarks.free_response.baselines.exponential_smoothing import ExponentialSmoothing
 from benchmarks.free_response.baselines.seasonal_naive import SeasonalNaive
 from benchmarks.free_response.limit import limit_rows
-from benchmarks.free_response.runs import context_rows, cost_rows, interval_runs, look_rows
+from benchmarks.free_response.runs import cost_rows, interval_runs, look_rows
 from benchmarks.free_response.score import Score, forecast_origins, mae_K, score
-from benchmarks.free_response.sources import Source, boptest_sources, embedded_sources, mons_sources
+from benchmarks.free_response.shares import share_rows
+from benchmarks.free_response.sources import Source, boptest_sources, embedded_sources, house_sources, mons_sources
 from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import DataError
@@ -27,7 +28,10 @@ from thermoforce_mpc.simulation.comparison.results_json import Target, results_j
 # Baselines of the shipped forecaster: same context, no weather.
 NAIVE = ("persistence", "seasonal_naive", "ar26", "ar49", "ets")
 _ORIGINS_PER_SOURCE = 60
+_ORIGINS_SHARED = 30
 _ORIGINS_QUICK = 8
+# Seed of people whom no training data knows.
+PEOPLE = 7
 # Methods with weather are also scored with BOPTEST's forecast errors, on the hourly records of the test case.
 _LEVELS: tuple[Level, ...] = ("low", "medium", "high")
 _WEATHER_AWARE = ("arx26", "linear_weather", "residual")
@@ -93,7 +97,12 @@ def run_free_response_bench(
     if not quick:
         runs = interval_runs([s for s in sources if s.group != "Mons"], backbone, progress)
         limits = limit_rows(sources, backbone, progress)
-    contexts = context_rows(sources, backbone, _ORIGINS_QUICK if quick else _ORIGINS_PER_SOURCE)
+    shares = share_rows(
+        [*sources, *embedded_sources(people=PEOPLE), *house_sources(), *house_sources(people=PEOPLE)],
+        {name: methods[name] for name in ("persistence", "chronos", *_WEATHER_AWARE)},
+        _ORIGINS_QUICK if quick else _ORIGINS_SHARED,
+        progress,
+    )
     looks = look_rows(backbone, _ORIGINS_QUICK if quick else _ORIGINS_PER_SOURCE)
     costs = cost_rows(sources[0], backbone)
     groups = {source.name: source.group for source in sources}
@@ -105,7 +114,7 @@ def run_free_response_bench(
         Target("chronos: median processor ms per 24-h forecast", costs[0]["processor_ms"], 5.0),
         *runs[1],
     ]
-    return results_json("free-response", [*rows, *runs[0], *limits, *contexts, *looks, *costs], targets)
+    return results_json("free-response", [*rows, *runs[0], *limits, *shares, *looks, *costs], targets)
 
 
 def _methods(backbone: str) -> dict[str, FreeResponse]:

@@ -1,4 +1,4 @@
-"""Free-response bench, further parts: intervals over two weeks, length of context, resolutions, computing time."""
+"""Free-response bench, further parts: intervals over two weeks, resolutions, computing time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.free_response.score import forecast_origins, mae_K, score, window
+from benchmarks.free_response.score import forecast_origins, score, window
 from benchmarks.free_response.sources import Source, embedded_sources
 from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S
@@ -25,7 +25,6 @@ _LEADS_H = (6, 24)
 # Hourly forecasts start after two weeks of history; the first two days, the settling time, are not scored.
 _START_STEP, _SETTLING_STEPS, _LEAST_STEPS = 14 * 24, 48, 10 * 24
 _OFF_BY = 0.03
-_CONTEXTS_H = (48, 96, 168, 336)
 _BUILDINGS, _REPEATS = 32, 15
 _FINE_STEP_S, _LONG_H = 900.0, 48.0
 
@@ -57,30 +56,6 @@ def interval_runs(
         off_by = abs(float(np.mean([row[f"held_{hours}h_ahead"] for row in rows])) - 0.8)
         targets.append(Target(f"mean of {len(rows)} runs, {hours} h ahead: 80 % interval off by", off_by, _OFF_BY))
     return rows, targets
-
-
-def context_rows(sources: Sequence[Source], backbone: str, at_most: int) -> list[Row]:
-    """24-h error of the frozen model by length of context, from the same origins, one row per group."""
-    method = build_free_response("chronos", backbone=backbone)
-    rows = []
-    for group in dict.fromkeys(source.group for source in sources):
-        # The same origins for all lengths: those with the longest context.
-        longest = max(_CONTEXTS_H)
-        row: Row = {"group": group, "24-h error in K by context": "chronos"}
-        for hours in _CONTEXTS_H:
-            errors = []
-            for source in sources:
-                per_hour = HOUR_S / source.history.step_s
-                full = replace(source, least_context_steps=round(longest * per_hour))
-                origins = forecast_origins(full, at_most)
-                if source.group == group and origins:
-                    errors.append(
-                        mae_K(score(method, replace(full, context_steps=round(hours * per_hour)), origins), 24)
-                    )
-            row[f"{hours} h"] = float(np.mean(errors)) if errors else None
-        if row[f"{longest} h"] is not None:
-            rows.append(row)
-    return rows
 
 
 def look_rows(backbone: str, at_most: int) -> list[Row]:

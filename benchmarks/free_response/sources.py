@@ -16,10 +16,14 @@ import pandas as pd
 from benchmarks.factual.readers import MONS, MONS_ROOMS, mons_table
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.protocols import Plant
 
 # Time constants of the forced response that is subtracted from the controlled records; least squares with them has an
 # RMSE of 0.02 K on held-out pairs.
 _FORCED_TAU_H = np.array([0.45, 3.0, 48.0])
+# First days of the free runs; seed of houses, none of which is in any training data.
+_SEASONS = {"winter": 20, "spring": 100}
+_POPULATION = 2044
 _ROOMS = ("kitchen", "living room", "office", "bedroom")
 
 
@@ -78,26 +82,50 @@ def mons_sources(folder: Path) -> list[Source]:
     return sources
 
 
-def embedded_sources(step_s: float = HOUR_S, horizon_h: float = 24.0) -> list[Source]:
-    """Free runs of the embedded plant under the synthetic year, machine off throughout: winter and spring."""
+def embedded_sources(step_s: float = HOUR_S, horizon_h: float = 24.0, people: int | None = None) -> list[Source]:
+    """Free runs of the embedded plant under the synthetic year, machine off throughout: winter and spring.
+
+    `people`: seed of people who do not keep to the schedule.
+    """
     from thermoforce_mpc.boundary.weather import synthetic_weather
     from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
+    plant = EmbeddedPlant(synthetic_weather(), people=people)
+    return [
+        _free_run(plant, f"embedded {season}{_living(people)}", f"embedded{_living(people)}", day, step_s, horizon_h)
+        for season, day in _SEASONS.items()
+    ]
+
+
+def house_sources(people: int | None = None, houses: int = 4) -> list[Source]:
+    """Hourly free runs of generated houses, in winter and spring, as their sensors read them; `people` as above."""
+    from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
+
     sources = []
-    per_day = round(DAY_S / step_s)
-    for name, day in (("embedded winter", 20), ("embedded spring", 100)):
-        plant = EmbeddedPlant(synthetic_weather())
-        rows = [plant.reset(day * DAY_S, 7 * DAY_S)]
-        rows += [plant.advance(0.0, step_s) for _ in range(28 * per_day)]
-        plant.close()
-        time_s, T, T_out, solar = (
-            np.stack([getattr(row, key) for row in rows], axis=-1)
-            for key in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")
-        )
-        off = np.zeros(time_s.size - 1)
-        history = Record(time_s, T, T_out, solar, off, off, off)
-        sources.append(Source(name, "embedded", history, T[0], 14 * per_day, 7 * per_day, horizon_h))
+    for index in range(houses):
+        plant = GeneratedHousePlant(draw_house(_POPULATION, index), people=people)
+        for season, day in _SEASONS.items():
+            name = f"house {_POPULATION}:{index} {season}{_living(people)}"
+            sources.append(_free_run(plant, name, f"houses{_living(people)}", day, HOUR_S))
     return sources
+
+
+def _living(people: int | None) -> str:
+    return "" if people is None else ", people"
+
+
+def _free_run(plant: Plant, name: str, group: str, day: int, step_s: float, horizon_h: float = 24.0) -> Source:
+    """28 days with the machine off, after a week of native control before `day`."""
+    per_day = round(DAY_S / step_s)
+    rows = [plant.reset(day * DAY_S, 7 * DAY_S)]
+    rows += [plant.advance(0.0, step_s) for _ in range(28 * per_day)]
+    time_s, T, T_out, solar = (
+        np.stack([getattr(row, key) for row in rows], axis=-1)
+        for key in ("time_s", "T_zone_C", "T_out_C", "solar_W_m2")
+    )
+    off = np.zeros(time_s.size - 1)
+    history = Record(time_s, T, T_out, solar, off, off, off)
+    return Source(name, group, history, T[0], 14 * per_day, 7 * per_day, horizon_h)
 
 
 def hourly_record(path: Path, gains: Array | None = None) -> tuple[Record, Array]:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import torch
 
+from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator import OperatorParameters, forced_rollout, linear_operator
 from thermoforce_mpc.model.operator.casadi_export import rollout_function
-from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 
 # Largest difference between two implementations whose times are compared, K.
 _SAME_K = 1e-9

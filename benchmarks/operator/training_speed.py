@@ -11,6 +11,7 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from benchmarks.operator.many_buildings import fit_two_stage_many
 from benchmarks.operator.speed import Comparison, median_s, must_agree, random_operator
+from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.disturbance import Disturbance
@@ -22,7 +23,6 @@ from thermoforce_mpc.identification.modulation.training import minimise
 from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
 from thermoforce_mpc.model.free_response.rc import INPUTS
 from thermoforce_mpc.model.operator import OperatorParameters
-from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 
 # Noise of the synthetic targets, K, so that the final loss is not zero.
 _NOISE_K = 0.05

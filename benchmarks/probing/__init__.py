@@ -1,1 +1,1 @@
-"""Informative probing against random probing, and online adaptation."""
+"""Informative probing against random probing."""

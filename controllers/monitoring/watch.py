@@ -29,11 +29,11 @@ from functools import cache, partial
 import numpy as np
 
 from controllers.monitoring import watch_effect
+from controllers.monitoring.scaled_model import GAIN_BOUNDS, ScaledModel, scaled
 from controllers.monitoring.single_actuator import SingleActuatorContext
 from controllers.monitoring.watch_state import IN_USE, Issued, Judged, Track, WatchConfig, WatchState
 from controllers.monitoring.watch_tests import LEVELS_H, applied_levels, heat_ratio, level_fault, machine_ratio
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
-from thermoforce_mpc.identification.estimation.adaptation import AdaptationConfig, AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.rollout import forced_rollout
@@ -58,8 +58,7 @@ _LEAST_RATIOS = 12
 _INSIDE, _JUDGED = 0.7, 0.75
 # A second alarm within this time after a return doubles the wait, up to the limit; h.
 _RELAPSE_H, _LONGEST_WAIT_H = 48.0, 48.0
-# Adaptation while standing back: limits of the gain, its prior standard deviation, and hours between two updates.
-_SCALES = AdaptationConfig(gain_bounds=(0.3, 3.0))
+# Scaling while standing back: prior standard deviation of the gain, and hours between two updates.
 _GAIN_PRIOR_SD, _ADAPT_EVERY_H = 0.5, 6.0
 _ADAPTED = "the model adapted since"
 
@@ -98,7 +97,7 @@ class Watch:
         self.threshold = 2 * len(self.leads) * per_month / self._share
         self._least_K = config.least_K * np.sqrt(np.array(self.leads) * self.step_s / HOUR_S)
         self._gain_sd = np.array([_relative_gain_sd(model, n * self.step_s / HOUR_S) for n in self.leads])
-        self._adaptation = OnlineAdaptation(model, _SCALES, n_steps=n_steps)
+        self._n_steps = n_steps
 
     def due(self, time_s: float) -> bool:
         """Whether a prediction is to be recorded at `time_s`."""
@@ -117,14 +116,14 @@ class Watch:
         return replace(track, pending=(*track.pending, new), bands=last_week)
 
     def validate(
-        self, state: WatchState | None, history: Record, adaptation: AdaptationState | None, predictor: object
+        self, state: WatchState | None, history: Record, adaptation: ScaledModel | None, predictor: object
     ) -> WatchState:
         """The state after the predictions that came due; `alarm` is empty where the model may be used in this step.
 
         Args:
             state: state after the last step; None at the start of a run.
             history: record until now.
-            adaptation, predictor: states of adaptation and predictor of the model in use.
+            adaptation, predictor: the model in use, where it is not the identified one, and the state of its predictor.
         """
         if not self.config.enabled:
             return WatchState()
@@ -140,15 +139,13 @@ class Watch:
             return state
         in_use = replace(
             state.tracks[0].cleared(),
-            adaptation=adaptation or self._adaptation.started(),
+            adaptation=adaptation or ScaledModel(self._model),
             predictor=predictor if isinstance(predictor, PredictorState) else None,
         )
         assert in_use.adaptation is not None
         tracks = [in_use]
         if in_use.adaptation.adapted:
-            tracks.append(
-                Track("the model as identified", self._adaptation.started(), _without_force(in_use.predictor))
-            )
+            tracks.append(Track("the model as identified", ScaledModel(self._model), _without_force(in_use.predictor)))
         relapse = now - state.returned_s < _RELAPSE_H * HOUR_S
         wait_h = min(2 * state.wait_h, _LONGEST_WAIT_H) if relapse else self.config.return_h
         return replace(state, tracks=tuple(tracks), alarm=fault, since_s=now, wait_h=wait_h)
@@ -289,13 +286,11 @@ class Watch:
             return state
         error, effect = last.error_K, last.effect_K
         prior = float(np.mean(last.promise_K**2)) / _GAIN_PRIOR_SD**2
-        low, high = _SCALES.gain_bounds
-        gain = float(np.clip(1.0 + effect @ error / (effect @ effect + prior), low, high))
+        gain = float(np.clip(1.0 + effect @ error / (effect @ effect + prior), *GAIN_BOUNDS))
         heat = self._heat_since(state, history)
-        gain /= float(np.clip(self._heat_of_levels(state, history, in_use.adaptation), low, high))
-        adapted = self._adaptation.rescaled(
-            in_use.adaptation, gain, float(np.exp(in_use.adaptation.log_heat)) if heat is None else heat
-        )
+        gain /= float(np.clip(self._heat_of_levels(state, history, in_use.adaptation), *GAIN_BOUNDS))
+        used = in_use.adaptation
+        adapted = scaled(self._model, used.gain * gain, used.heat if heat is None else heat, self._n_steps)
         if adapted is None:
             return state
         before = [track for track in state.tracks if track.name == _ADAPTED]
@@ -308,7 +303,7 @@ class Watch:
         steps = round((float(history.time_s[-1]) - state.since_s) / self.step_s)
         return heat_ratio(history.last(steps), self._model.operator.heat_input)
 
-    def _heat_of_levels(self, state: WatchState, history: Record, adaptation: AdaptationState) -> float:
+    def _heat_of_levels(self, state: WatchState, history: Record, adaptation: ScaledModel) -> float:
         """Heat measured over that of the model in use at the levels that its latest predictions were compared for.
 
         1 where it is not known, and where these levels are those that give the measured heat.
@@ -326,7 +321,7 @@ class Watch:
         """
         if heat_since is None or not state.ratios or track.adaptation is None:
             return False
-        assumed, limit = math.exp(track.adaptation.log_heat), self.config.machine_factor
+        assumed, limit = track.adaptation.heat, self.config.machine_factor
         return not any(1.0 / limit <= ratio / assumed <= limit for ratio in (state.ratios[-1][1], heat_since))
 
     def _return_if_holding(self, state: WatchState, history: Record) -> WatchState:

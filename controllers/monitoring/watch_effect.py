@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from thermoforce_mpc.data import Array
 
@@ -57,7 +57,7 @@ def effect_fault(error_K: Array, effect_K: Array, promise_K: Array, false_alarm:
     `false_alarm` is the largest probability of an alarm in 30 days while errors are as promised.
     """
     share, z = missing_effect(error_K, effect_K, promise_K)
-    if share < _LEAST_SHARE or z < norm.isf(false_alarm * EVERY_H / _MONTH_H):
+    if share < _LEAST_SHARE or z < -ndtri(false_alarm * EVERY_H / _MONTH_H):
         return ""
     return (
         f"acting has less effect than predicted: {share:.0%} of it is missing in the last {WINDOW_H:g} h ({z:.1f}"

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from controllers.monitoring.scaled_model import ScaledModel
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import PredictorState
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -87,11 +87,11 @@ class Track:
 
     `judged` (k, 5): the fields of `Judged`. `bands` (k, 1 + L) of the last week: time, s, and half-width at each lead,
     K. `evidence` maps (lead, phase, side) to the detector's M. While standing back `adaptation`
-    holds the model, `predictor` the state of its predictor.
+    is the model, `predictor` the state of its predictor.
     """
 
     name: str = IN_USE
-    adaptation: AdaptationState | None = None
+    adaptation: ScaledModel | None = None
     predictor: PredictorState | None = None
     pending: tuple[Issued, ...] = ()
     judged: Array = field(default_factory=lambda: _NONE_JUDGED)

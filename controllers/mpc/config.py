@@ -21,9 +21,6 @@ from controllers.safety.fallback_policy import FallbackConfig
 from controllers.safety.overrides import GateConfig, GuardConfig
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.execution.keys import ADDED_LATER
-from thermoforce_mpc.identification.estimation.adaptation import AdaptationConfig
-from thermoforce_mpc.model.forced_state import EstimatorConfig
 from thermoforce_mpc.model.free_response.registry import check_free_response, own_options
 from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.strict_model import one_of
@@ -158,7 +155,7 @@ class MPCConfig(StrictModel):
         "one another acts in the first hours, by mixed-integer programming; search: the paper's candidate "
         "trajectories; auto: milp with such choices, else ipopt up to two zones, qp or sqp beyond",
     )
-    terms: Annotated[str | None, ADDED_LATER] = Field(
+    terms: str | None = Field(
         None,
         description="function of your own that adds terms to objective and constraints, as my_terms.py:ramp; a path "
         "from where the command is started. See the how-to 'Your own optimisation'",
@@ -166,8 +163,6 @@ class MPCConfig(StrictModel):
     objective: ObjectiveConfig = ObjectiveConfig()
     move_blocking: MoveBlockingConfig = MoveBlockingConfig()
     free_response: FreeResponseConfig = FreeResponseConfig()
-    estimator: EstimatorConfig = EstimatorConfig()
-    adaptation: AdaptationConfig = AdaptationConfig()
     actuation: ActuationConfig = ActuationConfig()
     actuations: dict[str, ActuationConfig] = Field(
         default_factory=dict, description="actuation of single actuators, by name; `actuation` otherwise"
@@ -190,7 +185,7 @@ class MPCConfig(StrictModel):
     qp: QPConfig = QPConfig()
     milp: MilpConfig = MilpConfig()
     ipopt: IpoptConfig = IpoptConfig()
-    sqp: Annotated[SQPConfig, ADDED_LATER] = SQPConfig()
+    sqp: SQPConfig = SQPConfig()
     search: SearchConfig = SearchConfig()
 
     def actuation_of(self, actuator: str) -> ActuationConfig:

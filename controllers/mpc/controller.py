@@ -40,7 +40,6 @@ from controllers.safety.overrides import (
 )
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
-from thermoforce_mpc.identification.estimation.adaptation import OnlineAdaptation
 from thermoforce_mpc.model.free_response.substitute import WithSubstitutes
 from thermoforce_mpc.model.machine.part_load import level_costs
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -122,7 +121,6 @@ class ThermoForceMPC(ActuatedController):
             model,
             self._actuators,
             _free_responses(c.free_response, model, free_response),
-            c.estimator,
             lambda operator: solver_of(operator, shape_of(operator)),
             shape_of,
         )
@@ -142,13 +140,8 @@ class ThermoForceMPC(ActuatedController):
             watches, self._planners.of, model, enabled=c.watch.enabled and not self._gate.closes_all
         )
         self._readings = ReadingsFilter(c, model, self._planners.base.predictor)
-        adaptations = (
-            [OnlineAdaptation(zone, c.adaptation, n_steps=n_steps) for zone in zone_models]
-            if c.adaptation.enabled
-            else []
-        )
         self._prediction = Prediction(
-            self._planners, adaptations, self._readings.sensors, self._watched, n_steps, c.deadline.forecast_s
+            self._planners, self._readings.sensors, self._watched, n_steps, c.deadline.forecast_s
         )
         alarms = (WatchAlarm(self._fallbacks),) if self._watched.enabled else ()
         self._overrides: tuple[OverrideRule, ...] = (*alarms, self._gate, LostZone(self._fallbacks))
@@ -215,7 +208,7 @@ class ThermoForceMPC(ActuatedController):
     def plan(self, observation: Observation, state: object = None) -> Plan:
         """Plan for the next step.
 
-        An exception of forecast, estimator or solver is not raised: the fallback policy decides, and `Plan.why` holds
+        An exception of forecast or solver is not raised: the fallback policy decides, and `Plan.why` holds
         the reason. An actuator whose model is not competent or does not hold, or whose zone is not known any more, is
         left to native control or the rule alone; the others follow the plan.
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri
 
 from controllers.actuation.actuator import Actuation
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, FreeForecast
@@ -26,12 +26,12 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 # Expected shortfall of a standard normal variable below −z, on a grid of z: φ(z) − z (1 − Φ(z)), decreasing.
 _Z = np.linspace(0.0, 4.0, 401)
-_SHORTFALL = norm.pdf(_Z) - _Z * norm.sf(_Z)
+_SHORTFALL = np.exp(-(_Z**2) / 2.0) / np.sqrt(2.0 * np.pi) - _Z * ndtr(-_Z)
 # `np.interp` needs increasing abscissae.
 _BY_SHORTFALL = _SHORTFALL[::-1].copy(), _Z[::-1].copy()
 # Calibrated quantile level from which the standard deviation is computed, and its normal score.
 _SPREAD_LEVEL = 0.1
-_SPREAD_Z = float(norm.isf(_SPREAD_LEVEL))
+_SPREAD_Z = float(-ndtri(_SPREAD_LEVEL))
 # Averaging window of the expected violation, h: heat given now arrives within it; later violations can be corrected.
 _AHEAD_H = 6.0
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from controllers.checks import message_of
+from controllers.monitoring.scaled_model import ScaledModel
 from controllers.monitoring.single_actuator import single_actuator_context, single_actuator_records
 from controllers.monitoring.watch import Watch
 from controllers.monitoring.watch_state import Track
@@ -17,7 +18,6 @@ from controllers.mpc.planner import Planner
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import Array, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, gather
-from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
 from thermoforce_mpc.model.predictor import PredictionContext, PredictorState
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
@@ -37,7 +37,7 @@ class WatchedPredictions:
     def __init__(
         self,
         watches: Sequence[Watch],
-        planner: Callable[[Sequence[AdaptationState | None]], Planner],
+        planner: Callable[[Sequence[ScaledModel | None]], Planner],
         model: ThermalModel,
         *,
         enabled: bool,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from controllers.actuation.actuators import Actuators
 from controllers.checks import ControllerConfigError
+from controllers.monitoring.scaled_model import ScaledModel
 from controllers.mpc.config import MPCConfig
 from controllers.optimisation.evaluation import Evaluator
 from controllers.optimisation.machines import EquipmentLayout
@@ -19,8 +20,6 @@ from controllers.optimisation.solvers.milp import MilpSolver
 from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.sqp import SQPSolver
 from controllers.optimisation.statement.terms import Terms
-from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
-from thermoforce_mpc.model.forced_state import EstimatorConfig, ForcedStateEstimator
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -90,7 +89,7 @@ def chosen_solver(config: MPCConfig, operator: BuildingOperator, shape: ProblemS
 _KEPT = 4
 
 # What each actuator's model differs in from the identified one; None where in nothing.
-_Factors = tuple[tuple[float, float, float] | None, ...]
+_Factors = tuple[tuple[float, float] | None, ...]
 
 
 class Planners:
@@ -100,7 +99,6 @@ class Planners:
         model: the building as identified, at the control step.
         actuators: how its actuators are run.
         free_responses: the free response of each zone (Z,).
-        estimator: options of the estimator of forced states.
         solver: builds the solver of an operator, which is adjusted to the actuation.
         shape: what the problems of an operator have in common.
     """
@@ -110,17 +108,16 @@ class Planners:
         model: ThermalModel,
         actuators: Actuators,
         free_responses: Sequence[FreeResponse],
-        estimator: EstimatorConfig,
         solver: Callable[[BuildingOperator], Solver],
         shape: Callable[[BuildingOperator], ProblemShape],
     ) -> None:
         self._actuators, self._free_responses = actuators, tuple(free_responses)
-        self._estimator, self._solver, self._shape = estimator, solver, shape
+        self._solver, self._shape = solver, shape
         self._zones = tuple(model.actuator(a) for a in range(len(model.names.actuators)))
         self.base = self._build(model)
         self._adapted: list[tuple[_Factors, Planner]] = []
 
-    def of(self, adaptation: Sequence[AdaptationState | None]) -> Planner:
+    def of(self, adaptation: Sequence[ScaledModel | None]) -> Planner:
         """The planner of the building with adapted models of its actuators (A,), from the cache if present."""
         factors = tuple(None if state is None or not state.adapted else state.factors for state in adaptation)
         if not any(factors):
@@ -147,8 +144,7 @@ class Planners:
                 pair, heat_input=pair.heat_input.at_lowest_level(self._actuators.each[a].lowest_level)
             )
         )
-        estimator = ForcedStateEstimator(model.operator, config=self._estimator)
-        predictor = Predictor(model.operator, self._free_responses, estimator=estimator)
+        predictor = Predictor(model.operator, self._free_responses)
         return Planner(
             model, predictor, operator, self._solver(operator), Evaluator(operator, self._shape(operator)).by_steps
         )

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from controllers.checks import message_of
-from controllers.monitoring.single_actuator import single_actuator_records
 from controllers.monitoring.zone_sensors import ZoneSensors
 from controllers.mpc.model_watch import WatchedPredictions
 from controllers.mpc.planner import Planner, Planners
@@ -14,7 +13,6 @@ from controllers.mpc.readings import Readings
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import Observation
 from thermoforce_mpc.execution.cooperative import Computation, within
-from thermoforce_mpc.identification.estimation.adaptation import AdaptationState, OnlineAdaptation
 from thermoforce_mpc.model.predictor import PredictionContext
 
 
@@ -42,7 +40,6 @@ class Prediction:
 
     Args:
         planners: of the building's models.
-        adaptations: of each actuator's model (A,); empty where nothing is adapted.
         sensors: zone sensors, which are validated by what is forecast now.
         watched: records what is predicted, to be compared with what comes.
         n_steps: steps ahead.
@@ -52,13 +49,12 @@ class Prediction:
     def __init__(
         self,
         planners: Planners,
-        adaptations: Sequence[OnlineAdaptation],
         sensors: ZoneSensors,
         watched: WatchedPredictions,
         n_steps: int,
         seconds: float,
     ) -> None:
-        self._planners, self._adaptations, self._sensors = planners, tuple(adaptations), sensors
+        self._planners, self._sensors = planners, sensors
         self._watched, self._n_steps, self._seconds = watched, n_steps, seconds
 
     def ahead(self, observation: Observation) -> Observation:
@@ -68,18 +64,12 @@ class Prediction:
     def predict(self, readings: Readings, state: MPCState) -> Computation[Forecast | Failure]:
         """The forecast, with the state after it; the state as it was where it fails."""
         try:
-            adaptation = self._adapted(readings, state)
-            planner, before = self._planners.of(adaptation), state
-            if any(
-                was is not None and now is not None and was.factors != now.factors
-                for was, now in zip(state.adaptation, adaptation, strict=True)
-            ):
-                before = state.without_forced()  # it was computed with the operator as it was
-            contexting = planner.predictor.contexting(self.ahead(readings.observation), before.predictor)
+            planner = self._planners.of(state.adaptation)
+            contexting = planner.predictor.contexting(self.ahead(readings.observation), state.predictor)
             context = yield from within(self._seconds, contexting)
         except Exception as error:  # whatever a forecaster raises, there is another way to act
             return Failure(f"no prediction ({message_of(error)})", state)
-        return Forecast(context, planner, replace(state, adaptation=adaptation, predictor=context.state))
+        return Forecast(context, planner, replace(state, predictor=context.state))
 
     def record(self, forecast: Forecast, readings: Readings) -> Forecast:
         """The forecast with a state that remembers what was predicted, for the sensors and the watch."""
@@ -87,14 +77,3 @@ class Prediction:
         sensors = self._sensors.anchored(state.sensors, readings.history, context)
         state = self._watched.record_prediction(replace(state, sensors=sensors), context, forecast.planner)
         return replace(forecast, state=state)
-
-    def _adapted(self, readings: Readings, state: MPCState) -> tuple[AdaptationState | None, ...]:
-        """States of all adaptations after the record; as they were where nothing is adapted."""
-        if not self._adaptations:
-            return state.adaptation
-        forced_K = state.predictor.forced.forced_K if state.predictor and state.predictor.forced else None
-        records = single_actuator_records(self._planners.base.model, readings.history, forced_K)
-        return tuple(
-            adaptation.update(before, record)
-            for adaptation, before, record in zip(self._adaptations, state.adaptation, records, strict=True)
-        )

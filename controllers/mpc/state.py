@@ -8,13 +8,13 @@ import numpy as np
 
 from controllers.actuation.actuator import ActuationState
 from controllers.monitoring.meters import MeterState
+from controllers.monitoring.scaled_model import ScaledModel
 from controllers.monitoring.sun_on_sensors import SunState
 from controllers.monitoring.watch_state import WatchState
 from controllers.monitoring.zone_sensor_state import SensorState
 from controllers.mpc.margins import Margins
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import Boundary, Names, Observation
-from thermoforce_mpc.identification.estimation.adaptation import AdaptationState
 from thermoforce_mpc.model.predictor import PredictorState
 
 
@@ -35,7 +35,7 @@ class MPCState:
     actuation: tuple[ActuationState, ...] = (ActuationState(),)
     good: GoodPlan | None = None
     predictor: PredictorState | None = None
-    adaptation: tuple[AdaptationState | None, ...] = (None,)
+    adaptation: tuple[ScaledModel | None, ...] = (None,)
     watch: tuple[WatchState, ...] = (WatchState(),)
     margins: Margins = field(default_factory=Margins)
     sensors: tuple[SensorState, ...] = (SensorState(),)

@@ -25,7 +25,7 @@ from thermoforce_mpc.scenario.settings import StrictModel
 class GateConfig(StrictModel):
     """Options of the competence gate."""
 
-    enabled: bool = Field(True, description="do not act on a model that is below the bar or was not judged")
+    enabled: bool = Field(True, description="do not act on a model that is not competent or was not judged")
 
 
 class GuardConfig(StrictModel):
@@ -89,7 +89,7 @@ class WatchAlarm:
 
 
 class CompetenceGate:
-    """A model that is below the bar, or was identified but not judged, does not act.
+    """A model that is not competent, or was identified but not judged, does not act.
 
     Args:
         config: options.

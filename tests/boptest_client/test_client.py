@@ -171,9 +171,13 @@ def test_what_is_late_and_safe_to_repeat_is_repeated(client, service):
 
 def test_patience_is_bounded(client, service):
     service.faults.append(Fault("kpi/", "drop", times=99))
-    with pytest.raises(ConnectionLost, match="kpi"):
+    with pytest.raises(ConnectionLost, match=r"kpi.*no better answer within 30 s"):
         client.kpi()
     assert service.count("kpi/") < 20
+    service.faults[:] = [Fault("scenario/", "500", times=99)]
+    with pytest.raises(InternalError, match=r"scenario.*no better answer within 30 s") as caught:
+        client.set_scenario(Scenario())
+    assert caught.value.status == 500
 
 
 class Clock:
@@ -414,6 +418,26 @@ def test_a_step_that_never_arrived_is_sent_again(client, service, caplog, kind):
     assert client.advance({})["time"] == start["time"] + 900
     assert service.count("advance/") == 2
     assert "was not simulated" in caplog.text
+
+
+def test_a_step_and_its_record_each_have_their_own_patience(client, service):
+    """Both fail for less than patience, and for more than it together."""
+    start = client.initialize(86400, 0)
+    service.faults += [Fault("advance/", "drop", times=9), Fault("results/", "500", times=9)]
+    assert client.advance({})["time"] == start["time"] + 3600
+    assert service.count("advance/") == 10
+    assert service.count("results/") == 9 + 9
+
+
+def test_a_record_that_is_given_up_gives_up_its_step(service):
+    clock = Clock()
+    with BoptestClient(service.url, NAME, config=replace(QUICK, sleep=clock)) as client:
+        client.initialize(86400, 0)
+        service.faults += [Fault("advance/", "drop", times=99), Fault("results/", "500", times=99)]
+        with pytest.raises(AdvanceInterrupted, match=r"results/.*no better answer within 30 s$"):
+            client.advance({})
+        assert 30.0 <= clock.waited_s <= 30.0 + 15.0, "one patience"
+        service.faults.clear()
 
 
 def test_steps_that_never_arrive_are_given_up(client, service):

@@ -73,7 +73,7 @@ def test_a_packed_file_of_any_length_is_read_no_further_than_its_bound(tmp_path)
 def test_prices_per_MWh_are_doubted(tmp_path):
     path = tmp_path / "prices.csv"
     path.write_text("time,price\n0,250\n3600,260\n")
-    with pytest.warns(DoubtfulInput, match=r"prices\.csv: prices of 255 per kWh .* are they per MWh, or in cents\?"):
+    with pytest.warns(DoubtfulInput, match=r"prices\.csv: prices of 255 per kWh .* are they per MWh, or in cents"):
         tariffs.tariff_from_file(path)
 
 

@@ -119,3 +119,11 @@ def test_values_come_in_the_order_of_the_cases():
     assert values == list(range(9))
     assert [n for n, _ in told] == list(range(1, 10))
     assert sorted(value for _, value in told) == values
+
+
+def test_cases_that_were_kept_are_not_run_again(tmp_path):
+    cases = [{"n": n, "log": "/dev/null"} for n in range(3)]
+    first, again = Losing(3, {}, 4), Losing(3, {}, 4)
+    assert run_all(functions.total, cases[:2], first, keep=tmp_path) == [0, 1]
+    assert run_all(functions.total, cases, again, keep=tmp_path) == [0, 1, 2]
+    assert (len(first.begun), len(again.begun)) == (2, 1)

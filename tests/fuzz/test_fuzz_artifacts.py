@@ -106,7 +106,7 @@ def test_bytes_that_were_changed_are_refused(folder, tmp_path, name):
 
 def test_a_document_made_to_deceive_is_refused_or_a_model(folder, tmp_path):
     content, arrays = read_model_file(folder)
-    kept = {key: content[key] for key in ("zones", "actuators", "machines", "n_trained", "pairs")}
+    kept = {key: content[key] for key in ("zones", "actuators", "machines", "exclusive", "n_trained", "pairs")}
     taken = 0
 
     @fuzz(150)
@@ -131,7 +131,7 @@ ODD = st.sampled_from(
 
 def test_arrays_made_to_deceive_are_refused_or_a_model(folder, tmp_path):
     content, arrays = read_model_file(folder)
-    kept = {key: content[key] for key in ("zones", "actuators", "machines", "n_trained", "pairs")}
+    kept = {key: content[key] for key in ("zones", "actuators", "machines", "exclusive", "n_trained", "pairs")}
 
     @fuzz(60)
     @given(name=st.sampled_from(sorted(arrays)), odd=ODD)

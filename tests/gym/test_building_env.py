@@ -228,7 +228,7 @@ def test_picture_of_an_episode() -> None:
 def test_an_fmu_gives_what_the_emulator_inside_gives(tmp_path: Path) -> None:
     pytest.importorskip("fmpy")
     pytest.importorskip("pythonfmu")
-    from fmu_files import build_house
+    from benchmarks.chaos.fmu.building import build_house
 
     options = {"start_time": 16 * DAY_S, "warmup_period": 3600.0, "max_episode_length": 1800.0}
     far, near = made(fmu=str(build_house(tmp_path)), **options), made(**options)

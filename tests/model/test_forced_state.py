@@ -11,10 +11,10 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
-from thermoforce_mpc.data import HOUR_S, FreeForecast, Record
+from thermoforce_mpc.data import HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.forced_history import forced_history
-from thermoforce_mpc.model.forced_state import EstimatorConfig, ForcedStateEstimator
+from thermoforce_mpc.model.forced_state import followed
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
@@ -33,77 +33,49 @@ def some_history(n: int = 60, seed: int = 0) -> Record:
     )
 
 
-def expectation(free_C: float, spread_K: float = 0.1) -> FreeForecast:
-    levels = np.arange(1, 10) / 10
-    return FreeForecast(levels, free_C + spread_K * (levels[:, None, None] - 0.5))
-
-
 def test_step_by_step_is_the_rollout_of_the_whole_history():
     operator, history = simple_model().operator, some_history()
-    estimator = ForcedStateEstimator(operator)
-    followed = None
+    state = None
     for n in (0, 1, 2, 3, 30, 31, 60):
-        followed = estimator.update(followed, history.slice(0, n))
-    assert followed.forced_K.shape == (1, 1, 61, operator.shape[2])
+        state = followed(operator, state, history.slice(0, n))
+    assert state.forced_K.shape == (1, 1, 61, operator.shape[2])
     # The first day sets the steady start, so the start is known from the first whole rollout on.
-    begun = estimator.update(None, history.slice(0, 30))
-    np.testing.assert_allclose(estimator.update(begun, history).forced_K, forced_history(operator, history), atol=1e-12)
+    begun = followed(operator, None, history.slice(0, 30))
+    np.testing.assert_allclose(
+        followed(operator, begun, history).forced_K, forced_history(operator, history), atol=1e-12
+    )
 
 
 def test_following_changes_no_state_that_was_given():
-    history = some_history()
-    estimator = ForcedStateEstimator(simple_model().operator, config=EstimatorConfig(correct=True))
-    begun = estimator.update(None, history.slice(0, 30))
-    begun = estimator.expect(begun, float(history.time_s[31]), expectation(18.0))
-    kept = begun.forced_K.copy(), begun.covariance.copy()
-    a, b = estimator.update(begun, history), estimator.update(begun, history)
+    operator, history = simple_model().operator, some_history()
+    begun = followed(operator, None, history.slice(0, 30))
+    kept = begun.forced_K.copy()
+    a, b = (followed(operator, begun, history) for _ in range(2))
     np.testing.assert_array_equal(a.forced_K, b.forced_K)
-    np.testing.assert_array_equal(begun.forced_K, kept[0])
-    np.testing.assert_array_equal(begun.covariance, kept[1])
-    assert estimator.update(a, history) is a
+    np.testing.assert_array_equal(begun.forced_K, kept)
+    assert followed(operator, a, history) is a
 
 
 def test_another_run_starts_anew():
     operator = simple_model().operator
-    estimator = ForcedStateEstimator(operator)
-    before = estimator.update(None, some_history(40))
+    before = followed(operator, None, some_history(40))
     other = some_history(50, seed=3)
     other = replace(other, time_s=other.time_s + 5 * 86400.0)
-    np.testing.assert_allclose(estimator.update(before, other).forced_K, forced_history(operator, other), atol=1e-12)
+    np.testing.assert_allclose(followed(operator, before, other).forced_K, forced_history(operator, other), atol=1e-12)
 
 
 def test_a_gap_in_a_new_step_is_refused_with_its_place():
     history = some_history(10)
-    estimator = ForcedStateEstimator(simple_model().operator)
-    state = estimator.update(None, history.slice(0, 9))
+    operator = simple_model().operator
+    state = followed(operator, None, history.slice(0, 9))
     broken = replace(history, T_out_C=np.append(history.T_out_C[:-1], np.nan))
     with pytest.raises(DataError, match="T_out_C is not finite at step 10 of 10"):
-        estimator.update(state, broken)
-
-
-def surprised(config: EstimatorConfig, spread_K: float) -> float:
-    """By how much the forced part moves when the zone is 0.5 K warmer than expected after a step of full heat."""
-    history = some_history(30)
-    history = replace(history, u=np.append(history.u[0, :-1], 1.0))
-    plain = forced_history(simple_model().operator, history)[:, :, -1].sum()
-    estimator = ForcedStateEstimator(simple_model().operator, config=config)
-    state = estimator.update(None, history.slice(0, 29))
-    free_C = float(history.T_zone_C[0, -1]) - 0.5 - plain
-    state = estimator.expect(state, float(history.time_s[-1]), expectation(free_C, spread_K))
-    return float(estimator.update(state, history).forced_K[:, :, -1].sum() - plain)
-
-
-def test_a_surprise_is_divided_by_who_was_surer():
-    assert surprised(EstimatorConfig(), 0.1) == pytest.approx(0.0, abs=1e-12)
-    sure, unsure = surprised(EstimatorConfig(correct=True), 0.01), surprised(EstimatorConfig(correct=True), 2.0)
-    assert 0.0 < unsure < 0.1 * sure
-    assert 0.4 < sure < 0.5
+        followed(operator, state, broken)
 
 
 def test_free_and_forced_always_add_up_to_what_was_measured():
     model, history = simple_model(), some_history()
-    estimator = ForcedStateEstimator(model.operator, config=EstimatorConfig(correct=True))
-    predictor = Predictor(model.operator, OutdoorResponse(), estimator=estimator)
+    predictor = Predictor(model.operator, OutdoorResponse())
     free = predictor.free_history(history)
     np.testing.assert_allclose(free + predictor.forced_history(history).sum(axis=(1, 3)), history.T_zone_C, atol=1e-12)
 
@@ -113,35 +85,29 @@ def warm_outdoors(house, seen):
     return replace(seen, T_out_C=seen.T_out_C + 1.0)
 
 
-BOTH = pytest.mark.parametrize("correct", [False, True], ids=["output disturbance", "kalman"])
-
-
 @pytest.mark.slow
-@BOTH
 @pytest.mark.parametrize("gain_error", [0.8, 1.2])
-def test_a_wrong_gain_leaves_no_lasting_offset(gain_error, correct):
+def test_a_wrong_gain_leaves_no_lasting_offset(gain_error):
     model = simple_model()
     wrong = replace(model, operator=model.operator.map(lambda pair: replace(pair, gains=gain_error * pair.gains)))
     # A rigid free model, which does not learn from T − F, keeps the error for ever.
-    rigid = lasting_offset_K(wrong, SimpleHouse(), correct=False, free=OutdoorResponse())
+    rigid = lasting_offset_K(wrong, SimpleHouse(), free=OutdoorResponse())
     assert abs(rigid) > 0.02
-    assert abs(lasting_offset_K(wrong, SimpleHouse(), correct)) < min(0.015, 0.5 * abs(rigid))
+    assert abs(lasting_offset_K(wrong, SimpleHouse())) < min(0.015, 0.5 * abs(rigid))
 
 
 @pytest.mark.slow
-@BOTH
-def test_a_biased_outdoor_sensor_leaves_no_lasting_offset(correct):
-    assert abs(lasting_offset_K(simple_model(), FaultyHouse(warm_outdoors), correct)) < 0.01
+def test_a_biased_outdoor_sensor_leaves_no_lasting_offset():
+    assert abs(lasting_offset_K(simple_model(), FaultyHouse(warm_outdoors))) < 0.01
 
 
-def lasting_offset_K(model, house: SimpleHouse, correct: bool, free=None) -> float:
+def lasting_offset_K(model, house: SimpleHouse, free=None) -> float:
     """Mean of what one-step predictions were off on the last day of a closed loop, K."""
     # Blocks shorter than the step would add their own rounding: the level is held here.
     config = MPCConfig(
         step_s=None,
         horizon_h=24,
         actuation={"mode": "modulating", "lowest_level": 0.0},
-        estimator=EstimatorConfig(correct=correct),
         offset_h=None,
         watch={"enabled": False},
     )

@@ -12,7 +12,6 @@ from operators import HEAT_MAP, random_operator
 from thermoforce_mpc.data import Boundary, FreeForecast, Observation, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.forced_history import forced_history
-from thermoforce_mpc.model.forced_state import ForcedStateEstimator
 from thermoforce_mpc.model.free_response.rc import RcFreeResponse, RcParameters
 from thermoforce_mpc.model.operator import forced_rollout, linear_operator, single, time_of_day
 from thermoforce_mpc.model.predictor import Predictor
@@ -164,33 +163,6 @@ def _with_gap(forecast: FreeForecast) -> FreeForecast:
 def test_a_forecast_that_is_not_fit_to_plan_with_is_refused(answer, message):
     history = make_history()
     predictor = Predictor(single(random_operator(3, 3)), Answering(answer))
-    with pytest.raises(DataError, match=message):
-        predictor.context(Observation(history, make_boundary(history)))
-
-
-class Estimating(ForcedStateEstimator):
-    """Estimates whatever it is told to."""
-
-    def __init__(self, operator, answer) -> None:
-        super().__init__(operator)
-        self.answer = answer
-
-    def update(self, *args):
-        return self.answer(super().update(*args))
-
-
-@pytest.mark.parametrize(
-    ("answer", "message"),
-    [
-        (lambda state: None, "gave a NoneType, expected a ForcedState"),
-        (lambda state: replace(state, forced_K=state.forced_K * np.nan), "is not .* finite values"),
-        (lambda state: replace(state, forced_K=state.forced_K[:, :, :-1]), "is not .* finite values"),
-    ],
-    ids=["none", "not finite", "too short"],
-)
-def test_an_estimate_that_is_not_fit_to_plan_with_is_refused(answer, message):
-    history, operator = make_history(), single(random_operator(3, 3))
-    predictor = Predictor(operator, HoldLast(), estimator=Estimating(operator, answer))
     with pytest.raises(DataError, match=message):
         predictor.context(Observation(history, make_boundary(history)))
 

@@ -35,10 +35,8 @@ def ran(record_days: float, free=None, **options):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("correct", [False, True])
-def test_forgetting_the_oldest_days_changes_nothing_that_does_not_depend_on_them(correct):
-    options = {"estimator": {"correct": correct}}
-    (_, whole), (controller, short) = (ran(days, OutdoorResponse(), **options) for days in (99.0, 3.0))
+def test_forgetting_the_oldest_days_changes_nothing_that_does_not_depend_on_them():
+    (_, whole), (controller, short) = (ran(days, OutdoorResponse()) for days in (99.0, 3.0))
     assert max(controller.told_days) == pytest.approx(4.0)
     assert min(controller.told_days[80:]) == pytest.approx(3.0, abs=0.05)
     assert trajectory_frame(short.steps).equals(trajectory_frame(whole.steps))

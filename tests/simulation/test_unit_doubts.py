@@ -49,11 +49,11 @@ class WrongHouse(SimpleHouse):
         return self.wrong(super().forecast(horizon_s, interval_s))
 
 
-def noted(model, **changes) -> dict[int, str]:
+def noted(model, currency="EUR", **changes) -> dict[int, str]:
     """What is said of a run of that house about units, by the number of the step."""
     options = {"step_s": 3600.0, "horizon_h": 12.0, "gate": {"enabled": False}}
     controller = ThermoForceMPC(model, MPCConfig.model_validate(options), free_response=OutdoorResponse())
-    result = run_closed_loop(WrongHouse(**changes), controller, PERIOD, units=UnitDoubts(LAYOUT, model))
+    result = run_closed_loop(WrongHouse(**changes), controller, PERIOD, units=UnitDoubts(LAYOUT, model, currency))
     notes = {
         step.index: [note for note in step.notes if note.startswith(("unit of", "prices of"))] for step in result.steps
     }
@@ -83,6 +83,12 @@ def test_a_wrong_unit_from_the_start_is_said_in_the_first_step(says, changes, ca
     assert list(found) == [0], found
     assert re.search(says, found[0])
     assert any(record.levelno == logging.WARNING and re.search(says, record.getMessage()) for record in caplog.records)
+
+
+def test_prices_in_another_currency_are_not_judged():
+    """30 yen per kWh are usual. The controller compares them with its weight of comfort, see `test_comfort_weight`."""
+    assert noted(simple_model(), currency="JPY", factor=120.0, signals=PRICES) == {}
+    assert "where 0.01 to 2 EUR are usual" in noted(simple_model(), factor=120.0, signals=PRICES)[0]
 
 
 def test_a_meter_that_changes_its_unit_is_said_within_a_day():
@@ -121,6 +127,6 @@ def test_in_live_operation_too():
     assert "kW is likelier than W" in first[0]
     assert not second, "said once"
     dear = {**RULES, "machines": {"machine": {"power": "P", "price": 25.0}}}
-    assert "per MWh, or in cents?" in told_by(SimulatedBuilding(), dear)[0][0]
+    assert "per MWh, or in cents, or in another currency?" in told_by(SimulatedBuilding(), dear)[0][0]
     with pytest.raises(DataError, match=r"they look like K: set unit: 'K'"):
         told_by(WrongBuilding("T", 1.0, ZERO_C_K))

@@ -28,7 +28,7 @@ _MOST_PRICES = 600_000
 # Per kWh in any currency.
 _MOST_PRICE = 1e5
 # Means of energy that is sold in EUR or USD: gas in the cheapest years, and electricity in the dearest.
-_USUAL_PRICES = (0.01, 2.0)
+_USUAL_PRICES, _USUAL_IN = (0.01, 2.0), ("EUR", "USD")
 _PRICE_COLUMNS = ("price", "PriceElectricPowerHighlyDynamic")
 
 Tariff = Callable[[Array], Array]
@@ -106,14 +106,23 @@ def tariff_from_file(path: Path) -> Tariff:
     return held_prices(time_s, price, str(path))
 
 
-def price_doubt(price: Array) -> str:
-    """What is doubtful about the size of prices per kWh, of any shape; '' where nothing is, or energy costs nothing."""
+def price_doubt(price: Array, currency: str = "") -> str:
+    """What is doubtful about the size of prices per kWh, of any shape; '' where nothing is, or energy costs nothing.
+
+    Prices in a `currency` beside EUR and USD are not judged; the controller compares them with its weight of comfort.
+    """
+    if currency and currency not in _USUAL_IN:
+        return ""
     known = np.abs(price[np.isfinite(price)])
     mean, (low, high) = (float(known.mean()) if known.size else 0.0), _USUAL_PRICES
     if mean == 0.0 or low <= mean <= high:
         return ""
     unit = "per MWh, or in cents" if mean > high else "too low by a factor of 10, 100 or 1000"
-    return f"prices of {mean:.3g} per kWh on average, where {low:g} to {high:g} EUR or USD are usual: are they {unit}?"
+    other = "" if currency else ", or in another currency"
+    return (
+        f"prices of {mean:.3g} per kWh on average, where {low:g} to {high:g} {currency or ' or '.join(_USUAL_IN)} are "
+        f"usual: are they {unit}{other}?"
+    )
 
 
 def held_prices(time_s: Array, price: Array, source: str = "tariff") -> Tariff:

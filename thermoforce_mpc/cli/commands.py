@@ -40,7 +40,6 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
     "Look inside": {
         "inspect": ("inside.inspect", "Show a saved model: parameters, certificate, data."),
-        "migrate": ("inside.migrate", "Rewrite a model of an older release for this one."),
         "testcases": ("inside.testcases", "List test cases, scenarios, comparisons and fleets."),
         "controllers": ("inside.listing:controllers", "List controllers and their options."),
         "plants": ("inside.listing:plants", "List plants and their options."),
@@ -56,7 +55,6 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "bench": ("benchmarks.cli.bench", "Run benchmarks; compare the results with targets."),
         "paper": ("benchmarks.cli.paper", "Measure the paper's tables here, beside its figures."),
         "chaos": ("benchmarks.cli.chaos", "Run controllers with everything around them failing."),
-        "train": ("inside.train", "Train the policy of the controller dpc."),
     },
 }
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
@@ -73,7 +71,7 @@ EXIT_CODES = """\
 1    a check failed (doctor, chaos), there is no plan (plan), or your own controller raised (run)
 2    bad input
 3    the plant or its service failed, or one of many runs (compare, sweep, fleet)
-4    the model is below the bar (identify, plan)
+4    the model is not competent (identify, plan)
 5    the service no longer has the test (resume)
 6    a file cannot be written: disk full, folder read-only or removed; out of memory
 7    the Dask cluster of --scheduler is gone or does not fit

@@ -10,15 +10,10 @@ import math
 from collections.abc import Callable, Mapping
 from enum import Enum
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
-
-# Metadata of a field that came after keys were first kept: `field(metadata={ADDED_LATER: True})` of a dataclass,
-# `Annotated[..., ADDED_LATER]` of a pydantic model.
-ADDED_LATER = "added_later"
 
 _PACKAGES = ("thermoforce_mpc", "controllers", "boptest_client")
 
@@ -61,14 +56,10 @@ def source_fingerprint(*others: str) -> str:
     return total.hexdigest()[:16]
 
 
-def canonical(value: Any, names: Mapping[type, str] = MappingProxyType({})) -> Any:
-    """`value` as JSON in which equal values are equal and different ones differ; raises `TypeError`.
-
-    `names` of classes stand there instead of their paths. A field that was `ADDED_LATER` (metadata) is left out at its
-    default, so that keys from before hold.
-    """
+def canonical(value: Any) -> Any:
+    """`value` as JSON in which equal values are equal and different ones differ; raises `TypeError`."""
     if isinstance(value, Enum):
-        return {"enum": _name(value, names), "value": value.name}
+        return {"enum": _name(value), "value": value.name}
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, float):
@@ -82,34 +73,19 @@ def canonical(value: Any, names: Mapping[type, str] = MappingProxyType({})) -> A
     if isinstance(value, bytes):
         return {"bytes": hashlib.sha256(value).hexdigest()}
     if isinstance(value, BaseModel):
-        without = later_at_default(value)
-        kept = {key: item for key, item in value if key not in without}
-        return {"model": _name(value, names), "fields": {key: canonical(item, names) for key, item in kept.items()}}
+        return {"model": _name(value), "fields": {key: canonical(item) for key, item in value}}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = {
-            item.name: canonical(getattr(value, item.name), names)
-            for item in dataclasses.fields(value)
-            if not (item.metadata.get(ADDED_LATER) and getattr(value, item.name) == item.default)
-        }
-        return {"dataclass": _name(value, names), "fields": fields}
+        fields = {item.name: canonical(getattr(value, item.name)) for item in dataclasses.fields(value)}
+        return {"dataclass": _name(value), "fields": fields}
     if isinstance(value, Path):
         return {"path": str(value)}
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
-        return {"mapping": {key: canonical(item, names) for key, item in value.items()}}
+        return {"mapping": {key: canonical(item) for key, item in value.items()}}
     if isinstance(value, list | tuple):
-        return [canonical(item, names) for item in value]
+        return [canonical(item) for item in value]
     raise TypeError(f"{type(value).__name__} has no content key: give plain data")
 
 
-def later_at_default(model: BaseModel) -> set[str]:
-    """Fields of a model that were `ADDED_LATER` and have their default: keys leave them out."""
-    return {
-        key
-        for key, field in type(model).model_fields.items()
-        if ADDED_LATER in field.metadata and getattr(model, key) == field.get_default(call_default_factory=True)
-    }
-
-
-def _name(value: Any, names: Mapping[type, str]) -> str:
+def _name(value: Any) -> str:
     kind = type(value)
-    return names.get(kind, f"{kind.__module__}.{kind.__qualname__}")
+    return f"{kind.__module__}.{kind.__qualname__}"

@@ -13,6 +13,7 @@ from thermoforce_mpc.gym.boptest import BoptestGymEnv, EmbeddedBoptestGymEnv, ch
 from thermoforce_mpc.gym.env import BuildingEnv
 from thermoforce_mpc.gym.episodes import Episodes
 from thermoforce_mpc.gym.levels import LevelsView
+from thermoforce_mpc.plants.boptest.token import allow_token
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.composition import build_plant
@@ -112,6 +113,7 @@ def levels_env(
     plant: dict[str, Any] = {"weather": weather, "forecast_uncertainty": forecast_uncertainty}
     if url is not None:
         plant |= {"kind": "boptest", "url": url}
+        allow_token(url)
     if fmu is not None:
         plant |= {"kind": "fmu", "path": fmu}
     content = {"testcase": testcase, "plant": plant, "controller": {"name": "native"}, "baselines": []}

@@ -119,6 +119,6 @@ def copied(plant: Any, what: str) -> Any:
     if not hasattr(plant, "snapshot"):
         raise ConfigError(
             f"{what} cannot be branched: a service, an FMU and EnergyPlus keep their state to themselves; the embedded "
-            "test case and house:Nrooms can"
+            "test case and drawn houses can"
         )
     return plant.snapshot()

@@ -268,7 +268,7 @@ def _with_unknown_heat(
 
 
 def _with_advice(zone: ZoneModel, advice: str) -> ZoneModel:
-    """`zone` with this advice first in a verdict that is below the bar."""
+    """`zone` with this advice first in a verdict that is not competent."""
     verdict = zone.card.competence
     if not advice or verdict is None or verdict.competent:
         return zone

@@ -15,7 +15,7 @@ import pandas as pd
 from controllers.state_classes import STATE_CLASSES
 from thermoforce_mpc.errors import InputError, StorageError
 from thermoforce_mpc.live.building import Applied
-from thermoforce_mpc.state_file import StateFormat, Stored
+from thermoforce_mpc.state_file import StateFormat
 
 _LOG = logging.getLogger(__name__)
 # After a longer pause too much has changed.
@@ -41,13 +41,7 @@ class Kept:
         return self.before if instant == pd.Timestamp(self.instant) else self.after
 
 
-_FORMAT = StateFormat(
-    STATE_CLASSES
-    | {
-        "kept": Stored(Kept, "thermoforce_mpc.live.kept:Kept"),
-        "applied": Stored(Applied, "thermoforce_mpc.live.building:Applied"),
-    }
-)
+_FORMAT = StateFormat((*STATE_CLASSES, Kept, Applied))
 
 
 class KeptState:

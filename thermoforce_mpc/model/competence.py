@@ -1,6 +1,6 @@
 """Competence of a model: what its own held-out data say of it, and whether that is enough to act on it.
 
-Only the value that travels with the model; `identification.competence` computes it and owns the bar.
+Only the value that travels with the model; `identification.competence` computes it and owns the criteria.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from thermoforce_mpc.data.superposition import compose, control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution.cooperative import Computation, gather, run, timed
 from thermoforce_mpc.model.forced_history import InitialForce
-from thermoforce_mpc.model.forced_state import ForcedState, ForcedStateEstimator
+from thermoforce_mpc.model.forced_state import ForcedState, followed
 from thermoforce_mpc.model.free_response.checks import checked_forecast
 from thermoforce_mpc.model.free_response.following import following
 from thermoforce_mpc.model.gaps import WEATHER, bridged
@@ -169,7 +169,6 @@ class Predictor:
             state of its own.
         initial_force: 'steady' starts F at the steady state of the first day's mean action, 'zero' at 0 as the paper
             does (F_t0 = 0); with modes of days the difference takes days to fade.
-        estimator: follows the forced state of a run step by step.
     """
 
     def __init__(
@@ -178,7 +177,6 @@ class Predictor:
         free_responses: FreeResponse | Sequence[FreeResponse],
         *,
         initial_force: InitialForce = "steady",
-        estimator: ForcedStateEstimator | None = None,
     ) -> None:
         if initial_force not in ("steady", "zero"):
             raise DataError(f"initial_force is '{initial_force}', expected 'steady' or 'zero'")
@@ -188,7 +186,7 @@ class Predictor:
             raise DataError(f"{len(methods)} free responses for {zones} zones")
         self._operator = operator
         self._free_responses = methods
-        self._estimator = estimator or ForcedStateEstimator(operator, initial_force)
+        self._initial_force: InitialForce = initial_force
 
     @property
     def free_responses(self) -> tuple[FreeResponse, ...]:
@@ -207,7 +205,7 @@ class Predictor:
     def forced_history(self, history: Record) -> Array:
         """Forced state of each pair at each boundary of `history`, (Z, A, n + 1, r), K; gaps are bridged (`gaps`)."""
         history, _ = bridged(history)
-        return self._estimator.update(None, history).forced_K
+        return followed(self._operator, None, history, self._initial_force).forced_K
 
     def forced_state(self, history: Record) -> Array:
         """Forced state of each pair now, shape (Z, A, r), K."""
@@ -220,7 +218,7 @@ class Predictor:
     def followed(self, history: Record, state: PredictorState | None = None) -> ForcedState:
         """Forced states at all boundaries of `history`, from those that `state` knows; gaps are bridged (`gaps`)."""
         filled, _ = bridged(history)
-        return self._checked_estimate(self._estimator.update(state.forced if state else None, filled), filled)
+        return followed(self._operator, state.forced if state else None, filled, self._initial_force)
 
     def context(self, observation: Observation, state: PredictorState | None = None) -> PredictionContext:
         """Forecast the free response and set up everything an action could change.
@@ -234,8 +232,8 @@ class Predictor:
 
         Raises:
             DataError: the history cannot be split (see `forced_history`), no zone's temperature was ever measured nor
-                the weather, the forecast of the weather does not begin now, is of one instant or has gaps, or the
-                estimate or the forecast is not fit to plan with.
+                the weather, the forecast of the weather does not begin now, is of one instant or has gaps, or the free
+                forecast is not fit to plan with.
         """
         return run(self.contexting(observation, state))
 
@@ -251,8 +249,8 @@ class Predictor:
         began = time.perf_counter()
         history, note = bridged(observation.history, boundary)
         before = state or PredictorState()
-        followed = self._checked_estimate(self._estimator.update(before.forced, history), history)
-        forced = followed.forced_K
+        forced_state = followed(self._operator, before.forced, history, self._initial_force)
+        forced = forced_state.forced_K
         estimate_s = time.perf_counter() - began
         free_C = control_free(history.T_zone_C, forced.sum(axis=(1, 3)))
         zones = range(len(self._free_responses))
@@ -271,7 +269,6 @@ class Predictor:
         for z in unmeasured:
             remark = f"{history.names.label('T_zone_C', z)}: never measured, the mean free response of the other zones"
             note = f"{note}, {remark}" if note else f"bridged {remark}"
-        followed = self._estimator.expect(followed, float(boundary.time_s[1]), free)
         now_C = np.empty(len(zones))
         now_C[has_readings] = [row[np.isfinite(row)][-1] for row in free_C[has_readings]]
         now_C[~has_readings] = now_C[has_readings].mean()
@@ -287,19 +284,9 @@ class Predictor:
             unmeasured=unmeasured,
             origin=history.origin,
             seconds={"estimate": estimate_s, "forecast": forecast_s},
-            state=PredictorState(followed, tuple(states)),
+            state=PredictorState(forced_state, tuple(states)),
             names=history.names,
         )
-
-    def _checked_estimate(self, estimate: object, history: Record) -> ForcedState:
-        """An estimate that fits `history` and is finite; raises `DataError` for any other."""
-        if not isinstance(estimate, ForcedState):
-            raise DataError(f"the forced state's estimator gave a {type(estimate).__name__}, expected a ForcedState")
-        zones, actuators, order = self._operator.shape
-        expected = (zones, actuators, history.time_s.size, order)
-        if estimate.forced_K.shape != expected or not np.isfinite(estimate.forced_K).all():
-            raise DataError(f"the estimated forced state {estimate.forced_K.shape} is not {expected} finite values")
-        return estimate
 
 
 def _with_mean(free: FreeForecast, measured: NDArray[np.bool_]) -> FreeForecast:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from thermoforce_mpc.boundary.tariffs import Tariff
     from thermoforce_mpc.boundary.weather.year import Weather
 
-WEATHER, PRICES, UNCERTAINTY = "weather", "prices_file", "forecast_uncertainty"
+WEATHER, PRICES, UNCERTAINTY, PEOPLE = "weather", "prices_file", "forecast_uncertainty", "people"
 
 
 class NoOptions(StrictModel):
@@ -41,7 +41,7 @@ class PlantEntry:
         summary: one line for `tf-mpc plants`.
         build: makes it from the scenario's `plant`, the test case, its validated options and a seed.
         config: returns the class of its options (scenario key `plant.options`).
-        takes: keys of the scenario's `plant` that it heeds, of weather, prices_file and forecast_uncertainty.
+        takes: keys of the scenario's `plant` that it heeds, of weather, prices_file, forecast_uncertainty and people.
         missing: says what has to be installed first, or nothing.
         windows: names of its windows beside start days; None where only the plant itself knows them.
     """
@@ -102,7 +102,7 @@ def check_plant(spec: PlantSpec, testcase: TestCase) -> StrictModel:
     """
     name = plant_name(spec, testcase)
     entry = REGISTRY.find(name)
-    for key in (WEATHER, PRICES, UNCERTAINTY):
+    for key in (WEATHER, PRICES, UNCERTAINTY, PEOPLE):
         if key not in entry.takes and getattr(spec, key) != PlantSpec.model_fields[key].default:
             raise ConfigError(f"plant.{key}: plant '{name}' of test case '{testcase.name}' has its own; leave it out")
     missing = entry.missing()
@@ -135,7 +135,9 @@ def windows_of(spec: PlantSpec, testcase: TestCase) -> tuple[str, ...] | None:
 def boptest_plant(spec: PlantSpec, testcase: TestCase, options: Any, seed: int, testid: str | None = None) -> Plant:
     """The plant behind a service; with `testid` the test that it has already."""
     from thermoforce_mpc.plants.boptest.plant import BoptestPlant
+    from thermoforce_mpc.plants.boptest.token import check_token
 
+    check_token(spec.url)
     return BoptestPlant(
         spec.url,
         testcase,
@@ -167,13 +169,13 @@ def _fmu(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
 def _rooms(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
     from thermoforce_mpc.plants.rooms import house_of_rooms
 
-    return house_of_rooms(testcase.name)
+    return house_of_rooms(testcase.name, spec.people)
 
 
 def _generated(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
     from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, generated_house
 
-    return GeneratedHousePlant(generated_house(testcase.name), highly_dynamic=_tariff(spec))
+    return GeneratedHousePlant(generated_house(testcase.name), highly_dynamic=_tariff(spec), people=spec.people)
 
 
 def _small_office(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
@@ -199,7 +201,9 @@ def _on_engine(spec: PlantSpec, seed: int) -> dict[str, Any]:
 def _emulator(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
     from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
-    return EmbeddedPlant(_weather(spec), highly_dynamic=_tariff(spec), forecast_error=_error(spec, seed))
+    return EmbeddedPlant(
+        _weather(spec), highly_dynamic=_tariff(spec), forecast_error=_error(spec, seed), people=spec.people
+    )
 
 
 def _error(spec: PlantSpec, seed: int) -> ForecastError | None:
@@ -263,18 +267,19 @@ _OWN = {
     "emulator": PlantEntry(
         "embedded emulator of bestest_hydronic_heat_pump",
         _emulator,
-        takes=frozenset({WEATHER, PRICES, UNCERTAINTY}),
+        takes=frozenset({WEATHER, PRICES, UNCERTAINTY, PEOPLE}),
         windows=_of_weather,
     ),
     "rooms": PlantEntry(
         "drawn house or office of rooms, a valve each, one heat pump (--testcase house:5rooms, office:5rooms)",
         _rooms,
+        takes=frozenset({PEOPLE}),
         windows=_weeks,
     ),
     "generated": PlantEntry(
         "generated house of one zone, by seed and number (--testcase generated:2026:0)",
         _generated,
-        takes=frozenset({PRICES}),
+        takes=frozenset({PRICES, PEOPLE}),
         windows=_weeks,
     ),
     "energyplus": PlantEntry(

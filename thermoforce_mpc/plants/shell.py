@@ -184,9 +184,3 @@ class Samples:
         """Times and rows between two times, both included."""
         first, last = np.searchsorted(self.times, [start_s - CLOCK_S, final_s + CLOCK_S])
         return self.times[first:last], self.rows[first:last]
-
-    def copy(self) -> Samples:
-        """Samples that go on apart from these."""
-        same = Samples(0.0, self._rows[0])
-        same._times, same._rows, same._n = self.times.copy(), self.rows.copy(), self._n
-        return same

@@ -6,7 +6,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from thermoforce_mpc.execution.keys import ADDED_LATER
 from thermoforce_mpc.registry import known_name
 from thermoforce_mpc.scenario.schedule.comfort import Comfort
 from thermoforce_mpc.scenario.schedule.dates import window_name
@@ -48,6 +47,14 @@ class PlantSpec(StrictModel):
         None, description="CSV with your own highly dynamic tariff (kind: embedded)", examples=["prices.csv"]
     )
 
+    people: int | None = Field(
+        None,
+        ge=0,
+        description="seed of people who do not keep to the schedule (presence, guests, cooking, windows, blinds), of "
+        "which forecasts know nothing (embedded emulator, drawn houses and offices); null: they keep to it",
+        examples=[7],
+    )
+
     @model_validator(mode="after")
     def _has_its_file(self) -> PlantSpec:
         if (self.kind == "fmu") != (self.path is not None):
@@ -78,7 +85,7 @@ class ProbingSpec(StrictModel):
     )
     days: float = Field(3.0, ge=1, le=60, description="days of probing")
     most_days: float = Field(
-        10.0, ge=1, le=60, description="days of probing after which it ends though the model is below the bar"
+        10.0, ge=1, le=60, description="days of probing after which it ends though the model is not competent"
     )
     end_early: bool = Field(True, description="end probing before `days` once the effect is known well")
     probing: dict[str, Any] = Field(
@@ -136,13 +143,13 @@ class Scenario(StrictModel):
         examples=[3600],
     )
     price: Price = Field("constant", description="tariff")
-    comfort: Annotated[Comfort | None, ADDED_LATER] = Field(
+    comfort: Comfort | None = Field(
         None,
         description="comfort bounds by schedule, in plans and KPIs; null: those of the test case. Native control keeps "
         "its own set-points",
         examples=["weekdays 6:00-22:00 21-24, else 17-26"],
     )
-    kpis: Annotated[tuple[str, ...], ADDED_LATER] = Field(
+    kpis: tuple[str, ...] = Field(
         (),
         description="KPIs of your own beside BOPTEST's: functions of the trajectory, as my_kpis.py:starts_per_day",
         examples=[["my_kpis.py:starts_per_day"]],

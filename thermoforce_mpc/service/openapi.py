@@ -16,7 +16,6 @@ _REASONS = {
     403: "asked by a name that the service has not, or by a page of another site",
     404: "no such test case or path",
     413: "the body is too long",
-    415: "the body is neither JSON nor a form",
     429: "too many requests a second, requests of one test at a time, or tests",
 }
 
@@ -70,7 +69,7 @@ def _bare(
 ) -> dict[str, Any]:
     """One operation: `answer` is the schema of its reply, `names` are the parameters in its path."""
     responses: dict[str, Any] = {"200": _response("done", answer, kind)}
-    statuses = [403, 429, *([401] if token else []), *([413, 415] if body is not None else [])]
+    statuses = [403, 429, *([401] if token else []), *([413] if body is not None else [])]
     # Paths without a test id use the one test of such clients; only a body can be wrong there.
     statuses += [400] if "testid" in names or body is not None else []
     statuses += [404] if "name" in names else []

@@ -13,15 +13,14 @@ All else that a journal names is read as data: weather, prices, test cases, mode
 from __future__ import annotations
 
 import json
-import logging
 import shlex
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from thermoforce_mpc.data.cache_folder import cache_folder
+from thermoforce_mpc.data.given import known_marks, note_marks
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.files import read_bounded
+from thermoforce_mpc.plants.boptest.token import allow_token
 from thermoforce_mpc.plants.registry import REGISTRY, plant_name
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.own_code import code_file
@@ -29,8 +28,6 @@ from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
 from thermoforce_mpc.simulation.folder.run_folder import file_sha256
 
-_LOG = logging.getLogger(__name__)
-NAME, _MOST_BYTES = "given.jsonl", 10_000_000
 CODE = "file of Python"
 
 
@@ -74,24 +71,14 @@ def _python(scenario: Scenario) -> list[str]:
 
 
 def note_given(scenario: Scenario) -> None:
-    """Note what the user gave; where that cannot be written, it has to be given again some day."""
-    known, marks = _known(), {one.mark for one in outside(scenario)}
-    new = sorted(mark for mark in marks - known if mark)
-    if not new:
-        return
-    try:
-        file = cache_folder() / NAME
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with file.open("a", encoding="utf-8", errors="backslashreplace") as notes:
-            notes.write("".join(f"{mark}\n" for mark in new))
-    except (OSError, RuntimeError) as error:  # RuntimeError: who runs this has no home
-        _LOG.info("what was given is not noted (%s): `tf-mpc resume` will ask for it", error)
+    """Note what the user gave."""
+    note_marks(mark for one in outside(scenario) if (mark := one.mark))
 
 
 def unknown(scenario: Scenario) -> list[Outside]:
     """The settings that act outside and that this user has not given before, or whose file was changed since."""
     found = outside(scenario)
-    known = _known() if found else set()
+    known = known_marks() if found else set()
     return [one for one in found if one.mark not in known]
 
 
@@ -115,15 +102,7 @@ def with_given(scenario: Scenario, given: Mapping[str, str], code: Collection[st
         raise ConfigError("\n".join(lines))
     nested = parse_overrides(f"{key}={json.dumps(value)}" for key, value in given.items())
     scenario = validate(Scenario, merge(scenario.model_dump(mode="json"), nested), "options")
+    if "plant.url" in given:
+        allow_token(given["plant.url"])
     note_given(scenario)
     return scenario
-
-
-def _known() -> set[str]:
-    try:
-        file = cache_folder() / NAME
-        if file.exists():
-            return set(read_bounded(file, _MOST_BYTES, ConfigError).decode("utf-8", "replace").splitlines())
-    except RuntimeError:  # who runs this has no home
-        pass
-    return set()

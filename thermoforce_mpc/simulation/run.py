@@ -15,6 +15,7 @@ from controllers.registry import build_controller, find_entry, lent
 from thermoforce_mpc.data import DAY_S, Period, PlantInfo
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.model.screening import limits_of
+from thermoforce_mpc.plants.boptest.token import allow_token
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -143,6 +144,8 @@ def run(
     """
     with nullcontext(controller) if isinstance(controller, str) else lent(controller) as name:
         scenario = load_scenario(None, merge({"testcase": testcase, "controller": {"name": name}}, settings))
+        if "url" in scenario.plant.model_fields_set:
+            allow_token(scenario.plant.url)
         return _execute(scenario, RunDisplay(quiet=not progress), {}, model, own=own_kpis(kpis))
 
 
@@ -190,14 +193,12 @@ def resume_run(
         NoSuchTest: the run was on a service that no longer has its test.
         PlantError, StorageError: as `run_scenario`.
     """
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: no such folder")
     with sole_use(folder):
         if is_complete(folder):
             display.say(f"{folder} is complete; there is nothing to resume")
             return folder
         at = None if since is None else int(since) if since.isdecimal() else seconds_of(since, "--from")
-        book = RunBook.reopen(folder, at, lambda told: with_given(told, given or {}, code, folder))
+        book = _reopened(folder, given, code, at)
         steps = sum(entry.kind == "done" for entry in book.told)
         display.say(f"Resuming after {counted(steps, 'recorded step')}")
         return _carry_out(book, display, validate_scenario(book.scenario))
@@ -210,16 +211,20 @@ def stop_test(folder: Path, given: Mapping[str, str] | None = None, code: Sequen
         ConfigError: the run has none.
         JournalError, NoSuchTest, PlantError: as `resume_run`.
     """
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: no such folder")
     with sole_use(folder):
-        book = RunBook.reopen(folder, settled=lambda told: with_given(told, given or {}, code, folder))
+        book = _reopened(folder, given, code)
         with closing(book.journal):
             scenario = book.scenario
             if not (book.told and is_real(scenario)):
                 raise ConfigError(f"{folder}: its plant is simulated, or was never reached: there is no test to stop")
             testcase = validate_scenario(scenario)
             book.connect(lambda testid: attached_plant(scenario, testcase, str(testid))).close()
+
+
+def _reopened(
+    folder: Path, given: Mapping[str, str] | None, code: Sequence[str], at: int | float | None = None
+) -> RunBook:
+    return RunBook.reopen(folder, at, lambda told: with_given(told, given or {}, code, folder))
 
 
 def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
@@ -434,5 +439,5 @@ def _follow(
             keeper,
             steps,
             outage_h=scenario.plant.forecast_outage_h,
-            units=UnitDoubts(testcase.layout, getattr(controller, "model", None)),
+            units=UnitDoubts(testcase.layout, getattr(controller, "model", None), testcase.currency),
         )

@@ -17,10 +17,11 @@ class UnitDoubts:
     Args:
         layout: what acts where.
         model: what the controller plans with, if anything.
+        currency: of the prices; '' where that is not known.
     """
 
-    def __init__(self, layout: Layout, model: object = None) -> None:
-        self._layout, self._model = layout, model
+    def __init__(self, layout: Layout, model: object = None, currency: str = "") -> None:
+        self._layout, self._model, self._currency = layout, model, currency
         self._said: set[str] = set()
         self._next_s = -math.inf
 
@@ -39,7 +40,8 @@ class UnitDoubts:
         doubts = {remark.where: remark.in_words() for remark in unit_remarks(record, self._layout, model)}
         self._next_s = now_s + DAY_S
         if boundary is not None:
-            doubts["price"] = price_doubt(boundary.price_per_kWh) or price_doubt(boundary.heating_price_per_kWh)
+            prices = (boundary.price_per_kWh, boundary.heating_price_per_kWh)
+            doubts["price"] = next(filter(None, (price_doubt(price, self._currency) for price in prices)), "")
         new = {where: words for where, words in doubts.items() if words and where not in self._said}
         for words in new.values():
             _LOG.warning("%s", words)

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.data.dataframes import seconds_since, stamps
@@ -180,7 +180,7 @@ def verified_saving(before: Record, after: Record, *, level: float = _LEVEL) -> 
     estimates = np.array([fit.saved for fit in fits])
     saved = float(weights @ estimates)
     variance = float(weights @ (np.array([fit.variance for fit in fits]) + (estimates - saved) ** 2))
-    half = _WIDENED * float(student.ppf(0.5 + level / 2.0, best.df)) * float(np.sqrt(variance))
+    half = _WIDENED * float(stdtrit(best.df, 0.5 + level / 2.0)) * float(np.sqrt(variance))
     baseline = np.einsum("f,fd->d", weights, np.array([fit.baseline for fit in fits]))
     measured = float(new.energy_kWh.sum())
     return Saving(

@@ -69,7 +69,7 @@ def test_a_forecast_endpoint_that_fails_for_good_is_bridged(setting, calm, tmp_p
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [*ANYWHERE, *kinds.TWICE, *kinds.SILENT, *kinds.READINGS, *kinds.INSIDE])
+@pytest.mark.parametrize("kind", [*ANYWHERE, *kinds.TWICE, *kinds.SILENT, *kinds.READINGS, *kinds.INSIDE, *kinds.UNITS])
 def test_a_run_outlives(setting, calm, kind):
     found = run_episode(setting, [trouble(kind)], seed=2, most_Kh=1.5 * calm.discomfort_Kh + 1.0)
     assert found.faults == ()
@@ -181,6 +181,6 @@ def test_an_episode_whose_process_dies_is_lost_and_the_others_go_on(tmp_path):
     lost = [line for line in told if "process died" in line]
     assert len(lost) == 1
     assert "WRONG: ended with its process" in lost[0]
-    assert found["rows"][-1]["episodes"] == 7, "three trials with files follow"
+    assert found["rows"][-1]["episodes"] == 8, "one trial of each kind follows"
     assert found["rows"][-1]["done"] >= 2
     assert not all(target["holds"] for target in found["targets"]), "so that the command's exit code is 1"

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from benchmarks.free_response import bench, runs
-from benchmarks.free_response.runs import context_rows, cost_rows, interval_runs, look_rows
+from benchmarks.free_response.runs import cost_rows, interval_runs, look_rows
 from benchmarks.free_response.score import forecast_origins, mae_K, score, window
 from benchmarks.free_response.sources import Source
 from thermoforce_mpc.data import HOUR_S, FreeForecast, Record
 from thermoforce_mpc.execution import LocalEngine
-from thermoforce_mpc.model.free_response.persistence import Persistence
 
 pytestmark = pytest.mark.slow
 
@@ -88,22 +87,6 @@ def test_runs_of_two_weeks_are_scored_after_two_days_and_short_records_are_not(m
     assert [target.holds for target in targets] == [False, False, False]
 
 
-def test_less_context_is_scored_from_the_same_instants(monkeypatch):
-    sizes = []
-
-    class Recording(Persistence):
-        def forecast(self, free_C, history, boundary):
-            sizes.append((free_C.size, float(boundary.time_s[0])))
-            return super().forecast(free_C, history, boundary)
-
-    monkeypatch.setattr(runs, "build_free_response", lambda name, backbone: Recording())
-    rows = context_rows([source(20)], "shipped", 3)
-    assert [sorted({size for size, _ in sizes})] == [[49, 97, 169, 337]]
-    assert len({instant for _, instant in sizes}) == 3
-    assert set(rows[0]) == {"group", "24-h error in K by context", "48 h", "96 h", "168 h", "336 h"}
-    assert context_rows([source(10)], "shipped", 3) == []
-
-
 def test_many_buildings_at_once_cost_less_each_than_one():
     rows = cost_rows(source(20), "shipped")
     assert [row["forecast"] for row in rows] == ["24 h", "48 h", "24 h of 32 buildings at once"]
@@ -115,10 +98,11 @@ def test_energyplus_zones_run_free_or_are_left_out_with_a_word(monkeypatch):
 
     lines = []
     monkeypatch.setattr(energyplus, "is_available", lambda: False)
-    monkeypatch.setattr(bench, "embedded_sources", lambda: [source(15)])
+    monkeypatch.setattr(bench, "embedded_sources", lambda people=None: [source(15)])
+    monkeypatch.setattr(bench, "house_sources", lambda people=None: [])
     result = bench.run_free_response_bench(quick=True, progress=lines.append)
     assert lines[0].startswith("EnergyPlus left out")
-    assert {row["source"] for row in result["rows"] if "mae_24h_K" in row} == {"made up"}
+    assert {row["source"] for row in result["rows"] if {"source", "mae_24h_K"} <= row.keys()} == {"made up"}
     monkeypatch.undo()
     pytest.importorskip("pyenergyplus")
     with LocalEngine(1) as engine:

@@ -144,7 +144,7 @@ def test_a_record_that_tells_needs_no_probing(folder):
 
 
 @pytest.mark.slow
-def test_identify_below_the_bar_exits_with_4_and_says_what_to_do(folder, monkeypatch):
+def test_identify_exits_with_4_where_the_model_is_not_competent_and_says_what_to_do(folder, monkeypatch):
     monkeypatch.setattr(competence, "MOST_RELATIVE_SD", 0.05)
     words = ("--data", "operated.csv", "--map", "map.yaml", "--out", str(folder / "weak"), *LINEAR)
     done = tf_mpc(folder, "identify", *words)

@@ -56,7 +56,7 @@ def test_every_actuator_machine_and_pair_is_told(tmp_path):
     for head in ("radiator in bath", "floor in hall"):
         assert head in told
     assert told.count("Power of boiler:") == 1
-    assert told.index("Competence: COMPETENT") < told.index("floor in hall") < told.index("BELOW THE BAR")
+    assert told.index("Competence: COMPETENT") < told.index("floor in hall") < told.index("NOT COMPETENT")
 
 
 def test_notes_of_a_kind_are_told_once(tmp_path):

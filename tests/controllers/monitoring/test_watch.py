@@ -164,7 +164,7 @@ def test_a_weak_machine_whose_heat_is_metered_is_adapted_to_once(stand_back):
     assert "the machine's heat was" in spell.why
     assert "the model adapted since" in spell.why_back
     adapted = result.state.adaptation[0]
-    assert np.exp(adapted.log_heat) == pytest.approx(0.5, abs=0.01)
+    assert adapted.heat == pytest.approx(0.5, abs=0.01)
     assert adapted.model.operator.gains[0] / model.only.operator.gains[0] == pytest.approx(0.5, abs=0.12)
 
 

@@ -10,9 +10,9 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.checks import ControllerConfigError
+from controllers.monitoring.scaled_model import scaled
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.estimation.adaptation import OnlineAdaptation
 from thermoforce_mpc.identification.modulation.selection import prove
 from thermoforce_mpc.model.operator import OperatorParameters, certificate, linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -79,12 +79,11 @@ def test_it_is_certified_at_the_step_and_horizon_at_which_it_is_used():
         prove(model.only.operator)
 
 
-def test_an_adapted_operator_is_certified_over_the_horizon():
+def test_a_scaled_operator_is_certified_over_the_horizon():
     zone = replace(simple_model().only, operator=nearly_reversed(0.11).resampled(900.0))
     for n_steps, certified in ((48, True), (192, False)):
-        adaptation = OnlineAdaptation(zone, n_steps=n_steps)
-        assert adaptation.rescaled(adaptation.started(), gain=1.0, heat=1.0) is not None
-        assert (adaptation.rescaled(adaptation.started(), gain=1.3, heat=1.0) is not None) == certified
+        assert scaled(zone, 1.0, 1.0, n_steps) is not None
+        assert (scaled(zone, 1.3, 1.0, n_steps) is not None) == certified
 
 
 def test_the_quadratic_programme_refuses_it():

@@ -37,7 +37,6 @@ CONTROLLERS = {
     "held levels": lambda: mpc(actuation={"mode": "modulating"}),
     "ipopt": lambda: mpc(solver="ipopt", actuation={"mode": "modulating"}),
     "search": lambda: mpc(solver="search"),
-    "adapting": lambda: mpc(adaptation={"enabled": True, "gain_sd": 0.3, "block_h": 6.0}, estimator={"correct": True}),
 }
 
 

@@ -11,8 +11,6 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.checks import ControllerConfigError
-from controllers.dpc.config import DPCConfig
-from controllers.dpc.controller import DPC
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import HOUR_S, Observation, Plan, PlanStatus
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
@@ -172,10 +170,3 @@ def test_a_run_refuses_a_file_of_terms_before_the_building_is_probed(tmp_path, m
     scenario = load_scenario(None, {"testcase": TESTCASE, "controller": {"options": {"terms": "none.py:ramp"}}})
     with pytest.raises(ControllerConfigError, match=r"controller\.options\.terms: 'none\.py:ramp': no such file"):
         check_contestants(scenario, load_testcase(TESTCASE))
-
-
-def test_a_policy_is_not_trained_for_terms_that_it_does_not_know(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "my_terms.py").write_text(RAMP)
-    with pytest.raises(ControllerConfigError, match=r"controller\.options\.terms: dpc trains without them"):
-        DPC(simple_model(), DPCConfig(**OPTIONS, terms="my_terms.py:ramp"))

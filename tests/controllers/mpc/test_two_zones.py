@@ -98,7 +98,7 @@ def test_zones_of_different_order_are_controlled_as_those_of_one():
         poles = np.array([pole - 1e-9, pole])
         return replace(pair, poles=poles, gains=0.5 * np.full(2, gain), pole_bounds=bounds_between(poles))
 
-    plain, options = two_model(), {"estimator": {"correct": True}, "watch": {"enabled": True}}
+    plain, options = two_model(), {"watch": {"enabled": True}}
     other = replace(plain, operator=plain.operator.map_actuators(halved))
     assert [pair.order for *_, pair in other.operator.each()] == [1, 2]
     runs = [run_closed_loop(TwoHouses(), mpc(m, **options), SimpleHouse().period("x")) for m in (plain, other)]

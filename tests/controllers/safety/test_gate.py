@@ -1,4 +1,4 @@
-"""The gate: no controller acts on a model below the bar, nor on none; it costs nothing where the model passes."""
+"""The gate: no controller acts on an incompetent model, nor on none; it costs nothing where the model passes."""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from houses import House, effect_rmse, random_levels, record, weather
 
+from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.data import HOUR_S, Layout, Names
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
@@ -17,7 +18,6 @@ from thermoforce_mpc.identification.effects.level_laws import laws_of, levels_on
 from thermoforce_mpc.model.operator.casadi_export import step_function
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
-from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 from thermoforce_mpc.model.thermal_model import load_model
 
 CONFIG = IdentificationConfig(order=3, modulation="linear")

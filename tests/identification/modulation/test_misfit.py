@@ -8,6 +8,7 @@ import torch
 from houses import House, record
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
+from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification import IdentificationConfig, Pair
 from thermoforce_mpc.identification.estimation.likelihood import Split, residuals
@@ -16,7 +17,7 @@ from thermoforce_mpc.identification.estimation.regression import pair_regression
 from thermoforce_mpc.identification.modulation.misfit import Misfit, TrainingData
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
-from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
+from thermoforce_mpc.model.operator.parameters import linear_operator
 
 SD, GAMMA = 0.15, 0.6
 
@@ -81,7 +82,23 @@ def test_value_and_gradient_are_those_of_the_definition(order, sign):
     gradient = parameters_to_vector([p.grad for p in operator.parameters()]).numpy()
 
     misfit = Misfit(start, data, priors, SD)
+    np.testing.assert_allclose(misfit.begin, parameters_to_vector(ForcedResponseOperator(start).parameters()).detach())
+    again = misfit.operator(misfit.begin)
+    for name in ("poles", "gains", "hidden_weight", "hidden_bias", "output_weight", "output_bias"):
+        np.testing.assert_allclose(getattr(again, name), getattr(start, name), rtol=1e-9, err_msg=name)
     value, found = misfit(values.numpy())
     assert value == pytest.approx(float(expected.detach()), rel=1e-10)
     np.testing.assert_allclose(found, gradient, rtol=1e-7, atol=1e-9 * np.abs(gradient).max())
     assert misfit.held_out_residuals(values.numpy()).size == sum(e.split.judged.size for e in data)
+
+
+@pytest.mark.parametrize("edge", [0.0, 1.0])
+def test_a_pole_on_its_bound_and_no_gain_are_kept(edge):
+    start = linear_operator([0.5 + 0.4 * edge], [0.0], step_s=900.0, pole_bounds=np.array([[0.5, 0.9]]))
+    run = run_regression(record(House(), 1.0), IDENTITY, IdentificationConfig(order=1))
+    rows, priors = np.arange(run.rows.size), wide_priors(1)
+    data = TrainingData(run, (np.zeros((run.n_steps, 4)),), residuals(run, priors.log_tau), Split(rows, rows[:0]))
+    misfit = Misfit(start, [data], priors, SD)
+    kept = misfit.operator(misfit.begin)
+    np.testing.assert_allclose(kept.poles, start.poles, atol=1e-8)
+    assert 0 <= kept.gains[0] < 1e-11

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from operators import HEAT_MAP, random_features, random_operator
 
+from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.errors import ArtifactError, DataError
 from thermoforce_mpc.model.operator import (
     IDENTITY,
@@ -23,7 +24,6 @@ from thermoforce_mpc.model.operator import (
     modulation_slope,
 )
 from thermoforce_mpc.model.operator.casadi_export import rollout_function
-from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 from thermoforce_mpc.model.saved.model_file import content_sha256
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from operators import HEAT_MAP, random_features, random_operator
 
+from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator import (
@@ -25,7 +26,6 @@ from thermoforce_mpc.model.operator import (
     linear_operator,
 )
 from thermoforce_mpc.model.operator.casadi_export import modulation_function, rollout_function, step_function
-from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 
 N = 24
 TWO = np.array([[0.0, 0.7], [0.7, 1.0]])
@@ -115,24 +115,6 @@ def test_number_of_trained_parameters(order, count):
     assert params.n_trained == count
     assert sum(p.numel() for p in module.parameters() if p.requires_grad) == count
     assert {p.dtype for p in module.parameters()} == {torch.float64}
-
-
-@pytest.mark.parametrize("order", [1, 3])
-def test_torch_and_back_is_the_same_operator(order):
-    params = random_operator(3, order, sign=-1, heat_input=HEAT_MAP)
-    back = ForcedResponseOperator(params).numpy()
-    for name in ("poles", "gains", "hidden_weight", "hidden_bias", "output_weight", "output_bias", "pole_bounds"):
-        np.testing.assert_allclose(getattr(back, name), getattr(params, name), rtol=1e-9, err_msg=name)
-    assert (back.sign, back.gamma, back.heat_input) == (params.sign, params.gamma, params.heat_input)
-
-
-@pytest.mark.parametrize("edge", [0.0, 1.0])
-def test_a_pole_on_its_bound_survives_the_way_through_torch(edge):
-    bounds = np.array([[0.5, 0.9]])
-    params = linear_operator([0.5 + 0.4 * edge], [0.0], step_s=900.0, pole_bounds=bounds)
-    back = ForcedResponseOperator(params).numpy()
-    np.testing.assert_allclose(back.poles, params.poles, atol=1e-8)
-    assert 0 <= back.gains[0] < 1e-11
 
 
 def test_candidates_are_rolled_out_together():

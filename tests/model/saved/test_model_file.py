@@ -66,14 +66,10 @@ def test_a_model_comes_back_bit_for_bit(tmp_path, model):
     assert back.only.card.notes == ("one", "two")
 
 
-def test_floor_areas_come_back_and_an_older_file_knows_none(tmp_path, model):
+def test_floor_areas_come_back(tmp_path, model):
     folder = replace(model, floor_area_m2=(84.5,)).save(tmp_path / "model")
     assert load_model(folder).floor_area_m2 == (84.5,)
     assert load_model(folder).layout.floor_area_m2 == (84.5,)
-    (zone,) = json.loads((folder / JSON_NAME).read_text())["zones"]
-    del zone["floor_area_m2"]
-    _edit(folder, zones=[zone])
-    assert np.isnan(load_model(folder).floor_area_m2).tolist() == [True]
     unknown = load_model(model.save(tmp_path / "unknown"))
     assert np.isnan(unknown.floor_area_m2).tolist() == [True]
     with pytest.raises(DataError, match="floor_area_m2 has 2 entries, expected 1"):

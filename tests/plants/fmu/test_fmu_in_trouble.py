@@ -10,8 +10,7 @@ import pytest
 
 pytest.importorskip("fmpy")
 pytest.importorskip("pythonfmu")
-from fmu_files import build_house
-
+from benchmarks.chaos.fmu.building import build_house
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.plants.fmu import FmuPlant

@@ -11,8 +11,7 @@ from click.testing import CliRunner
 
 pytest.importorskip("fmpy")
 pytest.importorskip("pythonfmu")
-from fmu_files import CONFIG, DAYS, KPIS, build_house, rewritten
-
+from benchmarks.chaos.fmu.building import CONFIG, DAYS, KPIS, build_house, rewritten
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli

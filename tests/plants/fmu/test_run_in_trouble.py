@@ -16,10 +16,10 @@ import pytest
 pytest.importorskip("fmpy")
 pytest.importorskip("pythonfmu")
 from click.testing import CliRunner
-from fmu_files import build_house
 from places import ROOT
 from waiting import wait_for
 
+from benchmarks.chaos.fmu.building import build_house
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import PlantError
 

@@ -44,8 +44,8 @@ class Still:
     def __init__(self, house: DrawnHouse, T_out: float = 2.0, gains: float = 0.0) -> None:
         n = len(house.rooms)
         self.h, self.n = physics.network(house), n
-        self.weather = np.zeros((ROWS, physics.SUN + n))
-        self.weather[:, physics.T_OUT], self.weather[:, physics.WIND] = T_out, 1.0
+        self.weather = np.zeros((ROWS, physics.SUN + 2 * n))
+        self.weather[:, physics.T_OUT], self.weather[:, physics.SUN + n :] = T_out, 1.0
         self.gains = np.full((ROWS, n), gains)
         self.T, self.on, self.now = np.full(physics.N_BLOCKS * n, 20.0), np.zeros(n), 0.0
 

@@ -197,7 +197,7 @@ def test_weeks_are_the_coldest_and_a_sunny_one():
 def test_sun_reaches_a_room_through_its_own_facades():
     plant = house_of_rooms("house:5rooms")
     noon, day = 12 * 4, round(100 * DAY_S / physics.GRID_S)
-    sun = weather_grid(plant.house, plant.weather)[day : day + 96, physics.SUN :]
+    sun = weather_grid(plant.house, plant.weather)[day : day + 96, physics.SUN : physics.SUN + len(plant.zones)]
     for room, light in zip(plant.house.rooms, sun.T, strict=True):
         south, _, north, _ = room.windows_m2
         assert light.max() < 1000.0 * sum(room.windows_m2) * plant.house.g_value

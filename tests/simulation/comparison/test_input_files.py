@@ -77,7 +77,7 @@ def test_what_is_chosen_by_name_is_no_file(tmp_path, monkeypatch):
         "actuations": {"actuator": {"mode": "modulating"}},
     }
     base = Scenario(testcase="bestest_hydronic_heat_pump", days=1, controller={"name": "rc_mpc", "options": options})
-    variants = {name: Variant(controller=name) for name in ("rc_mpc", "native", "pi", "dpc")}
+    variants = {name: Variant(controller=name) for name in ("rc_mpc", "native", "pi")}
     monkeypatch.chdir(tmp_path)
     before = [cell.key for cell in expand(base, variants, ["44"], ["constant"])]
     names = ("residual", "shipped", "one", "several", "duty", "modulating", "auto", "native", "heating", "piqp", "rule")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,6 +16,7 @@ from click.testing import CliRunner
 from simple_house import SimpleHouse, simple_model
 
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.data import given
 from thermoforce_mpc.errors import ArtifactError, ConfigError
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.simulation import outside, report
@@ -140,7 +142,7 @@ def test_python_in_a_journal_is_not_run_by_resume_or_explain(monkeypatch, tmp_pa
     assert done.exit_code == 0, done.output + str(done.exception)
     assert mark.exists()
     mark.unlink()
-    (tmp_path / "cache" / "thermoforce-mpc" / outside.NAME).unlink()
+    (tmp_path / "cache" / "thermoforce-mpc" / given.NAME).unlink()
     (tmp_path / "run" / "report.html").unlink()
     terms.touch()  # a module that was loaded before is not loaded again
     error = call("resume", tmp_path / "run").exception
@@ -220,6 +222,25 @@ def test_what_is_exchanged_after_the_look_is_not_followed_either(tmp_path):
     assert not (tmp_path / "target").exists()
 
 
+@pytest.mark.parametrize("what", ["a link", "a pipe"])
+def test_what_is_exchanged_during_a_run_is_not_written_through(monkeypatch, tmp_path, what):
+    """Kept files, report and notes of a run take the place of it."""
+    folder, victim = tmp_path / "run", tmp_path / "victim"
+    victim.write_bytes(b"as it was")
+    names = ("kpis.json", "trajectory.csv", "report.html", "manifest.json")
+
+    def exchanged(*_: object) -> SimpleHouse:
+        for name in names:
+            os.mkfifo(folder / name) if what == "a pipe" else (folder / name).symlink_to(victim)
+        return SimpleHouse()
+
+    monkeypatch.setattr(simulation_run, "build_plant", exchanged)
+    done = call(*WORDS, "--controller", "thermostat", "--out", folder)
+    assert done.exit_code == 0, done.output
+    assert victim.read_bytes() == b"as it was"
+    assert all(stat.S_ISREG((folder / name).lstat().st_mode) for name in names)
+
+
 @pytest.mark.parametrize("name", ["../model", "/etc", "..", None, 3])
 def test_a_model_elsewhere_is_refused(tmp_path, name):
     with pytest.raises(ArtifactError, match="names a model that is not in the folder"):
@@ -242,7 +263,7 @@ def test_what_was_given_is_noted_once_and_needs_no_home(tmp_path, monkeypatch):
     scenario = load_scenario(None, {"testcase": TESTCASE, "plant": {"kind": "boptest", "url": "http://[::1]:5000/"}})
     for _ in range(2):
         outside.note_given(scenario)
-    notes = (tmp_path / "cache" / "thermoforce-mpc" / outside.NAME).read_text().splitlines()
+    notes = (tmp_path / "cache" / "thermoforce-mpc" / given.NAME).read_text().splitlines()
     assert [json.loads(line) for line in notes] == [["plant.url", "http://[::1]:5000"]]
     assert outside.unknown(scenario) == []
     (tmp_path / "file").touch()

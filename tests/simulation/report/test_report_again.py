@@ -6,6 +6,7 @@ import json
 
 import pytest
 from click.testing import CliRunner
+from report_page import data_of
 from simple_house import SimpleHouse, simple_model
 
 from boptest_client import TransportConfig
@@ -49,11 +50,6 @@ def last_line(folder, kind, n):
     return found[n]
 
 
-def island(page: str):
-    start = page.index(">", page.index('type="application/json"')) + 1
-    return json.loads(page[start : page.index("</script>", start)])
-
-
 def test_the_report_of_a_whole_run_is_the_same_again(whole, tmp_path):
     done = call("report", whole, "--out", tmp_path / "again.html")
     assert done.exit_code == 0, done.output
@@ -65,7 +61,7 @@ def test_the_report_of_a_whole_run_is_the_same_again(whole, tmp_path):
     }  # fmt: skip
     assert page.count("above the cap of 4.5 kW: 0 of 24 steps of 60 min") == 2
     assert again.count("above the cap of 4.5 kW: 0 of 24 steps of 60 min") == 2
-    found, expected = island(again), island(page)
+    found, expected = data_of(again), data_of(page)
     assert found["own"] == expected["own"]
     assert found["baselines"] == expected["baselines"]
     for key in ("time_s", "status", "acting", "why", "texts", "iterations", "plan_ms", "parts_ms"):
@@ -85,8 +81,8 @@ def test_of_a_run_that_was_cut_off_it_shows_what_there_is_and_says_so(whole, tmp
     assert "was cut off after 0.5 of 1 days" in page
     assert "tf-mpc resume" in page
     assert "model of the run is not shown" in page  # its folder is gone
-    assert len(island(page)["steps"]["status"]) == 12
-    assert not island(page)["baselines"]
+    assert len(data_of(page)["steps"]["status"]) == 12
+    assert not data_of(page)["baselines"]
 
 
 def test_a_baseline_that_was_cut_off_stands_beside_the_whole_run(whole, tmp_path):

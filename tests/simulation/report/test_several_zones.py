@@ -13,6 +13,7 @@ from two_houses import TWO
 from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.simulation.folder.run_folder import steps_frame
 from thermoforce_mpc.simulation.report.forecast_check import forecast_errors, free_forecast_scores
+from thermoforce_mpc.simulation.views import display as display_module
 from thermoforce_mpc.simulation.views.display import LoopDisplay, RunDisplay
 
 
@@ -80,13 +81,14 @@ def test_predictions_that_no_reading_answers_are_not_scored(result):
     assert np.isfinite(row["rmse_K"])
 
 
-def test_progress_shows_every_zone_and_marks_those_outside_their_bounds(result):
+def test_progress_shows_every_zone_and_marks_those_outside_their_bounds(result, monkeypatch):
     console = Console(width=200, record=True, force_terminal=False)
+    monkeypatch.setattr(display_module, "SAID_AFTER_S", 0.0)
     with LoopDisplay(console, "planner", result.period, lambda: {}, "EUR", quiet=False) as display:
         for step in result.steps:
             display.step(step)
-    line = console.export_text().splitlines()[-1]
-    last = result.samples[-1]
+    line = next(text for text in console.export_text().splitlines() if "°C" in text)
+    last = result.samples[len(result.samples) // 2 - 1]  # at the end of the first of two days
     marks = [
         "" if low <= T <= high else "!" for T, low, high in zip(last.T_zone_C, last.lower_C, last.upper_C, strict=True)
     ]

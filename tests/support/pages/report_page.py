@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import json
 import re
 from typing import Any
@@ -12,7 +13,8 @@ import numpy as np
 
 def data_of(page: str) -> dict[str, Any]:
     """The data that travel in the page."""
-    (text,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', page, flags=re.DOTALL)
+    (packed,) = re.findall(r'<script type="text/plain" id="data">(.*?)</script>', page)
+    text = gzip.decompress(base64.b64decode(packed))
     return json.loads(text, parse_constant=lambda name: (_ for _ in ()).throw(ValueError(f"{name} is not JSON")))
 
 

@@ -23,7 +23,7 @@ from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
 _ROWS = 25
 
 
-@click.command(short_help="What another schedule would have done on a past day.")
+@click.command()
 @measured_model_options
 @click.option("--start", required=True, metavar="TIME", help="First step of the stretch, such as '2026-01-20 00:00'.")
 @click.option("--hours", type=FiniteRange(1.0), default=24.0, show_default=True, help="Length of the stretch.")

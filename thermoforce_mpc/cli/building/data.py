@@ -14,7 +14,7 @@ from thermoforce_mpc.files import written
 from thermoforce_mpc.simulation.views.display import RunDisplay
 
 
-@click.group(short_help="Check measurements of your own building; plan a probing by hand.")
+@click.group()
 def command() -> None:
     """Measurements of your own building: CSV or Parquet files and a map that says which column is what.
 

@@ -26,7 +26,7 @@ _ROWS, _BACK_DAYS = 25, 28.0
 _HELD, _JUDGED_H, _MATTERS_K = 0.5, 24.0, 0.25
 
 
-@click.command(short_help="Forecast the temperature, with its band, under levels that you give.")
+@click.command()
 @measured_model_options
 @click.option("--forecast", "forecast_file", metavar="FILE", help="Weather from the end of the measurements on.")
 @click.option("--start", metavar="TIME", help="Instead: a past time, whose weather and levels were measured.")

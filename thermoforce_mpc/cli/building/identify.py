@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.cli.options import FiniteRange, probed_option, scenario_from, scenario_options
+from thermoforce_mpc.cli.options import FiniteRange, base_options, probed_option, scenario_from, window_options
 from thermoforce_mpc.errors import ArtifactError, DataError
 
 if TYPE_CHECKING:
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from thermoforce_mpc.model.thermal_model import ThermalModel
     from thermoforce_mpc.simulation.views.display import RunDisplay
 
-# Exit code of a model that was identified and saved but is below the bar.
-BELOW_THE_BAR = 4
+# Exit code of a model that was identified and saved but is not competent.
+NOT_COMPETENT = 4
 _PROBE = "`tf-mpc data probe-plan` writes the cheapest probing by hand that would tell the effect of acting."
 # Options that make no sense with measurements.
 _OF_PLANTS = (
@@ -27,8 +27,9 @@ _OF_PLANTS = (
 )  # fmt: skip
 
 
-@click.command(short_help="Identify and save a model: probe a building, or take measurements from files.")
-@scenario_options
+@click.command()
+@base_options
+@window_options
 @click.option("--probe-days", type=float, help="Days of probing, ending a week before --period.  [default: 3]")
 @probed_option
 @click.option("--controller", metavar="NAME", help="Probe at the levels that this controller uses.")
@@ -42,14 +43,14 @@ def command(**options: Any) -> None:
 
     A building that can be run is probed for a few days. The probing signal is designed for identifiability and keeps
     the zone near its comfort band. The probing days end where the warm-up of --period begins. If the model is then
-    below the bar (docs/how-it-works/competence.md), probing goes on day by day, up to identification.most_days (10).
+    not competent (docs/how-it-works/competence.md), probing goes on day by day, up to identification.most_days (10).
 
     With --probing the model is identified from what an earlier run of the same test case has probed.
 
     With --data the model is identified from measurements in CSV or Parquet files, as --map says
     (docs/how-to/own-data.md); of long ones the 28 days that tell most about acting are used.
 
-    A model that stays below the bar is saved, but the controllers do not act on it; the exit code is then 4, and the
+    A model that stays incompetent is saved, but the controllers do not act on it; the exit code is then 4, and the
     verdict says what to do. The folder also holds a plot of the fit and of the step response with its 90 % band.
 
     Use the model with `tf-mpc run --model FOLDER` or `tf-mpc plan --model FOLDER`.
@@ -128,7 +129,7 @@ def _options(options: dict[str, Any]) -> IdentificationConfig:
 
 
 def _finish(model: ThermalModel, record: Record, out: Path, display: RunDisplay, *, overwrite: bool) -> None:
-    """Save and show a model and the plot of its fit; exit code 4 where it is below the bar."""
+    """Save and show a model and the plot of its fit; exit code 4 where it is not competent."""
     from thermoforce_mpc.cli.inside.inspect import show_model
     from thermoforce_mpc.identification.validation.report import PLOT_NAME, plot_identification
     from thermoforce_mpc.simulation.models.identifying import may_act
@@ -138,4 +139,4 @@ def _finish(model: ThermalModel, record: Record, out: Path, display: RunDisplay,
     plot_identification(out / PLOT_NAME, model, record)
     display.say(f"Plot of fit and step response: {out / PLOT_NAME}")
     if not may_act(model):
-        click.get_current_context().exit(BELOW_THE_BAR)
+        click.get_current_context().exit(NOT_COMPETENT)

@@ -14,7 +14,7 @@ from thermoforce_mpc.files import storage_errors, write_whole
 _SCHEMAS = "schema"
 
 
-@click.command(short_help="Write a commented scenario to start from, and a test case or a map.")
+@click.command()
 @click.argument("folder", metavar="[DIR]", default=".", type=click.Path(path_type=Path))
 @click.option("--testcase", default="bestest_hydronic_heat_pump", show_default=True, help="Building of the scenario.")
 @click.option("--copy-testcase", is_flag=True, help="Copy that test case to testcase.yaml, to make it yours.")

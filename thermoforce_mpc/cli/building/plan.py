@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from rich.table import Table
 
-from thermoforce_mpc.cli.building.identify import BELOW_THE_BAR
+from thermoforce_mpc.cli.building.identify import NOT_COMPETENT
 from thermoforce_mpc.cli.options import FiniteRange, plot_option
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Plan
 from thermoforce_mpc.data.names import check_same_building
@@ -24,7 +24,7 @@ from thermoforce_mpc.simulation.views.display import RunDisplay
 _LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 28.0
 
 
-@click.command(short_help="Plan the next hours from recent measurements and a forecast in files.")
+@click.command()
 @click.option("--model", required=True, type=click.Path(path_type=Path), help="Model folder of `tf-mpc identify`.")
 @click.option("--data", "files", required=True, multiple=True, metavar="FILE", help="Recent measurements; repeatable.")
 @click.option("--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements.")
@@ -53,7 +53,7 @@ def command(
 
     A level between 0 and 1 of a machine that is only on or off means that share of the step.
 
-    Exit code 4 where the model is below the bar, 1 where readings, forecast or solver give no plan: leave the building
+    Exit code 4 where the model is not competent, 1 where readings, forecast or solver give no plan: leave the building
     to its own control then.
 
     \b
@@ -92,7 +92,7 @@ def command(
     display.say(f"Actuation: {controller.actuation_in_words}")
     if not plan.u.size:
         display.say("There is no plan: leave the building to its own control.")
-        click.get_current_context().exit(BELOW_THE_BAR if plan.status == "gate" else 1)
+        click.get_current_context().exit(NOT_COMPETENT if plan.status == "gate" else 1)
     table = plan_table(plan, ahead.head(plan.u.shape[1]))
     _show(plan, table, display)
     if out is not None:

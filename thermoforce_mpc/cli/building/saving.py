@@ -20,7 +20,7 @@ from thermoforce_mpc.whatif.days import Days
 from thermoforce_mpc.whatif.saving import Saving, verified_saving
 
 
-@click.command(short_help="What a changed operation saved, with an interval, from records before and after.")
+@click.command()
 @click.option("--data", "files", required=True, multiple=True, metavar="FILE", help="Measurements; repeatable.")
 @click.option("--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements.")
 @click.option("--changed", required=True, metavar="TIME", help="When the operation changed, such as '2026-02-01'.")

@@ -10,7 +10,7 @@ import click
 _MARKS = {"ok": "ok      ", "warning": "WARNING ", "failed": "FAILED  ", "skipped": "skipped "}
 
 
-@click.command(short_help="Check installation, solvers, forecaster, plant, service, clock and disk.")
+@click.command()
 @click.option("--url", metavar="URL", help="A BOPTEST service to check too.")
 @click.option(
     "--testcase", metavar="NAME", default="bestest_hydronic_heat_pump", show_default=True, help="Its test case."
@@ -43,7 +43,11 @@ def command(url: str | None, testcase: str, out: Path, only: str | None, json_fi
         if finding.todo and finding.state != "ok":
             console.print(f"          → {finding.todo}", markup=False)
     if json_file:
-        write_json(json_file, {"environment": environment(), "findings": [asdict(finding) for finding in findings]})
+        write_json(
+            json_file,
+            {"environment": environment(), "findings": [asdict(finding) for finding in findings]},
+            follow=True,
+        )
     failed = sum(finding.state == "failed" for finding in findings)
     console.print(f"{failed} failed" if failed else "Nothing failed.")
     if failed:

@@ -38,7 +38,7 @@ _RUNGS = {
 }
 
 
-@click.command(short_help="Tell what a run decided at an instant, and why.")
+@click.command()
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option(
     "--at", metavar="TIME", help="'16 06:30' (day from 0), '01-17 06:30' or '1405800s'.  [default: last step]"
@@ -76,7 +76,7 @@ def command(run: Path, at: str | None, controller: str | None, hours: float, jso
         for note in alternatives.notes:
             console.print(f"alternatives: {note}", markup=False)
     if json_file:
-        write_json(json_file, _json(decision) | {"alternatives": alternatives_json(alternatives)})
+        write_json(json_file, _json(decision) | {"alternatives": alternatives_json(alternatives)}, follow=True)
         console.print(f"JSON: {json_file}", markup=False)
 
 

@@ -24,8 +24,6 @@ _CERTIFIED_H = 48
 # Meaning of the scores of a model card, in printing order.
 _MEANING = {
     "acts_log_odds": "log odds that the actuator acts on the zone at all",
-    "held_out_rollout_rmse_K": "RMSE on held-out data, predicted up to 24 h ahead with known weather, K",
-    "held_out": "error on held-out rows after an action, in standard deviations of the assumed disturbances",
     "residual_scale": "residual, as a share of the assumed disturbances",
     "held_out_linear": "held-out error with a constant gain, in standard deviations",
     "held_out_neural": "the same with a network as gain",
@@ -34,7 +32,7 @@ _MEANING = {
 _UNITS = {"T_zone_C": "zone, °C", "T_out_C": "outdoors, °C", "solar_W_m2": "sun, W/m²", "u": "action u"}
 
 
-@click.command(short_help="Show a saved model: parameters, certificate, identification data.")
+@click.command()
 @click.argument("model", type=click.Path(path_type=Path))
 def command(model: Path) -> None:
     """Show the saved MODEL (a folder): operator parameters, certificate, power model, scores and data ranges.
@@ -236,7 +234,7 @@ def _show_competence(card: ModelCard, console: Console) -> None:
         f"with probability {verdict.sign_probability:.3f}; log odds that it acts at all {verdict.log_odds:.0f}"
     )
     console.print(
-        "Competence: " + ("COMPETENT" if verdict.competent else "BELOW THE BAR, controllers do not act on it")
+        "Competence: " + ("COMPETENT" if verdict.competent else "NOT COMPETENT, controllers do not act on it")
     )
     console.print(f"  {verdict.sentence()}", soft_wrap=True)
     for reason in verdict.reasons:

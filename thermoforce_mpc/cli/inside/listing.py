@@ -25,7 +25,7 @@ T = TypeVar("T")
 _NAME = click.argument("name", required=False)
 
 
-@click.command(short_help="List controllers and their options.")
+@click.command()
 @_NAME
 def controllers(name: str | None) -> None:
     """List the controllers, or every option of the controller NAME with its default and unit.
@@ -44,7 +44,7 @@ def controllers(name: str | None) -> None:
     _show_options(entry.config(), dict(entry.defaults), "controller.options.")
 
 
-@click.command(short_help="List plants and their options.")
+@click.command()
 @_NAME
 def plants(name: str | None) -> None:
     """List the plants, or every option of the plant NAME with its default and unit.
@@ -63,7 +63,7 @@ def plants(name: str | None) -> None:
     _show_options(entry.config(), {}, "plant.options.")
 
 
-@click.command(short_help="List connections to real buildings and their options.")
+@click.command()
 @_NAME
 def connections(name: str | None) -> None:
     """List the connections of `tf-mpc control`, or every option of the connection NAME with its default.
@@ -81,7 +81,7 @@ def connections(name: str | None) -> None:
     _show_options(options_model(make, ()), {}, "connection.")
 
 
-@click.command(short_help="List forecasters of the free response and their options.")
+@click.command()
 @_NAME
 def free_responses(name: str | None) -> None:
     """List the free responses and the forecasters, or the options of the free response or forecaster NAME.

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 
-@click.command(short_help="Write the JSON Schema of scenario, test case, comparison, fleet or map files.")
+@click.command()
 @click.argument("kind", metavar="scenario|testcase|comparison|fleet|map")
 @click.option("--out", type=click.Path(path_type=Path), help="File to write to.  [default: print it]")
 def command(kind: str, out: Path | None) -> None:

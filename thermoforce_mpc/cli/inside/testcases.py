@@ -9,7 +9,7 @@ from thermoforce_mpc.registry import OWN
 from thermoforce_mpc.scenario.settings import named_configs, read_yaml
 
 
-@click.command(short_help="List the shipped test cases, scenarios, comparisons and fleets.")
+@click.command()
 def command() -> None:
     """List the shipped test cases, scenarios, comparisons and fleets, with their files."""
     click.echo("Test cases (--testcase NAME):")

@@ -19,7 +19,7 @@ _KIND_OF = {
 }  # fmt: skip
 
 
-@click.command(short_help="Check a scenario, test case, comparison, fleet or map file.")
+@click.command()
 @click.argument("file", type=click.Path(path_type=Path))
 def command(file: Path) -> None:
     """Check FILE, a scenario, test case, comparison, fleet or map; an error names file, key and allowed values.

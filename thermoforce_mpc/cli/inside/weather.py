@@ -10,7 +10,7 @@ import click
 from thermoforce_mpc.data.cache_folder import cache_folder
 
 
-@click.group(short_help="Download the weather file of the BOPTEST test case.")
+@click.group()
 def command() -> None:
     """Weather files for the emulator. Without a file it uses a synthetic year that represents no real place."""
 

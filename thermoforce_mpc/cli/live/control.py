@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 
 
-@click.command(short_help="Control a real building through a connection, in real time.")
+@click.command()
 @click.option("--model", required=True, type=click.Path(path_type=Path), help="Model folder of `tf-mpc identify`.")
 @click.option("--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements.")
 @click.option("--connection", default="files", show_default=True, metavar="NAME", help="See `tf-mpc connections`.")

@@ -10,7 +10,7 @@ from thermoforce_mpc.cli.options import FiniteRange
 from thermoforce_mpc.errors import ConfigError
 
 
-@click.command(short_help="Serve the embedded plant over BOPTEST's REST protocol.")
+@click.command()
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @click.option(
     "--port", type=click.IntRange(0, 65535), default=8000, show_default=True, help="Port; 0 picks a free one."

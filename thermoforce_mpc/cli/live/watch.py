@@ -26,7 +26,7 @@ _WIDTH, _HEAD = 32, 11
 _COLOURS = {"solved": "green", "rule": "green", "bridged": "yellow", "acceptable": "yellow", "shifted": "yellow"}
 
 
-@click.command(short_help="Watch a running controller, in the terminal or as a page.")
+@click.command()
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option(
     "--controller", metavar="NAME", help="Which of the run.  [default: the latest; of a finished run the first]"

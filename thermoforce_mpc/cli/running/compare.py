@@ -19,7 +19,7 @@ from thermoforce_mpc.simulation.comparison.variants import comma_list, load_comp
 _CONTESTANTS = "thermoforce_mpc,thermostat,native"
 
 
-@click.command(short_help="Compare controllers on several windows and tariffs.")
+@click.command()
 @comparison_options
 @click.option("--controllers", metavar="A,B", help=f"Names (see `tf-mpc controllers`).  [default: {_CONTESTANTS}]")
 @click.option("--variants", metavar="FILE", help="Controllers with options: YAML file or shipped name.")

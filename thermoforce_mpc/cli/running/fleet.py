@@ -42,7 +42,7 @@ RUNS_FAILED = 3
 _SHOWN_FAILURES = 10
 
 
-@click.command(short_help="Run many buildings under many windows, tariffs and controllers.")
+@click.command()
 @click.argument("fleet", metavar="FLEET.yaml")
 @click.option("--count", is_flag=True, help="Say what would be run, and run nothing.")
 @click.option(

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 
-@click.command(short_help="Go on with a run that was killed or interrupted.")
+@click.command()
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option(
     "--from",

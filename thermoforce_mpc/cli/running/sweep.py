@@ -21,7 +21,7 @@ from thermoforce_mpc.simulation.comparison.variants import comma_list, numeric_o
 _VALUES = "0.0026,0.005,0.01,0.026,0.05,0.1"
 
 
-@click.command(short_help="Vary one controller option and plot cost against discomfort.")
+@click.command()
 @comparison_options
 @click.option("--controller", default="thermoforce_mpc", show_default=True, metavar="NAME", help="Controller to vary.")
 @click.option(

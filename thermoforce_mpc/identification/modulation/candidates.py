@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from thermoforce_mpc.identification.estimation.modes import centred_priors
 from thermoforce_mpc.identification.estimation.recursions import responses
 from thermoforce_mpc.identification.estimation.regression import RegressionData, calibrated
 from thermoforce_mpc.identification.modulation.misfit import TrainingData
+from thermoforce_mpc.identification.modulation.training import TrainingResult, train
 from thermoforce_mpc.identification.validation.blocks import is_significant, standard_errors_saved
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.validation.held_out import LEAST_SCALE, Case
@@ -26,9 +26,6 @@ from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-
-if TYPE_CHECKING:  # training loads torch
-    from thermoforce_mpc.identification.modulation.training import TrainingResult
 
 # A held-out comparison decides at this probability (Student's t, one-sided), if the RMS is below this share.
 _SIGNIFICANT, _RELEVANT = 0.95, 0.98
@@ -98,8 +95,6 @@ class Candidates:
         return {}
 
     def _train(self, level: bool) -> TrainingResult:
-        from thermoforce_mpc.identification.modulation.training import train
-
         fold, heat_input = self.fold, self.untrained.heat_input
         driven = calibrated(self.driven(level), fold.fit.residual_scale)
         data = [

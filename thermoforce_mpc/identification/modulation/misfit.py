@@ -1,17 +1,17 @@
 """Negative log posterior of an operator with modulation (paper eq:operator to eq:mod), and its gradient.
 
 The gradient is written out: the network is small, so that automatic differentiation takes ten times as long to follow
-the steps as to do them. Tests compare it with that of `ForcedResponseOperator` by torch.
+the steps as to do them. Tests compare it with automatic differentiation by torch.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
+from scipy.special import expit, logit
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.estimation.likelihood import Residuals, Split
@@ -19,7 +19,11 @@ from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.estimation.recursions import adjoint, responses
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.validation.blocks import block_numbers
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, initial_weight
+
+# Least relative distance of an initial pole to its bounds, which keeps its logit and gradient finite.
+_EDGE = 1e-9
+_SMALLEST_GAIN = 1e-12
 
 
 @dataclass(frozen=True)
@@ -88,8 +92,9 @@ class _Modes:
 class Misfit:
     """Σ of squared whitened residuals and priors over the training rows, per row, of the parameters (P,) of a network.
 
-    Parameters are those of `ForcedResponseOperator` in its order: ã (r,), g̃ (r,), hidden weights (H, 4) and biases
-    (H,), output weights (H,) and bias.
+    Parameters, in this order: ã (r,) of eq:pole, g̃ (r,) of eq:gain, hidden weights (H, 4) and biases (H,), output
+    weights (H,) and bias. The fastest gain is set so that softplus(g̃_1) is the initial slope of the step response; at
+    r = 1 it is eq:gain.
 
     Args:
         start: operator that gives all but these parameters.
@@ -146,6 +151,31 @@ class Misfit:
         return value / self._n, np.concatenate([by_raw, by_network]) / self._n
 
     @property
+    def begin(self) -> Array:
+        """The parameters (P,) of `start`."""
+        start, (low, high) = self._start, self._start.pole_bounds.T
+        share = np.clip((start.poles - low) / (high - low), _EDGE, 1.0 - _EDGE)
+        weight = initial_weight(start.poles)
+        magnitude = start.gains * start.sign
+        magnitude = np.maximum(np.append(magnitude @ weight / weight[0], magnitude[1:]), _SMALLEST_GAIN)
+        return np.concatenate([logit(share), magnitude + np.log(-np.expm1(-magnitude)), self._centre])
+
+    def operator(self, parameters: Array) -> OperatorParameters:
+        """The operator with these parameters (P,)."""
+        modes, H, network = self._modes(parameters), self._hidden, parameters[2 * self._r :]
+        low, high = self._start.pole_bounds.T
+        return replace(
+            self._start,
+            # Rounding of a saturated sigmoid must not leave the bounds or (0, 1).
+            poles=np.clip(modes.a, np.maximum(low, 1e-300), np.minimum(high, 1 - 1e-16)),
+            gains=modes.g,
+            hidden_weight=network[: 4 * H].reshape(H, 4),
+            hidden_bias=network[4 * H : 5 * H],
+            output_weight=network[5 * H : 6 * H],
+            output_bias=float(network[6 * H]),
+        )
+
+    @property
     def held_out_blocks(self) -> NDArray[np.intp]:
         """Block numbers (rows,) of the held-out rows, in the order of `held_out_residuals`."""
         return np.concatenate([group.blocks.ravel() for group in self._groups])
@@ -162,7 +192,7 @@ class Misfit:
         return np.concatenate(whitened)
 
     def _modes(self, parameters: Array) -> _Modes:
-        """Eq:pole and eq:gain, as `ForcedResponseOperator.poles` and `gains`."""
+        """Eq:pole and eq:gain."""
         r, (low, high) = self._r, self._start.pole_bounds.T
         share, raw_gain = expit(parameters[:r]), parameters[r : 2 * r]
         a, s = low + (high - low) * share, np.logaddexp(0.0, raw_gain)

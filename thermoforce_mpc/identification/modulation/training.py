@@ -11,10 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.config import IdentificationConfig
@@ -22,7 +20,6 @@ from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.modulation.misfit import Misfit, TrainingData
 from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.operator.torch_module import ForcedResponseOperator
 
 # Initial standard deviation of hidden weights: features are normalised, so slopes of order 1 use the range of tanh.
 _HIDDEN_SD = 0.5
@@ -59,13 +56,11 @@ def train(
     metered = linear.heat_input.law is not None
     modulation_sd = config.modulation_sd or (_MODULATION_SD_METERED if metered else _MODULATION_SD)
     start = with_network(linear, config.seed)
-    operator = ForcedResponseOperator(start)
     misfit = Misfit(start, regressions, priors, modulation_sd)
-    begin = parameters_to_vector(operator.parameters()).detach().numpy()
+    begin = misfit.begin
     end, losses = minimise(misfit, begin, config)
-    vector_to_parameters(torch.from_numpy(end), operator.parameters())
     before, after = misfit.held_out_residuals(begin), misfit.held_out_residuals(end)
-    return TrainingResult(operator.numpy(), before, after, misfit.held_out_blocks, np.array(losses))
+    return TrainingResult(misfit.operator(end), before, after, misfit.held_out_blocks, np.array(losses))
 
 
 def with_network(linear: OperatorParameters, seed: int) -> OperatorParameters:
@@ -97,6 +92,8 @@ def minimise(
         return value, gradient
 
     if config.optimiser == "adam":
+        import torch  # slow to load, and for the paper's optimiser only
+
         parameters = torch.nn.Parameter(torch.from_numpy(start.copy()))
         optimiser = torch.optim.Adam([parameters], lr=config.learning_rate)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.epochs)

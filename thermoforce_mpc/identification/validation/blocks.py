@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 from thermoforce_mpc.data import HOUR_S, Array
 
@@ -63,7 +63,7 @@ def standard_errors_saved(
 def quantile(count: int, probability: float, overlap: int = 0) -> float:
     """What the statistic of `count` blocks exceeds by chance with 1 − `probability`: one of 0.9, 0.95, 0.975, 0.99."""
     if not overlap:
-        return float(student_t.ppf(probability, max(count - 1, 1)))
+        return float(stdtrit(max(count - 1, 1), probability))
     return float(np.polynomial.polynomial.polyval(_reach(count, overlap) / max(count, 1), _FIXED_B[probability]))
 
 

@@ -1,4 +1,4 @@
-"""Verdict on an identified model from its held-out data, and the bar to reach (docs/how-it-works/competence.md).
+"""Verdict on an identified model from its held-out data, and the criteria (docs/how-it-works/competence.md).
 
 The model as fitted to the training rows, network included, predicts the held-out rows up to 24 h ahead with known
 weather (`errors_ahead`). Whether it predicts better or worse than something simpler is a test, and one held-out part is
@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
@@ -99,7 +99,7 @@ def judge(
         horizons=tuple(_score(hours, errors[hours], earlier.get(hours), block_h) for hours in LEAD_TIMES_H),
         effect_K=operator.sign * effect,
         effect_sd_K=sd,
-        sign_probability=float(norm.cdf(effect / sd)) if sd > 0 else 1.0,
+        sign_probability=float(ndtr(effect / sd)) if sd > 0 else 1.0,
         log_odds=log_odds,
         held_out_h=fold.held_out_h,
     )

@@ -1,4 +1,4 @@
-"""What a model below the bar misses, in words: for an engineer, for the owner of the building, and what to do."""
+"""What an incompetent model misses, in words: for an engineer, for the owner of the building, and what to do."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
@@ -144,7 +144,7 @@ class RcFreeResponse:
         for t in range(n):
             mean, covariance = _predict(ahead, mean, covariance, drive[t])
             center[t], spread[t] = mean.sum(), np.sqrt(covariance.sum())
-        quantiles = center + norm.ppf(LEVELS)[:, None] * spread
+        quantiles = center + ndtri(LEVELS)[:, None] * spread
         note = f"linear free model of order {ahead.order}, weather-driven"
         return FreeForecast(levels=LEVELS, quantiles_C=quantiles, note=note)
 

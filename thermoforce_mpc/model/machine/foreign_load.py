@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
 
 # Least mean of such a load as a share of full power: below, it is a standby or an error of the meter.
@@ -40,6 +41,10 @@ class ForeignLoad:
     reference_C: float
     T_out_range_C: tuple[float, float]
     rmse_W: float
+
+    def __post_init__(self) -> None:
+        if len(self.by_hour_W) != HOURS:
+            raise DataError(f"by_hour_W has {len(self.by_hour_W)} entries, expected {HOURS}")
 
     def __call__(self, time_s: Array, T_out_C: Array) -> Array:
         """Return the load over steps that start at `time_s`, s since 1 January, at `T_out_C` °C, W; shapes alike."""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.execution.keys import ADDED_LATER
 from thermoforce_mpc.model.machine.load import MachineLoad
 
 
@@ -32,7 +31,7 @@ class HeatInput:
     lowest: float = 0.0
     per_K: float = 0.0
     T_out_range_C: tuple[float, float] = (0.0, 0.0)
-    metered: MachineLoad | None = field(default=None, metadata={ADDED_LATER: True})
+    metered: MachineLoad | None = None
 
     def __post_init__(self) -> None:
         identity = self.heat is None and self.per_K == 0.0

@@ -1,1 +1,1 @@
-"""The file of a model, of this release and of older ones."""
+"""The file of a model."""

@@ -26,8 +26,6 @@ from thermoforce_mpc.version import VERSION
 
 FORMAT = "thermoforce-mpc thermal model"
 FORMAT_VERSION = 5
-# The oldest that `migration` can rewrite, and the first with a hash of its content.
-OLDEST_VERSION, _HASHED_VERSION = 2, 4
 
 JSON_NAME = "model.json"
 ARRAYS_NAME = "arrays.safetensors"
@@ -70,50 +68,14 @@ def read_model_file(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     """
     path = folder / JSON_NAME
     content = _read_json(folder)
-    version = content.get("version")
-    if version != FORMAT_VERSION:
-        raise ArtifactError(f"{path}: {_other_version(version, content.get('code_version'), folder)}")
-    _check_content(path, content)
-    return content, _read_arrays(folder, content)
-
-
-def read_older_file(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return the content and the arrays of a model of an older version, from `OLDEST_VERSION` on.
-
-    Raises:
-        ArtifactError: as `read_model_file`; also for a model of today's version.
-    """
-    content = _read_json(folder)
-    version = content.get("version")
-    if version == FORMAT_VERSION:
-        raise ArtifactError(f"{folder}: is of format version {version} already, there is nothing to migrate")
-    if not _is_older(version):
-        raise ArtifactError(f"{folder / JSON_NAME}: {_other_version(version, content.get('code_version'), folder)}")
-    if content["version"] >= _HASHED_VERSION:
-        _check_content(folder / JSON_NAME, content)
-    return content, _read_arrays(folder, content)
-
-
-def _check_content(path: Path, content: Mapping[str, Any]) -> None:
+    if content.get("version") != FORMAT_VERSION:
+        raise ArtifactError(
+            f"{path}: format version {content.get('version')!r:.20}, this release reads {FORMAT_VERSION}; identify "
+            f"again from the same data, or use thermoforce-mpc {content.get('code_version')!s:.20}, which wrote it"
+        )
     if content_sha256(content) != content.get("sha256"):
         raise ArtifactError(f"{path}: damaged or edited, its content has another sha256 than it says; identify again")
-
-
-def _is_older(version: object) -> bool:
-    return type(version) is int and OLDEST_VERSION <= version < FORMAT_VERSION
-
-
-def _other_version(version: object, writer: object, folder: Path) -> str:
-    """What to do about a model of another version, written by the release `writer`."""
-    mismatch = f"format version {version!r:.20}, this release reads {FORMAT_VERSION}"
-    if _is_older(version):
-        return f"{mismatch}; rewrite it: tf-mpc migrate {folder} --out NEW_FOLDER"
-    if type(version) is int and version > FORMAT_VERSION:
-        return f"{mismatch}; thermoforce-mpc {writer!s:.20} wrote it: pip install --upgrade thermoforce-mpc"
-    return (
-        f"{mismatch} and migrates from {OLDEST_VERSION} on; identify again from the same data, or use "
-        f"thermoforce-mpc {writer!s:.20}, which wrote it"
-    )
+    return content, _read_arrays(folder, content)
 
 
 def _read_arrays(folder: Path, content: Mapping[str, Any]) -> dict[str, Array]:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 from abc import abstractmethod
-from typing import Protocol
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -32,6 +35,13 @@ class _House(Protocol):
     def design_load_W(self) -> float: ...
 
 
+@dataclass(frozen=True)
+class HouseSnapshot:
+    """State, clock and record of a drawn house at one instant; opaque, for `DrawnHousePlant.restore`."""
+
+    values: Mapping[str, Any]
+
+
 class DrawnHousePlant(PlantShell):
     """A drawn house. Deterministic: same house and inputs, same bytes.
 
@@ -44,6 +54,8 @@ class DrawnHousePlant(PlantShell):
     weather: Weather
     _kind: str
     _tariffs: dict[str, tariffs.Tariff]
+    # Names of what changes as time goes on.
+    _changing: tuple[str, ...] = ("_now_s", "_begin_s", "_start_s", "_price", "_samples")
 
     @property
     def info(self) -> PlantInfo:
@@ -71,6 +83,14 @@ class DrawnHousePlant(PlantShell):
             design_load_W=self.house.design_load_W,
             grid_s=GRID_S,
         )
+
+    def snapshot(self) -> HouseSnapshot:
+        """Return a snapshot, to restore or branch from."""
+        return HouseSnapshot({name: copy.deepcopy(getattr(self, name)) for name in self._changing})
+
+    def restore(self, snapshot: HouseSnapshot) -> None:
+        """Restore a snapshot of this house, or of another plant of the same house."""
+        vars(self).update(copy.deepcopy(dict(snapshot.values)))
 
     def _check_reset(self, start_s: float, warmup_s: float, price: str) -> None:
         check_start(start_s, warmup_s)

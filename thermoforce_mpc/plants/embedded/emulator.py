@@ -28,11 +28,12 @@ from thermoforce_mpc.data import (
 )
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import day_period, is_day
-from thermoforce_mpc.plants.embedded import kernel, schedule
+from thermoforce_mpc.plants.embedded import exposure, kernel, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.plants.embedded.counting import integrals
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
 from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, CountedKpis, peak_power
+from thermoforce_mpc.plants.people import live
 from thermoforce_mpc.plants.records import interval_means
 from thermoforce_mpc.plants.shell import CLOCK_S, PlantShell
 from thermoforce_mpc.scenario.building import Price
@@ -104,6 +105,7 @@ class EmbeddedPlant(PlantShell):
         highly_dynamic: tariffs.Tariff | None = None,
         forecast_error: ForecastError | None = None,
         periods: Mapping[str, Period] | None = None,
+        people: int | None = None,
     ) -> None:
         """Build the plant for a weather year.
 
@@ -111,11 +113,14 @@ class EmbeddedPlant(PlantShell):
             highly_dynamic: highly dynamic tariff; default: a synthetic one, see `boundary.tariffs`.
             forecast_error: weather forecast errors; default: a perfect forecast.
             periods: windows by name; default: those of BOPTEST's rule for this weather.
+            people: seed of people who do not keep to the schedule, see `plants.people`; default: they keep to it.
         """
         self.weather = weather
         self._forecast_error = forecast_error
         self._network = build_network()
-        self._grid = build_exposure(weather).grid
+        grid = build_exposure(weather).grid
+        self._scheduled = grid, kernel.AS_SCHEDULED
+        self._lived = self._scheduled if people is None else _with_people(grid, people)
         self._tariffs = tariffs.by_name(highly_dynamic)
         self._periods = periods
         self.reset(0.0, 0.0)
@@ -332,7 +337,7 @@ class EmbeddedPlant(PlantShell):
         forced = np.array([overrides.get(name, math.nan) for name in _LIMITS], dtype=np.float64)
         net = self._network
         kernel.advance(
-            self._nodes, self._scalars, before_s, n, duration_s / n, forced, self._grid, net.capacity, net.coupling,
+            self._nodes, self._scalars, before_s, n, duration_s / n, forced, *self._lived, net.capacity, net.coupling,
             net.outside, net.inside, net.pipe, net.slab, rows,
         )  # fmt: skip
         rows.setflags(write=False)
@@ -341,13 +346,18 @@ class EmbeddedPlant(PlantShell):
         return rows
 
     def native_power_W(self) -> Array:
-        """Return 15-min means of the compressor power over a year of native control, W, shape (35040,)."""
-        here = self.snapshot()
+        """Return 15-min means of the compressor power over a year of native control, W, shape (35040,).
+
+        People keep to the schedule, so that windows are the same with and without others.
+        """
+        here, lived = self.snapshot(), self._lived
+        self._lived = self._scheduled
         try:
             self.reset(0.0, 0.0)
             rows = self._advance({}, YEAR_S)
             return np.asarray(rows[:, _COLUMN["P_heat_pump"]].reshape(-1, 30).mean(axis=1))
         finally:
+            self._lived = lived
             self.restore(here)
 
     def _measured(self, before_s: float) -> Measurement:
@@ -374,7 +384,7 @@ class EmbeddedPlant(PlantShell):
         """Return the sample at the first instant under native control, shape (1, 17)."""
         rows = np.empty((1, len(kernel.RECORD)))
         native = np.full(len(OVERWRITES), math.nan)
-        kernel.sample(self._scalars, self._now_s, native, self._grid, rows[0])
+        kernel.sample(self._scalars, self._now_s, native, self._scheduled[0], rows[0])
         rows.setflags(write=False)
         return rows
 
@@ -383,6 +393,24 @@ def _overrides(block: Block) -> dict[str, float]:
     """Overwrite inputs for the level of the compressor; none under native control."""
     level = block.u[0]
     return {} if level is None else {"oveHeaPumY": level}
+
+
+def _with_people(grid: Array, seed: int) -> tuple[Array, Array]:
+    """Return the exposure behind the blinds of people, and what else differs from the schedule, see `kernel.PEOPLE`."""
+    usual = schedule.occupied(np.arange(0.0, YEAR_S + exposure.GRID_S, exposure.GRID_S))
+    life = live(
+        [seed],
+        usual.astype(np.bool_),
+        schedule.PEOPLE,
+        T_out_C=grid[:, exposure.T_OUT] - ZERO_C_K,
+        solar_W_m2=grid[:, exposure.GLOBAL],
+    )
+    shaded = grid.copy()
+    shaded[:, [exposure.BEAM_IN, exposure.DIFFUSE_IN]] *= life.sun[0][:, None]
+    differs = np.zeros((len(grid) - 1, len(kernel.AS_SCHEDULED[0])))
+    differs[:, kernel.PEOPLE] = (life.present - schedule.PEOPLE * usual)[:-1]
+    differs[:, kernel.COOKING], differs[:, kernel.WINDOWS] = life.cooking_W[:-1], life.windows_1_h[0, :-1]
+    return shaded, differs
 
 
 def _total_power(rows: Array) -> Array:

@@ -49,6 +49,10 @@ _PPM_PER_KG_KG = 1e6 / 1.528635  # the test case's ratio of molar masses, CO2 to
 _CO2_KG_S_PERSON = 1.08167e-5
 _GAIN_RADIANT_W, _GAIN_CONVECTIVE_W = 219.0, 146.0  # five people
 
+# Columns of what differs from the schedule, held for 15 min: people, heat of cooking W, air changes by windows 1/h.
+PEOPLE, COOKING, WINDOWS = range(3)
+AS_SCHEDULED = np.zeros((1, 3))
+
 # Floor heating: one circuit, 168.9 kg of water, resistance water to pipe plane after Koschenz and Lehmann (2000).
 _CONDENSER_J_K = 30.0 * hp.WATER_J_KG_K
 _FLOOR_J_K = 168.9 * hp.WATER_J_KG_K
@@ -210,6 +214,7 @@ def advance(
     dt: float,
     overrides: np.ndarray,
     grid: np.ndarray,
+    unannounced: np.ndarray,
     capacity: np.ndarray,
     coupling: np.ndarray,
     outside: np.ndarray,
@@ -221,6 +226,7 @@ def advance(
     """Advance `nodes` (n,) K and `scalars` (20,) in place by `n_steps` of `dt` s; fill `record` (n_steps, 17).
 
     `overrides` (4,) level 0 to 1, set-point K, pump, fan; NaN where not overwritten. Names: see `RECORD`.
+    `unannounced` (n, 3): see `PEOPLE`, periodic; `AS_SCHEDULED` where people keep to the schedule.
     """
     n = nodes.size
     n_inside = inside.size
@@ -233,7 +239,13 @@ def advance(
         t = time_s + (step + 1) * dt
         # Weather at the end of the step.
         _read_weather(grid, t, w)
-        occupied = is_occupied(t - 0.5 * dt)
+        midway = t - 0.5 * dt
+        differs = unannounced[int(midway / x.GRID_S) % unannounced.shape[0]]
+        people = max((float(s.PEOPLE) if is_occupied(midway) else 0.0) + differs[PEOPLE], 0.0)
+        gains = people / s.PEOPLE
+        # Air change relative to that through leaks.
+        aired = 1.0 + differs[WINDOWS] / 3600.0 / _AIR_CHANGES_S
+        ventilation_W_K = _INFILTRATION_W_K * aired
         scalars[INTEGRAL] += dt * scalars[INTEGRAL_RATE]
         pump, fan = scalars[PUMP], scalars[FAN]
         to_water, from_air = scalars[Q_CONDENSER], scalars[Q_EVAPORATOR]
@@ -289,7 +301,7 @@ def advance(
                 sun = _OUTSIDE_M2[k] * w[x.ABSORBED + k]
             diagonal[i] += convective + radiative
             right[i, 0] += convective * w[x.T_OUT] + radiative * environment + sun
-        radiant_gain = _GAIN_RADIANT_W if occupied else 0.0
+        radiant_gain = _GAIN_RADIANT_W * gains + 0.5 * differs[COOKING]
         for k in range(n_inside):
             i = inside[k]
             difference = nodes[i] - scalars[T_AIR]
@@ -320,8 +332,8 @@ def advance(
                 right[i, j] = (right[i, j] + coupling[i] * right[i + 1, j]) / factor[i]
 
         # Heat balances of the air and of the massless radiant node, two equations in these two temperatures.
-        m11, m12, r1 = _AIR_J_K / dt + _INFILTRATION_W_K, 0.0, _AIR_J_K / dt * scalars[T_AIR]
-        r1 += _INFILTRATION_W_K * w[x.T_OUT] + (_GAIN_CONVECTIVE_W if occupied else 0.0)
+        m11, m12, r1 = _AIR_J_K / dt + ventilation_W_K, 0.0, _AIR_J_K / dt * scalars[T_AIR]
+        r1 += ventilation_W_K * w[x.T_OUT] + (_GAIN_CONVECTIVE_W * gains + 0.5 * differs[COOKING])
         m21, m22, r2 = 0.0, 0.0, 0.0
         for k in range(n_inside):
             i = inside[k]
@@ -341,9 +353,8 @@ def advance(
         for k in range(n_inside):
             radiant += _SHARE[k] * nodes[inside[k]]
         scalars[T_OPERATIVE] = 0.5 * (air + radiant)
-        people = float(s.PEOPLE) if occupied else 0.0
-        steady_ppm = _OUTDOOR_PPM + people * _CO2_KG_S_PERSON / _INFILTRATION_KG_S * _PPM_PER_KG_KG
-        scalars[CO2_PPM] = steady_ppm + (scalars[CO2_PPM] - steady_ppm) * math.exp(-_AIR_CHANGES_S * dt)
+        steady_ppm = _OUTDOOR_PPM + people * _CO2_KG_S_PERSON / (_INFILTRATION_KG_S * aired) * _PPM_PER_KG_KG
+        scalars[CO2_PPM] = steady_ppm + (scalars[CO2_PPM] - steady_ppm) * math.exp(-_AIR_CHANGES_S * aired * dt)
 
         _operate(scalars, t, overrides)
         _note(scalars, w, record[step])

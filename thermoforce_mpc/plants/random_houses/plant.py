@@ -14,17 +14,20 @@ from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import YEAR_S, ZERO_C_K, Array, Boundary, Measurement, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.drawn_houses.envelope import (
+    AIR_WH_M3_K,
     AZIMUTH_DEG,
     FACADES,
     GRID_S,
+    HEIGHT_M,
     MEAN_WIND_M_S,
     STEP_S,
     WIND_SHARE,
     on_facade,
 )
-from thermoforce_mpc.plants.drawn_houses.occupants import at_home
+from thermoforce_mpc.plants.drawn_houses.occupants import PERSON_W, at_home
 from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K, DrawnHousePlant
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.people import live
 from thermoforce_mpc.plants.random_houses import physics, schedule
 from thermoforce_mpc.plants.random_houses.draw import House, draw_house
 from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record
@@ -83,20 +86,28 @@ class GeneratedHousePlant(DrawnHousePlant):
 
     house: House
     _kind = "generated"
+    _changing = (*DrawnHousePlant._changing, "_state")
 
-    def __init__(self, house: House, highly_dynamic: tariffs.Tariff | None = None) -> None:
-        """Build the house; `highly_dynamic` replaces the synthetic tariff of that name. Gas costs the same in all."""
+    def __init__(self, house: House, highly_dynamic: tariffs.Tariff | None = None, people: int | None = None) -> None:
+        """Build the house.
+
+        Args:
+            house: what was drawn.
+            highly_dynamic: replaces the synthetic tariff of that name. Gas costs the same in all.
+            people: seed of people who do not keep to the schedule, see `plants.people`; default: they keep to it.
+        """
         self.house = house
         by_name = tariffs.by_name(highly_dynamic)
         self._tariffs = {name: _gas if house.machine == "boiler" else by_name[name] for name in by_name}
         self.testcase = house_testcase(house)
         self._points = self.testcase.points
-        self.weather, self._grid, self._noise = year_of(house)
+        self.weather, self._scheduled, self._noise = year_of(house)
+        self._grid = self._scheduled if people is None else _with_people(self._scheduled, house, people)
         self._parameters = physics.parameters(house)
         self.reset(0.0, 0.0)
 
     def _heat_year(self) -> tuple[Array, Array, Array]:
-        grid = self._grid
+        grid = self._scheduled
         T_out_C = grid[:, physics.T_OUT]
         gains_W = grid[:, physics.GAINS] + grid[:, physics.SUN_IN]
         return T_out_C, grid[:, physics.GLOBAL], self.house.loss_W_K * (20.0 - T_out_C) - gains_W
@@ -216,3 +227,21 @@ def build_grid(house: House, weather: Weather) -> Array:
     grid[:, physics.SETPOINT] = schedule.native_setpoint_C(house, time_s)
     grid.setflags(write=False)
     return grid
+
+
+def _with_people(grid: Array, house: House, seed: int) -> Array:
+    """Return the grid of a house whose people do not keep to the schedule."""
+    usual = at_home(house.pattern, np.arange(0.0, YEAR_S + GRID_S, GRID_S))
+    life = live(
+        [seed, house.seed, house.index],
+        usual,
+        house.people,
+        T_out_C=grid[:, physics.T_OUT],
+        solar_W_m2=grid[:, physics.GLOBAL],
+    )
+    lived = grid.copy()
+    lived[:, physics.GAINS] += PERSON_W * (life.present - house.people * usual) + life.cooking_W
+    lived[:, physics.VENTILATION] += AIR_WH_M3_K * HEIGHT_M * house.floor_area_m2 * life.windows_1_h[0]
+    lived[:, physics.SUN_IN] *= life.sun[0]
+    lived.setflags(write=False)
+    return lived

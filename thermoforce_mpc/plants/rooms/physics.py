@@ -33,8 +33,9 @@ from thermoforce_mpc.plants.rooms.house import DrawnHouse, core_W_m2K, curve_sup
 # Blocks of nodes, each of one node a room. Nodes with few neighbours come first, which keeps the elimination sparse.
 WATER, SLAB, SURFACE, AIR, MASS = range(5)
 N_BLOCKS = 5
-# Weather columns, interpolated: °C, W/m², air change relative to its mean; then the sun through each room's windows, W.
-T_OUT, GLOBAL, WIND, SUN = range(4)
+# Weather columns, interpolated: °C, W/m²; then the sun through each room's windows, W, and each room's air change
+# relative to the mean infiltration.
+T_OUT, GLOBAL, SUN = range(3)
 # Record of a step: machine and house, then for each room operative temperature °C, level and heat to its circuit W.
 POWER, HEAT, SUPPLY, OUTDOOR, SOLAR, LOSS, GAIN, STORED, ROOMS = range(9)
 
@@ -250,7 +251,7 @@ def thermostats(on: np.ndarray, room_C: np.ndarray, setpoint_C: np.ndarray) -> N
 
 @njit(cache=True)
 def _read(grid: np.ndarray, time_s: float, w: np.ndarray) -> int:
-    """Interpolate the weather at `time_s` into `w` (3 + Z,) and return the row of `grid` that holds then."""
+    """Interpolate the weather at `time_s` into `w` (2 + 2 Z,) and return the row of `grid` that holds then."""
     at = (time_s % ((grid.shape[0] - 1) * GRID_S)) / GRID_S
     row = int(at)
     share = at - row
@@ -280,7 +281,7 @@ def advance(
         time_s: time at the start, s since 1 January.
         n_steps, dt: number and length of the steps.
         forced: levels in [0, 1], shape (Z,); NaN: native control.
-        weather: year every 15 min, shape (35041, 3 + Z), see `T_OUT` and following; interpolated.
+        weather: year every 15 min, shape (35041, 2 + 2 Z), see `T_OUT` and following; interpolated.
         gains, setpoints: internal gains W and native set-points °C, shape (35041, Z); held for 15 min.
         h: parameters, see `network`.
         record: one row per step, shape (n_steps, 8 + 3 Z), see `POWER` and following.
@@ -290,7 +291,7 @@ def advance(
     fixed = -h.between_W_K
     for k in range(nodes):
         fixed[k, k] = h.capacity_J_K[k] / dt + h.between_W_K[k].sum() + h.outdoors_W_K[k] + h.ground_W_K[k]
-    a, b, w = np.empty((nodes, nodes)), np.empty(nodes), np.empty(SUN + n)
+    a, b, w = np.empty((nodes, nodes)), np.empty(nodes), np.empty(SUN + 2 * n)
     room_C, levels, q = np.empty(n), np.empty(n), np.empty(n)
     operative_C(T, room_C)
     for k in range(n_steps):
@@ -310,7 +311,7 @@ def advance(
         for i in range(n):
             water, surface, air, mass = WATER * n + i, SURFACE * n + i, AIR * n + i, MASS * n + i
             b[water] += q[i]
-            ventilation = h.ventilation_W_K[i] * w[WIND]
+            ventilation = h.ventilation_W_K[i] * w[SUN + n + i]
             a[air, air] += ventilation
             # Half of the internal gains to the air, the rest and the sun to structure and surfaces (EN ISO 13790, C.2).
             radiant = 0.5 * gains[row, i] + w[SUN + i]
@@ -335,7 +336,7 @@ def advance(
         operative_C(T, room_C)
         out = record[k]
         for i in range(n):
-            lost += h.ventilation_W_K[i] * w[WIND] * (T[AIR * n + i] - T_out)
+            lost += h.ventilation_W_K[i] * w[SUN + n + i] * (T[AIR * n + i] - T_out)
             gained += gains[row, i] + w[SUN + i]
             out[ROOMS + i], out[ROOMS + n + i], out[ROOMS + 2 * n + i] = room_C[i], levels[i], q[i]
         out[POWER], out[HEAT], out[SUPPLY] = power, heat, supply

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,15 +21,16 @@ from thermoforce_mpc.plants.drawn_houses.envelope import (
     WIND_SHARE,
     on_facade,
 )
+from thermoforce_mpc.plants.drawn_houses.occupants import PERSON_W
 from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K, DrawnHousePlant
 from thermoforce_mpc.plants.kpis import CountedKpis, Supply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.people import live
 from thermoforce_mpc.plants.records import means_between
 from thermoforce_mpc.plants.rooms import physics, schedule
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
 from thermoforce_mpc.plants.rooms.house import DrawnHouse
 from thermoforce_mpc.plants.rooms.use import USES
-from thermoforce_mpc.plants.shell import CLOCK_S, Samples
-from thermoforce_mpc.scenario.building import Price
+from thermoforce_mpc.plants.shell import CLOCK_S
 
 # Seed of the houses `house:Nrooms`.
 SEED = 15
@@ -38,22 +38,10 @@ SEED = 15
 _NAME = re.compile(r"(house|office):(\d+)rooms?(?::(\d+))?")
 
 
-@dataclass(frozen=True)
-class HouseSnapshot:
-    """State, clock and record of a house at one instant; opaque, for `HouseOfRooms.restore`."""
-
-    T: Array
-    on: Array
-    now_s: float
-    begin_s: float
-    start_s: float
-    price: Price
-    samples: Samples
-    counted: CountedKpis
-
-
-def house_of_rooms(name: str) -> HouseOfRooms:
+def house_of_rooms(name: str, people: int | None = None) -> HouseOfRooms:
     """Return the house `house:Nrooms`, N from 1 to 30, or `house:Nrooms:SEED` of another seed; `office:…` likewise.
+
+    `people`: seed of people who do not keep to the schedule, see `plants.people`; without they keep to it.
 
     Raises:
         InputError: `name` has another form, or N is out of range.
@@ -64,7 +52,7 @@ def house_of_rooms(name: str) -> HouseOfRooms:
             f"house '{name}': expected house:Nrooms, house:Nrooms:SEED or office:… with N from 1 to {MOST_ROOMS}, "
             "such as house:5rooms"
         )
-    return HouseOfRooms(draw_rooms(int(match[2]), int(match[3] or SEED), USES[match[1]]))
+    return HouseOfRooms(draw_rooms(int(match[2]), int(match[3] or SEED), USES[match[1]]), people)
 
 
 class HouseOfRooms(DrawnHousePlant):
@@ -87,8 +75,9 @@ class HouseOfRooms(DrawnHousePlant):
     house: DrawnHouse
     _counted: CountedKpis
     _kind = "house of rooms"
+    _changing = (*DrawnHousePlant._changing, "_T", "_on", "_counted")
 
-    def __init__(self, house: DrawnHouse) -> None:
+    def __init__(self, house: DrawnHouse, people: int | None = None) -> None:
         self.house = house
         self.weather = synthetic_weather(house.weather_seed, warmer_K=house.warmer_K, clearer=house.clearer)
         self.zones = tuple(room.name for room in house.rooms)
@@ -109,18 +98,20 @@ class HouseOfRooms(DrawnHousePlant):
             floor_area_m2=tuple(self.floor_area_m2.tolist()),
         )
         self._names = self.layout.names
-        self._weather = weather_grid(house, self.weather)
         time_s = _year()
-        self._gains = np.ascontiguousarray(schedule.gains_W(house, time_s).T)
+        gains = np.ascontiguousarray(schedule.gains_W(house, time_s).T)
+        self._scheduled = weather_grid(house, self.weather), gains
+        self._lived = self._scheduled if people is None else _with_people(*self._scheduled, house, people)
         self._setpoints = np.ascontiguousarray(schedule.native_setpoints_C(house, time_s).T)
         self._network = physics.network(house)
         self._tariffs = tariffs.by_name()
         self.reset(0.0, 0.0)
 
     def _heat_year(self) -> tuple[Array, Array, Array]:
-        T_out_C = self._weather[:, physics.T_OUT]
-        heat_W = self._gains.sum(axis=1) + self._weather[:, physics.SUN :].sum(axis=1)
-        return T_out_C, self._weather[:, physics.GLOBAL], self.house.loss_W_K * (20.0 - T_out_C) - heat_W
+        weather, gains = self._scheduled
+        T_out_C = weather[:, physics.T_OUT]
+        heat_W = gains.sum(axis=1) + weather[:, physics.SUN : physics.SUN + len(self.zones)].sum(axis=1)
+        return T_out_C, weather[:, physics.GLOBAL], self.house.loss_W_K * (20.0 - T_out_C) - heat_W
 
     def _boundary(self, time_s: Array) -> Boundary:
         lower, upper = schedule.bounds_C(self.house, time_s)
@@ -189,26 +180,6 @@ class HouseOfRooms(DrawnHousePlant):
         """Return times (n,), s, and rows (n, 8 + 3 Z) of `physics.advance` between two times, both included."""
         return self._samples.between(start_s, final_s)
 
-    def snapshot(self) -> HouseSnapshot:
-        """Return a snapshot, to restore or branch from."""
-        return HouseSnapshot(
-            self._T.copy(),
-            self._on.copy(),
-            self._now_s,
-            self._begin_s,
-            self._start_s,
-            self._price,
-            self._samples.copy(),
-            self._counted,
-        )
-
-    def restore(self, snapshot: HouseSnapshot) -> None:
-        """Restore a snapshot of this house, or of another plant of the same house."""
-        s = snapshot
-        self._T, self._on, self._samples = s.T.copy(), s.on.copy(), s.samples.copy()
-        self._now_s, self._begin_s, self._start_s, self._price = s.now_s, s.begin_s, s.start_s, s.price
-        self._counted = s.counted
-
     def _violations(self, time_s: Array, rows: Array) -> list[Violation]:
         lower, upper = schedule.bounds_C(self.house, time_s)
         rooms, _, _ = self._blocks()
@@ -229,8 +200,7 @@ class HouseOfRooms(DrawnHousePlant):
             len(rows),
             dt_s,
             forced,
-            self._weather,
-            self._gains,
+            *self._lived,
             self._setpoints,
             self._network,
             rows,
@@ -276,22 +246,46 @@ class HouseOfRooms(DrawnHousePlant):
 
 
 def weather_grid(house: DrawnHouse, weather: Weather) -> Array:
-    """Return weather and sun through the rooms' windows every 15 min of a year, shape (35041, 3 + Z), see `physics`.
+    """Return weather and sun through the rooms' windows every 15 min of a year, shape (35041, 2 + 2 Z), see `physics`.
 
     Takes about 0.5 s.
     """
     time_s = _year()
     sun = sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
     windows = np.array([room.windows_m2 for room in house.rooms])
-    grid = np.zeros((time_s.size, physics.SUN + len(house.rooms)))
+    grid = np.zeros((time_s.size, physics.SUN + 2 * len(house.rooms)))
     grid[:, physics.T_OUT] = weather.at("T_dry_C", time_s)
     grid[:, physics.GLOBAL] = weather.at("global_W_m2", time_s)
-    grid[:, physics.WIND] = 1.0 - WIND_SHARE + WIND_SHARE * weather.at("wind_m_s", time_s) / MEAN_WIND_M_S
+    sunlit = slice(physics.SUN, physics.SUN + len(house.rooms))
+    wind = weather.at("wind_m_s", time_s) / MEAN_WIND_M_S
+    grid[:, sunlit.stop :] = (1.0 - WIND_SHARE + WIND_SHARE * wind)[:, None]
     for i, facade in enumerate(FACADES):
         passing, _ = on_facade(weather, sun, time_s, (AZIMUTH_DEG[facade] + house.turn_deg) % 360.0)
-        grid[:, physics.SUN :] += house.unshaded * house.g_value * np.outer(passing, windows[:, i])
+        grid[:, sunlit] += house.unshaded * house.g_value * np.outer(passing, windows[:, i])
     grid.setflags(write=False)
     return grid
+
+
+def _with_people(weather: Array, gains: Array, house: DrawnHouse, seed: int) -> tuple[Array, Array]:
+    """Return weather and gains of a house whose people do not keep to the schedule."""
+    time_s, n = _year(), len(house.rooms)
+    usual = schedule.at_home_or_asleep(house, time_s)
+    life = live(
+        [seed, house.seed, n],
+        usual,
+        house.people,
+        T_out_C=weather[:, physics.T_OUT],
+        solar_W_m2=weather[:, physics.GLOBAL],
+        zones=n,
+        cooks=house.use == "house",
+    )
+    kitchen = max(range(n), key=lambda i: (house.rooms[i].kind == "kitchen", house.rooms[i].kind == "living"))
+    heat_W = PERSON_W * schedule.in_rooms(house, time_s, life.present - house.people * usual)
+    heat_W[kitchen] += life.cooking_W
+    shaded = weather.copy()
+    shaded[:, physics.SUN : physics.SUN + n] *= life.sun.T
+    shaded[:, physics.SUN + n :] += life.windows_1_h.T / house.air_changes_1_h
+    return shaded, np.ascontiguousarray(gains + heat_W.T)
 
 
 def _year() -> Array:

@@ -70,7 +70,11 @@ def native_setpoints_C(house: DrawnHouse, time_s: Array) -> Array:
 
 def people(house: DrawnHouse, time_s: Array) -> Array:
     """Return the expected number of people in each room at `time_s` (n,), shape (Z, n)."""
-    home = at_home_or_asleep(house, time_s) * float(house.people)
+    return in_rooms(house, time_s, np.where(at_home_or_asleep(house, time_s), float(house.people), 0.0))
+
+
+def in_rooms(house: DrawnHouse, time_s: Array, home: Array) -> Array:
+    """Return people in each room, shape (Z, n), where `home` (n,) of them are in at `time_s` (n,)."""
     night = _night(hour_of_day(time_s))
     return np.array([home * np.where(night, room.people_night, room.people_day) for room in house.rooms])
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.execution.keys import digest, later_at_default, source_fingerprint
+from thermoforce_mpc.execution.keys import digest, source_fingerprint
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.registry import plugin_sources
 from thermoforce_mpc.scenario.own_code import code_file, is_policy, policy_settings
@@ -159,7 +159,7 @@ def _cell(name: str, scenario: Scenario, provenance: Mapping[str, Any], hash_of:
     named += [str(policy_settings(file)) for file in named if is_policy(file)]
     files = {path: hash_of(path) for path in (*named_files(controller, options), *named)}
     # What a controller is compared with decides nothing of its run. Keys that came later count where they are given.
-    decides = scenario.model_dump(mode="json", exclude={"equal_comfort", *later_at_default(scenario)}) | {
+    decides = scenario.model_dump(mode="json", exclude={"equal_comfort"}) | {
         "testcase": testcase.model_dump(mode="json"),
         "plant": _plant_by_content(scenario.plant, hash_of),
         "controller": {"name": controller, "options": options, "files": files},

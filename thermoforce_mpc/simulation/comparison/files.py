@@ -10,7 +10,6 @@ from typing import Any
 
 import pandas as pd
 
-from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.comparison.outcome import (
     KPIS,
     Row,
@@ -24,6 +23,7 @@ from thermoforce_mpc.simulation.comparison.outcome import (
 )
 from thermoforce_mpc.simulation.comparison.paired import in_words, pairs, reference_of
 from thermoforce_mpc.simulation.comparison.results_json import results_json
+from thermoforce_mpc.simulation.folder.plain_files import write_plain
 from thermoforce_mpc.simulation.folder.run_folder import write_json
 
 HEADINGS = {
@@ -69,9 +69,9 @@ def write_outcome(
         rows = [row for group in grouped(rows).values() for row in ranked(group)]
     result = results_json(name, rows, cost_targets(rows))
     write_json(folder / "results.json", result)
-    write_whole(folder / "table.csv", _csv(rows))
+    write_plain(folder / "table.csv", _csv(rows))
     says = verdicts(rows)
-    write_whole(folder / "table.md", markdown(rows, title, currency, says))
+    write_plain(folder / "table.md", markdown(rows, title, currency, says))
     plants = sorted({f"{r['plant']['kind']}: {r['plant']['weather']}" for r in records if "plant" in r})
     page = comparison_page(
         rows,
@@ -90,7 +90,7 @@ def write_outcome(
         variants=_variants(records),
         command=result["command"],
     )
-    write_whole(folder / "comparison.html", page)
+    write_plain(folder / "comparison.html", page)
     return result
 
 

@@ -33,10 +33,10 @@ class Difference:
         n = values.size
         half = None
         if n > 1:
-            from scipy.stats import t as student_t  # takes half a second to import, which `--help` need not wait for
+            from scipy.special import stdtrit  # takes time to import, which `--help` need not wait for
 
             spread = float(values.std(ddof=1)) / np.sqrt(n)
-            half = float(student_t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * spread
+            half = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2)) * spread
         return cls(values, float(values.mean()), half)
 
 

@@ -12,9 +12,10 @@ import pandas as pd
 
 from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.files import pyarrow_for, write_whole
+from thermoforce_mpc.files import pyarrow_for
 from thermoforce_mpc.simulation.comparison.store import DONE
 from thermoforce_mpc.simulation.fleet.runs import Run
+from thermoforce_mpc.simulation.folder.plain_files import write_plain
 
 NAME = "runs.parquet"
 # Increased whenever a column changes its meaning, its type or its name.
@@ -105,7 +106,7 @@ def write_dataset(folder: Path, rows: Iterable[Mapping[str, Any]]) -> Path:
     path, content = folder / NAME, io.BytesIO()
     pa = pyarrow_for(path, ConfigError)
     pa.parquet.write_table(pa.Table.from_pylist([dict(row) for row in rows], schema=schema()), content)
-    write_whole(path, content.getvalue())
+    write_plain(path, content.getvalue())
     return path
 
 

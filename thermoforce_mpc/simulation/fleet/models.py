@@ -10,13 +10,14 @@ from typing import Any
 
 from thermoforce_mpc.errors import ArtifactError, ConfigError, DataError
 from thermoforce_mpc.execution import Task, content_key
-from thermoforce_mpc.files import pyarrow_for, write_whole
+from thermoforce_mpc.files import pyarrow_for
 from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.scenario.settings import merge
 from thermoforce_mpc.simulation.comparison.input_files import NO_FILES, SentFiles, input_files, task_of
 from thermoforce_mpc.simulation.comparison.store import Identified
 from thermoforce_mpc.simulation.fleet.buildings import Building
 from thermoforce_mpc.simulation.fleet.runs import FleetResults, Run
+from thermoforce_mpc.simulation.folder.plain_files import write_plain
 from thermoforce_mpc.simulation.models.measured_model import model_of_measurements
 
 NAME = "models.parquet"
@@ -135,7 +136,7 @@ def write_models(
     content, path = io.BytesIO(), folder / NAME
     pa = pyarrow_for(path, ConfigError)
     pa.parquet.write_table(pa.Table.from_pylist(rows, schema=_schema(pa)), content)
-    write_whole(path, content.getvalue())
+    write_plain(path, content.getvalue())
     return path
 
 

@@ -15,7 +15,7 @@ from urllib.parse import quote
 from controllers.registry import find_entry
 from thermoforce_mpc.errors import ConfigError, StorageError
 from thermoforce_mpc.execution import Task
-from thermoforce_mpc.files import storage_errors, write_whole
+from thermoforce_mpc.files import storage_errors
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge, validate
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell, Inputs, expand
@@ -25,7 +25,7 @@ from thermoforce_mpc.simulation.comparison.tasks import failure, followed, run_r
 from thermoforce_mpc.simulation.comparison.tasks import tasks_of as cell_tasks
 from thermoforce_mpc.simulation.fleet.buildings import Building
 from thermoforce_mpc.simulation.fleet.file import FleetFile
-from thermoforce_mpc.simulation.folder.plain_files import check_plain
+from thermoforce_mpc.simulation.folder.plain_files import check_plain, write_plain
 from thermoforce_mpc.simulation.folder.run_folder import trajectory_frame, write_json
 
 
@@ -212,7 +212,7 @@ class FleetResults:
         """Keep it; raises `StorageError`."""
         if isinstance(task.inputs, Run):
             if value.trajectory:
-                write_whole(_in_folder(self.trajectory_path(task.key)), value.trajectory)
+                write_plain(_in_folder(self.trajectory_path(task.key)), value.trajectory)
             write_json(_in_folder(self.record_path(task.key)), value.record)
         else:
             value.write(_in_folder(self.model_path(task.key)))

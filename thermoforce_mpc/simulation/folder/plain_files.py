@@ -7,6 +7,7 @@ import stat
 from pathlib import Path
 
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import write_whole
 
 
 def check_plain(folder: Path) -> None:
@@ -14,7 +15,7 @@ def check_plain(folder: Path) -> None:
 
     A link there could have another file read, or written over; a pipe could be waited for without end. The folder
     itself may be a link: its name is the user's. It is looked at when it is taken up: what somebody exchanges in it
-    later is not seen, but journal and log are opened by `open_plain`.
+    later is not seen, but files are opened by `open_plain` and written by `write_plain`.
 
     Raises:
         ConfigError: there is such a thing; names it.
@@ -49,6 +50,11 @@ def open_plain(path: Path, flags: int) -> int:
         return file
     os.close(file)
     raise OSError(0, f"is {_kind(mode)}, not a plain file", str(path))
+
+
+def write_plain(path: Path, content: str | bytes) -> None:
+    """Write a file as `write_whole`, but without following a link there: the file takes its place."""
+    write_whole(path, content, follow=False)
 
 
 def _kind(mode: int) -> str:

@@ -28,7 +28,7 @@ from thermoforce_mpc.registry import plugins
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held
 from thermoforce_mpc.simulation.folder.capped import capped_figures
-from thermoforce_mpc.simulation.folder.plain_files import check_plain
+from thermoforce_mpc.simulation.folder.plain_files import check_plain, write_plain
 from thermoforce_mpc.simulation.folder.planning import Planning
 from thermoforce_mpc.version import VERSION
 
@@ -77,9 +77,11 @@ def sole_use(folder: Path) -> Iterator[None]:
     """Keep other runs out of `folder` while the block lasts; a process that dies releases it.
 
     Raises:
-        ConfigError: another process is using the folder, or there is a link, pipe or device in it.
+        ConfigError: there is no such folder, another process is using it, or there is a link, pipe or device in it.
         StorageError: it cannot be written.
     """
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder")
     check_plain(folder)
     lock = FileLock(folder / _LOCK, timeout=0)
     try:
@@ -193,11 +195,11 @@ def write_results(
         The content of `kpis.json`.
     """
     resolved = yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False)
-    write_whole(folder / "scenario.yaml", resolved)
-    write_whole(folder / "trajectory.csv", trajectory_frame(result.steps).to_csv(index=False))
-    write_whole(folder / "steps.csv", steps_frame(result.steps).to_csv(index=False))
+    write_plain(folder / "scenario.yaml", resolved)
+    write_plain(folder / "trajectory.csv", trajectory_frame(result.steps).to_csv(index=False))
+    write_plain(folder / "steps.csv", steps_frame(result.steps).to_csv(index=False))
     for name, baseline in baselines.items():
-        write_whole(folder / f"trajectory_{file_stem(name)}.csv", trajectory_frame(baseline.steps).to_csv(index=False))
+        write_plain(folder / f"trajectory_{file_stem(name)}.csv", trajectory_frame(baseline.steps).to_csv(index=False))
     kpis = {
         "testcase": plant.testcase,
         "plant": f"{plant.kind}: {plant.description}",
@@ -215,7 +217,7 @@ def write_results(
     }
     write_json(folder / "kpis.json", kpis)
     table = pd.DataFrame.from_dict({run.controller: run.kpis for run in (result, *baselines.values())}, orient="index")
-    write_whole(folder / "kpis.csv", table.to_csv(index_label="controller"))
+    write_plain(folder / "kpis.csv", table.to_csv(index_label="controller"))
     manifest = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": list(command),
@@ -242,11 +244,11 @@ def write_partial(folder: Path, records: Mapping[str, Sequence[StepRecord]], rea
     """Write the steps recorded before a run failed, and `INCOMPLETE.txt` with the reason."""
     for name, steps in records.items():
         if steps:
-            write_whole(
+            write_plain(
                 folder / f"incomplete_trajectory_{file_stem(name)}.csv", trajectory_frame(steps).to_csv(index=False)
             )
-            write_whole(folder / f"incomplete_steps_{file_stem(name)}.csv", steps_frame(steps).to_csv(index=False))
-    write_whole(folder / "INCOMPLETE.txt", f"This run did not finish: {reason}\n")
+            write_plain(folder / f"incomplete_steps_{file_stem(name)}.csv", steps_frame(steps).to_csv(index=False))
+    write_plain(folder / "INCOMPLETE.txt", f"This run did not finish: {reason}\n")
 
 
 def clear_partial(folder: Path) -> None:
@@ -268,10 +270,10 @@ def is_complete(folder: Path) -> bool:
     return (folder / "manifest.json").is_file() and (folder / "report.html").is_file()
 
 
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write standard JSON: NaN and infinities become null."""
+def write_json(path: Path, content: Mapping[str, Any], *, follow: bool = False) -> None:
+    """Write standard JSON: NaN and infinities become null; `follow` as of `written`."""
     text = json.dumps(plain_json(content), indent=2, ensure_ascii=False, allow_nan=False)
-    write_whole(path, text + "\n")
+    write_whole(path, text + "\n", follow=follow)
 
 
 def file_sha256(path: Path) -> str:

@@ -33,13 +33,13 @@ class _JsonLines(logging.Formatter):
         content = {
             "at": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
-            "from": record.name,
+            **({} if record.name == _STEPS.name else {"from": record.name}),
             **getattr(record, "fields", {}),
             "message": record.getMessage(),
         }
         if record.exc_info:
             content["exception"] = self.formatException(record.exc_info)
-        return json.dumps(content, ensure_ascii=False)
+        return json.dumps(content, ensure_ascii=False, separators=(",", ":"))
 
 
 class _Announcer(logging.Handler):
@@ -114,7 +114,5 @@ def log_decision(
         "time_s": time_s,
         "status": plan.status.value,
         "u": [list(block) for block in levels],
-        "refused": refused,
-        "notes": list(notes),
-    }
+    } | {key: value for key, value in (("refused", refused), ("notes", list(notes))) if value}
     _STEPS.info("%s", plan.why, extra={"fields": fields})

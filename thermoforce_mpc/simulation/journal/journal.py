@@ -260,12 +260,12 @@ def set_aside(path: Path, good: JournalText) -> Path:
         StorageError: it cannot be written.
     """
     aside = path.with_name(f"{path.name}.lost")
-    with written(aside) as there, there.open("wb") as file:
+    with written(aside, follow=False) as there, there.open("wb") as file:
         file.writelines(rest_of(path, good))
     with storage_errors(path):
         for part in reversed(_later_parts(path, good.part)):
             part.unlink()
-        os.truncate(part_of(path, good.part), good.size)
+        os.close(_opened(part_of(path, good.part), good.size))
     return aside
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,6 @@ from pydantic import BaseModel
 
 from controllers.registry import controller_config
 from thermoforce_mpc.data import Period, Record
-from thermoforce_mpc.execution.keys import ADDED_LATER
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
@@ -60,7 +59,7 @@ class IdentificationTask:
     probing: ProbingConfig
     identification: IdentificationConfig
     probed: str | None = None
-    comfort: Comfort | None = field(default=None, metadata={ADDED_LATER: True})
+    comfort: Comfort | None = None
 
     @property
     def how_probed(self) -> dict[str, Any]:
@@ -125,7 +124,7 @@ def identify_on(
     If they would begin before the start of the year, the last days of the year are probed instead.
 
     Args:
-        most_days: where the model is below the bar after `days`, or its effect known to worse than 30 %, probing goes
+        most_days: where the model is not competent after `days`, or its effect known to worse than 30 %, probing goes
             on on the same run, day by day, until neither is so, this many days are over, or `before` (or a new year)
             begins; by default it does not.
         end_early: end before `days`, not before 1.5 days, once a model is competent and its effect known well.
@@ -159,7 +158,7 @@ def identify_on(
 
 
 def may_act(model: ThermalModel) -> bool:
-    """Whether a controller may act on a model: no actuator's card is below the bar, or without a verdict."""
+    """Whether a controller may act on a model: no actuator's card says otherwise or is without a verdict."""
     return not any(card.unfit for card in model.cards)
 
 
@@ -245,7 +244,7 @@ def run_identification(
         on_record: called with the record that the model was identified from.
         on_progress: called every hour of the probing.
         keep: journal of the probing; one that is there is gone on with, and where it has ended, nothing is probed.
-        say: told at each look at the data what they still lack, and why probing ended.
+        say: told why probing ended.
 
     Raises:
         DataError: the record is not sufficient for identification.

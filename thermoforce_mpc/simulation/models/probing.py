@@ -76,19 +76,17 @@ class Look:
 class ProbingProgress:
     """Where a probing stands.
 
-    `days` probed of `planned_days`; `information_nats` of the record, and `expected_sd`: relative standard deviation of
-    the effect of a day at full level that the design expects from it, see `Designer.known`; both for the actuator of
-    which least is known.
+    `days` probed of `planned_days`; `expected_sd`: relative standard deviation of the effect of a day at full level
+    that the design expects from the record, see `Designer.expected_sd`, of the actuator of which least is known.
     """
 
     days: float
     planned_days: float
-    information_nats: float
     expected_sd: float
 
 
 class Identifying:
-    """Identifies models from records of the probing of one test case, and logs and says what they still lack."""
+    """Identifies models from records of the probing of one test case; logs what they lack, says why probing ended."""
 
     def __init__(
         self,
@@ -100,7 +98,7 @@ class Identifying:
         """`step_s`: step of the models, s, by default the test case's."""
         self.testcase, self.config = testcase, config
         self._step_s, self._say = step_s or testcase.step_s, say
-        self._units = UnitDoubts(testcase.layout)
+        self._units = UnitDoubts(testcase.layout, currency=testcase.currency)
 
     def look(self, record: Record, plant: PlantInfo, config: IdentificationConfig | None = None) -> Look:
         """Identify from the record of a probing of `plant`; data that cannot be fitted give the reason."""
@@ -120,7 +118,7 @@ class Identifying:
             look = Look(days, model)
         except DataError as error:
             look = Look(days, None, str(error))
-        self._tell(look.in_words())
+        _LOG.info("%s", look.in_words())
         return look
 
     def conclude(self, probed: Probed, look: Look | None = None) -> ThermalModel:
@@ -135,7 +133,9 @@ class Identifying:
         """
         look = look or self.look(probed.record, probed.plant)
         ended = f"probing ended after {look.days:.3g} days: {probed.why}"
-        self._tell(ended + (f"; lacking: {', '.join(look.lacks)}" if len(look.lacks) > 1 else ""))
+        _LOG.info("%s", said := ended + (f"; lacking: {', '.join(look.lacks)}" if len(look.lacks) > 1 else ""))
+        if self._say:
+            self._say(said)
         if look.model is None:
             raise DataError(f"{look.refused} ({ended})")
         cards = []
@@ -143,11 +143,6 @@ class Identifying:
             note = f"{ended}; {look.lacks[name]}" if name in look.lacks else ended
             cards.append(replace(card, notes=(*card.notes, note)))
         return replace(look.model, cards=tuple(cards))
-
-    def _tell(self, text: str) -> None:
-        _LOG.info("%s", text)
-        if self._say:
-            self._say(text)
 
 
 def probe_until_known(
@@ -212,6 +207,5 @@ class _Progress:
         run = self._run
         hourly = max(1, round(HOUR_S / run.config.step_s))
         if self._on_progress and run.record.n_steps % hourly == 0:
-            each = (run.designer.known(run.record.part(zone, [a])) for a, zone in enumerate(self._home))
-            least = max(each, key=lambda known: known[1])
-            self._on_progress(ProbingProgress(run.days, self.planned_days, *least))
+            expected_sd = max(run.designer.expected_sd(run.record.part(z, [a])) for a, z in enumerate(self._home))
+            self._on_progress(ProbingProgress(run.days, self.planned_days, expected_sd))

@@ -78,7 +78,6 @@ def _identify(
             task = identification_task(scenario, testcase, controller)
             with display.probing(task.in_words(keep)) as progress:
                 model = run_identification(task, plant, on_progress=progress, keep=keep, say=display.say)
-            display.say(f"Identified from {model.cards[0].source}")
     except DataError as error:
         if not has_gate(controller, controller_options(scenario, controller), testcase):
             raise
@@ -87,20 +86,19 @@ def _identify(
     for a, name in enumerate(model.operator.actuators):
         zone, of = model.actuator(a), "" if model.names.single else f" of {name}"
         hours = ", ".join(f"{tau:.2g} h" for tau in zone.operator.time_constants_h)
-        display.say(
-            f"Operator{of}: order {zone.operator.order} ({hours}), {zone.operator.parameters_in_words}, "
+        found = (
+            f"Model{of}: order {zone.operator.order} ({hours}), {zone.operator.parameters_in_words}, "
             f"steady gain {zone.operator.steady_gains_K.sum():.1f} K"
         )
+        verdict = zone.card.competence
+        display.say(found if verdict is None else f"{found}. {verdict.sentence()}")
         if zone.card.sun_on_sensor is not None:
             display.say(f"Sun on the sensor{of}: {zone.card.sun_on_sensor.in_words()}")
-        verdict = zone.card.competence
-        if verdict is not None:
-            lines = [f"{name}: {verdict.sentence()}" if of else verdict.sentence()]
-            if not verdict.competent:
-                lines += [f"The model{of} is {verdict.in_words()}", *(f"  {advice}" for advice in verdict.advice)]
-            display.say("\n".join(lines))
-        elif zone.card.unfit:
+        if verdict is None and zone.card.unfit:
             display.say(zone.card.unfit)
+        elif verdict is not None and not verdict.competent:
+            lines = [f"The model{of} is {verdict.in_words()}", *(f"  {advice}" for advice in verdict.advice)]
+            display.say("\n".join(lines))
     return IdentifiedModel(model, {"model": spec.model, "source": model.cards[0].source} | origin(model))
 
 

@@ -13,6 +13,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Layout
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.closed_loop import RunResult, gates_held
 from thermoforce_mpc.simulation.folder.capped import Capped
+from thermoforce_mpc.simulation.folder.plain_files import write_plain
 from thermoforce_mpc.simulation.folder.planning import planning_of
 from thermoforce_mpc.simulation.report.answers import answers_json
 from thermoforce_mpc.simulation.report.courses import Course, course_of, most_blocks
@@ -93,9 +94,11 @@ def write_report(
         planning=planning_of(result, model).in_words(),
         rounding=_rounding(data),
     )
-    path = path or folder / "report.html"
-    write_whole(path, page)
-    return path
+    if path is None:
+        write_plain(folder / "report.html", page)
+    else:
+        write_whole(path, page)
+    return path or folder / "report.html"
 
 
 def report_data(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -27,12 +28,13 @@ def rendered(template: str, scripts: Sequence[str], data: Mapping[str, Any], **v
 
     Args:
         template: file under `templates`; it extends `page.html.j2`.
-        scripts: files under `assets`, in the order in which they are run after `theme.js`; `UPLOT` where it is used.
+        scripts: files under `assets`, in the order in which they are run once the data are unpacked; `UPLOT` where it
+            is used.
         data: what the scripts read; numbers that are not finite become null.
         values: what the template reads.
     """
     library = UPLOT in scripts
-    first, *others = sources = [_text(f"assets/{name}") for name in ("theme.js", *scripts)]
+    first, *others, last = sources = [_text(f"assets/{name}") for name in ("theme.js", *scripts, "unpack.js")]
     styles = [_text("assets/style.css"), *([_text("vendor/uplot/uPlot.min.css")] if library else [])]
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_HERE / "templates"), autoescape=True, undefined=jinja2.StrictUndefined
@@ -41,19 +43,18 @@ def rendered(template: str, scripts: Sequence[str], data: Mapping[str, Any], **v
         styles=Markup("\n").join(map(Markup, styles)),
         first_script=Markup(first),
         scripts=[Markup(text) for text in others],
+        last_script=Markup(last),
         script_hashes=" ".join(f"'sha256-{_sha256(text)}'" for text in sources),
-        data=Markup(_json_island(data)),
+        data=_packed(data),
         licence=_text("vendor/uplot/LICENSE") if library else "",
         **values,
     )
 
 
-def _json_island(data: Mapping[str, Any]) -> str:
-    """JSON that may stand inside a script element: no `<`, `>`, `&` or line separator as such."""
+def _packed(data: Mapping[str, Any]) -> str:
+    """JSON, deflated, in base64: what `assets/unpack.js` reads."""
     text = json.dumps(plain_json(data), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    for character in "<>&\u2028\u2029":
-        text = text.replace(character, f"\\u{ord(character):04x}")
-    return text
+    return base64.b64encode(gzip.compress(text.encode("utf-8", "backslashreplace"), mtime=0)).decode("ascii")
 
 
 def _sha256(text: str) -> str:

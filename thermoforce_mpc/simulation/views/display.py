@@ -1,4 +1,4 @@
-"""Progress display of a run: a live line on a terminal, else one line per simulated day."""
+"""What a run shows: a live line on a terminal, elsewhere a line now and then; and a line of what each phase found."""
 
 from __future__ import annotations
 
@@ -24,6 +24,8 @@ from thermoforce_mpc.simulation.views.whole_tables import print_whole
 Kpis = Callable[[], Mapping[str, float]]
 # Loops that end sooner say nothing of it.
 _SHORT_S, _MINUTE_S = 5.0, 60.0
+# Where nothing can be overwritten, the first line of progress comes after this time, s, the next after twice that, ….
+SAID_AFTER_S = 60.0
 # Characters of a message: it may list many things, and quote what comes from elsewhere.
 _MOST_SHOWN = 20_000
 
@@ -37,7 +39,7 @@ KPI_COLUMNS = {
 
 
 class LoopDisplay:
-    """Progress of one closed loop: state at each step, the plant's KPIs at the end of each day."""
+    """Progress of one closed loop: state at each step, the plant's KPIs at the end of each day and of the loop."""
 
     def __init__(
         self, console: Console, controller: str, period: Period, kpis: Kpis, currency: str, quiet: bool
@@ -47,18 +49,20 @@ class LoopDisplay:
         self._live: Live | None = None
         self._so_far = ""
         self._days_done = 0
-        self._began = time.monotonic()
+        self._began, self._next_said_s = time.monotonic(), SAID_AFTER_S
         self._fallbacks, self._bridged, self._gated, self._watched = 0, 0, 0, 0
 
     def __enter__(self) -> LoopDisplay:
         if not self._quiet and self._console.is_terminal:
-            self._live = Live(Text(""), console=self._console, refresh_per_second=8)
+            self._live = Live(Text(""), console=self._console, refresh_per_second=8, transient=True)
             self._live.__enter__()
         return self
 
-    def __exit__(self, *exception: object) -> None:
+    def __exit__(self, kind: object, *exception: object) -> None:
         if self._live:
             self._live.__exit__(None, None, None)
+        if kind is None and not self._quiet:
+            self._print(f"{self._controller}: {self._days:g} days in {self._took()}{self._so_far}{self._odd()}")
 
     def step(self, record: StepRecord) -> None:
         """Update the display with one control step."""
@@ -74,37 +78,56 @@ class LoopDisplay:
         last_sample = record.samples[-1]
         day = (last_sample.start_s + last_sample.duration_s - self._period.start_s) / DAY_S
         days_done = int(day + 1e-9)
-        day_is_over = days_done > self._days_done
+        day_is_over = days_done > self._days_done or day >= self._days - 1e-9
         if day_is_over:
             self._days_done = days_done
             self._so_far = _so_far(self._kpis(), self._currency)
         if self._live:
             self._live.update(Text(self._line(record, day)))
-        elif day_is_over:
-            self._console.print(self._line(record, day), highlight=False, soft_wrap=True)
+        elif day_is_over and time.monotonic() - self._began >= self._next_said_s and day < self._days:
+            self._next_said_s *= 2.0
+            self._print(self._line(record, day))
+
+    @property
+    def _days(self) -> float:
+        return self._period.scored_s / DAY_S
+
+    def _print(self, line: str) -> None:
+        self._console.print(line, highlight=False, soft_wrap=True)
+
+    def _took(self) -> str:
+        return _duration(time.monotonic() - self._began)
 
     def _line(self, record: StepRecord, day: float) -> str:
         last = record.samples[-1]
         weights = [sample.duration_s for sample in record.samples]
         mean_u = np.average([sample.u_measured for sample in record.samples], weights=weights, axis=0)
         line = (
-            f"{self._controller}: day {day:5.2f}/{self._period.scored_s / DAY_S:g}"
+            f"{self._controller}: day {day:5.2f}/{self._days:g}"
             f"  T {_temperatures(last)}  u {' '.join(f'{u:4.2f}' for u in mean_u)}{self._so_far}"
         )
         solve_s = record.plan.seconds.get("solve")
         line += f"  solve {1e3 * solve_s:.0f} ms" if solve_s is not None else ""
-        line += self._left(day)
-        line += f"  bridged {self._bridged}" if self._bridged else ""
-        line += f"  gate {self._gated}" if self._gated else ""
-        line += f"  watch {self._watched}" if self._watched else ""
-        return line + (f"  fallbacks {self._fallbacks}" if self._fallbacks else "")
+        return line + self._left(day) + self._odd()
+
+    def _odd(self) -> str:
+        """How many steps were not as planned, by what held them."""
+        counts = {
+            "bridged": self._bridged,
+            "gate": self._gated,
+            "watch": self._watched,
+            "fallbacks": self._fallbacks,
+        }
+        return "".join(f"  {name} {n}" for name, n in counts.items() if n)
 
     def _left(self, day: float) -> str:
         """How long the rest of the loop takes if it goes on as until now; nothing where that is seconds."""
-        seconds = (time.monotonic() - self._began) * (self._period.scored_s / DAY_S / day - 1.0)
-        if seconds < _SHORT_S:
-            return ""
-        return f"  {seconds:.0f} s left" if seconds < 2 * _MINUTE_S else f"  {seconds / _MINUTE_S:.0f} min left"
+        seconds = (time.monotonic() - self._began) * (self._days / day - 1.0)
+        return "" if seconds < _SHORT_S else f"  {_duration(seconds)} left"
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 2 * _MINUTE_S else f"{seconds / _MINUTE_S:.0f} min"
 
 
 def _temperatures(sample: Sample) -> str:
@@ -124,10 +147,10 @@ def _so_far(kpis: Mapping[str, float], currency: str) -> str:
 
 
 class ProbingDisplay:
-    """Progress of a probing: days done, and what the record is expected to tell; a callback."""
+    """Progress of a probing on a terminal: days done, and what the record is expected to tell; a callback."""
 
     def __init__(self, console: Console, begins: str, quiet: bool) -> None:
-        self._console, self._quiet, self._days_shown = console, quiet, 0
+        self._console, self._quiet = console, quiet
         self._live: Live | None = None
         self._begins = begins
 
@@ -135,7 +158,7 @@ class ProbingDisplay:
         if self._quiet:
             return self
         if self._console.is_terminal:
-            self._live = Live(Text(self._begins), console=self._console, refresh_per_second=8)
+            self._live = Live(Text(self._begins), console=self._console, refresh_per_second=8, transient=True)
             self._live.__enter__()
         else:
             self._console.print(self._begins, soft_wrap=True, markup=False)
@@ -146,16 +169,13 @@ class ProbingDisplay:
             self._live.__exit__(None, None, None)
 
     def __call__(self, progress: ProbingProgress) -> None:
-        """Show `progress`: every hour on a terminal, else once per day."""
-        line = (
-            f"probing: day {progress.days:5.2f}/{progress.planned_days:g}  effect of a day at full level expected to "
-            f"± {100 * progress.expected_sd:.0f} %"
-        )
+        """Show `progress`, every hour."""
         if self._live:
+            line = (
+                f"probing: day {progress.days:5.2f}/{progress.planned_days:g}  effect of a day at full level expected "
+                f"to ± {100 * progress.expected_sd:.0f} %"
+            )
             self._live.update(Text(line))
-        elif not self._quiet and int(progress.days + 1e-9) > self._days_shown:
-            self._days_shown = int(progress.days + 1e-9)
-            self._console.print(line, soft_wrap=True, markup=False)
 
 
 _FILE_WIDTH = 110

@@ -1,4 +1,6 @@
-"""What the FMUs of the tests share: points as BOPTEST declares them, for PythonFMU. Travels inside each FMU."""
+"""What FMUs made here and in tests share, and carry: points as BOPTEST declares them, for PythonFMU."""
+
+from collections.abc import Iterable, Mapping
 
 from pythonfmu import Boolean, Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
 
@@ -8,18 +10,19 @@ class FmuWithPoints(Fmi2Slave):
 
     author = "tests"
 
-    def declare(self, overwrites, outputs):
+    def declare(self, overwrites: Mapping[str, float], outputs: Iterable[str]) -> None:
         """Inputs of each point with its value at the start, and outputs that begin at zero."""
-        self._inputs, self._outputs = {}, dict.fromkeys(outputs, 0.0)
+        self._inputs: dict[str, float] = {}
+        self._outputs = dict.fromkeys(outputs, 0.0)
         for name, value in overwrites.items():
             self._declare_input(Real, f"{name}_u", value)
             self._declare_input(Boolean, f"{name}_activate", False)
-        for name in outputs:
+        for name in self._outputs:
             self.register_variable(
                 Real(name, causality=Fmi2Causality.output, getter=lambda name=name: self._outputs[name]), nested=False
             )
 
-    def _declare_input(self, kind, name, start):
+    def _declare_input(self, kind: type, name: str, start: float) -> None:
         self._inputs[name] = start
         self.register_variable(
             kind(
@@ -33,7 +36,7 @@ class FmuWithPoints(Fmi2Slave):
             nested=False,
         )
 
-    def acting(self, name, native):
+    def acting(self, name: str, native: float) -> float:
         """What acts at a point: its input where it is active."""
         return self._inputs[f"{name}_u"] if self._inputs[f"{name}_activate"] else native
 
@@ -41,10 +44,12 @@ class FmuWithPoints(Fmi2Slave):
 class FmuRoom(FmuWithPoints):
     """A room that is simulated in steps of about 30 s by `simulate(dt_s)`."""
 
-    def exit_initialization_mode(self):
+    def exit_initialization_mode(self) -> None:
+        """The first readings."""
         self.simulate(0.0)
 
-    def do_step(self, current_time, step_size):
+    def do_step(self, current_time: float, step_size: float) -> bool:
+        """Simulate in parts."""
         n = max(round(step_size / 30.0), 1)
         for _ in range(n):
             self.simulate(step_size / n)

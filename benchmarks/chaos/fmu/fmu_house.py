@@ -11,6 +11,7 @@ import os
 import pathlib
 import signal
 import time
+from typing import Any
 
 from fmu_points import FmuWithPoints
 from pythonfmu import DefaultExperiment
@@ -23,30 +24,37 @@ _LEVELS = {"oveHeaPumY": "level", "oveTSet": "T_setpoint"}
 
 
 class FmuHouse(FmuWithPoints):
+    """One house; what fails when is in the environment."""
+
     description = "emulator of bestest_hydronic_heat_pump"
 
-    def __init__(self, **kwargs):
+    def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        self._plant = None
         self.default_experiment = DefaultExperiment(tolerance=1e-6)
         overwrites = {name: low for name, low, _ in OVERWRITES}
         self.declare(overwrites, [*MEASUREMENTS, *(f"{name}_y" for name in overwrites)])
 
-    def setup_experiment(self, start_time, stop_time=None, tolerance=None):
+    def setup_experiment(
+        self, start_time: float, stop_time: float | None = None, tolerance: float | None = None
+    ) -> None:
+        """Begin; another tolerance shifts the zone temperature."""
         print("an FMU may print whatever it likes", flush=True)
         self._plant = EmbeddedPlant(synthetic_weather())
         self._plant.reset(float(start_time), 0.0)
         self._plant.advance_points({}, 30.0)  # loads the compiled kernel
         self._plant.reset(float(start_time), 0.0)
-        self._shift_K = 1e-3 * (math.log10(tolerance) + 6.0) if tolerance else 0.0
+        self._shift_K = 1e-3 * (math.log10(tolerance or 1e-6) + 6.0)
         self._steps_in_trouble = 0
         at = os.environ.get("FMU_HOUSE_TROUBLED_AT")
-        self._troubled = at is None or any(abs(math.log10(tolerance) - math.log10(float(t))) < 0.1 for t in at.split())
+        decade = math.log10(tolerance or 1e-6)
+        self._troubled = at is None or any(abs(decade - math.log10(float(t))) < 0.1 for t in at.split())
 
-    def exit_initialization_mode(self):
+    def exit_initialization_mode(self) -> None:
+        """The first readings."""
         self._show()
 
-    def do_step(self, current_time, step_size):
+    def do_step(self, current_time: float, step_size: float) -> bool:
+        """Simulate, or fail."""
         time.sleep(float(os.environ.get("FMU_HOUSE_LAGS_S", "0")))
         if self._in_trouble("CRASHES", current_time):
             os.kill(os.getpid(), signal.SIGSEGV)
@@ -62,7 +70,7 @@ class FmuHouse(FmuWithPoints):
         self._show()
         return True
 
-    def _in_trouble(self, how, time_s):
+    def _in_trouble(self, how: str, time_s: float) -> bool:
         if not (self._troubled and time_s / 86400.0 >= float(os.environ.get(f"FMU_HOUSE_{how}_ON_DAY", "inf"))):
             return False
         once = os.environ.get("FMU_HOUSE_UNLESS")
@@ -72,7 +80,7 @@ class FmuHouse(FmuWithPoints):
         pathlib.Path(once).touch()
         return not happened
 
-    def _show(self):
+    def _show(self) -> None:
         now = self._plant.now_s
         record = {name: column[-1] for name, column in self._plant.recorded(now, now).items()}
         for name, column in MEASUREMENTS.items():

@@ -1,4 +1,4 @@
-"""Operator as a torch module, for training and automatic differentiation. The closed loop does not import it."""
+"""Operator as a torch module: the slow form by automatic differentiation that benches and tests compare with."""
 
 from __future__ import annotations
 

@@ -1,0 +1,1 @@
+"""The emulator as an FMU that fails on purpose; the tests run it too."""

@@ -1,1 +1,0 @@
-"""Differentiable predictive control: a policy trained through the model takes the place of the solver."""
