@@ -107,12 +107,12 @@ def run_worth_bench(
 
     runs = [row for rows in run_all(run_case, cases, engine, told, keep) for row in rows]
     rows = with_shares([row for row in runs if not row["refused"]])
-    refused = [{"building": row["building"], "window": row["window"], "refused": row["refused"]} for row in runs]
-    return results_json("worth", [*rows, *summary(rows), *(row for row in refused if row["refused"])], targets(rows))
+    refused = [{key: row[key] for key in ("building", "window", "refused")} for row in runs if row["refused"]]
+    return results_json("worth", [*table(rows), *summary(rows), *refused], targets(rows))
 
 
 def run_case(case: Case) -> list[Row]:
-    """Run a case: a row per length of history and free response; one that says why where identification refused."""
+    """Run a case: a row per length of history and free response, or one that says why identification refused."""
     scenario = Scenario.model_validate(
         {
             "testcase": case.testcase,
@@ -167,7 +167,7 @@ _WHERE = ("building", "window", "price", "people", "history")
 
 
 def with_shares(runs: Sequence[Row]) -> list[Row]:
-    """Rows of the table, each with what it loses or gains against linear weather and its share of the oracle's gain."""
+    """The runs, each with what it loses or gains against linear weather, and what the oracle gains there."""
     places = [tuple(row[key] for key in _WHERE) for row in runs]
     found = {(place, row["free response"]): row for place, row in zip(places, runs, strict=True)}
     rows = []
@@ -185,6 +185,17 @@ def with_shares(runs: Sequence[Row]) -> list[Row]:
             }
         )
     return rows
+
+
+def table(rows: Sequence[Row]) -> list[Row]:
+    """A row per case and history: cost and discomfort of each free response, and its share of the oracle's gain."""
+    lines: dict[tuple[Any, ...], Row] = {}
+    for row in rows:
+        line = lines.setdefault(tuple(row[key] for key in _WHERE), {key: row[key] for key in _WHERE})
+        line[row["free response"]] = f"{row['cost']:.4f} / {row['discomfort_Kh']:.2f}"
+        if row["free response"] not in (REFERENCE, LIMIT):
+            line[f"{row['free response']}, share"] = _over([row])["share"]
+    return list(lines.values())
 
 
 def summary(rows: Sequence[Row]) -> list[Row]:
@@ -217,4 +228,6 @@ def _over(rows: Sequence[Row]) -> Row:
         "share": sum(row["gain"] for row in rows) / limit if limit else float("nan"),
         "dearer_worst": max(row["dearer"] for row in rows),
         "more_Kh_worst": max(row["more_Kh"] for row in rows),
+        "not_solved": sum(row["not_solved"] for row in rows),
+        "step_ms": float(np.median([row["step_ms"] for row in rows])),
     }

@@ -84,5 +84,5 @@ def _two_stage(home: Prepared, run: Record) -> OperatorParameters:
 
 
 def _joint(home: Prepared, run: Record) -> OperatorParameters:
-    config = IdentificationConfig(modulation="linear", order=2, heat_input="identity", u_off=_OFF)
+    config = IdentificationConfig(modulation="linear", order=2, heat_input="identity")
     return identify(run, config=config, mode="heating" if home.home.sign > 0 else "cooling").only.operator

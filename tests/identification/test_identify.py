@@ -24,7 +24,7 @@ def test_three_days_of_one_run_tell_what_an_action_does():
     model = identify([record(HOUSE, 3.0, noise_K=0.01)], config=LINEAR, floor_area_m2=190.0)
     rmse, effect = effect_rmse(model, HOUSE)
     assert rmse < 0.08 * effect
-    assert model.only.card.scores["held_out_rollout_rmse_K"] < 0.5
+    assert max(score.model_K for score in model.only.card.competence.horizons) < 0.5
     assert model.only.free is not None
     assert model.only.power is not None
     np.testing.assert_allclose(model.only.power(np.array([0.0, 1.0]), 5.0), [0, 3600], rtol=0.02)

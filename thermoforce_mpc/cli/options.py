@@ -31,37 +31,58 @@ class FiniteRange(click.FloatRange):
         return number
 
 
-def scenario_options(function: Function) -> Function:
-    """Add the options that select building, plant and window; the command gets them as keyword arguments."""
-    for option in reversed(
-        [
-            click.option("--testcase", metavar="NAME", help="Test case: a name (see `tf-mpc testcases`) or YAML file."),
-            click.option("--config", metavar="FILE", help="Scenario: a YAML file or a shipped name."),
-            click.option(
-                "--period",
-                metavar="P",
-                help="peak_heat_day, typical_heat_day, another window of the plant (peak_cool_day, mix_day, cold_week, "
-                "...).  [default: the peak of the building's season]",
-            ),
-            click.option("--start", metavar="DAY", help="First day instead, as 2026-01-17 or 44 (of the year)."),
-            click.option("--days", type=float, help="Scored days.  [default: 14]"),
-            click.option("--price", metavar="TARIFF", help="constant, dynamic or highly_dynamic."),
-            click.option("--url", metavar="URL", help="Use the BOPTEST service at URL instead of the emulator."),
-            click.option("--fmu", metavar="FILE", help="Use the test case's wrapped.fmu instead of the emulator."),
-            click.option("--weather", metavar="FILE", help="'synthetic', or a .mos or .epw file (emulator only)."),
-            click.option("--prices", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
-            click.option(
-                "--forecast-uncertainty",
-                "uncertainty",
-                metavar="LEVEL",
-                help="BOPTEST's weather forecast errors: none, low, medium or high.",
-            ),
-            click.option("--seed", type=int, help="Seed of probing, training and forecast errors."),
-            click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any scenario key."),
-        ]
-    ):
-        function = option(function)
-    return function
+def added(*options: Callable[[Function], Function]) -> Callable[[Function], Function]:
+    """Adds options, shown in this order; the command gets them as keyword arguments."""
+
+    def add(function: Function) -> Function:
+        for option in reversed(options):
+            function = option(function)
+        return function
+
+    return add
+
+
+base_options = added(
+    click.option("--testcase", metavar="NAME", help="Test case: a name (see `tf-mpc testcases`) or YAML file."),
+    click.option("--config", metavar="FILE", help="Scenario to start from: a YAML file or a shipped name."),
+    click.option("--days", type=float, help="Scored days.  [default: 14]"),
+    click.option("--url", metavar="URL", help="Use the BOPTEST service at URL instead of the emulator."),
+    click.option("--fmu", metavar="FILE", help="Use the test case's wrapped.fmu instead of the emulator."),
+    click.option("--weather", metavar="FILE", help="'synthetic', or a .mos or .epw file (emulator only)."),
+    click.option("--seed", type=int, help="Seed of probing, training and forecast errors."),
+    click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any scenario key."),
+)
+"""Options that select building and plant, for one run and for many."""
+
+window_options = added(
+    click.option(
+        "--period",
+        metavar="P",
+        help="peak_heat_day, typical_heat_day, another window of the plant (peak_cool_day, mix_day, cold_week, ...).  "
+        "[default: the peak of the building's season]",
+    ),
+    click.option("--start", metavar="DAY", help="First day instead, as 2026-01-17 or 44 (of the year)."),
+    click.option("--price", metavar="TARIFF", help="constant, dynamic or highly_dynamic."),
+    click.option("--prices", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
+    click.option(
+        "--forecast-uncertainty",
+        "uncertainty",
+        metavar="LEVEL",
+        help="BOPTEST's weather forecast errors: none, low, medium or high.",
+    ),
+)
+"""Options that select one window, tariff and level of forecast errors."""
+
+probed_option = click.option(
+    "--probing",
+    type=click.Path(path_type=Path),
+    help="Run folder whose probing is taken instead of probing, or one of its journals probing/*.jsonl.",
+)
+learned_options = added(
+    click.option("--model", type=click.Path(path_type=Path), help="Saved model to use instead of probing first."),
+    probed_option,
+)
+"""Options that say where a model comes from."""
 
 
 _UNIT_H = {"h": 1.0, "d": 24.0, "min": 1 / 60}
@@ -77,27 +98,21 @@ def _hours(context: click.Context, option: click.Parameter, text: str | None) ->
     return float(match[1]) * _UNIT_H[match[2] or "h"]
 
 
-def mpc_options(function: Function) -> Function:
-    """Add what people change most in an MPC, options of the controller by names of their own."""
-    for option in reversed(
-        [
-            click.option("--horizon", "horizon_h", metavar="H", callback=_hours, help="Horizon, as 24h or 2d."),
-            click.option(
-                "--comfort-weight",
-                type=FiniteRange(min=0, min_open=True),
-                help="Cost of a K·h of discomfort per m² of floor, in the currency.  [default: 0.026]",
-            ),
-            click.option("--solver", metavar="NAME", help="auto, ipopt, qp, sqp, milp or search."),
-            click.option(
-                "--forecaster",
-                metavar="NAME",
-                help="Free response or forecaster by name (see `tf-mpc free-responses`), a directory, or a hub's "
-                "owner/model.",
-            ),
-        ]
-    ):
-        function = option(function)
-    return function
+mpc_options = added(
+    click.option("--horizon", "horizon_h", metavar="H", callback=_hours, help="Horizon, as 24h or 2d."),
+    click.option(
+        "--comfort-weight",
+        type=FiniteRange(min=0, min_open=True),
+        help="Cost of a K·h of discomfort per m² of floor, in the currency.  [default: 0.026]",
+    ),
+    click.option("--solver", metavar="NAME", help="auto, ipopt, qp, sqp, milp or search."),
+    click.option(
+        "--forecaster",
+        metavar="NAME",
+        help="Free response or forecaster by name (see `tf-mpc free-responses`), a folder, or a hub's owner/model.",
+    ),
+)
+"""What people change most in an MPC, options of the controller by names of their own."""
 
 
 def _mpc_keys(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -126,23 +141,12 @@ def _backbone(name: str) -> str:
     return name
 
 
-def probed_option(function: Function) -> Function:
-    """Add the option that takes the probing of an earlier run."""
-    return click.option(
-        "--probing",
-        type=click.Path(path_type=Path),
-        help="Run folder whose probing is taken instead of probing, or one of its journals probing/*.jsonl.",
-    )(function)
-
-
-def equal_comfort_option(function: Function) -> Function:
-    """Add the option that searches a thermostat that is as comfortable."""
-    return click.option(
-        "--equal-comfort/--no-equal-comfort",
-        default=None,
-        help="Search the set-point at which the thermostat is as comfortable, in further runs of it.  "
-        "[default: on the embedded plant]",
-    )(function)
+equal_comfort_option = click.option(
+    "--equal-comfort/--no-equal-comfort",
+    default=None,
+    help="Search the set-point at which the thermostat is as comfortable, in further runs of it.  "
+    "[default: on the embedded plant]",
+)
 
 
 def execution_options(*former: str) -> Callable[[Function], Function]:
@@ -173,23 +177,12 @@ def execution_options(*former: str) -> Callable[[Function], Function]:
     return add
 
 
-def measured_model_options(function: Function) -> Function:
-    """Add `--model`, `--data` (as `files`) and `--map` (as `map_file`): a saved model, and what was measured there."""
-    for option in reversed(
-        [
-            click.option(
-                "--model", required=True, type=click.Path(path_type=Path), help="Model folder of `tf-mpc identify`."
-            ),
-            click.option(
-                "--data", "files", required=True, multiple=True, metavar="FILE", help="Measurements; repeatable."
-            ),
-            click.option(
-                "--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements."
-            ),
-        ]
-    ):
-        function = option(function)
-    return function
+measured_model_options = added(
+    click.option("--model", required=True, type=click.Path(path_type=Path), help="Model folder of `tf-mpc identify`."),
+    click.option("--data", "files", required=True, multiple=True, metavar="FILE", help="Measurements; repeatable."),
+    click.option("--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements."),
+)
+"""A saved model, and what was measured there (as `files` and `map_file`)."""
 
 
 def course_options(level: str) -> Callable[[Function], Function]:
@@ -197,21 +190,15 @@ def course_options(level: str) -> Callable[[Function], Function]:
     `--out` (.csv or .json) and `--plot`.
     """
 
-    def add(function: Function) -> Function:
-        file = click.Path(path_type=Path, dir_okay=False)
-        options: list[Callable[[Function], Function]] = [
-            click.option("--level", type=float, help=level),
-            click.option(
-                "--schedule", type=click.Path(path_type=Path), help="CSV with columns time and u (or one per actuator)."
-            ),
-            click.option("--out", type=file, callback=_csv_or_json, help="Write the course: .csv or .json."),
-            plot_option(),
-        ]
-        for option in reversed(options):
-            function = option(function)
-        return function
-
-    return add
+    file = click.Path(path_type=Path, dir_okay=False)
+    return added(
+        click.option("--level", type=float, help=level),
+        click.option(
+            "--schedule", type=click.Path(path_type=Path), help="CSV with columns time and u (or one per actuator)."
+        ),
+        click.option("--out", type=file, callback=_csv_or_json, help="Write the course: .csv or .json."),
+        plot_option(),
+    )
 
 
 def plot_option(default: Path | None = None, of: str = "") -> Callable[[Function], Function]:

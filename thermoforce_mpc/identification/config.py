@@ -98,9 +98,6 @@ class IdentificationConfig(StrictModel):
         gt=0,
         description="prior standard deviation of m(x) around 1, or around measured heat; default: 0.15 and 0.02",
     )
-    validation_share: float = Field(0.25, gt=0, lt=0.9, description="held-out share of days or pairs")
-    horizon_h: float = Field(24.0, gt=0, description="longest rollout scored on held-out data, h")
-    u_off: float = Field(0.02, ge=0, lt=1, description="levels up to this count as off (paper's first stage)")
     seed: int = Field(1, ge=0, description="seed of the network's initial weights and of splits")
 
     sensor_sd_K: float = Field(0.01, gt=0, description="noise of the temperature sensor, K")

@@ -74,15 +74,11 @@ class Measurements:
             tuple(layout.shares[a] for a in acting),
             tuple(layout.floor_area_m2[z] for z in kept),
         )
+        record = replace(r, T_zone_C=r.T_zone_C[kept], u=r.u[acting], heat_W=r.heat_W[acting], names=fewer)
         b = self.conditions
-        record = Record(
-            r.time_s, r.T_zone_C[kept], r.T_out_C, r.solar_W_m2, r.u[acting], r.power_W, r.heat_W[acting],
-            r.T_return_C, r.origin, fewer,
-        )  # fmt: skip
-        conditions = Boundary(
-            b.time_s, b.T_out_C, b.solar_W_m2, b.occupancy[kept], b.lower_C[kept], b.upper_C[kept], b.price_per_kWh,
-            b.emission_kg_per_kWh, b.heating_price_per_kWh, fewer,
-        )  # fmt: skip
+        conditions = replace(
+            b, occupancy=b.occupancy[kept], lower_C=b.lower_C[kept], upper_C=b.upper_C[kept], names=fewer
+        )
         return replace(self, record=record, layout=ours, conditions=conditions)
 
 

@@ -193,14 +193,12 @@ def resume_run(
         NoSuchTest: the run was on a service that no longer has its test.
         PlantError, StorageError: as `run_scenario`.
     """
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: no such folder")
     with sole_use(folder):
         if is_complete(folder):
             display.say(f"{folder} is complete; there is nothing to resume")
             return folder
         at = None if since is None else int(since) if since.isdecimal() else seconds_of(since, "--from")
-        book = RunBook.reopen(folder, at, lambda told: with_given(told, given or {}, code, folder))
+        book = _reopened(folder, given, code, at)
         steps = sum(entry.kind == "done" for entry in book.told)
         display.say(f"Resuming after {counted(steps, 'recorded step')}")
         return _carry_out(book, display, validate_scenario(book.scenario))
@@ -213,16 +211,20 @@ def stop_test(folder: Path, given: Mapping[str, str] | None = None, code: Sequen
         ConfigError: the run has none.
         JournalError, NoSuchTest, PlantError: as `resume_run`.
     """
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: no such folder")
     with sole_use(folder):
-        book = RunBook.reopen(folder, settled=lambda told: with_given(told, given or {}, code, folder))
+        book = _reopened(folder, given, code)
         with closing(book.journal):
             scenario = book.scenario
             if not (book.told and is_real(scenario)):
                 raise ConfigError(f"{folder}: its plant is simulated, or was never reached: there is no test to stop")
             testcase = validate_scenario(scenario)
             book.connect(lambda testid: attached_plant(scenario, testcase, str(testid))).close()
+
+
+def _reopened(
+    folder: Path, given: Mapping[str, str] | None, code: Sequence[str], at: int | float | None = None
+) -> RunBook:
+    return RunBook.reopen(folder, at, lambda told: with_given(told, given or {}, code, folder))
 
 
 def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:

@@ -53,7 +53,7 @@ def test_one_short_window_for_real():
     for kpis in first.kpis.values():
         assert kpis["too_cold"] + kpis["too_warm"] == pytest.approx(kpis["tdis_tot"])
     assert sum(first.statuses.values()) == 12  # plans of 15 min in 3 h
-    assert "held_out_rollout_rmse_K" in first.model
+    assert "acts_log_odds" in first.model
     assert first.equal.comparable
     assert first.equal.kpis["tdis_tot"] <= first.kpis["thermoforce_mpc"]["tdis_tot"] + 0.1
     assert first.plot.startswith(b"\x89PNG")

@@ -33,6 +33,8 @@ def test_shares_are_of_the_gain_in_what_the_controller_minimises_over_all_cases(
     assert shares["1 d", "default"] == pytest.approx(0.5)
     assert shares["3 d", "default"] == pytest.approx(-(0.01 + 0.026 * 0.2) / (0.026 * 3.0))
     assert {one["share"] for one in worth.summary(rows) if one["free response"] == "oracle"} == {1.0}
+    assert [one["default"] for one in worth.table(rows)] == ["0.9000 / 2.00", "1.0100 / 3.20"]
+    assert worth.table(rows)[0]["default, share"] == pytest.approx(0.5)
     share, dearer, less_comfort = targets(rows)
     assert share.value == pytest.approx((0.1 - 0.01 - 0.026 * 0.2) / (0.2 + 0.026 * 3.0))
     assert (dearer.value, less_comfort.value) == pytest.approx((0.01, 0.2))

@@ -69,15 +69,6 @@ def test_more_days_make_narrower_bands():
     assert sd(9.0) < 0.8 * sd(1.5)
 
 
-def test_poles_and_gains_are_reported_at_the_models_step(models):
-    operator, known = models[0].only.operator, models[0].only.card.uncertainty
-    for i in range(3):
-        assert known[f"pole_{i + 1}"] == pytest.approx(operator.poles[i])
-        assert known[f"gain_{i + 1}_K"] == pytest.approx(operator.gains[i])
-        assert 0 < known[f"pole_{i + 1}_sd"] < 1
-        assert known[f"gain_{i + 1}_sd_K"] > 0
-
-
 def test_rollouts_over_the_record_are_good_and_drawn(models, tmp_path):
     record_ = record(HOUSE, 3.0, seed=0, noise_K=0.01)
     found = rollouts(models[0], record_)

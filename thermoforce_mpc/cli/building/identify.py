@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.cli.options import FiniteRange, probed_option, scenario_from, scenario_options
+from thermoforce_mpc.cli.options import FiniteRange, base_options, probed_option, scenario_from, window_options
 from thermoforce_mpc.errors import ArtifactError, DataError
 
 if TYPE_CHECKING:
@@ -28,7 +28,8 @@ _OF_PLANTS = (
 
 
 @click.command()
-@scenario_options
+@base_options
+@window_options
 @click.option("--probe-days", type=float, help="Days of probing, ending a week before --period.  [default: 3]")
 @probed_option
 @click.option("--controller", metavar="NAME", help="Probe at the levels that this controller uses.")

@@ -24,8 +24,6 @@ _CERTIFIED_H = 48
 # Meaning of the scores of a model card, in printing order.
 _MEANING = {
     "acts_log_odds": "log odds that the actuator acts on the zone at all",
-    "held_out_rollout_rmse_K": "RMSE on held-out data, predicted up to 24 h ahead with known weather, K",
-    "held_out": "error on held-out rows after an action, in standard deviations of the assumed disturbances",
     "residual_scale": "residual, as a share of the assumed disturbances",
     "held_out_linear": "held-out error with a constant gain, in standard deviations",
     "held_out_neural": "the same with a network as gain",

@@ -14,7 +14,13 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from thermoforce_mpc.cli.options import equal_comfort_option, execution_options, probed_option
+from thermoforce_mpc.cli.options import (
+    added,
+    base_options,
+    equal_comfort_option,
+    execution_options,
+    learned_options,
+)
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.execution import Outcome, TaskProgress, execute, source_fingerprint
 from thermoforce_mpc.execution.progress import summary
@@ -46,57 +52,45 @@ CELLS_FAILED = 3
 # KPIs that fit 80 columns; the files have all.
 _ON_CONSOLE = ("cost_tot", "tdis_tot", "saving", "ener_tot", "plan_ms", "fallbacks")
 
-Function = Callable[..., Any]
 
-
-def comparison_options(function: Function) -> Function:
-    """Add the options that select cells, plant and parallel execution."""
-    function = probed_option(equal_comfort_option(execution_options()(function)))
-    for option in reversed(
-        [
-            click.option("--testcase", metavar="NAME", help="Test case: a name (see `tf-mpc testcases`) or YAML file."),
-            click.option("--config", metavar="FILE", help="Base scenario: a YAML file or a shipped name."),
-            click.option(
-                "--windows",
-                metavar="A,B",
-                help="peak_heat_day, typical_heat_day, or first days: 2026-01-17 or 44.  [default: the scenario's, "
-                "else the peak and typical day of the building's season]",
-            ),
-            click.option(
-                "--prices",
-                metavar="A,B",
-                help="constant, dynamic, highly_dynamic.  [default: the scenario's, else constant]",
-            ),
-            click.option("--days", type=float, help="Scored days.  [default: 14]"),
-            click.option("--identification-days", type=float, help="Days of probing before a window.  [default: 3]"),
-            click.option("--model", type=click.Path(path_type=Path), help="Saved model to use instead of probing."),
-            click.option(
-                "--forecast-uncertainty",
-                metavar="A,B",
-                help="none, low, medium, high.  [default: the scenario's, else none]",
-            ),
-            click.option("--weather", metavar="FILE", help="'synthetic', or a .mos or .epw file."),
-            click.option("--tariff-file", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
-            click.option("--url", metavar="URL", help="Use the BOPTEST service at URL instead of the emulator."),
-            click.option("--fmu", metavar="FILE", help="Use the test case's wrapped.fmu instead of the emulator."),
-            click.option("--seed", type=int, help="Seed of probing, training and forecast errors."),
-            click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any scenario key."),
-            click.option(
-                "--out",
-                type=click.Path(path_type=Path),
-                help="Result folder; finished cells in it are reused.  [default: runs/...]",
-            ),
-            click.option(
-                "--format",
-                "form",
-                type=click.Choice(FORMS),
-                help="Print only the figures, in this format, instead of tables for people.",
-            ),
-            click.option("--quiet", is_flag=True, help="Print only the final tables."),
-        ]
-    ):
-        function = option(function)
-    return function
+_axes_options = added(
+    click.option(
+        "--windows",
+        metavar="A,B",
+        help="peak_heat_day, typical_heat_day, or first days: 2026-01-17 or 44.  [default: the scenario's, else the "
+        "peak and typical day of the building's season]",
+    ),
+    click.option(
+        "--prices",
+        metavar="A,B",
+        help="constant, dynamic, highly_dynamic.  [default: the scenario's, else constant]",
+    ),
+    click.option(
+        "--forecast-uncertainty",
+        metavar="A,B",
+        help="none, low, medium, high.  [default: the scenario's, else none]",
+    ),
+    click.option("--identification-days", type=float, help="Days of probing before a window.  [default: 3]"),
+    click.option("--tariff-file", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
+)
+_result_options = added(
+    click.option(
+        "--out",
+        type=click.Path(path_type=Path),
+        help="Result folder; finished cells in it are reused.  [default: runs/...]",
+    ),
+    click.option(
+        "--format",
+        "form",
+        type=click.Choice(FORMS),
+        help="Print only the figures, in this format, instead of tables for people.",
+    ),
+    click.option("--quiet", is_flag=True, help="Print only the final tables."),
+)
+comparison_options = added(
+    base_options, _axes_options, learned_options, _result_options, equal_comfort_option, execution_options()
+)
+"""Options that select cells, plant and parallel execution."""
 
 
 @dataclass(frozen=True)

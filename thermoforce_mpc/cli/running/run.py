@@ -10,19 +10,20 @@ from typing import Any
 import click
 
 from thermoforce_mpc.cli.options import (
+    base_options,
     equal_comfort_option,
+    learned_options,
     mpc_options,
-    probed_option,
     scenario_from,
-    scenario_options,
+    window_options,
 )
 
 
 @click.command()
-@scenario_options
+@base_options
+@window_options
 @click.option("--controller", metavar="NAME", help="Controller (see `tf-mpc controllers`).")
-@click.option("--model", type=click.Path(path_type=Path), help="Saved model to use instead of probing first.")
-@probed_option
+@learned_options
 @mpc_options
 @click.option("--baselines", metavar="A,B", help="Baselines to run; '' for none.  [default: native,thermostat]")
 @equal_comfort_option

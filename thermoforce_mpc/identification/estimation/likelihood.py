@@ -4,8 +4,7 @@ Given the time constants, the rest of the target is Gaussian: prior of free gain
 actuators, plus disturbances.
 So the residual r = target − F has a known mean and covariance C = L Lᵀ. Training minimises the whitened residual
 L⁻¹(r − mean). Model choices use its later rows, each conditioned on all rows before: these weigh effects of an action
-within hours, which in a plain error over a day are masked by weather errors. The rollout error over the horizon, the
-part of r that the past does not predict, is only reported.
+within hours, which in a plain error over a day are masked by weather errors.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
-from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.estimation.columns import (
     free_columns,
     free_prior_of,
@@ -72,13 +71,6 @@ class Residuals:
             return np.asarray(white), self.disturbance.factor(first) @ M
         return later_residual, self.disturbance.factor(first)
 
-    def squares(self, residuals: Array) -> Array:
-        """rᵀ C⁻¹ r of each column r of `residuals` (rows, k), shape (k,)."""
-        W = self.disturbance.whitened(np.concatenate([self.columns, residuals], axis=1))
-        p = self.columns.shape[1]
-        rows = triangle(np.concatenate([W, np.eye(p, W.shape[1])]))
-        return np.asarray((rows[p:, p:] ** 2).sum(axis=0))
-
     def scaled(self, scale: float) -> Residuals:
         """With `scale` times the disturbance."""
         return replace(self, disturbance=self.disturbance.scaled(scale))
@@ -115,32 +107,23 @@ def residuals(regression: RegressionData, log_tau: Array) -> Residuals:
 
 @dataclass(frozen=True)
 class Split:
-    """Training rows, held-out (judged) rows, and the rows of each scored rollout, which begins from all rows before."""
+    """Training rows, and held-out ones, which are judged."""
 
     train: NDArray[np.intp]
     judged: NDArray[np.intp]
-    rollouts: tuple[NDArray[np.intp], ...] = ()
 
 
-def split_run(regression: RegressionData, share: float, horizon_h: float) -> Split:
-    """Split a run: train on the first part, hold out the last `share`; consecutive rollouts of up to `horizon_h`."""
+def split_run(regression: RegressionData, share: float) -> Split:
+    """Split a run: train on the first part, hold out the last `share`."""
     n = regression.rows.size
     first = max(1, min(n - 1, round(n * (1.0 - share))))
-    hours = regression.rows * regression.step_s / HOUR_S
-    rollouts = []
-    start = first
-    while start < n:
-        stop = start + int(np.searchsorted(hours[start:] - hours[start - 1], horizon_h + 1e-9, side="right"))
-        stop = max(stop, start + 1)
-        rollouts.append(np.arange(start, stop))
-        start = stop
-    return Split(train=np.arange(first), judged=np.arange(first, n), rollouts=tuple(rollouts))
+    return Split(train=np.arange(first), judged=np.arange(first, n))
 
 
 def hold_out_pair(regression: RegressionData) -> Split:
     """Return a split that holds out the whole pair."""
     rows = np.arange(regression.rows.size)
-    return Split(train=rows[:0], judged=rows, rollouts=(rows,))
+    return Split(train=rows[:0], judged=rows)
 
 
 def whole(regression: RegressionData) -> Split:

@@ -175,11 +175,3 @@ def scaled(regressions: Sequence[RegressionData], scale: float) -> list[Regressi
     return [
         e if e.is_pair or scale == 1.0 else replace(e, disturbance=e.disturbance.scaled(scale)) for e in regressions
     ]
-
-
-def follows_action(regression: RegressionData, hours: float) -> NDArray[np.bool_]:
-    """Return which rows lie within `hours` after a step with a nonzero drive (pair: drive difference), (rows,)."""
-    done = np.abs(regression.drive) > 0.0
-    before = np.concatenate([[0], np.cumsum(done)])
-    reach = max(1, round(hours * HOUR_S / regression.step_s))
-    return np.asarray(before[regression.rows] > before[np.maximum(regression.rows - reach, 0)])

@@ -1,4 +1,4 @@
-"""Posterior uncertainty of the linear fit: poles, gains and step response, including their correlation."""
+"""Posterior uncertainty of the linear fit: time constants, gains and step response, including their correlation."""
 
 from __future__ import annotations
 
@@ -40,32 +40,18 @@ def step_response(fit: JointFit, hours: float, step_s: float) -> StepResponse:
     )
 
 
-def uncertainty(fit: JointFit, step_s: float, level_sd: float = 0.0) -> dict[str, float]:
-    """Return estimates of the linear fit and their posterior standard deviations by name; poles and gains at `step_s`.
+def uncertainty(fit: JointFit, level_sd: float = 0.0) -> dict[str, float]:
+    """Return estimates of the linear fit and their posterior standard deviations by name.
 
     `level_sd` is the relative standard deviation of the heat of a level; it adds to that of the step response.
     """
-    r = fit.log_tau.size
-    parameters = np.concatenate([fit.log_tau, fit.gains])
-
-    def poles_and_gains(p: Array) -> Array:
-        tau, gains = np.exp(p[:r]), p[r:]
-        a = np.exp(-step_s / HOUR_S / tau)
-        steady = np.concatenate([[tau[0] * (gains[0] - (gains[1:] / tau[1:]).sum())], gains[1:]])
-        return np.concatenate([a, steady * (1.0 - a)])
-
-    slopes = jacobian(poles_and_gains, parameters)
-    derived = np.sqrt(np.maximum(np.einsum("ti,ij,tj->t", slopes, fit.covariance, slopes), 0.0))
-    direct = np.sqrt(np.diag(fit.covariance))
+    r, sds = fit.log_tau.size, np.sqrt(np.diag(fit.covariance))
     out: dict[str, float] = {}
-    for i, (tau, sd) in enumerate(zip(np.exp(fit.log_tau), direct[:r], strict=True), start=1):
+    for i, (tau, sd) in enumerate(zip(np.exp(fit.log_tau), sds[:r], strict=True), start=1):
         out |= {f"time_constant_{i}_h": float(tau), f"time_constant_{i}_sd_h": float(tau * sd)}
     names = ["starting_slope_K_per_h", *(f"steady_gain_{i}_K" for i in range(2, r + 1))]
-    for name, value, sd in zip(names, fit.gains, direct[r:], strict=True):
+    for name, value, sd in zip(names, fit.gains, sds[r:], strict=True):
         out |= {name: float(value), name.replace("_K", "_sd_K", 1): float(sd)}
-    names = [*(f"pole_{i}" for i in range(1, r + 1)), *(f"gain_{i}_K" for i in range(1, r + 1))]
-    for name, value, sd in zip(names, poles_and_gains(parameters), derived, strict=True):
-        out |= {name: float(value), (name.replace("_K", "_sd_K") if "_K" in name else f"{name}_sd"): float(sd)}
     answer = step_response(fit, STEP_RESPONSE_H[-1], HOUR_S)
     for hours in STEP_RESPONSE_H:
         out |= {f"step_response_{hours}h_K": float(answer.mean_K[hours])}

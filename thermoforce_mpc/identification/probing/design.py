@@ -69,8 +69,8 @@ class Designer:
         *,
         centre_C: float,
         sign: float,
-    ) -> tuple[Candidate, Array]:
-        """Return the best candidate for the hours of `ahead`, and the criterion of all.
+    ) -> Candidate:
+        """Return the best candidate for the hours of `ahead`.
 
         Args:
             history: the record so far, one instant or more.
@@ -79,9 +79,6 @@ class Designer:
             candidates: candidates to choose from.
             centre_C: centre of the excursions, °C.
             sign: +1 heating, −1 cooling.
-
-        Returns:
-            The candidate, and the criterion of each, shape (len(candidates),).
         """
         past = history.n_steps
         step_s = ahead.step_s
@@ -100,31 +97,23 @@ class Designer:
             going_on = excitation.resumed(candidate.law, candidate.seed)
             levels = self._simulated_levels(going_on, ahead.n_steps, step_s, start_K, holding)
             worth.append(self._criterion(np.concatenate([history.u[0], levels]), step_s, whitener, rows))
-        return candidates[int(np.argmax(worth))], np.array(worth)
+        return candidates[int(np.argmax(worth))]
 
     def information(self, history: Record) -> float:
         """Return the criterion of a record, nats."""
         whitener, rows = self._whitener(history, history.step_s)
         return self._criterion(history.u[0], history.step_s, whitener, rows)
 
-    def known(self, history: Record) -> tuple[float, float]:
-        """Return what is expected to be known after a record: its criterion, nats, and a relative standard deviation.
+    def expected_sd(self, history: Record, weights: Sequence[float] = (1.0,)) -> float:
+        """Return the relative standard deviation that is expected of the effect of a day at full level after a record.
 
-        The latter is that of the effect of a day at full level, for a building as the priors expect it and disturbances
-        of the assumed size; actual ones are mostly smaller.
-        """
-        return self.known_beside(history, (1.0,))
-
-    def known_beside(self, history: Record, weights: Sequence[float]) -> tuple[float, float]:
-        """As `known` for the first actuator of `history`, where the effects of the others on the zone are unknown too.
+        It is that of the first actuator, for a building as the priors expect it and disturbances of the assumed size;
+        actual ones are mostly smaller. The effects of the others on the zone are unknown too.
 
         Args:
             history: one zone with A actuators or more.
             weights: standard deviation of each actuator's parameters as a share of the first one's prior (A,); only so
                 many actuators count.
-
-        Returns:
-            The criterion of all together, nats, and the relative standard deviation for the first.
         """
         whitener, rows = self._whitener(history, history.step_s)
         each = zip(weights, history.u, strict=False)
@@ -137,8 +126,7 @@ class Designer:
         slope[: own.size] = own
         p = self._priors
         effect_K = float((unit_responses(p.log_tau, history.step_s, day) @ p.gains_at(p.log_tau)[0])[-1])
-        sd_K = float(np.sqrt(slope @ np.linalg.solve(precision, slope)))
-        return float(np.linalg.slogdet(precision)[1]), sd_K / effect_K
+        return float(np.sqrt(slope @ np.linalg.solve(precision, slope))) / effect_K
 
     def expected_rise_K(self, levels: Array, step_s: float) -> Array:
         """Change of the zone that `levels` (n,) make in a building as the priors expect it, shape (n + 1,), K."""

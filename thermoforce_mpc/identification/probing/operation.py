@@ -1,7 +1,7 @@
 """Records of ordinary operation: the part that tells most, and what it cannot tell about the effect of acting.
 
 A controller acts when the weather asks for it, so a record of operation may hold weeks in which the two never part.
-What is expected to be known (`tellings`) is that of the probing design (`Designer.known`): from the levels and the
+What is expected to be known (`tellings`) is that of the probing design (`Designer.expected_sd`): from levels and
 weather alone, for a building as the priors expect it and disturbances of the assumed size, which are mostly smaller.
 What the temperatures tell (`findings`) is the verdict on a linear model of them (`model.competence`); it counts.
 """
@@ -148,7 +148,7 @@ def _telling(record: Record, layout: Layout, designer: Designer, a: int) -> Tell
     weights = [_SAME_ZONE if layout.home[b] == home else _NEIGHBOUR for b in others]
 
     def sd(among: Sequence[int], weighted: Sequence[float]) -> float:
-        return designer.known_beside(record.part(home, [a, *among]), (1.0, *weighted))[1]
+        return designer.expected_sd(record.part(home, [a, *among]), (1.0, *weighted))
 
     alone, together = sd([], []), sd(others, weights)
     blurred = tuple(

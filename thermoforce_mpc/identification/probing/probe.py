@@ -252,7 +252,7 @@ class _Levels:
         centre = self._centre_C(band)
         if ahead is not None:
             candidates = _candidates(c, self._seed, record.n_steps)
-            chosen, _ = self._designer.choose(
+            chosen = self._designer.choose(
                 record, ahead, self._excitation, candidates, centre_C=centre, sign=self._sign
             )
             self._excitation = self._excitation.resumed(chosen.law, chosen.seed)

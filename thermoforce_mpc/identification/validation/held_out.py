@@ -20,6 +20,8 @@ from thermoforce_mpc.model.machine.running import running_share
 from thermoforce_mpc.model.operator.features import N_FEATURES, feature_matrix
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
+HELD_OUT_SHARE = 0.25
+"""Share of the rows of a run, or of the start times of pairs, that is held out."""
 # Least share of steps with measured heat or power.
 _MEASURED = 0.5
 # Level from which full actuation counts as excited.
@@ -154,12 +156,12 @@ def held_out(cases: Sequence[Case], config: IdentificationConfig) -> list[Split]
     held: set[float] = set()
     if len(starts) > 1:
         rng = np.random.default_rng(config.seed)
-        count = max(1, min(len(starts) - 1, round(config.validation_share * len(starts))))
+        count = max(1, min(len(starts) - 1, round(HELD_OUT_SHARE * len(starts))))
         held = {starts[i] for i in rng.permutation(len(starts))[:count]}
     splits = []
     for case in cases:
         if not case.regression.is_pair or len(starts) == 1:
-            splits.append(split_run(case.regression, config.validation_share, config.horizon_h))
+            splits.append(split_run(case.regression, HELD_OUT_SHARE))
         else:
             splits.append(hold_out_pair(case.regression) if case.start_s in held else whole(case.regression))
     return splits

@@ -1,44 +1,21 @@
-"""Fits to the rows before the held-out ones, and their errors on these."""
+"""Rows before the held-out ones, and the fit to a part of them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.columns import forced_columns
-from thermoforce_mpc.identification.estimation.joint import ModeFit, fit_modes
-from thermoforce_mpc.identification.estimation.likelihood import Split, residuals, split_run
+from thermoforce_mpc.identification.estimation.joint import fit_modes
+from thermoforce_mpc.identification.estimation.likelihood import Split, split_run
 from thermoforce_mpc.identification.estimation.modes import ModePriors
-from thermoforce_mpc.identification.estimation.regression import RegressionData, follows_action
+from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
-from thermoforce_mpc.identification.validation.held_out import Case, held_out
+from thermoforce_mpc.identification.validation.held_out import HELD_OUT_SHARE, Case, held_out
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-
-# Errors are judged in rows within these hours after an action; the others mainly reflect the weather.
-_AFTER_ACTION_H = 6.0
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """Fit to the training rows and its held-out errors.
-
-    `judged` (rows,): whitened residuals of the held-out rows that follow an action; `rollout_rmse_K`: RMSE of the
-    held-out rollouts, K.
-    """
-
-    fit: ModeFit
-    judged: Array
-    rollout_rmse_K: float
-
-    @property
-    def score(self) -> float:
-        """RMS of the whitened residuals `judged` (NaN without a held-out action)."""
-        return float(np.sqrt(np.mean(self.judged**2))) if self.judged.size else float("nan")
 
 
 def _part(regression: RegressionData, rows: NDArray[np.intp]) -> RegressionData:
@@ -94,31 +71,5 @@ def before_held_out(
 
 def split_before(case: Case, split: Split, config: IdentificationConfig) -> Split:
     """The training rows of a run, with as many of the last ones held out as `split` has."""
-    share = config.validation_share / (1.0 - config.validation_share)
-    return split_run(_part(case.regression, split.train), share, config.horizon_h)
-
-
-def fit_and_judge(
-    cases: Sequence[Case],
-    splits: Sequence[Split],
-    priors: ModePriors,
-    config: IdentificationConfig,
-    sign: int,
-) -> Fitted:
-    """Fit to the training rows and evaluate on the held-out rows and rollouts."""
-    fit = fit_modes(training_data(cases, splits), priors, sign)
-    whitened, errors = [], []
-    for case, split in zip(cases, splits, strict=True):
-        if not split.judged.size:
-            continue
-        rest = residuals(case.regression, fit.log_tau)
-        residual = case.regression.target - rest.mean - forced_columns(case.regression, fit.log_tau, sign) @ fit.gains
-        after_action = split.judged[follows_action(case.regression, _AFTER_ACTION_H)[split.judged]]
-        first = int(split.judged[0])
-        white, factor = rest.later(residual, first)
-        whitened.append(white[after_action - first])
-        # What the rows before a rollout do not predict of it.
-        later = [ahead - first for ahead in split.rollouts]
-        errors += [factor[np.ix_(ahead, ahead)] @ white[ahead] for ahead in later]
-    rollout_rmse_K = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
-    return Fitted(fit, np.concatenate(whitened), rollout_rmse_K)
+    share = HELD_OUT_SHARE / (1.0 - HELD_OUT_SHARE)
+    return split_run(_part(case.regression, split.train), share)

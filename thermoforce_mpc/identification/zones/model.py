@@ -15,7 +15,7 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.effects.level_laws import level_shape
-from thermoforce_mpc.identification.estimation.joint import JointFit, ModeFit, fit_joint
+from thermoforce_mpc.identification.estimation.joint import JointFit, ModeFit, fit_joint, fit_modes
 from thermoforce_mpc.identification.estimation.likelihood import whole
 from thermoforce_mpc.identification.estimation.modes import centred_priors, to_operator
 from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
@@ -29,7 +29,7 @@ from thermoforce_mpc.identification.validation.held_out import (
 )
 from thermoforce_mpc.identification.validation.held_out_fit import (
     earlier_fold,
-    fit_and_judge,
+    training_data,
 )
 from thermoforce_mpc.identification.validation.warnings import uncertain
 from thermoforce_mpc.identification.zones.data import HELD, ZoneData
@@ -121,7 +121,7 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
     sign, heat_input, power = task.sign, effects.whole.heat_inputs[0], task.power
     cases, priors = data.knowing(effects.whole)
     seen_cases, seen_priors = data.knowing(effects.training)
-    training = fit_and_judge(seen_cases, splits, seen_priors, config, sign)
+    seen = fit_modes(training_data(seen_cases, splits), seen_priors, sign)
     final = fit_joint([c.regression for c in cases], priors, sign, effects.covariance)
     histories, step_s = data.histories, task.step_s
     base_step = histories[0].step_s
@@ -142,9 +142,8 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
         )
 
     operator, notes = replace(linear(final, heat_input), feedback=config.feedback), list(data.notes)
-    scores = {"held_out": training.score, "held_out_rollout_rmse_K": training.rollout_rmse_K}
-    scores |= {"residual_scale": final.residual_scale, "acts_log_odds": effects.log_odds}
-    last = Fold(seen_cases, splits, training.fit, seen_priors, effects.training.heat_inputs[0])
+    scores = {"residual_scale": final.residual_scale, "acts_log_odds": effects.log_odds}
+    last = Fold(seen_cases, splits, seen, seen_priors, effects.training.heat_inputs[0])
     before_cases, before_priors = data.knowing(effects.earlier)
     before = earlier_fold(before_cases, splits, before_priors, effects.earlier.heat_inputs[0], config, sign)
     if heat_input.law is not None and last.heat_input.law is None:
@@ -158,7 +157,7 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
         operator, trials = modulated.operator, (modulated.last, modulated.before)
         scores, notes = scores | modulated.scores, [*notes, *modulated.notes]
     operator = operator.resampled(step_s or base_step)
-    certainty = uncertainty(final, operator.step_s, task.level_sd) | {"sensor_resolution_K": data.grid_K}
+    certainty = uncertainty(final, task.level_sd) | {"sensor_resolution_K": data.grid_K}
     shape, shape_notes = level_shape(effects.laws, histories, config, power, heat_input)
     notes = [*notes, *shape_notes]
     verdict = judge(*trials, operator, certainty, effects.log_odds, task.heat_W_m2)

@@ -53,7 +53,7 @@ def two_stage_model(
     if not runs:
         raise DataError("method two_stage needs single runs, none were given; for pairs only use method joint")
     heat_input = heat_inputs["whole"]
-    fit = fit_two_stage(runs, heat_input=heat_input, sign=sign, u_off=config.u_off)
+    fit = fit_two_stage(runs, heat_input=heat_input, sign=sign)
     step_s = step_s or fit.step_s
     operator = fit.operator()
     scores = {
@@ -129,7 +129,7 @@ def _fold(
         if not case.regression.is_pair and split.train.size
     ]
     if seen:
-        fit = fit_two_stage(seen, heat_input=heat_input, sign=fit.sign, u_off=config.u_off)
+        fit = fit_two_stage(seen, heat_input=heat_input, sign=fit.sign)
     return _of_fit(cases, splits, fit)
 
 

@@ -112,10 +112,9 @@ class EndValues:
 
 @dataclass(frozen=True)
 class Quality:
-    """Quality of a fit: `rmse_W`, `bias_W` over `n_running` steps, `r2` over all `n_samples`."""
+    """Quality of a fit: `rmse_W` over `n_running` steps, `r2` over all `n_samples`."""
 
     rmse_W: float
-    bias_W: float
     r2: float
     n_samples: int
     n_running: int
@@ -127,7 +126,6 @@ class Quality:
         variance = float(np.var(steps.load_W))
         return cls(
             rmse_W=float(np.sqrt(np.mean(error[steps.running] ** 2))),
-            bias_W=float(np.mean(error[steps.running])),
             r2=1.0 - float(np.mean(error**2)) / variance if variance > 0 else float("nan"),
             n_samples=int(steps.u.size),
             n_running=int(steps.running.sum()),

@@ -397,7 +397,7 @@ def _overrides(block: Block) -> dict[str, float]:
 
 def _with_people(grid: Array, seed: int) -> tuple[Array, Array]:
     """Return the exposure behind the blinds of people, and what else differs from the schedule, see `kernel.PEOPLE`."""
-    usual = schedule.occupied(exposure.GRID_S * np.arange(len(grid)))
+    usual = schedule.occupied(np.arange(0.0, YEAR_S + exposure.GRID_S, exposure.GRID_S))
     life = live(
         [seed],
         usual.astype(np.bool_),

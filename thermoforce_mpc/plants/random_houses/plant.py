@@ -231,7 +231,7 @@ def build_grid(house: House, weather: Weather) -> Array:
 
 def _with_people(grid: Array, house: House, seed: int) -> Array:
     """Return the grid of a house whose people do not keep to the schedule."""
-    usual = at_home(house.pattern, GRID_S * np.arange(len(grid)))
+    usual = at_home(house.pattern, np.arange(0.0, YEAR_S + GRID_S, GRID_S))
     life = live(
         [seed, house.seed, house.index],
         usual,

@@ -70,7 +70,7 @@ def native_setpoints_C(house: DrawnHouse, time_s: Array) -> Array:
 
 def people(house: DrawnHouse, time_s: Array) -> Array:
     """Return the expected number of people in each room at `time_s` (n,), shape (Z, n)."""
-    return in_rooms(house, time_s, at_home_or_asleep(house, time_s) * float(house.people))
+    return in_rooms(house, time_s, np.where(at_home_or_asleep(house, time_s), float(house.people), 0.0))
 
 
 def in_rooms(house: DrawnHouse, time_s: Array, home: Array) -> Array:

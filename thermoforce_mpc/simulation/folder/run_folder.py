@@ -77,9 +77,11 @@ def sole_use(folder: Path) -> Iterator[None]:
     """Keep other runs out of `folder` while the block lasts; a process that dies releases it.
 
     Raises:
-        ConfigError: another process is using the folder, or there is a link, pipe or device in it.
+        ConfigError: there is no such folder, another process is using it, or there is a link, pipe or device in it.
         StorageError: it cannot be written.
     """
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder")
     check_plain(folder)
     lock = FileLock(folder / _LOCK, timeout=0)
     try:

@@ -76,14 +76,12 @@ class Look:
 class ProbingProgress:
     """Where a probing stands.
 
-    `days` probed of `planned_days`; `information_nats` of the record, and `expected_sd`: relative standard deviation of
-    the effect of a day at full level that the design expects from it, see `Designer.known`; both for the actuator of
-    which least is known.
+    `days` probed of `planned_days`; `expected_sd`: relative standard deviation of the effect of a day at full level
+    that the design expects from the record, see `Designer.expected_sd`, of the actuator of which least is known.
     """
 
     days: float
     planned_days: float
-    information_nats: float
     expected_sd: float
 
 
@@ -209,6 +207,5 @@ class _Progress:
         run = self._run
         hourly = max(1, round(HOUR_S / run.config.step_s))
         if self._on_progress and run.record.n_steps % hourly == 0:
-            each = (run.designer.known(run.record.part(zone, [a])) for a, zone in enumerate(self._home))
-            least = max(each, key=lambda known: known[1])
-            self._on_progress(ProbingProgress(run.days, self.planned_days, *least))
+            expected_sd = max(run.designer.expected_sd(run.record.part(z, [a])) for a, z in enumerate(self._home))
+            self._on_progress(ProbingProgress(run.days, self.planned_days, expected_sd))

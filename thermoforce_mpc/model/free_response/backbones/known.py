@@ -44,7 +44,8 @@ class Known:
     def missing(self) -> str:
         """Why it cannot be used here, with what to do; '' where its package is installed."""
         if self.python and python_version() not in SpecifierSet(self.python):
-            return f"it needs Python {self.python}, this is {python_version()}: install it beside a newer Python"
+            own = f"with a newer one, pip install 'thermoforce-mpc[{self.extra}]'"
+            return f"it needs Python {self.python}, this is {python_version()}: {own}"
         if self.torch and (here := _version("torch")) not in SpecifierSet(self.torch):
             own = f"pip install 'torch{self.torch}' 'thermoforce-mpc[{self.extra}]'"
             return f"it needs torch {self.torch}, this is {here}: install both in an environment of their own: {own}"

@@ -132,8 +132,9 @@ def _named(name: str) -> Backbone:
         return _of_folder(name, folder)
     if name.count("/") != 1:
         raise BackboneError(
-            f"backbone '{name}': neither a directory nor a hub name{suggestion(name, REGISTRY.names)}; use one of "
+            f"backbone '{name}': neither a directory nor a hub name; use one of "
             f"{', '.join(REGISTRY.names)}, a directory, or a name like 'amazon/chronos-bolt-small'"
+            f"{suggestion(name, REGISTRY.names)}"
         )
     return _of_folder(name, hub_folder(name))
 
