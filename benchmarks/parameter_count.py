@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from torch import nn
+from thermoforce_mpc.model.free_response.backbones.base import Backbone
 
 
-def parameter_count(modules: Sequence[nn.Module]) -> int:
-    """Return the number of weights; shared tensors count once."""
-    tensors = {p.data_ptr(): p.numel() for module in modules for p in module.parameters()}
+def parameter_count(backbone: Backbone) -> int:
+    """Number of weights of a backbone; shared tensors count once."""
+    graph = getattr(backbone, "graph", None)
+    if graph is not None:
+        return int(graph.parameters)
+    tensors = {p.data_ptr(): p.numel() for module in backbone.modules for p in module.parameters()}
     return sum(tensors.values())

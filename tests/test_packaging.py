@@ -17,7 +17,8 @@ import yaml
 from packaging.requirements import Requirement
 from places import ROOT
 
-from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES, shipped_folder
+from benchmarks.free_response.scales import SMALLER
+from thermoforce_mpc.model.free_response.backbones.loading import shipped_folder
 
 PACKAGES = ("thermoforce_mpc", "controllers", "boptest_client")
 
@@ -194,8 +195,7 @@ def test_importing_the_package_loads_nothing_heavy():
 
 def test_the_notices_are_of_the_weights_that_ship():
     notice = (ROOT / "NOTICE.md").read_text(encoding="utf-8")
-    for scale in SHIPPED_SCALES:
-        folder = shipped_folder(scale)
+    for folder in (shipped_folder(), shipped_folder("shipped_weather"), *SMALLER.values()):
         assert hashlib.sha256((folder / "model.safetensors").read_bytes()).hexdigest() in notice
         assert (folder / "DATA_CARD.md").is_file()
     assert "MIT License" in (ROOT / "LICENSE").read_text(encoding="utf-8")

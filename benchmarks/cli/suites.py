@@ -75,7 +75,7 @@ def factual_command(
 
     from benchmarks.factual.bench import run_factual_bench
     from benchmarks.factual.readers import mapped_homes, read_homes
-    from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES
+    from benchmarks.free_response.scales import SCALES
 
     if bool(files) != bool(map_file) or not (records or files):
         raise click.UsageError("give a folder with measured homes, --records FOLDER, or --data FILE --map map.yaml")
@@ -92,7 +92,7 @@ def factual_command(
             last=None if last is None else pd.Timestamp(last),
             days=days,
             backbone=backbone,
-            others=others or SHIPPED_SCALES,
+            others=others or SCALES,
             quick=quick,
             engine=where,
             progress=say,

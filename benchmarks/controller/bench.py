@@ -1,4 +1,4 @@
-"""`tf-mpc bench controller`: solve times against do-mpc on the same instances, and the parts of a control step."""
+"""`tf-mpc bench controller`: solve times against do-mpc on the same instances, and the shares of a control step."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from benchmarks.controller.do_mpc_peer import DoMpcPeer, without_extras
+from benchmarks.controller.steps import FORECAST, WHOLE, part_rows, run_timed
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.mpc.planner import build_solver
@@ -24,14 +23,12 @@ from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.sqp import SQPSolver
 from controllers.registry import controller_config
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import DAY_S, Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
-from thermoforce_mpc.simulation.folder.run_folder import steps_frame, trajectory_frame
 from thermoforce_mpc.simulation.models.identifying import identify_on
 
 _TESTCASE = "bestest_hydronic_heat_pump"
@@ -42,7 +39,10 @@ _PLANNED, _SQP = "ipopt, moves blocked: the default", "sqp"
 # do-mpc with the operator and its network as a model, and with the gain of each step as a precomputed parameter.
 _PEER, _HELPED_PEER = "do-mpc", "do-mpc, gain worked out beforehand"
 
+_TWO_WEEKS_DAYS, _QP_DAYS = 14.0, 4.0
+
 Row = dict[str, Any]
+Parts = Mapping[str, Sequence[float]]
 
 
 class Recorder:
@@ -61,16 +61,18 @@ def run_controller_bench(*, quick: bool = False, progress: Callable[[str], None]
     """Record instances in a closed loop on the embedded plant and solve them with every solver.
 
     Returns:
-        Result of the bench: one row per solver, then one per part of a step.
+        Result of the bench: one row per solver, then one per part of a step beside Ipopt and beside the QP.
     """
     progress("identifying and recording a closed loop on the embedded plant")
-    mpc, recorded, result = _recorded(days=1.0 if quick else 14.0)
+    days = 1.0 if quick else _TWO_WEEKS_DAYS
+    mpc, recorded, beside_ipopt = _recorded("ipopt", days)
+    _, _, beside_qp = _recorded("qp", min(days, _QP_DAYS))
     every = max(1, len(recorded) // (_QUICK_INSTANCES if quick else _INSTANCES))
     problems = [without_extras(problem) for problem in recorded[::every]]
     seconds, costs = _timed(_contestants(mpc, problems[0], progress), problems, mpc.evaluator, progress)
     rows = [solver_row(name, seconds, costs, problems[0].n_steps) for name in seconds]
-    rows += _parts(result)
-    return results_json("controller", rows, _targets(rows, result))
+    rows += [*part_rows("ipopt", beside_ipopt), *part_rows("qp", beside_qp)]
+    return results_json("controller", rows, [*_targets(rows), *_step_targets(beside_ipopt, beside_qp, days)])
 
 
 def _contestants(
@@ -134,22 +136,22 @@ def solver_row(name: str, seconds: Mapping[str, list[float]], costs: Mapping[str
     return row | {"worst_relative_difference_to_ipopt": worst}
 
 
-def _recorded(days: float) -> tuple[ThermoForceMPC, list[MPCProblem], RunResult]:
-    """The default controller, the problems of its run of `days` on the embedded plant, and that run."""
+def _recorded(solver: str, days: float) -> tuple[ThermoForceMPC, list[MPCProblem], Parts]:
+    """The default controller beside a solver, the problems of its run on the embedded plant, and its parts."""
     testcase = load_testcase(_TESTCASE)
-    config = controller_config("thermoforce_mpc", {}, testcase)
+    config = controller_config("thermoforce_mpc", {"solver": solver}, testcase)
     assert isinstance(config, MPCConfig)
     problems: list[MPCProblem] = []
 
-    def solver(operator: BuildingOperator, shape: ProblemShape) -> Solver:
+    def recorder(operator: BuildingOperator, shape: ProblemShape) -> Solver:
         return Recorder(build_solver(config, operator, shape), problems)
 
     with closing(EmbeddedPlant(synthetic_weather())) as plant:
-        period = replace(plant.period("peak_heat_day"), scored_s=days * 86400.0)
+        period = replace(plant.period("peak_heat_day"), scored_s=days * DAY_S)
         model = identify_on(plant, before=period, days=3.0, testcase=testcase)
-        mpc = ThermoForceMPC(model, config, solver=solver)
-        result = run_closed_loop(plant, mpc, period)
-    return mpc, problems, result
+        mpc = ThermoForceMPC(model, config, solver=recorder)
+        _, parts = run_timed(plant, mpc, period)
+    return mpc, problems, parts
 
 
 def _levels(solver: Solver) -> Callable[[MPCProblem], Array]:
@@ -162,32 +164,7 @@ def _levels(solver: Solver) -> Callable[[MPCProblem], Array]:
     return solve
 
 
-def _parts(result: RunResult) -> list[Row]:
-    """Time of each part of a control step: median, ms, and total of the run, s."""
-    steps = result.steps
-    parts = {f"controller: {name}": [step.plan.seconds[name] for step in steps] for name in steps[0].plan.seconds}
-    parts |= {
-        "controller: all": [step.plan_seconds for step in steps],
-        "boundary forecast": [step.forecast_seconds for step in steps],
-        "plant": [step.plant_seconds for step in steps],
-        "journal": [_journal_seconds(result) / len(steps)] * len(steps),
-    }
-    return [
-        {"part of a step": name, "median_ms": 1e3 * float(np.median(values)), "total_s": float(np.sum(values))}
-        for name, values in parts.items()
-    ]
-
-
-def _journal_seconds(result: RunResult) -> float:
-    """Time to write all steps of the run to disk, s."""
-    began = time.perf_counter()
-    with TemporaryDirectory() as folder:
-        trajectory_frame(result.steps).to_csv(Path(folder) / "trajectory.csv", index=False)
-        steps_frame(result.steps).to_csv(Path(folder) / "steps.csv", index=False)
-    return time.perf_counter() - began
-
-
-def _targets(rows: Sequence[Row], result: RunResult) -> list[Target]:
+def _targets(rows: Sequence[Row]) -> list[Target]:
     by_name = {row["solver"]: row for row in rows if "solver" in row}
     same = "worst_relative_difference_to_ipopt"
     targets = [
@@ -199,6 +176,17 @@ def _targets(rows: Sequence[Row], result: RunResult) -> list[Target]:
             for name, goal in ((_DEFAULT, 50.0), (_BLOCKED, 50.0), (_IPOPT, 3.0), (_PLANNED, 5.0))
         ]
         targets.append(Target(f"{_PEER}: worst relative difference of its optimum", by_name[_PEER][same], 1e-4))
-    controller = sum(step.plan_seconds for step in result.steps)
-    plant = sum(step.plant_seconds for step in result.steps)
-    return [*targets, Target("time in the controller over time in the plant", controller / plant, 1.0)]
+    return targets
+
+
+def _step_targets(beside_ipopt: Parts, beside_qp: Parts, days: float) -> list[Target]:
+    def median_ms(values: Sequence[float]) -> float:
+        return 1e3 * float(np.median(values))
+
+    in_controller_s = sum(beside_ipopt[WHOLE]) * _TWO_WEEKS_DAYS / days
+    return [
+        Target("free forecast, median ms", median_ms(beside_ipopt[FORECAST]), 3.0),
+        Target("whole step beside Ipopt, median ms", median_ms(beside_ipopt[WHOLE]), 12.0),
+        Target("whole step beside the QP, median ms", median_ms(beside_qp[WHOLE]), 6.0),
+        Target("steps of two weeks without the plant, s", in_controller_s, 10.0),
+    ]

@@ -14,8 +14,8 @@ import pandas as pd
 from benchmarks.factual.homes import Home, hashes
 from benchmarks.factual.protocol import QUICK, Protocol
 from benchmarks.factual.suite import run_suite
+from benchmarks.free_response.scales import SCALES
 from thermoforce_mpc.execution import Engine
-from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 _MOST_S, _ROOMS = 300.0, 9
@@ -29,7 +29,7 @@ def run_factual_bench(
     last: pd.Timestamp | None = None,
     days: Sequence[int] = (),
     backbone: str = "shipped",
-    others: Sequence[str] = SHIPPED_SCALES,
+    others: Sequence[str] = SCALES,
     quick: bool = False,
     engine: Engine,
     progress: Callable[[str], None] = lambda line: None,

@@ -14,6 +14,7 @@ from benchmarks.factual.baselines import persistence, rmse_K, truth_of
 from benchmarks.factual.homes import Prepared
 from benchmarks.factual.operators import Forced
 from benchmarks.factual.protocol import Protocol
+from benchmarks.free_response.scales import backbone_of
 from benchmarks.parameter_count import parameter_count
 from thermoforce_mpc.data import HOUR_S, Array, Boundary
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
@@ -52,8 +53,8 @@ class Evaluation:
 
     def __init__(self, home: Prepared, protocol: Protocol, backbone: str, others: Sequence[str] = ()) -> None:
         self.home, self.protocol, self.others = home, protocol, tuple(others)
-        self.raw_model = ChronosFreeResponse(backbone, protocol.context_steps, resolutions="one")
-        self.residual = ResidualFreeResponse(ChronosFreeResponse(backbone, protocol.context_steps))
+        self.raw_model = ChronosFreeResponse(backbone_of(backbone), protocol.context_steps, resolutions="one")
+        self.residual = ResidualFreeResponse(ChronosFreeResponse(backbone_of(backbone), protocol.context_steps))
         self.horizon = home.steps(max(protocol.horizons_h))
         self.validation = home.origins(home.validation, self.horizon)
         self.test = home.origins(home.test, self.horizon)
@@ -198,8 +199,8 @@ class Evaluation:
         found: dict[str, dict[str, float]] = {}
         first = self.home.steps(min(self.protocol.horizons_h))
         for name in self.others:
-            model = ChronosFreeResponse(name, self.protocol.context_steps, resolutions="one")
-            row = {"parameters": float(parameter_count(model.modules))}
+            model = ChronosFreeResponse(backbone_of(name), self.protocol.context_steps, resolutions="one")
+            row = {"parameters": float(parameter_count(model.model))}
             for label, series, ahead in (
                 ("raw", self.home.record.T_zone_C[0], 0.0),
                 ("ours", self._free(forced), self._forced_ahead(forced, "test")),

@@ -13,9 +13,10 @@ from benchmarks.cases import run_all
 from benchmarks.factual.evaluate import BEST, RAW, Evaluation, Scores
 from benchmarks.factual.homes import Home, Prepared, prepared
 from benchmarks.factual.protocol import Protocol
+from benchmarks.free_response.scales import backbone_of
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine, source_fingerprint
-from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES, shipped_folder
+from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED, shipped_folder
 from thermoforce_mpc.simulation.comparison.cells import Inputs
 from thermoforce_mpc.simulation.folder.run_folder import write_json
 
@@ -106,7 +107,7 @@ def _file(folder: Path, home: str) -> Path:
 def _weights(backbones: Sequence[str]) -> list[list[str]]:
     """The forecasters by name and, where their weights are in a folder, its content."""
     content = Inputs()
-    folders = {name: shipped_folder(name) if name in SHIPPED_SCALES else Path(name) for name in backbones}
+    folders = {name: shipped_folder() if name == SHIPPED else Path(backbone_of(name)) for name in backbones}
     return [[name, content(str(at)) if (at := folders[name]).expanduser().is_dir() else ""] for name in backbones]
 
 

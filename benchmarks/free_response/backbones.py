@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.free_response.scales import SCALES, backbone_of
 from benchmarks.operator.data import FLOOR_AREA_M2, cut, read_run
 from benchmarks.parameter_count import parameter_count
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Observation, Record
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.model.free_response.backbones.loading import FRACAST, SHIPPED_SCALES
+from thermoforce_mpc.model.free_response.backbones.loading import FRACAST
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
 from thermoforce_mpc.model.predictor import Predictor, PredictorState
@@ -50,8 +51,8 @@ class Building:
 
 
 def default_backbones() -> list[str]:
-    """The shipped forecasters, and `fracast` if its package is installed."""
-    return [*SHIPPED_SCALES, *([FRACAST] if importlib.util.find_spec(FRACAST) else [])]
+    """The shipped forecaster at its scales, and `fracast` if its package is installed."""
+    return [*SCALES, *([FRACAST] if importlib.util.find_spec(FRACAST) else [])]
 
 
 def run_backbone_bench(
@@ -80,7 +81,7 @@ def run_backbone_bench(
         DataError: the folder lacks a file.
     """
     # All backbones are loaded first, so that a wrong name fails before the computation.
-    loaded = {name: ChronosFreeResponse(name) for name in backbones or default_backbones()}
+    loaded = {name: ChronosFreeResponse(backbone_of(name)) for name in backbones or default_backbones()}
     controlled = dict(embedded_records() if records is None else records)
     if reference is not None:
         controlled |= {name: read_run(reference / f"{name}.csv.gz") for name in _REFERENCE_RUNS}
@@ -126,7 +127,7 @@ def _row(name: str, backbone: ChronosFreeResponse, building: Building) -> dict[s
         weather.append(context.predict(u).total_C[0] - truth)
     row = {
         "backbone": name,
-        "parameters": parameter_count(backbone.modules),
+        "parameters": parameter_count(backbone.model),
         "record": building.name,
         "raw_rmse_K": _rmse(raw),
         "composed_rmse_K": _rmse(composed),

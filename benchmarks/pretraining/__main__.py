@@ -1,4 +1,4 @@
-"""Train and evaluate the shipped forecaster: `python -m benchmarks.pretraining train|evaluate`."""
+"""Train and evaluate the shipped forecaster: `python -m benchmarks.pretraining train|evaluate|export`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from thermoforce_mpc.errors import BackboneError, ConfigError
 @click.group(context_settings={"show_default": True})
 @click.option("--threads", default=1, help="CPU threads; results are reproducible with one.")
 def main(threads: int) -> None:
-    """Train or evaluate the shipped forecaster."""
+    """Train, evaluate or export the shipped forecaster."""
     import torch
 
     torch.set_num_threads(threads)
@@ -32,12 +32,13 @@ def main(threads: int) -> None:
 @click.option("--d-model", default=TrainingConfig.d_model, help="Width of the model; d_ff is four times as large.")
 @click.option("--encoder-layers", default=TrainingConfig.encoder_layers, help="Number of encoder layers.")
 @click.option("--bfloat16", is_flag=True, help="Matrix products in bfloat16 (faster if the processor supports it).")
+@click.option("--weather", is_flag=True, help="A Chronos-2 with known weather ahead instead of a Chronos-Bolt.")
 @click.option("--force", is_flag=True, help="Overwrite the run in the folder.")
 def train(out: Path, start_from: Path | None, force: bool, **options: Any) -> None:
     """Train the forecaster on synthetic series; an interrupted run is resumed.
 
     The checkpoint is OUT/checkpoint. To ship it, copy its files to a folder of
-    thermoforce_mpc/model/free_response/backbones/weights.
+    thermoforce_mpc/model/free_response/backbones/weights and export it there.
     """
     try:
         start_sha256 = weights_sha256(start_from) if start_from else ""
@@ -66,6 +67,19 @@ def evaluate_command(checkpoint: Path, series: int, seed: int) -> None:
         )
     click.echo(f"{scores['milliseconds']:.1f} ms per forecast")
     (checkpoint / "evaluation.json").write_text(json.dumps(scores, indent=1) + "\n", encoding="utf-8")
+
+
+@main.command("export")
+@click.argument("checkpoint", type=click.Path(path_type=Path))
+def export_command(checkpoint: Path) -> None:
+    """Write CHECKPOINT/model.onnx, its operations for ONNX Runtime; needs the packages onnx and onnxscript."""
+    from benchmarks.pretraining.export import export
+
+    try:
+        written = export(checkpoint)
+    except BackboneError as error:
+        raise _failure(error) from None
+    click.echo(f"Written: {written}, {written.stat().st_size / 1e3:.0f} kB")
 
 
 def _failure(error: Exception) -> SystemExit:

@@ -11,8 +11,10 @@ import numpy as np
 from thermoforce_mpc.data import Array
 
 
-def random_weather(rng: np.random.Generator, hour: Array, step_h: Array) -> tuple[Array, Array]:
-    """Outdoor temperature, K relative to its mean, and solar gain through a window as a temperature rise, K.
+def random_weather(rng: np.random.Generator, hour: Array, step_h: Array) -> tuple[Array, Array, Array]:
+    """Outdoor temperature, K about its mean, solar gain through a window as a temperature rise, K, and irradiance.
+
+    The irradiance is that of a horizontal surface, relative to the clear sky at noon: what a forecast tells.
 
     Args:
         rng: random generator.
@@ -20,7 +22,7 @@ def random_weather(rng: np.random.Generator, hour: Array, step_h: Array) -> tupl
         step_h: step of each series, h, shape (n,).
 
     Returns:
-        Two arrays of shape (n, total).
+        Three arrays of shape (n, total).
     """
     n, total = int(hour.shape[0]), int(hour.shape[1])
     swing = rng.uniform(0.5, 7.0, n)[:, None]
@@ -33,14 +35,15 @@ def random_weather(rng: np.random.Generator, hour: Array, step_h: Array) -> tupl
     elevation = np.where(np.abs(from_noon) < half_day, np.cos(np.pi / 2 * from_noon / half_day), 0.0)
     # Windows to the east or west receive sun before or after noon.
     facing = np.clip(1.0 + rng.normal(0, 0.12, n)[:, None] * from_noon, 0.0, 2.0)
-    sun = elevation * facing * clear * rng.uniform(1, 14, n)[:, None]
+    irradiance = elevation * clear
+    sun = irradiance * facing * rng.uniform(1, 14, n)[:, None]
     angle = 2 * np.pi * (hour - rng.normal(15, 1, n)[:, None]) / 24
     # Temperature rises faster after dawn than it falls at night.
     cycle = np.cos(angle) + rng.uniform(0, 0.3, n)[:, None] * np.cos(2 * angle + rng.normal(0.5, 0.5, n)[:, None])
     # Clear days are warm in summer and cold in winter.
     season = rng.normal(0, 0.12, n)[:, None] * (hour - hour[:, :1]) / 24 + rng.normal(0, 2.0, n)[:, None] * clear
     outdoor = systems + gusts + _fronts(rng, n, total, step_h) + swing * (0.3 + 0.7 * clear) * cycle + season
-    return outdoor, sun
+    return outdoor, sun, irradiance
 
 
 def _cloud(rng: np.random.Generator, n: int, total: int, step_h: Array) -> Array:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.pretraining.climate import random_weather
+from benchmarks.pretraining.climate import first_order, random_weather
 from benchmarks.pretraining.occupants import held_by_others, random_people
 from thermoforce_mpc.data import Array
 
@@ -25,37 +25,68 @@ _SHARE_OF_MEANS = 0.25
 _BURN_IN = 200
 _SHARE_PADDED = 0.3
 _SHORTEST_CONTEXT = 32
+# Share of series whose weather ahead is a forecast with errors, and the correlation time of these errors, h.
+_SHARE_UNCERTAIN = 0.5
+_ERROR_H = 12.0
+COVARIATES = ("outdoor_temperature", "irradiance", "clock")
 
 
 @dataclass(frozen=True)
 class Batch:
-    """`context` (B, C), padded with NaN on the left if short, and `future` (B, H), °C, float32."""
+    """`context` (B, C), padded with NaN on the left if short, and `future` (B, H), °C, float32.
+
+    `covariates` (B, 3, C + H), float32: outdoor temperature, irradiance and `clock`, those of the future as forecast.
+    """
 
     context: Array
     future: Array
+    covariates: Array
+
+
+def clock(hour: Array) -> Array:
+    """Hour of the day as a covariate: a wave with its maximum at 15 h, same shape as `hour`."""
+    return np.cos(2.0 * np.pi * (hour - 15.0) / 24.0)
 
 
 def draw_batch(rng: np.random.Generator, size: int, context: int, horizon: int) -> Batch:
     """Draw `size` series and cut them into context and future."""
     length = context + horizon
     n_rooms = round(_SHARE_OF_ROOMS * size)
-    rooms = _rooms(rng, n_rooms, length)
-    others = _others(rng, size - n_rooms, length)
+    step_h = rng.choice(_STEPS_H, size, p=_STEP_SHARE)
+    hour = rng.uniform(0, 24, size)[:, None] + step_h[:, None] * np.arange(length + _BURN_IN)
+    outdoor, gain, irradiance = random_weather(rng, hour, step_h)
+    rooms = _rooms(rng, hour[:n_rooms], step_h[:n_rooms], outdoor[:n_rooms], gain[:n_rooms])
+    others = _others(rng, size - n_rooms, length)  # which no weather moves
     series = _measured(rng, np.concatenate([rooms, others]))
+    covariates = np.stack([outdoor, irradiance, clock(hour)], axis=1)[:, :, _BURN_IN:]
+    _forecast_errors(rng, covariates[:, :2, context:], step_h)
     past, future = series[:, :context].copy(), series[:, context:]
     padded = rng.random(size) < _SHARE_PADDED
     starts = rng.integers(0, context - _SHORTEST_CONTEXT, size)
     past[(np.arange(context) < starts[:, None]) & padded[:, None]] = np.nan
     order = rng.permutation(size)
-    return Batch(past[order].astype(np.float32), future[order].astype(np.float32))
+    chosen = (a[order].astype(np.float32) for a in (past, future, covariates))
+    return Batch(*chosen)
 
 
-def _rooms(rng: np.random.Generator, n: int, length: int) -> Array:
-    """Rooms with one to four time constants, driven by weather, people and leftover control, °C, shape (n, length)."""
-    total = length + _BURN_IN
-    step_h = rng.choice(_STEPS_H, n, p=_STEP_SHARE)
-    hour = rng.uniform(0, 24, n)[:, None] + step_h[:, None] * np.arange(total)
-    outdoor, sun = random_weather(rng, hour, step_h)
+def _forecast_errors(rng: np.random.Generator, ahead: Array, step_h: Array) -> None:
+    """Add the errors of a forecast to outdoor temperature and irradiance ahead (n, 2, H), in place."""
+    n, _, steps = ahead.shape
+    grows = np.minimum(step_h[:, None] * np.arange(1, steps + 1) / 24.0, 1.0) ** 0.5
+    size = np.stack([rng.uniform(0.0, 2.0, n), rng.uniform(0.0, 0.3, n)], axis=1) * (
+        rng.random((n, 1)) < _SHARE_UNCERTAIN
+    )
+    for k in range(2):
+        ahead[:, k] += size[:, k, None] * grows * first_order(rng, n, steps, step_h, np.full(n, _ERROR_H))
+    ahead[:, 1] = np.maximum(ahead[:, 1], 0.0)
+
+
+def _rooms(rng: np.random.Generator, hour: Array, step_h: Array, outdoor: Array, sun: Array) -> Array:
+    """Rooms of one to four time constants, driven by weather, people and leftover control, °C, shape (n, length).
+
+    `hour`, `outdoor`, `sun` (n, length + burn-in) and `step_h` (n,): see `random_weather`.
+    """
+    n, total = int(hour.shape[0]), int(hour.shape[1])
     people = random_people(rng, hour)
     drive = np.stack(
         [

@@ -15,19 +15,23 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from benchmarks.pretraining.model import CONTEXT, HORIZON, build_model
-from benchmarks.pretraining.series import draw_batch
+from benchmarks.pretraining.groups import attend_within_groups
+from benchmarks.pretraining.model import CONTEXT, HORIZON, PATCH, build_model, build_weather_model
+from benchmarks.pretraining.series import COVARIATES, Batch, draw_batch
 from thermoforce_mpc.errors import ConfigError
 
 # Targets further than this many standard deviations of the context away are masked: they would dominate the loss.
 _LARGEST_Z = 8.0
 _WARM_UP = 200
 _CLIP = 1.0
+# Lengths of context of a batch with weather, steps; shorter ones cost less, and a building begins with a day.
+_CONTEXTS = (96, 192, 352, CONTEXT)
+_ROWS = 1 + len(COVARIATES)
 # Computed at import, since the files may change during a long run.
 _CODE_HASH = hashlib.sha256(
     b"".join(
         (Path(__file__).parent / f"{name}.py").read_bytes()
-        for name in ("series", "climate", "occupants", "model", "training")
+        for name in ("series", "climate", "occupants", "model", "groups", "training")
     )
 ).hexdigest()
 
@@ -38,7 +42,8 @@ class TrainingConfig:
 
     `start_sha256` is the hash of the weights that a later stage starts from, empty for a random start; a later stage
     needs smaller learning rates (`rate_scale`). It may have more encoder layers than those weights; the new ones start
-    with zero output. `bfloat16` computes matrix products in that precision, weights stay in single precision.
+    with zero output. `bfloat16` computes matrix products in that precision, weights stay in single precision. `weather`
+    trains a Chronos-2 with known weather ahead instead of a Chronos-Bolt.
     """
 
     steps: int = 12_000
@@ -54,6 +59,7 @@ class TrainingConfig:
     d_model: int = 64
     encoder_layers: int = 2
     bfloat16: bool = False
+    weather: bool = False
 
 
 def pretrain(
@@ -85,7 +91,8 @@ def pretrain(
         state_path.unlink(missing_ok=True)
     torch.manual_seed(config.seed)
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    model = build_model(config.d_model, 4 * config.d_model, config.encoder_layers)
+    build = build_weather_model if config.weather else build_model
+    model = build(config.d_model, 4 * config.d_model, config.encoder_layers)
     if start is not None:
         _start_from(model, start)
     model = model.to(device)
@@ -113,7 +120,7 @@ def pretrain(
             for group in optimiser.param_groups:
                 group["lr"] = rate * _schedule(step, config.steps)
         with torch.autocast(device, dtype=torch.bfloat16, enabled=config.bfloat16):
-            loss = batch_loss(model, np.random.default_rng([config.seed, 1, step]), config.batch)
+            loss = loss_of(model, np.random.default_rng([config.seed, 1, step]), config)
         for optimiser in optimisers:
             optimiser.zero_grad(set_to_none=True)
         loss.backward()
@@ -197,9 +204,37 @@ def _check_resumable(state: dict[str, Any], config: TrainingConfig, folder: Path
         raise ConfigError(f"{folder} holds a finished run of {config.steps} steps: {advice}")
 
 
-def batch_loss(model: Any, rng: np.random.Generator, size: int) -> Tensor:
-    """Quantile loss on one random batch of `size` series."""
-    batch = draw_batch(rng, size, CONTEXT, HORIZON)
+def loss_of(model: Any, rng: np.random.Generator, config: TrainingConfig, size: int | None = None) -> Tensor:
+    """Quantile loss on one random batch of `size` series, by default that of training."""
+    if not config.weather:
+        return batch_loss(model, draw_batch(rng, size or config.batch, CONTEXT, HORIZON))
+    return weather_loss(model, draw_batch(rng, size or config.batch, int(rng.choice(_CONTEXTS)), HORIZON))
+
+
+def weather_loss(model: Any, batch: Batch) -> Tensor:
+    """Quantile loss of a Chronos-2 on `batch`; the covariates' rows are known ahead and have none."""
+    n, context, horizon = len(batch.context), batch.context.shape[1], batch.future.shape[1]
+    past = np.concatenate([batch.context[:, None], batch.covariates[:, :, :context]], axis=1)
+    ahead, target = np.full((2, n, _ROWS, horizon), np.nan, dtype=np.float32)
+    ahead[:, 1:], target[:, 0] = batch.covariates[:, :, context:], batch.future
+    scale = np.nanstd(batch.context, axis=1, keepdims=True)
+    middle = np.nanmean(batch.context, axis=1, keepdims=True)
+    target[:, 0][np.abs(batch.future - middle) > _LARGEST_Z * scale] = np.nan
+    rows = (torch.from_numpy(values.reshape(n * _ROWS, -1)) for values in (past, ahead, target))
+    seen, known, wanted = (values.to(model.device) for values in rows)
+    with attend_within_groups(model, _ROWS):
+        loss: Tensor = model(
+            context=seen,
+            group_ids=torch.arange(n, device=model.device).repeat_interleave(_ROWS),
+            future_covariates=known,
+            num_output_patches=horizon // PATCH,
+            future_target=wanted,
+        ).loss
+    return loss * _ROWS
+
+
+def batch_loss(model: Any, batch: Batch) -> Tensor:
+    """Quantile loss of a Chronos-Bolt on `batch`."""
     context = torch.from_numpy(batch.context).to(model.device)
     future = torch.from_numpy(batch.future).to(model.device)
     _, (loc, scale) = model.instance_norm(context)
@@ -223,7 +258,7 @@ def _validation_loss(model: Any, config: TrainingConfig) -> float:
     model.eval()
     with torch.no_grad():
         losses = [
-            batch_loss(model, np.random.default_rng([config.seed, 2, i]), 128).item()
+            loss_of(model, np.random.default_rng([config.seed, 2, i]), config, 128).item()
             for i in range(config.validation_batches)
         ]
     model.train()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -302,16 +303,18 @@ class ThermoForceMPC(ActuatedController):
             request = Request(planner.solver, solve, seconds=self.config.deadline.solve_s)
             solution, solve_s = yield from timed(perform(request))
             refused = solution.problem if not solution.ok else instance.problem.unfit(solution.u)
+            began = time.perf_counter()
             brought = None if refused else self._brought(planner.evaluator, instance.problem, solution)
+            seconds = {**seconds, "solve": solve_s, "check": time.perf_counter() - began}
         except Exception as error:  # whatever a solver raises, there is another way to act
             if isinstance(error, Overdue):
                 self._planners.renew_solver(planner)
             return Failure(f"the solver failed ({message_of(error)})", forecast.state, "raised", seconds)
         if brought is None or brought.broken:
             why = refused or f"the solver's levels leave a limit: {brought.broken if brought else ''}"
-            return Failure(why, forecast.state, solution.status, {**seconds, "solve": solve_s})
+            return Failure(why, forecast.state, solution.status, seconds)
         limit = power_limit(instance, solution, brought, planner.evaluator)
-        return Solved(solved_plan(instance, solution, brought, solve_s, forecast, readings), limit)
+        return Solved(solved_plan(instance, solution, brought, seconds, forecast, readings), limit)
 
     def _brought(self, evaluator: Evaluator, problem: MPCProblem, solution: Solution) -> Evaluation:
         """What levels bring, whatever solver they are from, with the limit that they leave.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -73,7 +73,7 @@ def solved_plan(
     instance: Instance,
     solution: Solution,
     brought: Evaluation,
-    solve_s: float,
+    seconds: Mapping[str, float],
     forecast: Forecast,
     readings: Readings,
 ) -> Plan:
@@ -83,7 +83,7 @@ def solved_plan(
         instance: what was solved.
         solution: its levels.
         brought: what they bring.
-        solve_s: what the solve cost, s.
+        seconds: what its parts cost, s.
         forecast: what it was made on.
         readings: what was believed.
     """
@@ -114,7 +114,7 @@ def solved_plan(
         iterations=solution.iterations,
         export_calls=solution.export_calls,
         own=solution.own,
-        seconds={name: round(s, 6) for name, s in (*context.seconds.items(), ("solve", solve_s))},
+        seconds={name: round(s, 6) for name, s in seconds.items()},
         margins={**instance.bounds.first_step, "offset": learned.offset_K, "unused_capacity": learned.unused},
         names=names,
         state=replace(

@@ -85,11 +85,29 @@ def test_what_people_change_most_has_options():
         "objective": {"comfort_weight_per_m2": 0.05},
         "free_response": {"name": "linear_weather"},
     }
-    backbone = scenario_from({**TESTCASE, "forecaster": "shipped_tiny"}).controller.options
-    assert backbone == {"free_response": {"options": {"backbone": "shipped_tiny"}}}
+    for forecaster in ("chronos-2", "tirex-2", "amazon/chronos-bolt-tiny"):
+        backbone = scenario_from({**TESTCASE, "forecaster": forecaster}).controller.options
+        assert backbone == {"free_response": {"options": {"backbone": forecaster}}}
+    with pytest.raises(ConfigError, match="did you mean 'timesfm'"):
+        scenario_from({**TESTCASE, "forecaster": "timesfn"})
     with pytest.raises(ConfigError, match="did you mean 'chronos'"):
         scenario_from({**TESTCASE, "forecaster": "cronos"})
     assert "expected hours or days" in said("run", "--testcase", TESTCASE["testcase"], "--horizon", "3x")
+
+
+def test_forecasters_are_listed_with_licence_and_what_they_need():
+    listed = said("free-responses")
+    rows = {line.split()[0]: line for line in listed.splitlines() if line}
+    assert "0.49 M" in rows["shipped"]
+    assert "0.76 M" in rows["shipped_weather"]
+    assert rows["shipped"].endswith("yes")
+    assert "Apache-2.0" in rows["chronos-2"]
+    assert "past and future" in rows["chronos-2"]
+    assert "non-commercial" in rows["timesfm-3"]
+    assert {"residual", "chronos", "linear_weather", "rc", "persistence"} < set(rows)
+    one = said("free-responses", "chronos-bolt-base")
+    assert "hub: amazon/chronos-bolt-base" in one
+    assert "it can be used here" in one
 
 
 @pytest.mark.parametrize(("day", "window"), [("2026-01-01", "0"), ("2026-12-31", "364"), ("2024-03-01", "59")])

@@ -109,7 +109,7 @@ mpc_options = added(
     click.option(
         "--forecaster",
         metavar="NAME",
-        help="Free response (see `tf-mpc free-responses`), or a backbone: shipped, a local directory or a hub name.",
+        help="Free response or forecaster by name (see `tf-mpc free-responses`), a folder, or a hub's owner/model.",
     ),
 )
 """What people change most in an MPC, options of the controller by names of their own."""

@@ -19,11 +19,11 @@ from benchmarks.factual.evaluate import BEST, METHODS, OURS, RAW, RESIDUAL_PERSI
 from benchmarks.factual.homes import Home, prepared
 from benchmarks.factual.protocol import Protocol
 from benchmarks.factual.suite import run_suite
+from benchmarks.free_response.scales import SMALLER
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import LocalEngine
-from thermoforce_mpc.model.free_response.backbones.loading import shipped_folder
 
 _STEP_S, _PER_DAY = 1800.0, 48
 _SMALL = Protocol(days=(3,), most_origins=12)
@@ -112,7 +112,7 @@ def test_scores_are_computed_anew_for_other_weights(
     homes: list[Home], engine: LocalEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     weights = tmp_path / "weights"
-    shutil.copytree(shipped_folder("shipped_tiny"), weights)
+    shutil.copytree(SMALLER["shipped_tiny"], weights)
 
     def computed() -> int:
         folder, backbone = tmp_path / "scores", str(weights)

@@ -13,14 +13,18 @@ pytest.importorskip("chronos")
 import torch
 from click.testing import CliRunner
 
+from benchmarks.free_response import scales
 from benchmarks.pretraining import training
 from benchmarks.pretraining.__main__ import main
 from benchmarks.pretraining.evaluation import CONTEXTS, evaluate
+from benchmarks.pretraining.groups import attend_within_groups
+from benchmarks.pretraining.model import CONTEXT, HORIZON, build_weather_model
+from benchmarks.pretraining.series import draw_batch
 from benchmarks.pretraining.training import TrainingConfig, batch_loss, pretrain, split_parameters
 from thermoforce_mpc.errors import BackboneError, ConfigError
 
 SHIPPED = Path(str(resources.files("thermoforce_mpc"))) / "model/free_response/backbones/weights/bolt_thermal"
-SMALLER = [SHIPPED.with_name(f"bolt_thermal_{scale}") for scale in ("small", "tiny")]
+SMALLER = list(scales.SMALLER.values())
 TINY = TrainingConfig(steps=4, batch=8, save_every=2, validation_batches=1)
 
 
@@ -137,6 +141,38 @@ def test_a_second_stage_may_have_more_layers_that_start_without_effect(trained, 
         pretrain(tmp_path / "narrow", narrow, lambda _: None, start=first)
 
 
+def test_rows_of_a_group_attend_to_each_other_as_in_the_library():
+    torch.manual_seed(0)
+    model = build_weather_model(16, 32, 2).eval()
+    rows = torch.randn(12, 96)
+    rows[4, :40] = torch.nan
+
+    def quantiles():
+        with torch.no_grad():
+            ids = torch.arange(3).repeat_interleave(4)
+            return model(context=rows, group_ids=ids, num_output_patches=2).quantile_preds
+
+    library = quantiles()
+    with attend_within_groups(model, 4):
+        torch.testing.assert_close(quantiles(), library, rtol=0.0, atol=1e-5)
+    torch.testing.assert_close(quantiles(), library, rtol=0.0, atol=0.0)
+
+
+def test_a_run_with_weather_leaves_a_chronos2_that_reads_it(tmp_path):
+    from chronos import BaseChronosPipeline
+
+    tiny = replace(TINY, weather=True, d_model=16, encoder_layers=1, steps=2)
+    pretrain(tmp_path, tiny, lambda line: None)
+    pipeline = BaseChronosPipeline.from_pretrained(str(tmp_path / "checkpoint"), device_map="cpu", dtype=torch.float32)
+
+    def median(outdoor_ahead):
+        known = {"past_covariates": {"outdoor": np.arange(96.0)}, "future_covariates": {"outdoor": outdoor_ahead}}
+        task = {"target": np.sin(np.arange(96.0)), **known}
+        return pipeline.predict_quantiles([task], prediction_length=16, quantile_levels=[0.5])[0][0]
+
+    assert (median(np.full(16, 90.0)) - median(np.full(16, 10.0))).abs().max() > 1e-6
+
+
 @pytest.mark.slow
 def test_the_loss_falls():
     """Twenty-five steps on one fixed batch: gradients reach the weights through both optimisers."""
@@ -150,7 +186,7 @@ def test_the_loss_falls():
     optimisers = [torch.optim.Muon(matrices, lr=0.01), torch.optim.AdamW(rest, lr=2e-3)]
     losses = []
     for _ in range(25):
-        loss = batch_loss(model, np.random.default_rng(0), 8)
+        loss = batch_loss(model, draw_batch(np.random.default_rng(0), 8, CONTEXT, HORIZON))
         for optimiser in optimisers:
             optimiser.zero_grad()
         loss.backward()

@@ -26,6 +26,27 @@ def test_the_generator_state_alone_decides_the_batch():
     assert not np.array_equal(np.nan_to_num(one.context), np.nan_to_num(other.context))
 
 
+def test_the_weather_of_a_series_goes_with_it(batch):
+    """Outdoor temperature explains part of rooms' course; the clock is a wave of known phase, ahead as before."""
+    assert batch.covariates.shape == (256, 3, CONTEXT + HORIZON)
+    assert np.isfinite(batch.covariates).all()
+    wave = batch.covariates[:, 2]
+    assert np.abs(wave).max() <= 1.0
+    # Equal steps of the angle: each value follows from the two before.
+    turn = (wave[:, 2:] + wave[:, :-2]) * wave[:, 1:-1]
+    step = turn.sum(axis=1) / (2.0 * (wave[:, 1:-1] ** 2).sum(axis=1))
+    np.testing.assert_allclose(wave[:, 2:], 2.0 * step[:, None] * wave[:, 1:-1] - wave[:, :-2], atol=2e-3)
+    same = batch.context.copy()
+    same[np.isnan(same)] = 0.0
+    known = np.isfinite(batch.context).all(axis=1)
+
+    def alike(outdoor):
+        return np.mean([abs(np.corrcoef(a, b)[0, 1]) for a, b in zip(same[known], outdoor[known], strict=True)])
+
+    own = batch.covariates[:, 0, :CONTEXT]
+    assert alike(own) > alike(np.roll(own, 1, axis=0)) + 0.1
+
+
 def test_padding_lies_on_the_left_only_and_on_about_a_third(batch):
     missing = np.isnan(batch.context)
     padded = missing[:, 0] & missing[:, 1]

@@ -15,8 +15,10 @@ def hour():
 
 
 def test_weather_has_nights_a_daily_wave_and_days_that_resemble_the_day_before(hour):
-    outdoor, sun = random_weather(np.random.default_rng(0), hour, np.ones(N))
-    assert outdoor.shape == sun.shape == (N, TOTAL)
+    outdoor, sun, irradiance = random_weather(np.random.default_rng(0), hour, np.ones(N))
+    assert outdoor.shape == sun.shape == irradiance.shape == (N, TOTAL)
+    assert ((sun > 0) <= (irradiance > 0)).all()
+    assert irradiance.max() <= 1.5
     assert (sun >= 0).all()
     of_day = sun.reshape(N, 28, 24)
     assert (of_day[:, :, :3] == 0).all()

@@ -14,6 +14,7 @@ import pytest
 from simple_house import SimpleHouse, simple_model
 from waiting import LONG_S
 
+from benchmarks.free_response.scales import SMALLER
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.actuation.actuator import ActuationConfig
 from controllers.checks import ControllerConfigError, PackedState
@@ -28,7 +29,9 @@ from thermoforce_mpc.model.free_response.backbones.bolt import BoltBackbone
 HOURLY = {"step_s": None, "horizon_h": 24.0}
 WEATHER_MODEL = MPCConfig(**HOURLY, free_response={"name": "linear_weather"})
 # The smallest scale of the forecaster.
-FORECASTER = MPCConfig(**HOURLY, free_response={"name": "residual", "options": {"backbone": "shipped_tiny"}})
+FORECASTER = MPCConfig(
+    **HOURLY, free_response={"name": "residual", "options": {"backbone": str(SMALLER["shipped_tiny"])}}
+)
 # Long enough for the plans of houses that do answer, on any machine, s.
 LATE_S = 8.0
 # A float32 of 20 °C is exact to 2e-6 K; batches of another size round elsewhere.

@@ -48,6 +48,6 @@ def test_another_free_response_is_not_given_the_options_of_the_forecaster():
     testcase = load_testcase("bestest_hydronic_heat_pump")
     chosen = controller_config("thermoforce_paper", {"free_response": {"name": "rc"}}, testcase).free_response
     assert (chosen.name, dict(chosen.options)) == ("rc", {})
-    small = {"free_response": {"name": "chronos", "options": {"backbone": "shipped_small"}}}
+    small = {"free_response": {"name": "chronos", "options": {"backbone": "fracast"}}}
     kept = controller_config("thermoforce_paper", small, testcase).free_response
-    assert dict(kept.options) == {"resolutions": "one", "backbone": "shipped_small"}
+    assert dict(kept.options) == {"resolutions": "one", "backbone": "fracast"}

@@ -12,6 +12,7 @@ import threading
 import time
 import weakref
 from collections.abc import Iterator
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -21,22 +22,21 @@ import torch
 from forecasting import LEVELS, boundary_of, daily, history_of, hours
 from safetensors.torch import load_file, save_file
 
+from benchmarks.free_response.scales import SMALLER
 from thermoforce_mpc.errors import BackboneError, ConfigError, DataError
 from thermoforce_mpc.model.free_response.backbones import loading
-from thermoforce_mpc.model.free_response.backbones.base import Context, padded_series
-from thermoforce_mpc.model.free_response.backbones.bolt import BoltBackbone
-from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_SCALES, load_backbone, shipped_folder
+from thermoforce_mpc.model.free_response.backbones.loading import load_backbone
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.registry import build_free_response
 
-NAMES = (*SHIPPED_SCALES, "bolt", "chronos2", "fracast")
+NAMES = ("shipped", "shipped_weather", "bolt", "chronos2", "fracast")
 
 
 @pytest.fixture(scope="module", params=NAMES)
 def forecaster(request: pytest.FixtureRequest) -> ChronosFreeResponse:
     if request.param == "fracast" and importlib.util.find_spec("fracast") is None:
         pytest.skip("optional package fracast is not installed")
-    name = request.param if request.param in (*SHIPPED_SCALES, "fracast") else ""
+    name = request.param if request.param in ("shipped", "shipped_weather", "fracast") else ""
     return ChronosFreeResponse(name or str(request.getfixturevalue(f"{request.param}_folder")))
 
 
@@ -110,44 +110,6 @@ def test_the_control_is_never_seen(forecaster: ChronosFreeResponse) -> None:
     )
 
 
-def test_the_traced_model_gives_the_bits_of_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For any number, length and gaps of series, also longer ones than the model reads and horizons it unrolls."""
-    rng = np.random.default_rng(4)
-
-    def context(known: int, steps: int) -> Context:
-        free = daily(hours(known)) + 0.1 * rng.standard_normal(known + 1)
-        free[rng.integers(0, known, 5)] = np.nan
-        return Context(free, np.zeros((known + 1, 2)), np.zeros((steps, 2)))
-
-    sets = [[context(known, steps) for known, steps in of] for of in (
-        [(30, 5)], [(97, 24)], [(511, 64), (240, 24), (168, 48)], [(240, 24)] * 60, [(700, 64)], [(300, 24), (300, 90)],
-    )]  # fmt: skip
-    from chronos import BaseChronosPipeline
-
-    pipeline = BaseChronosPipeline.from_pretrained(shipped_folder(), device_map="cpu", dtype=torch.float32)
-    pipeline.model.eval().requires_grad_(False)
-    by_library = [BoltBackbone(pipeline, "library").quantiles_C(contexts) for contexts in sets]
-    for contexts, quantiles in zip(sets[:3], by_library, strict=False):
-        series = torch.from_numpy(padded_series(contexts))
-        expected, _ = pipeline.predict_quantiles(series, len(quantiles[0][0]), LEVELS.tolist())
-        np.testing.assert_allclose(quantiles[0], expected[0].T.numpy(), atol=1e-5)
-    backbone = BoltBackbone(pipeline, "traced", traced_after=1)
-    backbone.quantiles_C(sets[0])
-    asked, forward = [], pipeline.model.forward
-
-    def counted(*given: object, **options: object) -> object:
-        asked.append(options)
-        return forward(*given, **options)
-
-    monkeypatch.setattr(pipeline.model, "forward", counted)
-    backbone.quantiles_C(sets[1])
-    assert not asked, "what is forecast at once is not asked of the library any more"
-    for _ in range(3):  # the first calls of a traced model are still being optimised
-        for contexts, quantiles in zip(sets, by_library, strict=True):
-            for now, before in zip(backbone.quantiles_C(contexts), quantiles, strict=True):
-                np.testing.assert_array_equal(now, before)
-
-
 def test_level_shifts_pass_through(forecaster: ChronosFreeResponse) -> None:
     """A thermometer that reads 8 K more gives a forecast 8 K higher: no backbone depends on the zero of the scale."""
     # Chronos-2 normalises by arcsinh, in single precision.
@@ -192,6 +154,19 @@ def test_only_chronos2_sees_the_weather(forecaster: ChronosFreeResponse) -> None
     assert (change > 1e-3) == ("Chronos-2" in forecaster.label)
 
 
+def test_only_chronos2_sees_the_hour_of_the_day(forecaster: ChronosFreeResponse) -> None:
+    """The same temperatures and weather, eight hours later; a whole day later is the same."""
+    free = daily(hours(240))
+    history, boundary = history_of(free), boundary_of(240, 24)
+
+    def shifted(hours_later: float) -> np.ndarray:
+        past, ahead = (replace(of, time_s=of.time_s + hours_later * 3600.0) for of in (history, boundary))
+        return forecaster.forecast(free, past, ahead).quantiles_C
+
+    np.testing.assert_allclose(shifted(24.0), shifted(0.0), atol=1e-4)
+    assert (np.abs(shifted(8.0) - shifted(0.0)).max() > 1e-3) == ("Chronos-2" in forecaster.label)
+
+
 def test_shipped_checkpoint_learns_a_daily_course_and_beats_persistence() -> None:
     free = daily(hours(336))
     truth = daily(np.arange(337, 361))
@@ -207,7 +182,7 @@ def test_context_steps_limit_what_is_seen(bolt_folder: Path) -> None:
     older = free.copy()
     older[:200] += 5.0
     history, boundary = history_of(free), boundary_of(240, 24)
-    short = build_free_response("chronos", backbone=str(bolt_folder), context_steps=32)
+    short = ChronosFreeResponse(str(bolt_folder), context_steps=32)
     np.testing.assert_array_equal(
         short.forecast(free, history, boundary).quantiles_C, short.forecast(older, history, boundary).quantiles_C
     )
@@ -246,11 +221,11 @@ def test_hash_tells_weights_apart(bolt_folder: Path, copy: Path) -> None:
 
 
 def test_the_last_backbone_is_kept_for_the_next_run_and_no_other() -> None:
-    kept = [weakref.ref(load_backbone(scale)) for scale in ("shipped_small", "shipped_tiny")]
+    kept = [weakref.ref(load_backbone(str(scale))) for scale in SMALLER.values()]
     gc.collect()
     first, last = (reference() for reference in kept)
     assert first is None
-    assert last is load_backbone("shipped_tiny")
+    assert last is load_backbone(str(SMALLER["shipped_tiny"]))
 
 
 def test_a_missing_directory_is_named(tmp_path: Path) -> None:
@@ -378,7 +353,7 @@ def test_offline_mode_is_respected(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_without_the_optional_package_its_name_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(BackboneError, match="pip install fracast"):
+    with pytest.raises(BackboneError, match=r"pip install 'thermoforce-mpc\[fracast\]'"):
         loading.REGISTRY.find("fracast")()
 
 

@@ -12,14 +12,15 @@ from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.simulation.models.run_models import frozen_proof, weight_hash
 
 
-@pytest.mark.parametrize("calibrate", [False, True])
-@pytest.mark.parametrize("name", ["chronos", "residual"])
+@pytest.mark.parametrize(
+    ("name", "options"), [("chronos", {}), ("residual", {"calibrate": False}), ("residual", {"calibrate": True})]
+)
 def test_hashes_before_and_after_are_equal_unless_a_weight_changed(
-    name: str, calibrate: bool, bolt_folder: Path
+    name: str, options: dict[str, bool], bolt_folder: Path
 ) -> None:
     import torch
 
-    free_response = build_free_response(name, backbone=str(bolt_folder), calibrate=calibrate)
+    free_response = build_free_response(name, backbone=str(bolt_folder), **options)
     controller = SimpleNamespace(predictor=SimpleNamespace(free_responses=(free_response, free_response)))
     before = weight_hash(controller)
     assert before is not None

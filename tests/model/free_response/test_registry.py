@@ -31,12 +31,13 @@ def test_the_default_of_the_mpc_is_the_weather_model_with_the_forecaster_calibra
     assert isinstance(built.inner.backbone, ChronosFreeResponse)
 
 
-def test_calibration_is_an_option_and_off_for_the_forecaster_alone() -> None:
+def test_calibration_is_an_option_of_the_default_alone() -> None:
     assert isinstance(build_free_response("residual", calibrate=False), ResidualFreeResponse)
     assert isinstance(build_free_response("chronos"), ChronosFreeResponse)
-    calibrated = build_free_response("chronos", calibrate=True)
-    assert isinstance(calibrated, CalibratedFreeResponse)
-    assert isinstance(calibrated.inner, ChronosFreeResponse)
+    assert {name: list(options) for name, options in own_options().items() if options} == {
+        "residual": ["backbone", "calibrate"],
+        "chronos": ["backbone", "resolutions"],
+    }
 
 
 @pytest.mark.parametrize("name", ["calibrated", "selected", "ar", "arx", "ets", "seasonal_naive"])
@@ -50,8 +51,8 @@ def test_what_is_no_choice_any_more_is_refused_with_what_is(name: str) -> None:
 def test_unknown_names_and_options_are_refused_with_what_is_known() -> None:
     with pytest.raises(ConfigError, match=r"chronoss.*did you mean 'chronos'.*known: .*persistence"):
         build_free_response("chronoss")
-    with pytest.raises(ConfigError, match=r"unknown option 'context'.*did you mean 'context_steps'"):
-        build_free_response("chronos", context=3)
+    with pytest.raises(ConfigError, match=r"unknown option 'resolution'.*did you mean 'resolutions'"):
+        build_free_response("chronos", resolution="one")
     with pytest.raises(ConfigError, match="'linear_weather': unknown option 'calibrate'; known: none"):
         build_free_response("linear_weather", calibrate=True)
 
@@ -66,7 +67,7 @@ def test_calibrate_is_true_or_false_and_no_word() -> None:
     [
         ({"name": "calibrated"}, r"free_response: unknown free response 'calibrated'; known: residual"),
         ({"name": "rc", "options": {"backbone": "shipped"}}, "'rc': unknown option 'backbone'; known: none"),
-        ({"options": {"context_step": 3}}, "did you mean 'context_steps'"),
+        ({"options": {"backbones": "shipped"}}, "did you mean 'backbone'"),
     ],
 )
 def test_a_wrong_choice_is_found_when_the_scenario_is_read(chosen: dict[str, object], words: str) -> None:

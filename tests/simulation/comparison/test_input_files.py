@@ -72,7 +72,7 @@ def test_the_probing_of_a_run_is_sent_without_the_rest_of_its_folder(tmp_path, m
 
 def test_what_is_chosen_by_name_is_no_file(tmp_path, monkeypatch):
     options = {
-        "free_response": {"name": "residual", "options": {"backbone": "shipped", "resolutions": "one"}},
+        "free_response": {"name": "residual", "options": {"backbone": "shipped"}},
         "actuation": {"mode": "duty"},
         "actuations": {"actuator": {"mode": "modulating"}},
     }

@@ -5,9 +5,9 @@ A command imports its registry when it is called: some load much.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from pydantic import BaseModel
@@ -15,6 +15,9 @@ from pydantic_core import PydanticUndefined
 
 from thermoforce_mpc.registry import OWN, Registry
 from thermoforce_mpc.scenario.signatures import first_line, options_model
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.model.free_response.backbones.known import Known
 
 T = TypeVar("T")
 
@@ -81,31 +84,59 @@ def connections(name: str | None) -> None:
 @click.command()
 @_NAME
 def free_responses(name: str | None) -> None:
-    """List the forecasters of the free response and the backbones, or the options of the free response NAME.
+    """List the free responses and the forecasters, or the options of the free response or forecaster NAME.
 
-    One is chosen with --set controller.options.free_response.name=NAME, its options with
-    --set controller.options.free_response.options.KEY=VALUE, the backbone of `residual` and `chronos` also with
-    --forecaster: one of those listed, a directory, or a hub name. Those of other distributions stand with their origin
-    (docs/how-to/plugins.md).
+    A free response is chosen with --forecaster or --set controller.options.free_response.name=NAME, its options with
+    --set controller.options.free_response.options.KEY=VALUE. The forecaster (backbone) of `residual` and `chronos` is
+    chosen with --forecaster: one of those listed, a directory, or a hub name, owner/model or owner/model@revision.
+    Those of other distributions stand with their origin (docs/how-to/plugins.md).
     """
-    from thermoforce_mpc.model.free_response.backbones import loading
+    from thermoforce_mpc.model.free_response.backbones.known import KNOWN
     from thermoforce_mpc.model.free_response.registry import REGISTRY, options_of
 
     if name is None:
         click.echo("Free responses:")
         _show_names(REGISTRY, first_line)
-        click.echo("\nBackbones of residual and chronos:")
-        _show_names(loading.REGISTRY, first_line)
+        click.echo("\nForecasters of residual and chronos (--forecaster NAME, a directory, or owner/model on the hub):")
+        _show_forecasters()
         return
+    for model in KNOWN:
+        if model.name == name:
+            _show_table([_forecaster(model)])
+            click.echo(model.missing() or "it can be used here")
+            return
     build = REGISTRY.find(name)
     click.echo(f"{name}: {first_line(build)}\n")
     for key, default in options_of(build).items():
         click.echo(f"  controller.options.free_response.options.{key}  (default {default!r})")
 
 
-def _show_names(registry: Registry[T], summary: Callable[[T], str]) -> None:
-    """Print each name with its summary; under that of a plugin where it comes from, and why it cannot be used."""
+def _show_forecasters() -> None:
+    from thermoforce_mpc.model.free_response.backbones import known, loading
+
+    _show_table([_forecaster(model) for model in known.KNOWN])
+    _show_names(loading.REGISTRY, first_line, without={model.name for model in known.KNOWN})
+
+
+def _forecaster(model: Known) -> tuple[str, ...]:
+    """A row of the table of forecasters."""
+    here = model.missing().partition(": ")[0] or "yes"
+    return model.name, model.parameters, model.licence, model.covariates, model.extra or "–", model.weights, here
+
+
+def _show_table(rows: list[tuple[str, ...]]) -> None:
+    """Print rows under the heads of the table of forecasters."""
+    rows = [("name", "parameters", "licence", "weather read", "extra", "weights", "usable here"), *rows]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        click.echo("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+def _show_names(registry: Registry[T], summary: Callable[[T], str], without: Collection[str] = ()) -> None:
+    """Print each name but those `without` with its summary; under that of a plugin where it is from, and its fault."""
     for entry in registry.listing():
+        if entry.name in without and entry.origin == OWN:
+            continue
         click.echo(f"{entry.name:18s} {'cannot be used' if entry.found is None else summary(entry.found)}".rstrip())
         if entry.origin != OWN:
             click.echo(f"{'':18s} from {entry.origin}")

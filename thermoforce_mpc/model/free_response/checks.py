@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from thermoforce_mpc.data import Array, FreeForecast, Record
@@ -11,6 +13,12 @@ LEVELS = np.arange(1, 10) / 10.0
 
 # Tolerated crossing of neighbouring quantiles by rounding, K.
 _ROUNDING_K = 1e-6
+
+
+def level_places(quantiles: Sequence[float]) -> list[int] | None:
+    """Where `LEVELS` are among the levels that a model was trained for; None unless all of them are."""
+    trained, levels = [round(float(level), 6) for level in quantiles], LEVELS.round(1).tolist()
+    return [trained.index(level) for level in levels] if set(levels) <= set(trained) else None
 
 
 def checked_free(free_C: Array, history: Record) -> Array:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.execution.cooperative import Computation, Request, perform, run
-from thermoforce_mpc.model.free_response.backbones.base import Context
+from thermoforce_mpc.model.free_response.backbones.base import Context, clock, frozen_pass
 from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED, load_backbone, shipped_folder
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
 from thermoforce_mpc.model.free_response.multi_resolution import (
@@ -66,23 +65,26 @@ class ChronosFreeResponse:
             )
         self.backbone, self._resolutions = backbone, resolutions
         self._context_steps = context_steps
-        self._model = load_backbone(backbone)
+        self.model = load_backbone(backbone)
         self._short = Persistence()
 
     @property
     def label(self) -> str:
         """Name for reports."""
-        return self._model.label
+        return self.model.label
 
     @property
     def modules(self) -> tuple[nn.Module, ...]:
         """Modules with weights."""
-        return self._model.modules
+        return self.model.modules
 
     def weight_hash(self) -> str:
-        """Return the SHA-256 of names, shapes and values of all weights; it does not change, since they are frozen."""
+        """Return the SHA-256 of all weights, of their file where a graph holds them; they are frozen."""
+        graph = getattr(self.model, "graph", None)
+        if graph is not None:
+            return str(graph.weights_sha256)
         digest = hashlib.sha256()
-        for index, module in enumerate(self._model.modules):
+        for index, module in enumerate(self.model.modules):
             for name, tensor in sorted(module.state_dict().items()):
                 digest.update(f"{index}.{name}{tuple(tensor.shape)}".encode())
                 digest.update(tensor.detach().cpu().contiguous().float().numpy().tobytes())
@@ -121,7 +123,7 @@ class ChronosFreeResponse:
         ]
         per_context: Iterator[Array] = iter(())
         if contexts:
-            per_context = iter((yield from perform(Request(self._model, self._run_backbone, contexts))))
+            per_context = iter((yield from perform(Request(self.model, self._run_backbone, contexts))))
         answers = []
         for of_task, (_, _, boundary) in zip(inputs, tasks, strict=True):
             if isinstance(of_task, FreeForecast):
@@ -133,10 +135,8 @@ class ChronosFreeResponse:
 
     def _run_backbone(self, contexts: Sequence[Context]) -> list[Array]:
         """Quantiles of all contexts in one pass through the frozen backbone."""
-        import torch
-
-        with _one_thread(), torch.inference_mode():
-            return self._model.quantiles_C(contexts)
+        with frozen_pass():
+            return self.model.quantiles_C(contexts)
 
     def _input_of(self, free_C: Array, history: Record, boundary: Boundary) -> list[Resolution] | FreeForecast:
         """What the backbone is given for a task, or the forecast of persistence where it is too little."""
@@ -166,8 +166,7 @@ class ChronosFreeResponse:
         return ""
 
     def _resolutions_of(self, free: Array, history: Record, boundary: Boundary) -> list[Resolution]:
-        past = np.stack([history.T_out_C, history.solar_W_m2], axis=1)
-        ahead = np.stack([boundary.T_out_C, boundary.solar_W_m2], axis=1)[1:]
+        past, ahead = _known_of(history), _known_of(boundary)[1:]
         longest = self._context_steps
         if self._resolutions == "one":
             return [own_resolution(free, past, ahead, longest)]
@@ -183,14 +182,6 @@ class ChronosFreeResponse:
         return FreeForecast(short.levels, short.quantiles_C, f"persistence: {why}")
 
 
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Use one torch thread: results are bitwise reproducible, and such small models gain nothing by more threads."""
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+def _known_of(of: Record | Boundary) -> Array:
+    """What a backbone may know of each instant beside the series, see `Context`, (k, 3)."""
+    return np.stack([of.T_out_C, of.solar_W_m2, clock(of.time_s)], axis=1)

@@ -37,7 +37,8 @@ class Resolution:
     def of(self, free_C: Array) -> Resolution:
         """The same instants and weather of another series (k,), °C, with values where this one's has them."""
         series = _every(free_C, self.stride, self.context.free_C.size)
-        return replace(self, context=replace(self.context, free_C=series), now_C=_now_C(free_C))
+        context = Context(series, self.context.past_weather, self.context.ahead_weather)
+        return Resolution(context, self.stride, self.n_steps, _now_C(free_C))
 
     def last(self, k: int) -> Resolution:
         """Only the last `k` values of the context."""
@@ -57,8 +58,8 @@ def resolutions_of(
 
     Args:
         free_C: (k,) °C, the last value is now; NaN if not measured, at least one value known.
-        past_weather: (k, 2) at the same instants.
-        ahead_weather: (N, 2) at the ends of the steps ahead.
+        past_weather: (k, 3) at the same instants, see `Context`.
+        ahead_weather: (N, 3) at the ends of the steps ahead.
         step_s: step of both, s.
         longest: largest number of values of a context.
     """

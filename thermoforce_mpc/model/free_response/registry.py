@@ -20,40 +20,32 @@ if TYPE_CHECKING:
     from thermoforce_mpc.model.free_response.rc import RcParameters
 
 
-def _residual(
-    backbone: str = "shipped", context_steps: int = 512, resolutions: str = "several", calibrate: bool = True
-) -> FreeResponse:
-    """Linear weather model, with a frozen forecaster on what it leaves over."""
+def _residual(backbone: str = "shipped", calibrate: bool = True) -> FreeResponse:
+    """Linear weather models plus a frozen forecaster on what they leave over: the default, for every building."""
+    from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
     from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
     from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
 
-    return _calibrated(ResidualFreeResponse(ChronosFreeResponse(backbone, context_steps, resolutions)), calibrate)
-
-
-def _chronos(
-    backbone: str = "shipped", context_steps: int = 512, resolutions: str = "several", calibrate: bool = False
-) -> FreeResponse:
-    """Frozen forecaster on T − F, the control-free series."""
-    from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
-
-    return _calibrated(ChronosFreeResponse(backbone, context_steps, resolutions), calibrate)
-
-
-def _calibrated(method: FreeResponse, calibrate: bool) -> FreeResponse:
-    from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
-
+    method = ResidualFreeResponse(ChronosFreeResponse(backbone))
     return CalibratedFreeResponse(method) if calibrate else method
 
 
+def _chronos(backbone: str = "shipped", resolutions: str = "several") -> FreeResponse:
+    """Frozen forecaster alone: the paper's way, and the way to judge one that reads the weather itself."""
+    from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
+
+    return ChronosFreeResponse(backbone, resolutions=resolutions)
+
+
 def _linear_weather() -> FreeResponse:
-    """Linear model of weather and daily course."""
+    """Linear model of weather and daily course: fast and without torch, where people disturb little."""
     from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
 
     return LinearWeather()
 
 
 def _rc(*, rc: RcParameters | None) -> FreeResponse:
-    """Linear RC model that was identified with the operator."""
+    """RC model identified with the operator, filtered: the usual grey box, to compare with."""
     from thermoforce_mpc.model.free_response.rc import RcFreeResponse
 
     if rc is None:
@@ -62,7 +54,7 @@ def _rc(*, rc: RcParameters | None) -> FreeResponse:
 
 
 def _persistence() -> FreeResponse:
-    """The last value holds."""
+    """The last value holds: the least to beat; it stands in with less than a day of history."""
     from thermoforce_mpc.model.free_response.persistence import Persistence
 
     return Persistence()

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import DAY_S, Array
 
 if TYPE_CHECKING:
     from torch import nn
@@ -19,13 +22,18 @@ if TYPE_CHECKING:
 class Context:
     """Input of a backbone: the control-free series, past and forecast weather. It never contains the control.
 
-    `free_C` (k,) °C with NaN gaps, the last value is now; `past_weather` (k, 2) at the same instants and
-    `ahead_weather` (N, 2) at the ends of the N steps ahead: outdoor temperature °C and irradiance W/m².
+    `free_C` (k,) °C with NaN gaps, the last value is now; `past_weather` (k, 3) at the same instants and
+    `ahead_weather` (N, 3) at the ends of the N steps ahead: outdoor temperature °C, irradiance W/m², and `clock`.
     """
 
     free_C: Array
     past_weather: Array
     ahead_weather: Array
+
+
+def clock(time_s: Array) -> Array:
+    """Hour of the day as a covariate: a wave of a day with its maximum at 15 h, same shape as `time_s`."""
+    return np.asarray(np.cos(2.0 * np.pi * (time_s / DAY_S - 15.0 / 24.0)))
 
 
 class Backbone(Protocol):
@@ -38,7 +46,7 @@ class Backbone(Protocol):
 
     @property
     def modules(self) -> tuple[nn.Module, ...]:
-        """Modules with weights, in a fixed order."""
+        """Modules with weights, in a fixed order; none where a `Graph` holds them, as the attribute `graph`."""
         ...
 
     def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
@@ -60,3 +68,71 @@ def padded_series(contexts: Sequence[Context], multiple: int = 1) -> NDArray[np.
     for row, context in zip(series, contexts, strict=True):
         row[longest - context.free_C.size :] = context.free_C
     return series
+
+
+@contextmanager
+def frozen_pass() -> Iterator[None]:
+    """One thread of torch and no gradients, where torch is loaded.
+
+    Results are bitwise reproducible, and models this small gain nothing by more threads.
+    """
+    torch = sys.modules.get("torch")
+    if torch is None:
+        yield
+        return
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with torch.inference_mode():
+            yield
+    finally:
+        torch.set_num_threads(before)
+
+
+class ByLength(ABC):
+    """`Backbone` of a library's model: contexts of one length and number of steps ahead form a batch.
+
+    Args:
+        label: name for reports.
+        modules: modules with weights, in a fixed order.
+        at_once: largest number of steps that the model forecasts; longer horizons are unrolled on its medians.
+    """
+
+    def __init__(self, label: str, modules: tuple[nn.Module, ...], at_once: int) -> None:
+        self.label, self.modules, self._at_once = label, modules, at_once
+
+    def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
+        """See `Backbone.quantiles_C`."""
+        answers: list[Array] = [np.empty(0)] * len(contexts)
+        of_size: dict[tuple[int, int], list[int]] = {}
+        for i, context in enumerate(contexts):
+            of_size.setdefault((context.free_C.size, len(context.ahead_weather)), []).append(i)
+        for (_, steps), same in of_size.items():
+            for i, values in zip(same, self._unrolled([contexts[i] for i in same], steps), strict=True):
+                answers[i] = values
+        return answers
+
+    @abstractmethod
+    def _predict(self, contexts: Sequence[Context], steps: int) -> Array:
+        """Quantiles 0.1 to 0.9 of contexts of one length, shape (contexts, 9, steps), °C."""
+
+    def _unrolled(self, contexts: Sequence[Context], steps: int) -> Array:
+        done = min(steps, self._at_once)
+        first = self._predict([replace(c, ahead_weather=c.ahead_weather[:done]) for c in contexts], done)
+        if done == steps:
+            return np.asarray(first, dtype=np.float64)
+        onwards = [
+            Context(
+                np.concatenate([context.free_C, values[4]]),
+                np.concatenate([context.past_weather, context.ahead_weather[:done]]),
+                context.ahead_weather[done:],
+            )
+            for context, values in zip(contexts, first, strict=True)
+        ]
+        return np.concatenate([first, self._unrolled(onwards, steps - done)], axis=2, dtype=np.float64)
+
+
+def bridged(free_C: Array) -> Array:
+    """A series (k,) with its gaps bridged by lines, for models that read no gaps; at an end the nearest value holds."""
+    known = np.flatnonzero(np.isfinite(free_C))
+    return np.interp(np.arange(free_C.size), known, free_C[known])

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.model.free_response.backbones.base import Context, padded_series
-from thermoforce_mpc.model.free_response.checks import LEVELS
+from thermoforce_mpc.model.free_response.backbones.base import Context, frozen_pass, padded_series
+from thermoforce_mpc.model.free_response.backbones.graph import Graph
+from thermoforce_mpc.model.free_response.checks import LEVELS, level_places
 
 if TYPE_CHECKING:
-    from torch import Tensor, nn
+    from torch import nn
 
 # Largest batch: beyond, the activations leave the cache of a core and the pass becomes slower.
 _AT_ONCE = 48
@@ -25,23 +28,19 @@ class BoltBackbone:
     """`Backbone` of a `ChronosBoltPipeline`; uses the series only.
 
     Args:
-        pipeline: the library's pipeline, frozen.
+        settings: `chronos_config` of the checkpoint.
         label: name for reports.
-        traced_after: passes of the library's code before it is traced, which takes as long as about 100 of them.
+        load: the library's pipeline, frozen; of a checkpoint with a graph called only for horizons to be unrolled.
+        graph: the model's operations, run in place of the library's.
     """
 
-    def __init__(self, pipeline: Any, label: str, *, traced_after: int = 50) -> None:
-        self._pipeline, self._label, self._traced_after = pipeline, label, traced_after
-        settings = pipeline.model.chronos_config
-        self._patch, self._at_once = int(settings.input_patch_size), int(settings.prediction_length)
-        self._longest = int(settings.context_length)
-        quantiles = [round(float(level), 6) for level in pipeline.quantiles]
-        levels = LEVELS.round(1).tolist()
-        self._levels = [quantiles.index(level) for level in levels] if set(levels) <= set(quantiles) else None
-        self._pass: Callable[[Tensor], Tensor] = self._by_library
-        self._passes = 0
-        # The decoder runs once per call, so its cache is never read but takes 20 % of the time.
-        pipeline.model.decoder.config.use_cache = False
+    def __init__(
+        self, settings: Mapping[str, Any], label: str, load: Callable[[], Any], graph: Graph | None = None
+    ) -> None:
+        self._label, self._load, self.graph = label, load, graph
+        self._patch, self._at_once = int(settings["input_patch_size"]), int(settings["prediction_length"])
+        self._longest = int(settings["context_length"])
+        self._levels = level_places(settings["quantiles"])
 
     @property
     def label(self) -> str:
@@ -51,7 +50,14 @@ class BoltBackbone:
     @property
     def modules(self) -> tuple[nn.Module, ...]:
         """Modules with weights."""
-        return (self._pipeline.model,)
+        return () if self.graph else (self._pipeline.model,)
+
+    @cached_property
+    def _pipeline(self) -> Any:
+        pipeline = self._load()
+        # The decoder runs once per call, so its cache is never read but takes 20 % of the time.
+        pipeline.model.decoder.config.use_cache = False
+        return pipeline
 
     def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
         """See `Backbone.quantiles_C`; the library unrolls horizons beyond the trained one.
@@ -78,45 +84,29 @@ class BoltBackbone:
         return answers
 
     def _predict(self, contexts: Sequence[Context]) -> list[Array]:
-        import torch
-
         steps = [len(context.ahead_weather) for context in contexts]
-        series = torch.from_numpy(padded_series(contexts, self._patch))
+        series = padded_series(contexts, self._patch)
         if self._levels is not None and max(steps) <= self._at_once:
             values = self._at_once_of(series[:, -self._longest :])[:, self._levels]
         else:
-            values = self._unrolled(series, max(steps)).transpose(1, 2)
-        return [value[:, :n] for value, n in zip(values.double().numpy(), steps, strict=True)]
+            values = self._unrolled(series, max(steps))
+        return [value[:, :n] for value, n in zip(values.astype(np.float64), steps, strict=True)]
 
-    def _unrolled(self, series: Tensor, steps: int) -> Tensor:
-        """Quantiles (B, steps, 9) by the library, which unrolls what it does not forecast at once."""
-        with warnings.catch_warnings():
+    def _unrolled(self, series: NDArray[np.float32], steps: int) -> NDArray[np.float32]:
+        """Quantiles (B, 9, steps) by the library, which unrolls what it does not forecast at once."""
+        pipeline = self._pipeline
+        import torch
+
+        with frozen_pass(), warnings.catch_warnings():
             # Unrolling is intended here; the library warns at every call.
             warnings.filterwarnings("ignore", message="We recommend keeping prediction length")
-            values, _ = self._pipeline.predict_quantiles(series, steps, LEVELS.round(1).tolist())
-        return cast("Tensor", values)
+            values, _ = pipeline.predict_quantiles(torch.from_numpy(series), steps, LEVELS.round(1).tolist())
+        return np.asarray(values.transpose(1, 2))
 
-    def _at_once_of(self, series: Tensor) -> Tensor:
-        """All trained quantiles (B, quantiles, steps) of series (B, k), k a multiple of the patch.
+    def _at_once_of(self, series: NDArray[np.float32]) -> NDArray[np.float32]:
+        """All trained quantiles (B, quantiles, steps) of series (B, k), k a multiple of the patch."""
+        if self.graph is not None:
+            return self.graph(context=series)
+        import torch
 
-        The library's Python takes as long as the arithmetic of one building, so the model is traced once it is used
-        often: the same operations in the same order, and the same bits.
-        """
-        self._passes += 1
-        if self._passes == self._traced_after and self._longest % self._patch == 0:
-            self._pass = _traced(self._by_library, self._longest)
-        return self._pass(series)
-
-    def _by_library(self, series: Tensor) -> Tensor:
-        return cast("Tensor", self._pipeline.model(context=series).quantile_preds)
-
-
-def _traced(model: Callable[[Tensor], Tensor], longest: int) -> Callable[[Tensor], Tensor]:
-    """The operations of a model, recorded from one call; they hold for any number and length of series."""
-    import torch
-
-    with warnings.catch_warnings(), torch.inference_mode():
-        # Of tracing, deprecated in favour of compilers that need a C++ compiler on the machine, and of branches on
-        # shapes, which all series given here take alike.
-        warnings.simplefilter("ignore")
-        return cast("Callable[[Tensor], Tensor]", torch.jit.trace(model, torch.zeros(2, longest), check_trace=False))
+        return np.asarray(self._pipeline.model(context=torch.from_numpy(series)).quantile_preds)

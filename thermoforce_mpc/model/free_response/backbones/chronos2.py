@@ -1,29 +1,43 @@
-"""Chronos-2 backbone (Ansari et al. 2025), with the weather forecast as known covariates."""
+"""Chronos-2 backbone (Ansari et al. 2025), with weather forecast and hour of the day as known covariates."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.model.free_response.backbones.base import Context
-from thermoforce_mpc.model.free_response.checks import LEVELS
+from thermoforce_mpc.model.free_response.backbones.base import Context, frozen_pass, padded_series
+from thermoforce_mpc.model.free_response.backbones.graph import Graph
+from thermoforce_mpc.model.free_response.checks import LEVELS, level_places
 
 if TYPE_CHECKING:
     from torch import nn
 
-_COVARIATES = ("outdoor_temperature", "irradiance")
+_COVARIATES = ("outdoor_temperature", "irradiance", "clock")
+# Rows of a context: the series, then its covariates.
+_ROWS = 1 + len(_COVARIATES)
 
 
 class Chronos2Backbone:
-    """`Backbone` of a `Chronos2Pipeline` with past and forecast outdoor temperature and irradiance."""
+    """`Backbone` of a `Chronos2Pipeline` with outdoor temperature, irradiance and clock, past and ahead.
 
-    def __init__(self, pipeline: Any, label: str) -> None:
-        self._pipeline = pipeline
-        self._label = label
+    Args:
+        settings: `chronos_config` of the checkpoint.
+        label: name for reports.
+        load: the library's pipeline, frozen; of a checkpoint with a graph called only for horizons to be unrolled.
+        graph: the model's operations, run in place of the library's.
+    """
+
+    def __init__(
+        self, settings: Mapping[str, Any], label: str, load: Callable[[], Any], graph: Graph | None = None
+    ) -> None:
+        self._label, self._load, self.graph = label, load, graph
+        self._patch, self._longest = int(settings["input_patch_size"]), int(settings["context_length"])
+        self._at_once = int(settings["output_patch_size"]) * int(settings["max_output_patches"])
+        self._levels = level_places(settings["quantiles"])
 
     @property
     def label(self) -> str:
@@ -33,18 +47,36 @@ class Chronos2Backbone:
     @property
     def modules(self) -> tuple[nn.Module, ...]:
         """Modules with weights."""
-        return (self._pipeline.model,)
+        return () if self.graph else (self._load().model,)
 
     def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
         """See `Backbone.quantiles_C`; contexts with equal N form one batch."""
         answers: list[Array] = [np.empty(0)] * len(contexts)
         for steps in {len(context.ahead_weather) for context in contexts}:
             same = [i for i, context in enumerate(contexts) if len(context.ahead_weather) == steps]
-            for i, values in zip(same, self._predict([contexts[i] for i in same], steps), strict=True):
+            by_graph = self.graph is not None and self._levels is not None and steps <= self._at_once
+            predict = self._by_graph if by_graph else self._by_library
+            for i, values in zip(same, predict([contexts[i] for i in same], steps), strict=True):
                 answers[i] = values
         return answers
 
-    def _predict(self, contexts: Sequence[Context], steps: int) -> list[Array]:
+    def _by_graph(self, contexts: Sequence[Context], steps: int) -> list[Array]:
+        assert self.graph is not None
+        k = -(-max(context.free_C.size for context in contexts) // self._patch) * self._patch
+        past = np.full((len(contexts), _ROWS, k), np.nan, dtype=np.float32)
+        past[:, 0] = padded_series(contexts, self._patch)
+        ahead = np.full((len(contexts), _ROWS, -(-steps // self._patch) * self._patch), np.nan, dtype=np.float32)
+        for i, context in enumerate(contexts):
+            past[i, 1:, k - context.free_C.size :] = context.past_weather.T
+            ahead[i, 1:, :steps] = context.ahead_weather.T
+        values = self.graph(
+            context=past.reshape(-1, k)[:, -self._longest :],
+            group_ids=np.repeat(np.arange(len(contexts)), _ROWS),
+            future_covariates=ahead.reshape(-1, ahead.shape[2]),
+        )
+        return list(values[::_ROWS][:, self._levels, :steps].astype(np.float64))
+
+    def _by_library(self, contexts: Sequence[Context], steps: int) -> list[Array]:
         tasks = [
             {
                 "target": context.free_C.astype(np.float32),
@@ -53,10 +85,11 @@ class Chronos2Backbone:
             }
             for context in contexts
         ]
-        with warnings.catch_warnings():
+        pipeline = self._load()
+        with frozen_pass(), warnings.catch_warnings():
             # Unrolling is intended here; the library warns at every call.
             warnings.filterwarnings("ignore", message="We recommend keeping prediction length")
-            values, _ = self._pipeline.predict_quantiles(
+            values, _ = pipeline.predict_quantiles(
                 tasks, prediction_length=steps, quantile_levels=LEVELS.round(1).tolist()
             )
         # One list entry per task, shape (variates, N, levels); the target is the only variate forecast.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ import numpy as np
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import BackboneError
 from thermoforce_mpc.model.free_response.backbones.base import Context, padded_series
+from thermoforce_mpc.model.free_response.backbones.known import FRACAST
 from thermoforce_mpc.model.free_response.checks import LEVELS
 
 if TYPE_CHECKING:
@@ -25,8 +25,7 @@ class FracastBackbone:
 
     def __init__(self) -> None:
         """Load the weights of the wheel; raises `BackboneError` when the package is absent or damaged."""
-        if importlib.util.find_spec("fracast") is None:
-            raise BackboneError("backbone 'fracast': the package is not installed; run `pip install fracast`")
+        FRACAST.check()
         try:
             from fracast import FracastModel
 
