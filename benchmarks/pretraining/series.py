@@ -38,9 +38,9 @@ class Batch:
     `covariates` (B, 3, C + H), float32: outdoor temperature, irradiance and `clock`, those of the future as forecast.
     """
 
-    context: Array
-    future: Array
-    covariates: Array
+    context: NDArray[np.float32]
+    future: NDArray[np.float32]
+    covariates: NDArray[np.float32]
 
 
 def clock(hour: Array) -> Array:
