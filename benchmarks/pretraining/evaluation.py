@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.pretraining.model import CONTEXT, HORIZON, QUANTILES
-from benchmarks.pretraining.series import draw_batch
+from benchmarks.pretraining.series import COVARIATES, draw_batch
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import BackboneError, ConfigError
 
@@ -48,7 +48,7 @@ def evaluate(folder: Path, *, series: int = 1024, seed: int = 0, steps: int = 24
     """Score the checkpoint in `folder` at several context lengths on the same held-out series.
 
     Args:
-        folder: config.json and model.safetensors of a Chronos-Bolt checkpoint.
+        folder: config.json and model.safetensors of a Chronos-Bolt, or of a Chronos-2, which gets the weather too.
         series: number of series.
         seed: seed of the series; it may equal the training seed, since another stream is used.
         steps: number of forecast steps that are scored, at most `HORIZON`.
@@ -65,12 +65,12 @@ def evaluate(folder: Path, *, series: int = 1024, seed: int = 0, steps: int = 24
     if series < 1:
         raise ConfigError(f"series is {series}: draw at least one")
     pipeline = _load(folder)
-    past, future = _held_out(np.random.default_rng([seed, _STREAM]), series, steps)
-    scores = [_score(pipeline, past[:, -length:], future) for length in CONTEXTS]
+    past, future, covariates = _held_out(np.random.default_rng([seed, _STREAM]), series, steps)
+    scores = [_score(pipeline, past[:, -length:], future, covariates) for length in CONTEXTS]
     return {
         "seed": seed,
         "contexts": [asdict(score) for score in scores],
-        "milliseconds": _milliseconds(pipeline, past[:1], steps),
+        "milliseconds": _milliseconds(pipeline, past[:1], covariates[:1], steps),
     }
 
 
@@ -88,13 +88,16 @@ def _load(folder: Path) -> Any:
     return pipeline
 
 
-def _held_out(rng: np.random.Generator, series: int, steps: int) -> tuple[Array, Array]:
+def _held_out(rng: np.random.Generator, series: int, steps: int) -> tuple[Array, Array, Array]:
     """Contexts (series, CONTEXT) and following values (series, steps) of series whose shortest context has no gaps.
+
+    The third are their covariates (series, 3, CONTEXT + steps).
 
     The same series serve all context lengths, so padded ones are drawn again.
     """
     pasts: list[Array] = []
     futures: list[Array] = []
+    covariates: list[Array] = []
     while sum(map(len, pasts)) < series:
         batch = draw_batch(rng, 256, CONTEXT, HORIZON)
         past, future = batch.context, batch.future[:, :steps]
@@ -102,14 +105,15 @@ def _held_out(rng: np.random.Generator, series: int, steps: int) -> tuple[Array,
         usable &= past[:, -min(CONTEXTS) :].std(axis=1) > _LEAST_SCALE
         pasts.append(past[usable])
         futures.append(future[usable])
-    return np.concatenate(pasts)[:series], np.concatenate(futures)[:series]
+        covariates.append(batch.covariates[usable, :, : CONTEXT + steps])
+    return np.concatenate(pasts)[:series], np.concatenate(futures)[:series], np.concatenate(covariates)[:series]
 
 
-def _score(pipeline: Any, past: Array, future: Array) -> ContextScore:
+def _score(pipeline: Any, past: Array, future: Array, covariates: Array) -> ContextScore:
     n, steps = future.shape
     # All context lengths share one scale, that of the shortest context, which contains no future values.
     scale = past[:, -min(CONTEXTS) :].std(axis=1, keepdims=True)
-    quantiles = _quantiles(pipeline, past, steps)
+    quantiles = _quantiles(pipeline, past, covariates, steps)
     day = past[:, -_SEASON:]
     naive = np.tile(day, (1, -(-steps // _SEASON)))[:, :steps]
     below = future[:, None, :] <= quantiles
@@ -129,19 +133,35 @@ def _score(pipeline: Any, past: Array, future: Array) -> ContextScore:
     )
 
 
-def _quantiles(pipeline: Any, past: Array, steps: int) -> Array:
+def _quantiles(pipeline: Any, past: Array, covariates: Array, steps: int) -> Array:
     """The model's nine quantiles, sorted, shape (n, 9, steps)."""
     import torch
+    from chronos import Chronos2Pipeline
 
     with torch.no_grad():
-        found, _ = pipeline.predict_quantiles(torch.from_numpy(past.astype(np.float32)), steps, QUANTILES)
+        if isinstance(pipeline, Chronos2Pipeline):
+            tasks = [_task(*pair, steps) for pair in zip(past.astype(np.float32), covariates, strict=True)]
+            each, _ = pipeline.predict_quantiles(tasks, prediction_length=steps, quantile_levels=QUANTILES)
+            found = torch.stack([values[0] for values in each])
+        else:
+            found, _ = pipeline.predict_quantiles(torch.from_numpy(past.astype(np.float32)), steps, QUANTILES)
     return np.asarray(np.sort(found.numpy().transpose(0, 2, 1), axis=1), dtype=np.float64)
 
 
-def _milliseconds(pipeline: Any, past: Array, steps: int, repeats: int = 30) -> float:
+def _task(past: Array, covariates: Array, steps: int) -> dict[str, Any]:
+    """A series (k,) with the covariates (3, at least k + steps) that end `steps` after it."""
+    seen, known = covariates[:, -past.size - steps : -steps], covariates[:, -steps:]
+    return {
+        "target": past,
+        "past_covariates": dict(zip(COVARIATES, seen, strict=True)),
+        "future_covariates": dict(zip(COVARIATES, known, strict=True)),
+    }
+
+
+def _milliseconds(pipeline: Any, past: Array, covariates: Array, steps: int, repeats: int = 30) -> float:
     seconds = []
     for _ in range(repeats):
         began = time.perf_counter()
-        _quantiles(pipeline, past, steps)
+        _quantiles(pipeline, past, covariates, steps)
         seconds.append(time.perf_counter() - began)
     return float(np.median(seconds)) * 1e3
