@@ -339,9 +339,9 @@ def replace_config(config: IdentificationConfig, **changes) -> IdentificationCon
 
 def test_an_operator_that_cannot_be_proven_is_refused(monkeypatch):
     """Training does not usually end there, so the network is swapped for one that does."""
-    from thermoforce_mpc.identification.modulation import training
+    from thermoforce_mpc.identification.modulation import candidates
 
-    trained = training.train
+    trained = candidates.train
 
     def steep(*args, **kwargs):
         result = trained(*args, **kwargs)
@@ -350,7 +350,7 @@ def test_an_operator_that_cannot_be_proven_is_refused(monkeypatch):
         operator = replace(result.operator, hidden_weight=weights, output_weight=np.full(32, -10.0))
         return replace(result, operator=operator)
 
-    monkeypatch.setattr(training, "train", steep)
+    monkeypatch.setattr(candidates, "train", steep)
     config = IdentificationConfig(order=1, feedback=True, epochs=2)
     with pytest.raises(DataError, match=r"not certified: the modulation depends on .* per K"):
         identify(pairs=[make_pair(HOUSE, seed) for seed in range(3)], config=config)

@@ -50,9 +50,9 @@ def test_there_is_no_share_where_the_truth_gains_nothing():
 
 def test_free_responses_are_named_as_a_user_names_them_and_nothing_stands_in_for_the_truth():
     testcase, model, plant = load_testcase(worth.HEAT_PUMP), simple_model(), EmbeddedPlant(synthetic_weather())
-    tiny, known = (controller_with(name, testcase, model, plant) for name in ("chronos:shipped_tiny", "oracle"))
-    assert tiny.config.free_response.name == "chronos"
-    assert tiny.config.free_response.options == {"backbone": "shipped_tiny"}
+    weather, known = (controller_with(name, testcase, model, plant) for name in ("chronos:shipped_weather", "oracle"))
+    assert weather.config.free_response.name == "chronos"
+    assert weather.config.free_response.options == {"backbone": "shipped_weather"}
     assert not known.config.free_response.substitutes
     assert isinstance(known.predictor.free_responses[0].method, Oracle)
 

@@ -148,7 +148,7 @@ def test_a_run_ended_between_identification_and_the_first_step_can_be_resumed(ca
     assert (tmp_path / "run" / "kpis.json").exists()
 
 
-@pytest.mark.parametrize(("option", "message"), [("calibrate=8", "calibrate is 8"), ("backbone=x/y", "x/y")])
+@pytest.mark.parametrize(("option", "message"), [("resolutions=8", "resolutions is '8'"), ("backbone=x/y", "x/y")])
 def test_a_forecaster_that_cannot_be_had_ends_the_run_before_the_plant_is_asked(call, with_model, option, message):
     house = SimpleHouse()
     house.reset = lambda *_: pytest.fail("the plant was started")

@@ -60,7 +60,7 @@ class ChronosFreeResponse:
             )
         if resolutions not in _RESOLUTIONS:
             raise ConfigError(
-                f"resolutions is '{resolutions}'{suggestion(resolutions, _RESOLUTIONS)}: "
+                f"resolutions is '{resolutions}'{suggestion(str(resolutions), _RESOLUTIONS)}: "
                 f"choose one of {', '.join(_RESOLUTIONS)}"
             )
         self.backbone, self._resolutions = backbone, resolutions
