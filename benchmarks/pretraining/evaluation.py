@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.pretraining.model import CONTEXT, HORIZON, QUANTILES
 from benchmarks.pretraining.series import COVARIATES, draw_batch
@@ -88,7 +89,7 @@ def _load(folder: Path) -> Any:
     return pipeline
 
 
-def _held_out(rng: np.random.Generator, series: int, steps: int) -> tuple[Array, Array, Array]:
+def _held_out(rng: np.random.Generator, series: int, steps: int) -> tuple[Array, Array, NDArray[np.float32]]:
     """Contexts (series, CONTEXT) and following values (series, steps) of series whose shortest context has no gaps.
 
     The third are their covariates (series, 3, CONTEXT + steps).
@@ -97,7 +98,7 @@ def _held_out(rng: np.random.Generator, series: int, steps: int) -> tuple[Array,
     """
     pasts: list[Array] = []
     futures: list[Array] = []
-    covariates: list[Array] = []
+    covariates: list[NDArray[np.float32]] = []
     while sum(map(len, pasts)) < series:
         batch = draw_batch(rng, 256, CONTEXT, HORIZON)
         past, future = batch.context, batch.future[:, :steps]
@@ -109,7 +110,7 @@ def _held_out(rng: np.random.Generator, series: int, steps: int) -> tuple[Array,
     return np.concatenate(pasts)[:series], np.concatenate(futures)[:series], np.concatenate(covariates)[:series]
 
 
-def _score(pipeline: Any, past: Array, future: Array, covariates: Array) -> ContextScore:
+def _score(pipeline: Any, past: Array, future: Array, covariates: NDArray[np.float32]) -> ContextScore:
     n, steps = future.shape
     # All context lengths share one scale, that of the shortest context, which contains no future values.
     scale = past[:, -min(CONTEXTS) :].std(axis=1, keepdims=True)
@@ -133,7 +134,7 @@ def _score(pipeline: Any, past: Array, future: Array, covariates: Array) -> Cont
     )
 
 
-def _quantiles(pipeline: Any, past: Array, covariates: Array, steps: int) -> Array:
+def _quantiles(pipeline: Any, past: Array, covariates: NDArray[np.float32], steps: int) -> Array:
     """The model's nine quantiles, sorted, shape (n, 9, steps)."""
     import torch
     from chronos import Chronos2Pipeline
@@ -148,7 +149,7 @@ def _quantiles(pipeline: Any, past: Array, covariates: Array, steps: int) -> Arr
     return np.asarray(np.sort(found.numpy().transpose(0, 2, 1), axis=1), dtype=np.float64)
 
 
-def _task(past: Array, covariates: Array, steps: int) -> dict[str, Any]:
+def _task(past: Array, covariates: NDArray[np.float32], steps: int) -> dict[str, Any]:
     """A series (k,) with the covariates (3, at least k + steps) that end `steps` after it."""
     seen, known = covariates[:, -past.size - steps : -steps], covariates[:, -steps:]
     return {
@@ -158,7 +159,7 @@ def _task(past: Array, covariates: Array, steps: int) -> dict[str, Any]:
     }
 
 
-def _milliseconds(pipeline: Any, past: Array, covariates: Array, steps: int, repeats: int = 30) -> float:
+def _milliseconds(pipeline: Any, past: Array, covariates: NDArray[np.float32], steps: int, repeats: int = 30) -> float:
     seconds = []
     for _ in range(repeats):
         began = time.perf_counter()

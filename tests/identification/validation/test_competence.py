@@ -72,6 +72,7 @@ def test_held_out_errors_are_those_of_the_predictor():
         assert score.persistence_K == pytest.approx(np.sqrt(np.mean(change**2)), rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("days", "step_s"), [(40.0, 3600.0), (23.0, 300.0)], ids=["long", "rows 55 min apart"])
 def test_predictions_an_hour_ahead_are_judged_however_long_the_record(days, step_s):
     """Rows of long records are thinned; some must remain an hour, or little more, before others."""
