@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from benchmarks.pretraining.climate import first_order, random_weather
 from benchmarks.pretraining.occupants import held_by_others, random_people
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.model.free_response.backbones.base import clock
 
 # Steps in hours and how often each is drawn.
 _STEPS_H = (0.25, 0.5, 1.0)
@@ -43,11 +44,6 @@ class Batch:
     covariates: NDArray[np.float32]
 
 
-def clock(hour: Array) -> Array:
-    """Hour of the day as a covariate: a wave with its maximum at 15 h, same shape as `hour`."""
-    return np.cos(2.0 * np.pi * (hour - 15.0) / 24.0)
-
-
 def draw_batch(rng: np.random.Generator, size: int, context: int, horizon: int) -> Batch:
     """Draw `size` series and cut them into context and future."""
     length = context + horizon
@@ -58,7 +54,7 @@ def draw_batch(rng: np.random.Generator, size: int, context: int, horizon: int) 
     rooms = _rooms(rng, hour[:n_rooms], step_h[:n_rooms], outdoor[:n_rooms], gain[:n_rooms])
     others = _others(rng, size - n_rooms, length)  # which no weather moves
     series = _measured(rng, np.concatenate([rooms, others]))
-    covariates = np.stack([outdoor, irradiance, clock(hour)], axis=1)[:, :, _BURN_IN:]
+    covariates = np.stack([outdoor, irradiance, clock(HOUR_S * hour)], axis=1)[:, :, _BURN_IN:]
     _forecast_errors(rng, covariates[:, :2, context:], step_h)
     past, future = series[:, :context].copy(), series[:, context:]
     padded = rng.random(size) < _SHARE_PADDED
