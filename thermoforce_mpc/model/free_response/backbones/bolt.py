@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.free_response.backbones.base import Context, frozen_pass, padded_series
-from thermoforce_mpc.model.free_response.backbones.graph import Graph
-from thermoforce_mpc.model.free_response.checks import LEVELS, level_places
-
-if TYPE_CHECKING:
-    from torch import nn
+from thermoforce_mpc.model.free_response.backbones.graph import ByGraph
+from thermoforce_mpc.model.free_response.checks import LEVELS
 
 # Largest batch: beyond, the activations leave the cache of a core and the pass becomes slower.
 _AT_ONCE = 48
@@ -24,33 +21,8 @@ _AT_ONCE = 48
 _FEW = 16
 
 
-class BoltBackbone:
-    """`Backbone` of a `ChronosBoltPipeline`; uses the series only.
-
-    Args:
-        settings: `chronos_config` of the checkpoint.
-        label: name for reports.
-        load: the library's pipeline, frozen; of a checkpoint with a graph called only for horizons to be unrolled.
-        graph: the model's operations, run in place of the library's.
-    """
-
-    def __init__(
-        self, settings: Mapping[str, Any], label: str, load: Callable[[], Any], graph: Graph | None = None
-    ) -> None:
-        self._label, self._load, self.graph = label, load, graph
-        self._patch, self._at_once = int(settings["input_patch_size"]), int(settings["prediction_length"])
-        self._longest = int(settings["context_length"])
-        self._levels = level_places(settings["quantiles"])
-
-    @property
-    def label(self) -> str:
-        """Name for reports."""
-        return self._label
-
-    @property
-    def modules(self) -> tuple[nn.Module, ...]:
-        """Modules with weights."""
-        return () if self.graph else (self._pipeline.model,)
+class BoltBackbone(ByGraph):
+    """`Backbone` of a `ChronosBoltPipeline`; uses the series only."""
 
     @cached_property
     def _pipeline(self) -> Any:

@@ -3,51 +3,26 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.free_response.backbones.base import Context, frozen_pass, padded_series
-from thermoforce_mpc.model.free_response.backbones.graph import Graph
-from thermoforce_mpc.model.free_response.checks import LEVELS, level_places
-
-if TYPE_CHECKING:
-    from torch import nn
+from thermoforce_mpc.model.free_response.backbones.graph import ByGraph
+from thermoforce_mpc.model.free_response.checks import LEVELS
 
 _COVARIATES = ("outdoor_temperature", "irradiance", "clock")
 # Rows of a context: the series, then its covariates.
 _ROWS = 1 + len(_COVARIATES)
 
 
-class Chronos2Backbone:
-    """`Backbone` of a `Chronos2Pipeline` with outdoor temperature, irradiance and clock, past and ahead.
+class Chronos2Backbone(ByGraph):
+    """`Backbone` of a `Chronos2Pipeline` with outdoor temperature, irradiance and clock, past and ahead."""
 
-    Args:
-        settings: `chronos_config` of the checkpoint.
-        label: name for reports.
-        load: the library's pipeline, frozen; of a checkpoint with a graph called only for horizons to be unrolled.
-        graph: the model's operations, run in place of the library's.
-    """
-
-    def __init__(
-        self, settings: Mapping[str, Any], label: str, load: Callable[[], Any], graph: Graph | None = None
-    ) -> None:
-        self._label, self._load, self.graph = label, load, graph
-        self._patch, self._longest = int(settings["input_patch_size"]), int(settings["context_length"])
-        self._at_once = int(settings["output_patch_size"]) * int(settings["max_output_patches"])
-        self._levels = level_places(settings["quantiles"])
-
-    @property
-    def label(self) -> str:
-        """Name for reports."""
-        return self._label
-
-    @property
-    def modules(self) -> tuple[nn.Module, ...]:
-        """Modules with weights."""
-        return () if self.graph else (self._load().model,)
+    def _steps_at_once(self, settings: Mapping[str, Any]) -> int:
+        return int(settings["output_patch_size"]) * int(settings["max_output_patches"])
 
     def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
         """See `Backbone.quantiles_C`; contexts with equal N form one batch."""
@@ -85,7 +60,7 @@ class Chronos2Backbone:
             }
             for context in contexts
         ]
-        pipeline = self._load()
+        pipeline = self._pipeline
         with frozen_pass(), warnings.catch_warnings():
             # Unrolling is intended here; the library warns at every call.
             warnings.filterwarnings("ignore", message="We recommend keeping prediction length")

@@ -8,13 +8,20 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable, Mapping
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.errors import BackboneError
 from thermoforce_mpc.model.free_response.backbones.checkpoint import WEIGHTS
+from thermoforce_mpc.model.free_response.checks import level_places
+
+if TYPE_CHECKING:
+    from torch import nn
 
 GRAPH = "model.onnx"
 WEIGHTS_KEY = "weights_sha256"
@@ -56,6 +63,38 @@ class Graph:
         """The output for inputs by name."""
         (values,) = self._session.run(None, inputs)
         return np.asarray(values, dtype=np.float32)
+
+
+class ByGraph:
+    """What backbones have in common that a graph may run in place of the library.
+
+    Args:
+        settings: `chronos_config` of the checkpoint.
+        label: name for reports.
+        load: the library's pipeline, frozen; of a checkpoint with a graph called only for horizons to be unrolled.
+        graph: the model's operations, run in place of the library's.
+    """
+
+    def __init__(
+        self, settings: Mapping[str, Any], label: str, load: Callable[[], Any], graph: Graph | None = None
+    ) -> None:
+        self.label, self._load, self.graph = label, load, graph
+        self._patch, self._longest = int(settings["input_patch_size"]), int(settings["context_length"])
+        self._at_once = self._steps_at_once(settings)
+        self._levels = level_places(settings["quantiles"])
+
+    @property
+    def modules(self) -> tuple[nn.Module, ...]:
+        """Modules with weights."""
+        return () if self.graph else (self._pipeline.model,)
+
+    @cached_property
+    def _pipeline(self) -> Any:
+        return self._load()
+
+    def _steps_at_once(self, settings: Mapping[str, Any]) -> int:
+        """Number of steps that the model forecasts without being unrolled."""
+        return int(settings["prediction_length"])
 
 
 def _again(folder: Path) -> str:
