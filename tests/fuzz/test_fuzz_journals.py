@@ -102,6 +102,20 @@ def test_a_journal_made_to_deceive_ends_in_a_named_error(folder, tmp_path_factor
     result_or_error(ThermoForceError, lambda: act(there), most=3000)
 
 
+@pytest.mark.parametrize(
+    "blocks", ["", [], [{"u": [2.0], "duration_s": 900.0}], [{"u": [float("nan")], "duration_s": 900.0}],
+               [{"u": [0.5], "duration_s": 1800.0}], [{"u": [0.5], "duration_s": 0.0}], [{"u": [], "duration_s": 900.0}]]
+)  # fmt: skip
+def test_blocks_that_no_plan_could_have_are_not_applied_again(folder, tmp_path, blocks):
+    found = records(folder)
+    step = next(record for record in found if record["kind"] == "step")
+    assert step["blocks"][0]["duration_s"] == 900.0
+    step["blocks"] = blocks
+    written(tmp_path, found)
+    with pytest.raises(ThermoForceError, match="was it edited"):
+        resumed(tmp_path)
+
+
 def test_a_packed_array_that_unpacks_to_more_than_it_says_is_refused(folder, tmp_path):
     found = records(folder)
     past = next(record for record in found if record["kind"] == "past")

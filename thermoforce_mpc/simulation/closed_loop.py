@@ -24,7 +24,7 @@ from thermoforce_mpc.data import (
     Plan,
     PlanStatus,
 )
-from thermoforce_mpc.errors import ControllerRaised, ThermoForceError
+from thermoforce_mpc.errors import ControllerRaised, DataError, ThermoForceError
 from thermoforce_mpc.model.screening import Limits, limits_of, screened, screened_history
 from thermoforce_mpc.protocols import Controller, Plant, RoomSetpointPlant
 from thermoforce_mpc.simulation.forecasts import OUTAGE_H, Forecasts
@@ -226,7 +226,8 @@ def run_closed_loop(
         # A plan that was refused did not act: the controller goes on from what it knew before.
         state = state if refused else next_state
         if keeper:
-            blocks = tuple(keeper.decided(len(records), observation.time_s, plan, blocks, refused))
+            kept = tuple(keeper.decided(len(records), observation.time_s, plan, blocks, refused))
+            blocks = _kept_blocks(kept, blocks, lowest, history.names)
         doubts += gaps
         samples: list[Sample] = []
         parts: list[tuple[float, Measurement]] = []
@@ -311,6 +312,19 @@ def checked_blocks(
         cut.append(replace(block, duration_s=min(block.duration_s, left_s)))
         left_s -= block.duration_s
     return tuple(cut), ""
+
+
+def _kept_blocks(
+    kept: tuple[Block, ...], planned: tuple[Block, ...], lowest: Sequence[float], names: Names
+) -> tuple[Block, ...]:
+    """What the keeper says acted then; raises `DataError` where it could not have, as in a journal that was edited."""
+    wrong = next(filter(None, (_unfit(block, lowest, names) for block in kept)), "")
+    durations_s = [math.fsum(block.duration_s for block in blocks) for blocks in (kept, planned)]
+    if not wrong and abs(durations_s[0] - durations_s[1]) > _CLOCK_TOLERANCE_S:
+        wrong = f"blocks of {durations_s[0]:g} s in all for {durations_s[1]:g} s"
+    if wrong:
+        raise DataError(f"the journal tells of {wrong}; was it edited? Start the run again")
+    return kept
 
 
 def _unfit(block: Block, lowest: float | Sequence[float], names: Names) -> str:
