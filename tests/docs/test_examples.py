@@ -10,7 +10,11 @@ import pytest
 from places import ROOT
 
 # Arguments with which an example that trains or controls for long is quick.
-QUICK = {"train_agent": ["--steps", "2048", "--days", "0.5", "--without-mpc"]}
+QUICK = {
+    "train_agent": ["--steps", "2048", "--days", "0.5", "--without-mpc"],
+    "tariff_worth": ["", "", "peak_heat_day", "0.5"],
+    "perfect_forecast": ["synthetic", "peak_heat_day", "0.25"],
+}
 pytestmark = pytest.mark.slow
 
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
