@@ -103,9 +103,17 @@ def test_a_journal_made_to_deceive_ends_in_a_named_error(folder, tmp_path_factor
 
 
 @pytest.mark.parametrize(
-    "blocks", ["", [], [{"u": [2.0], "duration_s": 900.0}], [{"u": [float("nan")], "duration_s": 900.0}],
-               [{"u": [0.5], "duration_s": 1800.0}], [{"u": [0.5], "duration_s": 0.0}], [{"u": [], "duration_s": 900.0}]]
-)  # fmt: skip
+    "blocks",
+    [
+        "",
+        [],
+        [{"u": [], "duration_s": 900.0}],
+        [{"u": [2.0], "duration_s": 900.0}],
+        [{"u": [float("nan")], "duration_s": 900.0}],
+        [{"u": [0.5], "duration_s": 1800.0}],
+        [{"u": [0.5], "duration_s": 0.0}],
+    ],
+)
 def test_blocks_that_no_plan_could_have_are_not_applied_again(folder, tmp_path, blocks):
     found = records(folder)
     step = next(record for record in found if record["kind"] == "step")
