@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.pretraining.model import CONTEXT, HORIZON, QUANTILES
-from benchmarks.pretraining.series import COVARIATES, draw_batch
+from benchmarks.pretraining.series import COVARIATES, Batch, courses, draw_batch
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import BackboneError, ConfigError
+from thermoforce_mpc.model.free_response.backbones.base import LINEAR_MODEL
 
 CONTEXTS = (48, 96, 168, 336, 512)
 _SEASON = 24
@@ -66,12 +67,14 @@ def evaluate(folder: Path, *, series: int = 1024, seed: int = 0, steps: int = 24
     if series < 1:
         raise ConfigError(f"series is {series}: draw at least one")
     pipeline = _load(folder)
-    past, future, covariates = _held_out(np.random.default_rng([seed, _STREAM]), series, steps)
-    scores = [_score(pipeline, past[:, -length:], future, covariates) for length in CONTEXTS]
+    batch = _held_out(np.random.default_rng([seed, _STREAM]), series, steps)
+    # All context lengths share one scale, that of the shortest context, which contains no future values.
+    scale = batch.context[:, -min(CONTEXTS) :].std(axis=1, keepdims=True)
+    scores = [_score(pipeline, _cut(batch, length, steps), scale) for length in CONTEXTS]
     return {
         "seed": seed,
         "contexts": [asdict(score) for score in scores],
-        "milliseconds": _milliseconds(pipeline, past[:1], covariates[:1], steps),
+        "milliseconds": _milliseconds(pipeline, Batch(*(values[:1] for values in _fields(batch)))),
     }
 
 
@@ -89,32 +92,35 @@ def _load(folder: Path) -> Any:
     return pipeline
 
 
-def _held_out(rng: np.random.Generator, series: int, steps: int) -> tuple[Array, Array, NDArray[np.float32]]:
-    """Contexts (series, CONTEXT) and following values (series, steps) of series whose shortest context has no gaps.
-
-    The third are their covariates (series, 3, CONTEXT + steps).
+def _held_out(rng: np.random.Generator, series: int, steps: int) -> Batch:
+    """Series whose shortest context has no gaps, with `steps` values of their future.
 
     The same series serve all context lengths, so padded ones are drawn again.
     """
-    pasts: list[Array] = []
-    futures: list[Array] = []
-    covariates: list[NDArray[np.float32]] = []
-    while sum(map(len, pasts)) < series:
-        batch = draw_batch(rng, 256, CONTEXT, HORIZON)
-        past, future = batch.context, batch.future[:, :steps]
-        usable = np.isfinite(past).all(axis=1) & np.isfinite(future).all(axis=1)
-        usable &= past[:, -min(CONTEXTS) :].std(axis=1) > _LEAST_SCALE
-        pasts.append(past[usable])
-        futures.append(future[usable])
-        covariates.append(batch.covariates[usable, :, : CONTEXT + steps])
-    return np.concatenate(pasts)[:series], np.concatenate(futures)[:series], np.concatenate(covariates)[:series]
+    found: list[Batch] = []
+    while sum(len(batch.context) for batch in found) < series:
+        batch = _cut(draw_batch(rng, 256, CONTEXT, HORIZON), CONTEXT, steps)
+        usable = np.isfinite(batch.context).all(axis=1) & np.isfinite(batch.future).all(axis=1)
+        usable &= batch.context[:, -min(CONTEXTS) :].std(axis=1) > _LEAST_SCALE
+        found.append(Batch(*(values[usable] for values in _fields(batch))))
+    return Batch(*(np.concatenate(values)[:series] for values in zip(*map(_fields, found), strict=True)))
 
 
-def _score(pipeline: Any, past: Array, future: Array, covariates: NDArray[np.float32]) -> ContextScore:
+def _cut(batch: Batch, length: int, steps: int) -> Batch:
+    """The last `length` values of the contexts, and the first `steps` of their future."""
+    context = batch.context.shape[1]
+    seen = slice(context - length, context + steps)
+    return Batch(batch.context[:, -length:], batch.future[:, :steps], batch.covariates[:, :, seen], batch.hour[:, seen])
+
+
+def _fields(batch: Batch) -> tuple[NDArray[Any], ...]:
+    return batch.context, batch.future, batch.covariates, batch.hour
+
+
+def _score(pipeline: Any, batch: Batch, scale: Array) -> ContextScore:
+    past, future = batch.context, batch.future
     n, steps = future.shape
-    # All context lengths share one scale, that of the shortest context, which contains no future values.
-    scale = past[:, -min(CONTEXTS) :].std(axis=1, keepdims=True)
-    quantiles = _quantiles(pipeline, past, covariates, steps)
+    quantiles = _quantiles(pipeline, batch)
     day = past[:, -_SEASON:]
     naive = np.tile(day, (1, -(-steps // _SEASON)))[:, :steps]
     below = future[:, None, :] <= quantiles
@@ -134,35 +140,38 @@ def _score(pipeline: Any, past: Array, future: Array, covariates: NDArray[np.flo
     )
 
 
-def _quantiles(pipeline: Any, past: Array, covariates: NDArray[np.float32], steps: int) -> Array:
+def _quantiles(pipeline: Any, batch: Batch) -> Array:
     """The model's nine quantiles, sorted, shape (n, 9, steps)."""
     import torch
     from chronos import Chronos2Pipeline
 
+    steps, course_ahead = batch.future.shape[1], np.zeros((1, 1, 1), dtype=np.float32)
     with torch.no_grad():
         if isinstance(pipeline, Chronos2Pipeline):
-            tasks = [_task(*pair, steps) for pair in zip(past.astype(np.float32), covariates, strict=True)]
+            course, k = courses(batch), batch.context.shape[1]
+            course_ahead, known = course[:, None, k:], np.concatenate([batch.covariates, course[:, None]], axis=1)
+            tasks = [_task(*pair, steps) for pair in zip(batch.context - course[:, :k], known, strict=True)]
             each, _ = pipeline.predict_quantiles(tasks, prediction_length=steps, quantile_levels=QUANTILES)
             found = torch.stack([values[0] for values in each])
         else:
-            found, _ = pipeline.predict_quantiles(torch.from_numpy(past.astype(np.float32)), steps, QUANTILES)
-    return np.asarray(np.sort(found.numpy().transpose(0, 2, 1), axis=1), dtype=np.float64)
+            found, _ = pipeline.predict_quantiles(torch.from_numpy(batch.context), steps, QUANTILES)
+    return np.asarray(np.sort(found.numpy().transpose(0, 2, 1), axis=1) + course_ahead, dtype=np.float64)
 
 
-def _task(past: Array, covariates: NDArray[np.float32], steps: int) -> dict[str, Any]:
-    """A series (k,) with the covariates (3, at least k + steps) that end `steps` after it."""
-    seen, known = covariates[:, -past.size - steps : -steps], covariates[:, -steps:]
+def _task(past: NDArray[np.float32], covariates: NDArray[np.float32], steps: int) -> dict[str, Any]:
+    """A series (k,) with its covariates (4, k + steps)."""
+    names = (*COVARIATES, LINEAR_MODEL)
     return {
         "target": past,
-        "past_covariates": dict(zip(COVARIATES, seen, strict=True)),
-        "future_covariates": dict(zip(COVARIATES, known, strict=True)),
+        "past_covariates": dict(zip(names, covariates[:, :-steps], strict=True)),
+        "future_covariates": dict(zip(names, covariates[:, -steps:], strict=True)),
     }
 
 
-def _milliseconds(pipeline: Any, past: Array, covariates: NDArray[np.float32], steps: int, repeats: int = 30) -> float:
+def _milliseconds(pipeline: Any, batch: Batch, repeats: int = 30) -> float:
     seconds = []
     for _ in range(repeats):
         began = time.perf_counter()
-        _quantiles(pipeline, past, covariates, steps)
+        _quantiles(pipeline, batch)
         seconds.append(time.perf_counter() - began)
     return float(np.median(seconds)) * 1e3

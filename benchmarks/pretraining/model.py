@@ -11,7 +11,7 @@ QUANTILES = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9]
 
 
 def build_weather_model(d_model: int = 96, d_ff: int = 256, layers: int = 4) -> Any:
-    """A randomly initialised `Chronos2Model` (from the global seed of torch), with known future covariates."""
+    """A randomly initialised `Chronos2Model` (from torch's global seed), of what a linear weather model leaves over."""
     from chronos.chronos2.config import Chronos2CoreConfig
     from chronos.chronos2.model import Chronos2Model
 
@@ -26,6 +26,7 @@ def build_weather_model(d_model: int = 96, d_ff: int = 256, layers: int = 4) -> 
         feed_forward_proj="relu",
     )
     config.architectures = ["Chronos2Model"]
+    config.after_linear_weather = True
     config.chronos_pipeline_class = "Chronos2Pipeline"
     config.chronos_config = {
         "context_length": CONTEXT,

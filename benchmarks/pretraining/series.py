@@ -15,17 +15,22 @@ from benchmarks.pretraining.climate import first_order, random_weather
 from benchmarks.pretraining.occupants import held_by_others, random_people
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.free_response.backbones.base import clock
+from thermoforce_mpc.model.free_response.linear_weather import DISTURBANCES_H, fitted, mean_course
 
 # Steps in hours and how often each is drawn.
 _STEPS_H = (0.25, 0.5, 1.0)
-_STEP_SHARE = (0.2, 0.3, 0.5)
+_STEP_SHARE = (0.4, 0.1, 0.5)
 _SHARE_OF_ROOMS = 0.75
 # Shares of rooms with an external thermostat, and of sensors that record the mean of a step.
 _SHARE_HELD = 0.15
 _SHARE_OF_MEANS = 0.25
 _BURN_IN = 200
-_SHARE_PADDED = 0.3
-_SHORTEST_CONTEXT = 32
+_SHARE_PADDED = 0.5
+# Of a padded context, h: with less than a day there is no linear model.
+_SHORTEST_CONTEXT_H = 25.0
+_LEAST_FITTED_H = 20.0
+# Irradiance of a clear sky at noon, W/m².
+_SUN_W_M2 = 900.0
 # Share of series whose weather ahead is a forecast with errors, and the correlation time of these errors, h.
 _SHARE_UNCERTAIN = 0.5
 _ERROR_H = 12.0
@@ -36,12 +41,14 @@ COVARIATES = ("outdoor_temperature", "irradiance", "clock")
 class Batch:
     """`context` (B, C), padded with NaN on the left if short, and `future` (B, H), °C, float32.
 
-    `covariates` (B, 3, C + H), float32: outdoor temperature, irradiance and `clock`, those of the future as forecast.
+    `covariates` (B, 3, C + H), float32: outdoor temperature, irradiance and `clock`, those of the future as forecast,
+    at `hour` (B, C + H), h.
     """
 
     context: NDArray[np.float32]
     future: NDArray[np.float32]
     covariates: NDArray[np.float32]
+    hour: Array
 
 
 def draw_batch(rng: np.random.Generator, size: int, context: int, horizon: int) -> Batch:
@@ -57,12 +64,30 @@ def draw_batch(rng: np.random.Generator, size: int, context: int, horizon: int) 
     covariates = np.stack([outdoor, irradiance, clock(HOUR_S * hour)], axis=1)[:, :, _BURN_IN:]
     _forecast_errors(rng, covariates[:, :2, context:], step_h)
     past, future = series[:, :context].copy(), series[:, context:]
-    padded = rng.random(size) < _SHARE_PADDED
-    starts = rng.integers(0, context - _SHORTEST_CONTEXT, size)
-    past[(np.arange(context) < starts[:, None]) & padded[:, None]] = np.nan
+    latest = context - np.minimum(np.ceil(_SHORTEST_CONTEXT_H / step_h).astype(int), context)
+    # Evenly in the logarithm of the length: buildings begin with a day.
+    starts = np.minimum(context - context * ((context - latest) / context) ** rng.random(size), latest).astype(int)
+    starts = np.where(rng.random(size) < _SHARE_PADDED, starts, 0)
+    past[np.arange(context) < starts[:, None]] = np.nan
     order = rng.permutation(size)
     chosen = (a[order].astype(np.float32) for a in (past, future, covariates))
-    return Batch(*chosen)
+    return Batch(*chosen, hour[order, _BURN_IN:])
+
+
+def courses(batch: Batch) -> NDArray[np.float32]:
+    """What the linear weather model, fitted to each context, says of context and future (B, C + H), °C.
+
+    NaN before a context begins, and where less than 20 h of it are known.
+    """
+    out = np.full(batch.hour.shape, np.nan, dtype=np.float32)
+    for course, past, (T_out, sun, _), hour in zip(out, batch.context, batch.covariates, batch.hour, strict=True):
+        known, step_h = np.flatnonzero(np.isfinite(past)), float(hour[1] - hour[0])
+        if known.size * step_h >= _LEAST_FITTED_H:
+            ahead = slice(known[0], None)
+            series = past[ahead], HOUR_S * hour[ahead], T_out[ahead], _SUN_W_M2 * sun[ahead]
+            fits = fitted(*(values.astype(np.float64) for values in series), HOUR_S * step_h, DISTURBANCES_H)
+            course[ahead] = mean_course(fits)
+    return out
 
 
 def _forecast_errors(rng: np.random.Generator, ahead: Array, step_h: Array) -> None:

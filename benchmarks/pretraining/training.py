@@ -17,16 +17,19 @@ from torch import Tensor
 
 from benchmarks.pretraining.groups import attend_within_groups
 from benchmarks.pretraining.model import CONTEXT, HORIZON, PATCH, build_model, build_weather_model
-from benchmarks.pretraining.series import COVARIATES, Batch, draw_batch
+from benchmarks.pretraining.series import COVARIATES, Batch, courses, draw_batch
 from thermoforce_mpc.errors import ConfigError
 
 # Targets further than this many standard deviations of the context away are masked: they would dominate the loss.
 _LARGEST_Z = 8.0
+# The same of what a linear model leaves over, which after a day may be little before and much after.
+_LARGEST_REST_Z = 40.0
 _WARM_UP = 200
 _CLIP = 1.0
 # Lengths of context of a batch with weather, steps; shorter ones cost less, and a building begins with a day.
-_CONTEXTS = (96, 192, 352, CONTEXT)
-_ROWS = 1 + len(COVARIATES)
+_CONTEXTS = (112, 192, 352, CONTEXT)
+# The series, its covariates, and the course of the linear model.
+_ROWS = 2 + len(COVARIATES)
 # Computed at import, since the files may change during a long run.
 _CODE_HASH = hashlib.sha256(
     b"".join(
@@ -212,21 +215,27 @@ def loss_of(model: Any, rng: np.random.Generator, config: TrainingConfig, size: 
 
 
 def weather_loss(model: Any, batch: Batch) -> Tensor:
-    """Quantile loss of a Chronos-2 on `batch`; the covariates' rows are known ahead and have none."""
+    """Quantile loss of a Chronos-2 on what the linear weather model leaves of `batch`.
+
+    The rows of the covariates and of the model's course are known ahead and have no loss.
+    """
     n, context, horizon = len(batch.context), batch.context.shape[1], batch.future.shape[1]
-    past = np.concatenate([batch.context[:, None], batch.covariates[:, :, :context]], axis=1)
+    course = courses(batch)
+    rest = batch.context - course[:, :context], batch.future - course[:, context:]
+    known = np.concatenate([batch.covariates, course[:, None]], axis=1)
+    past = np.concatenate([rest[0][:, None], known[:, :, :context]], axis=1)
     ahead, target = np.full((2, n, _ROWS, horizon), np.nan, dtype=np.float32)
-    ahead[:, 1:], target[:, 0] = batch.covariates[:, :, context:], batch.future
-    scale = np.nanstd(batch.context, axis=1, keepdims=True)
-    middle = np.nanmean(batch.context, axis=1, keepdims=True)
-    target[:, 0][np.abs(batch.future - middle) > _LARGEST_Z * scale] = np.nan
+    ahead[:, 1:], target[:, 0] = known[:, :, context:], rest[1]
+    scale = np.nanstd(rest[0], axis=1, keepdims=True)
+    middle = np.nanmean(rest[0], axis=1, keepdims=True)
+    target[:, 0][np.abs(rest[1] - middle) > _LARGEST_REST_Z * scale] = np.nan
     rows = (torch.from_numpy(values.reshape(n * _ROWS, -1)) for values in (past, ahead, target))
-    seen, known, wanted = (values.to(model.device) for values in rows)
+    seen, coming, wanted = (values.to(model.device) for values in rows)
     with attend_within_groups(model, _ROWS):
         loss: Tensor = model(
             context=seen,
             group_ids=torch.arange(n, device=model.device).repeat_interleave(_ROWS),
-            future_covariates=known,
+            future_covariates=coming,
             num_output_patches=horizon // PATCH,
             future_target=wanted,
         ).loss

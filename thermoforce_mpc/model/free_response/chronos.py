@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -34,7 +34,14 @@ _SHORTEST_HISTORY_S = DAY_S
 _SHORTEST_CONTEXT = 16
 _RESOLUTIONS = ("several", "one")
 
-Task = tuple[Array, Record, Boundary]
+
+class Task(NamedTuple):
+    """Control-free series (k,) °C, history and boundary; `course_C` (k + N,) of what left the series over."""
+
+    free_C: Array
+    history: Record
+    boundary: Boundary
+    course_C: Array | None = None
 
 
 class ChronosFreeResponse:
@@ -78,6 +85,11 @@ class ChronosFreeResponse:
         """Modules with weights."""
         return self.model.modules
 
+    @property
+    def after_linear_weather(self) -> bool:
+        """Whether the backbone was trained on what linear weather models leave over, with their course."""
+        return bool(getattr(self.model, "after_linear_weather", False))
+
     def weight_hash(self) -> str:
         """Return the SHA-256 of all weights, of their file where a graph holds them; they are frozen."""
         graph = getattr(self.model, "graph", None)
@@ -98,18 +110,18 @@ class ChronosFreeResponse:
         """
         return self.forecast_many([(free_C, history, boundary)])[0]
 
-    def forecast_many(self, tasks: Sequence[Task]) -> list[FreeForecast]:
+    def forecast_many(self, tasks: Sequence[tuple[Array, Record, Boundary]]) -> list[FreeForecast]:
         """Return forecasts for several buildings or instants in one pass through the model.
 
         Each task holds the arguments of `forecast` and is treated the same; raises what `forecast` raises.
         """
-        return run(self.forecasting(tasks))
+        return run(self.forecasting([Task(*task) for task in tasks]))
 
     def following(
         self, free_C: Array, history: Record, boundary: Boundary, state: object
     ) -> Computation[tuple[FreeForecast, object]]:
         """See `ComputedFreeResponse.following`; raises what `forecast` raises."""
-        (forecast,) = yield from self.forecasting([(free_C, history, boundary)])
+        (forecast,) = yield from self.forecasting([Task(free_C, history, boundary)])
         return forecast, None
 
     def forecasting(self, tasks: Sequence[Task]) -> Computation[list[FreeForecast]]:
@@ -117,7 +129,7 @@ class ChronosFreeResponse:
         inputs: list[list[Resolution] | FreeForecast] = []
         for i, task in enumerate(tasks):
             again = self._again(inputs[-1], tasks[i - 1], task) if i else None
-            inputs.append(again or self._input_of(*task))
+            inputs.append(again or self._input_of(task))
         contexts = [
             resolution.context for resolutions in inputs if isinstance(resolutions, list) for resolution in resolutions
         ]
@@ -125,12 +137,12 @@ class ChronosFreeResponse:
         if contexts:
             per_context = iter((yield from perform(Request(self.model, self._run_backbone, contexts))))
         answers = []
-        for of_task, (_, _, boundary) in zip(inputs, tasks, strict=True):
+        for of_task, task in zip(inputs, tasks, strict=True):
             if isinstance(of_task, FreeForecast):
                 answers.append(of_task)
                 continue
             quantiles = merged(of_task, [next(per_context) for _ in of_task])
-            answers.append(self._checked(np.sort(quantiles, axis=0), boundary))
+            answers.append(self._checked(np.sort(quantiles, axis=0), task.boundary))
         return answers
 
     def _run_backbone(self, contexts: Sequence[Context]) -> list[Array]:
@@ -138,21 +150,24 @@ class ChronosFreeResponse:
         with frozen_pass():
             return self.model.quantiles_C(contexts)
 
-    def _input_of(self, free_C: Array, history: Record, boundary: Boundary) -> list[Resolution] | FreeForecast:
+    def _input_of(self, task: Task) -> list[Resolution] | FreeForecast:
         """What the backbone is given for a task, or the forecast of persistence where it is too little."""
+        free_C, history, boundary, course_C = task
         free = checked_free(free_C, history)
         if history.n_steps and abs(history.step_s - boundary.step_s) > 1e-6:
             raise DataError(f"history at {history.step_s:g} s and forecast at {boundary.step_s:g} s differ in step")
         why = self._too_little(free, boundary.step_s)
-        return self._persistence(free, history, boundary, why) if why else self._resolutions_of(free, history, boundary)
+        if why:
+            return self._persistence(free, history, boundary, why)
+        return self._resolutions_of(free, history, boundary, course_C)
 
     def _again(self, before: list[Resolution] | FreeForecast, last: Task, task: Task) -> list[Resolution] | None:
         """The input of a task that has another series than the `last` one, but all else; None where it has not."""
-        if isinstance(before, FreeForecast) or task[1] is not last[1] or task[2] is not last[2]:
+        if isinstance(before, FreeForecast) or any(a is not b for a, b in zip(task[1:], last[1:], strict=True)):
             return None
-        if not np.array_equal(np.isfinite(task[0]), np.isfinite(last[0])):
+        if not np.array_equal(np.isfinite(task.free_C), np.isfinite(last.free_C)):
             return None
-        return [resolution.of(task[0]) for resolution in before]
+        return [resolution.of(task.free_C) for resolution in before]
 
     def _too_little(self, free: Array, step_s: float) -> str:
         """Return why persistence is needed, or an empty string."""
@@ -165,8 +180,15 @@ class ChronosFreeResponse:
             return f"only {n_recent} of the last {context.size} values were measured"
         return ""
 
-    def _resolutions_of(self, free: Array, history: Record, boundary: Boundary) -> list[Resolution]:
+    def _resolutions_of(
+        self, free: Array, history: Record, boundary: Boundary, course_C: Array | None
+    ) -> list[Resolution]:
         past, ahead = _known_of(history), _known_of(boundary)[1:]
+        if course_C is not None:
+            past, ahead = (
+                np.column_stack([past, course_C[: free.size]]),
+                np.column_stack([ahead, course_C[free.size :]]),
+            )
         longest = self._context_steps
         if self._resolutions == "one":
             return [own_resolution(free, past, ahead, longest)]

@@ -19,11 +19,14 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Array, Boundary, FreeFo
 from thermoforce_mpc.execution.cooperative import Computation, run
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse, Task
-from thermoforce_mpc.model.free_response.linear_weather import SHORTEST_HISTORY_S, fits_linear_weather
+from thermoforce_mpc.model.free_response.linear_weather import (
+    DISTURBANCES_H,
+    SHORTEST_HISTORY_S,
+    fits_linear_weather,
+    mean_course,
+)
 from thermoforce_mpc.model.free_response.stacking import stacking_weights
 
-# Chosen on free runs of EnergyPlus and of the embedded plant that no table of the documentation uses.
-_DISTURBANCE_H = (None, 24.0)
 _NAMES = ("without weather", "independent errors", "slow disturbance")
 _PRIOR = np.array([0.10, 0.50, 0.40])
 # Strength of the prior. Of 1, 2, 5, 10, 20, 50 and 1000 the best over the first 6 h of those records, and 2 % better
@@ -96,9 +99,12 @@ class ResidualFreeResponse:
         free = checked_free(free_C, history)
         if history.n_steps * boundary.step_s < SHORTEST_HISTORY_S:
             # Too short for the linear model; the backbone handles short histories and notes it.
-            (alone,) = yield from self.backbone.forecasting([(free, history, boundary)])
+            (alone,) = yield from self.backbone.forecasting([Task(free, history, boundary)])
             return alone, weights
-        candidates, note = yield from self._candidates([(free, history, boundary)])
+        if self.backbone.after_linear_weather:
+            rest = yield from self._after_linear_weather(free, history, boundary)
+            return rest, None
+        candidates, note = yield from self._candidates([Task(free, history, boundary)])
         now = float(history.time_s[-1])
         if (
             weights is None
@@ -111,6 +117,14 @@ class ResidualFreeResponse:
         note = f"linear weather models plus residual by {note}; {weights.why}"
         return FreeForecast(LEVELS, quantiles, note), weights
 
+    def _after_linear_weather(self, free: Array, history: Record, boundary: Boundary) -> Computation[FreeForecast]:
+        """Forecast by a backbone that knows what it corrects: the mean of the weather models."""
+        course = mean_course(fits_linear_weather(free, history, boundary, DISTURBANCES_H))
+        (rest,) = yield from self.backbone.forecasting([Task(free - course[: free.size], history, boundary, course)])
+        return FreeForecast(
+            LEVELS, course[free.size :] + rest.quantiles_C, f"linear weather models plus residual by {rest.note}"
+        )
+
     def candidates(self, tasks: Sequence[Task]) -> tuple[list[Array], str]:
         """Return the quantiles (3, 9, N) °C of the three candidates for each task, and the backbone's note.
 
@@ -122,11 +136,11 @@ class ResidualFreeResponse:
     def _candidates(self, tasks: Sequence[Task]) -> Computation[tuple[list[Array], str]]:
         todo: list[Task] = []
         ahead: list[Array] = []
-        for free, history, boundary in tasks:
-            todo.append((free, history, boundary))
+        for free, history, boundary, _ in tasks:
+            todo.append(Task(free, history, boundary))
             ahead.append(np.zeros(boundary.n_steps))
-            for fit in fits_linear_weather(free, history, boundary, _DISTURBANCE_H):
-                todo.append((free - fit.past_C, history, boundary))
+            for fit in fits_linear_weather(free, history, boundary, DISTURBANCES_H):
+                todo.append(Task(free - fit.past_C, history, boundary))
                 ahead.append(fit.ahead_C)
         rests = yield from self.backbone.forecasting(todo)
         quantiles = [course + rest.quantiles_C for course, rest in zip(ahead, rests, strict=True)]
@@ -180,7 +194,7 @@ class ResidualFreeResponse:
 def _past_task(free: Array, history: Record, origin: int, steps: int) -> Task:
     """Return the forecast task at step `origin` of the history, with the measured weather as weather forecast."""
     ahead = Boundary.measured(history.slice(origin, origin + steps))
-    return free[: origin + 1], history.slice(0, origin), ahead
+    return Task(free[: origin + 1], history.slice(0, origin), ahead)
 
 
 def _key(free: Array, history: Record, origin: int, steps: int) -> tuple[float, int, bytes]:

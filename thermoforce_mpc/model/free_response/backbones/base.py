@@ -18,12 +18,17 @@ if TYPE_CHECKING:
     from torch import nn
 
 
+LINEAR_MODEL = "linear_model"
+"""Name of the covariate that is a linear weather model's course."""
+
+
 @dataclass(frozen=True)
 class Context:
     """Input of a backbone: the control-free series, past and forecast weather. It never contains the control.
 
     `free_C` (k,) °C with NaN gaps, the last value is now; `past_weather` (k, 3) at the same instants and
-    `ahead_weather` (N, 3) at the ends of the N steps ahead: outdoor temperature °C, irradiance W/m², and `clock`.
+    `ahead_weather` (N, 3) at the ends of the N steps ahead: outdoor temperature °C, irradiance W/m², and `clock`. Where
+    the series is what a linear weather model leaves over, a fourth column is that model's course, °C.
     """
 
     free_C: Array

@@ -9,17 +9,23 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.model.free_response.backbones.base import Context, frozen_pass, padded_series
+from thermoforce_mpc.model.free_response.backbones.base import LINEAR_MODEL, Context, frozen_pass, padded_series
 from thermoforce_mpc.model.free_response.backbones.graph import ByGraph
 from thermoforce_mpc.model.free_response.checks import LEVELS
 
-_COVARIATES = ("outdoor_temperature", "irradiance", "clock")
-# Rows of a context: the series, then its covariates.
-_ROWS = 1 + len(_COVARIATES)
+_COVARIATES = ("outdoor_temperature", "irradiance", "clock", LINEAR_MODEL)
 
 
 class Chronos2Backbone(ByGraph):
-    """`Backbone` of a `Chronos2Pipeline` with outdoor temperature, irradiance and clock, past and ahead."""
+    """`Backbone` of a `Chronos2Pipeline` with outdoor temperature, irradiance and clock, past and ahead.
+
+    One that was trained on what linear weather models leave over reads their course, too (`after_linear_weather`).
+    """
+
+    def __init__(self, *args: Any, after_linear_weather: bool = False) -> None:
+        super().__init__(*args)
+        self.after_linear_weather = after_linear_weather
+        self._names = _COVARIATES if after_linear_weather else _COVARIATES[:-1]
 
     def _steps_at_once(self, settings: Mapping[str, Any]) -> int:
         return int(settings["output_patch_size"]) * int(settings["max_output_patches"])
@@ -38,25 +44,26 @@ class Chronos2Backbone(ByGraph):
     def _by_graph(self, contexts: Sequence[Context], steps: int) -> list[Array]:
         assert self.graph is not None
         k = -(-max(context.free_C.size for context in contexts) // self._patch) * self._patch
-        past = np.full((len(contexts), _ROWS, k), np.nan, dtype=np.float32)
+        rows = 1 + len(self._names)  # of a context: the series, then its covariates
+        past = np.full((len(contexts), rows, k), np.nan, dtype=np.float32)
         past[:, 0] = padded_series(contexts, self._patch)
-        ahead = np.full((len(contexts), _ROWS, -(-steps // self._patch) * self._patch), np.nan, dtype=np.float32)
+        ahead = np.full((len(contexts), rows, -(-steps // self._patch) * self._patch), np.nan, dtype=np.float32)
         for i, context in enumerate(contexts):
-            past[i, 1:, k - context.free_C.size :] = context.past_weather.T
-            ahead[i, 1:, :steps] = context.ahead_weather.T
+            past[i, 1:, k - context.free_C.size :] = context.past_weather.T[: rows - 1]
+            ahead[i, 1:, :steps] = context.ahead_weather.T[: rows - 1]
         values = self.graph(
             context=past.reshape(-1, k)[:, -self._longest :],
-            group_ids=np.repeat(np.arange(len(contexts)), _ROWS),
+            group_ids=np.repeat(np.arange(len(contexts)), rows),
             future_covariates=ahead.reshape(-1, ahead.shape[2]),
         )
-        return list(values[::_ROWS][:, self._levels, :steps].astype(np.float64))
+        return list(values[::rows][:, self._levels, :steps].astype(np.float64))
 
     def _by_library(self, contexts: Sequence[Context], steps: int) -> list[Array]:
         tasks = [
             {
                 "target": context.free_C.astype(np.float32),
-                "past_covariates": _columns(context.past_weather),
-                "future_covariates": _columns(context.ahead_weather),
+                "past_covariates": self._columns(context.past_weather),
+                "future_covariates": self._columns(context.ahead_weather),
             }
             for context in contexts
         ]
@@ -70,6 +77,5 @@ class Chronos2Backbone(ByGraph):
         # One list entry per task, shape (variates, N, levels); the target is the only variate forecast.
         return [np.asarray(value[0].T.double().numpy()) for value in values]
 
-
-def _columns(weather: Array) -> dict[str, Any]:
-    return {name: weather[:, i].astype(np.float32) for i, name in enumerate(_COVARIATES)}
+    def _columns(self, weather: Array) -> dict[str, Any]:
+        return {name: weather[:, i].astype(np.float32) for i, name in enumerate(self._names)}

@@ -20,8 +20,8 @@ def load(name: str, folder: Path, label: str = "") -> Backbone:
         BackboneError: it is another Chronos, its quantiles do not span 0.1 to 0.9, or its graph is not of its weights.
     """
     graph, pipeline = None, functools.cache(functools.partial(torch_pipeline, name, folder))
+    config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
     if (folder / GRAPH).is_file():
-        config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
         family, settings, graph = config["chronos_pipeline_class"], config["chronos_config"], Graph(folder)
     else:
         family, settings = type(pipeline()).__name__, vars(pipeline().model.chronos_config)
@@ -36,7 +36,9 @@ def load(name: str, folder: Path, label: str = "") -> Backbone:
     if family == "Chronos2Pipeline":
         from thermoforce_mpc.model.free_response.backbones.chronos2 import Chronos2Backbone
 
-        return Chronos2Backbone(settings, label or f"Chronos-2 '{name}' with weather", pipeline, graph)
+        after = config.get("after_linear_weather", False) is True
+        label = label or f"Chronos-2 '{name}' with weather"
+        return Chronos2Backbone(settings, label, pipeline, graph, after_linear_weather=after)
     raise BackboneError(f"backbone '{name}' is a {family}; of this library Chronos-Bolt and Chronos-2 are supported")
 
 
