@@ -213,7 +213,7 @@ def test_trials_see_nothing_of_what_they_forecast() -> None:
     ResidualFreeResponse(Watching(0.0)).forecast(free[: N + 1], history, boundary)
     trials = seen[3:]  # the forecast itself comes first, three candidates of it
     assert len(trials) >= 3 * 20
-    for past_C, past, ahead in trials:
+    for past_C, past, ahead, _ in trials:
         now = past_C.size - 1
         assert past.n_steps == now <= N - AHEAD
         assert past.time_s[-1] == ahead.time_s[0]

@@ -185,10 +185,8 @@ class ChronosFreeResponse:
     ) -> list[Resolution]:
         past, ahead = _known_of(history), _known_of(boundary)[1:]
         if course_C is not None:
-            past, ahead = (
-                np.column_stack([past, course_C[: free.size]]),
-                np.column_stack([ahead, course_C[free.size :]]),
-            )
+            past = np.column_stack([past, course_C[: free.size]])
+            ahead = np.column_stack([ahead, course_C[free.size :]])
         longest = self._context_steps
         if self._resolutions == "one":
             return [own_resolution(free, past, ahead, longest)]
