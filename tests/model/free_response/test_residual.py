@@ -220,5 +220,5 @@ def test_trials_see_nothing_of_what_they_forecast() -> None:
         assert ahead.n_steps == AHEAD
         np.testing.assert_array_equal(ahead.T_out_C, outdoor[now : now + AHEAD + 1])
         assert not np.isfinite(ahead.lower_C).any()
-    for past_C, _, _ in trials[::3]:
+    for past_C, _, _, _ in trials[::3]:
         np.testing.assert_array_equal(past_C, free[: past_C.size])
