@@ -183,8 +183,10 @@ class SmallOfficePlant(WithProcess[EngineProcess[tuple[float, ...], OfficeReadin
             T_zone_C=samples("T_zone_C"),
             T_out_C=samples("T_out_C")[0],
             solar_W_m2=samples("solar_W_m2")[0],
+            u=self._levels(means("heat_W")),
+            heat_W=_of_units(means("heat_W")),
+            power_W=_of_units(means("power_W")),
             names=self._names,
-            **self._acting(means("heat_W"), means("power_W")),
         )
 
     def kpis(self) -> dict[str, float]:
@@ -229,15 +231,20 @@ class SmallOfficePlant(WithProcess[EngineProcess[tuple[float, ...], OfficeReadin
             T_zone_C=rows[-1, _PLACE["T_zone_C"]].copy(),
             T_out_C=float(rows[-1, _PLACE["T_out_C"]][0]),
             solar_W_m2=float(rows[-1, _PLACE["solar_W_m2"]][0]),
+            u=self._levels(heat_W),
+            heat_W=_of_units(heat_W),
+            power_W=_of_units(power_W),
             names=self._names,
-            **self._acting(heat_W, power_W),
         )
 
-    def _acting(self, heat_W: Array, power_W: Array) -> dict[str, Array]:
-        """Level, heat and power of each zone's unit, from those of burners and coils, (2 Z,) or (2 Z, n)."""
-        heat_W, power_W = heat_W[:_Z] + heat_W[_Z:], power_W[:_Z] + power_W[_Z:]
-        full_W, lowest = (values.reshape(-1, *(1,) * (heat_W.ndim - 1)) for values in (_FULL_W, np.array(self._lowest)))
-        return {"u": np.clip(heat_W / full_W, lowest, 1.0), "heat_W": heat_W, "power_W": power_W}
+    def _levels(self, heat_W: Array) -> Array:
+        """Levels (Z,) or (Z, n) by the heat of burners and coils, (2 Z,) or (2 Z, n)."""
+        return np.clip(_of_units(heat_W).T / _FULL_W, self._lowest, 1.0).T
+
+
+def _of_units(values: Array) -> Array:
+    """Values (Z,) or (Z, n) of each zone's unit, from those of burners and electric parts, (2 Z,) or (2 Z, n)."""
+    return np.asarray(values[:_Z] + values[_Z:])
 
 
 def _rows_of(readings: Sequence[OfficeReading]) -> Array:
