@@ -30,9 +30,7 @@ from thermoforce_mpc.scenario.schedule.dates import window_name
 from thermoforce_mpc.simulation.comparison.cells import Cell, Inputs, expand
 from thermoforce_mpc.simulation.comparison.equal_comfort import searches_equal_comfort
 from thermoforce_mpc.simulation.comparison.files import (
-    FORMS,
     HEADINGS,
-    formatted,
     headings,
     own_columns,
     shown_figures,
@@ -70,7 +68,6 @@ _axes_options = added(
         metavar="A,B",
         help="none, low, medium, high.  [default: the scenario's, else none]",
     ),
-    click.option("--identification-days", type=float, help="Days of probing before a window.  [default: 3]"),
     click.option("--tariff-file", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
 )
 _result_options = added(
@@ -78,12 +75,6 @@ _result_options = added(
         "--out",
         type=click.Path(path_type=Path),
         help="Result folder; finished cells in it are reused.  [default: runs/...]",
-    ),
-    click.option(
-        "--format",
-        "form",
-        type=click.Choice(FORMS),
-        help="Print only the figures, in this format, instead of tables for people.",
     ),
     click.option("--quiet", is_flag=True, help="Print only the final tables."),
 )
@@ -156,11 +147,11 @@ def _windows_of(base: Scenario) -> tuple[str, ...]:
 
 def scenario_options_from(options: Mapping[str, Any]) -> dict[str, Any]:
     """The options renamed to those that `scenario_from` expects."""
-    assignments = list(options["assignments"])
-    if options["identification_days"] is not None:
-        assignments.insert(0, f"identification.days={options['identification_days']!r}")
-    unchanged = ("testcase", "config", "days", "weather", "seed", "model", "probing", "url", "fmu", "equal_comfort")
-    return {key: options[key] for key in unchanged} | {"prices": options["tariff_file"], "assignments": assignments}
+    unchanged = (
+        "testcase", "config", "days", "weather", "seed", "model", "probing", "url", "fmu", "equal_comfort",
+        "assignments",
+    )  # fmt: skip
+    return {key: options[key] for key in unchanged} | {"prices": options["tariff_file"]}
 
 
 def run_comparison(
@@ -187,8 +178,7 @@ def run_comparison(
     testcase = load_testcase(base.testcase)
     store = Store(options["out"] or Path("runs") / f"{name}-{testcase.name}")
     console = Console(highlight=False, markup=False)
-    quiet = options["quiet"] or options["form"] is not None
-    say: Callable[[str], None] = (lambda text: None) if quiet else _sayer(console)
+    say: Callable[[str], None] = (lambda text: None) if options["quiet"] else _sayer(console)
     stored = {cell.key: record for cell in cells if (record := store.finished(cell)) is not None}
     todo = [cell for cell in cells if cell.key not in stored]
     say(f"{counted(len(cells), 'cell')}: {len(cells) - len(todo)} already done, {len(todo)} to run; {store.folder}")
@@ -211,9 +201,6 @@ def run_comparison(
         search = EqualComfort(store, inputs, testcase, lambda text: say(f"searching a thermostat: {text}"))
         records = search.beside(cells, records)
     result = write_outcome(store.folder, records, name=name, title=title, currency=testcase.currency, swept=swept)
-    if options["form"] is not None:
-        click.echo(formatted(result["rows"], options["form"], title, testcase.currency), nl=False)
-        return CELLS_FAILED if any(record["status"] != DONE for record in records) else 0
     show_outcome(console, result["rows"], testcase.currency)
     page = shlex.quote(str(store.folder / "comparison.html"))
     console.print(f"Table, CSV, JSON and page: {page}", soft_wrap=True, markup=False)
@@ -226,7 +213,7 @@ def _run(
     """Run cells; returns the record of each by key: its result, or the reason of its failure."""
     records: dict[str, dict[str, Any]] = {}
     with (
-        TaskProgress(console, quiet=options["quiet"] or options["form"] is not None, line=_line) as progress,
+        TaskProgress(console, quiet=options["quiet"], line=_line) as progress,
         options["engine"](say) as engine,
     ):
         store.create()  # not before: a cluster that cannot be used leaves no folder
