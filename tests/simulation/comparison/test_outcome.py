@@ -8,7 +8,7 @@ import io
 import pytest
 from comparison_records import record
 
-from thermoforce_mpc.simulation.comparison.files import write_outcome
+from thermoforce_mpc.simulation.comparison.files import FORMS, formatted, write_outcome
 from thermoforce_mpc.simulation.comparison.outcome import cost_targets, outcome_rows, ranked, verdicts
 
 RECORDS = [
@@ -93,6 +93,15 @@ def test_the_cheapest_is_not_called_best_where_it_leaves_many_times_the_discomfo
     assert [row["controller"] for row in rows if row["best_cost"]] == ["ours"]
     assert [row["controller"] for row in ranked(rows)] == ["ours", "thermostat", "cold"]
     assert any("cold costs less (0.4000) with 9.20 K·h" in text for text in verdicts(rows))
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_figures_can_be_taken_elsewhere(form):
+    rows = outcome_rows([*RECORDS, FAILED])
+    text = formatted(rows, form, "title", "EUR")
+    for row in rows:
+        assert row["controller"].replace("_", "\\_" if form == "latex" else "_") in text
+    assert {"csv": "window,price", "latex": "\\toprule", "markdown": "| controller |"}[form] in text
 
 
 def test_the_discomfort_of_every_zone_is_shown(tmp_path):

@@ -30,7 +30,9 @@ from thermoforce_mpc.scenario.schedule.dates import window_name
 from thermoforce_mpc.simulation.comparison.cells import Cell, Inputs, expand
 from thermoforce_mpc.simulation.comparison.equal_comfort import searches_equal_comfort
 from thermoforce_mpc.simulation.comparison.files import (
+    FORMS,
     HEADINGS,
+    formatted,
     headings,
     own_columns,
     shown_figures,
@@ -75,6 +77,12 @@ _result_options = added(
         "--out",
         type=click.Path(path_type=Path),
         help="Result folder; finished cells in it are reused.  [default: runs/...]",
+    ),
+    click.option(
+        "--format",
+        "form",
+        type=click.Choice(FORMS),
+        help="Print only the figures, in this format, instead of tables for people.",
     ),
     click.option("--quiet", is_flag=True, help="Print only the final tables."),
 )
@@ -178,7 +186,8 @@ def run_comparison(
     testcase = load_testcase(base.testcase)
     store = Store(options["out"] or Path("runs") / f"{name}-{testcase.name}")
     console = Console(highlight=False, markup=False)
-    say: Callable[[str], None] = (lambda text: None) if options["quiet"] else _sayer(console)
+    quiet = options["quiet"] or options["form"] is not None
+    say: Callable[[str], None] = (lambda text: None) if quiet else _sayer(console)
     stored = {cell.key: record for cell in cells if (record := store.finished(cell)) is not None}
     todo = [cell for cell in cells if cell.key not in stored]
     say(f"{counted(len(cells), 'cell')}: {len(cells) - len(todo)} already done, {len(todo)} to run; {store.folder}")
@@ -201,6 +210,9 @@ def run_comparison(
         search = EqualComfort(store, inputs, testcase, lambda text: say(f"searching a thermostat: {text}"))
         records = search.beside(cells, records)
     result = write_outcome(store.folder, records, name=name, title=title, currency=testcase.currency, swept=swept)
+    if options["form"] is not None:
+        click.echo(formatted(result["rows"], options["form"], title, testcase.currency), nl=False)
+        return CELLS_FAILED if any(record["status"] != DONE for record in records) else 0
     show_outcome(console, result["rows"], testcase.currency)
     page = shlex.quote(str(store.folder / "comparison.html"))
     console.print(f"Table, CSV, JSON and page: {page}", soft_wrap=True, markup=False)
@@ -213,7 +225,7 @@ def _run(
     """Run cells; returns the record of each by key: its result, or the reason of its failure."""
     records: dict[str, dict[str, Any]] = {}
     with (
-        TaskProgress(console, quiet=options["quiet"], line=_line) as progress,
+        TaskProgress(console, quiet=options["quiet"] or options["form"] is not None, line=_line) as progress,
         options["engine"](say) as engine,
     ):
         store.create()  # not before: a cluster that cannot be used leaves no folder

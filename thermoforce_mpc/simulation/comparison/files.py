@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from thermoforce_mpc.simulation.comparison.outcome import (
     KPIS,
     Row,
@@ -34,6 +36,7 @@ HEADINGS = {
     "plan_ms": "plan, ms",
     "fallbacks": "fallbacks",
 }
+FORMS = ("csv", "latex", "markdown")
 _BEST = {"cost_tot": "best_cost", "tdis_tot": "best_discomfort"}
 
 
@@ -68,7 +71,7 @@ def write_outcome(
     write_json(folder / "results.json", result)
     write_plain(folder / "table.csv", _csv(rows))
     says = verdicts(rows)
-    write_plain(folder / "table.md", _markdown(rows, title, currency, says))
+    write_plain(folder / "table.md", markdown(rows, title, currency, says))
     plants = sorted({f"{r['plant']['kind']}: {r['plant']['weather']}" for r in records if "plant" in r})
     page = comparison_page(
         rows,
@@ -120,7 +123,22 @@ def shown_figures(row: Row, own: Sequence[str] = ()) -> list[str]:
     return texts + ["–" if value is None else f"{value:.4g}" for value in values]
 
 
-def _markdown(rows: Sequence[Row], title: str, currency: str, says: Sequence[str]) -> str:
+def formatted(rows: Sequence[Row], form: str, title: str, currency: str) -> str:
+    """The figures of all rows as text in a `form` of `FORMS`, to go on with elsewhere."""
+    if form == "csv":
+        return _csv(rows)
+    if form == "markdown":
+        return markdown(rows, title, currency, verdicts(rows))
+    own = own_columns(rows)
+    columns = ["window", "tariff", "controller", *headings(currency, rows)]
+    texts = [[row["window"], row["price"], row["controller"], *shown_figures(row, own)] for row in rows]
+    latex = pd.DataFrame(texts, columns=columns).to_latex(
+        index=False, escape=True, column_format="lll" + "r" * (len(HEADINGS) + len(own))
+    )
+    return str(latex).replace("₂", "$_2$").replace("²", "$^2$").replace("·", "$\\cdot$").replace("–", "--")
+
+
+def markdown(rows: Sequence[Row], title: str, currency: str, says: Sequence[str]) -> str:
     """The tables as Markdown, followed by the findings `says`."""
     lines = [f"# {title}", ""]
     for group, members in grouped(rows).items():
