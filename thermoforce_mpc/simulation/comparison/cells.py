@@ -10,6 +10,7 @@ from typing import Any
 from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution.keys import digest, source_fingerprint
+from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.registry import plugin_sources
 from thermoforce_mpc.scenario.own_code import code_file, is_policy, policy_settings
@@ -18,7 +19,6 @@ from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.comparison.input_files import named_files
 from thermoforce_mpc.simulation.comparison.variants import Variant, variant_scenario
 from thermoforce_mpc.simulation.composition import check_windows, controller_options
-from thermoforce_mpc.simulation.folder.run_folder import file_sha256
 from thermoforce_mpc.simulation.models.identifying import IdentificationTask, identification_task
 from thermoforce_mpc.version import VERSION
 
