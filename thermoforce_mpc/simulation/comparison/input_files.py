@@ -12,9 +12,9 @@ from typing import Any
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution import Task
 from thermoforce_mpc.execution.keys import digest
+from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.simulation.comparison.option_files import with_files
-from thermoforce_mpc.simulation.folder.run_folder import file_sha256
 from thermoforce_mpc.simulation.models.identifying import IdentificationTask
 
 
