@@ -9,7 +9,6 @@ from typing import Any
 from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution.keys import digest, source_fingerprint
-from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.registry import plugin_sources
 from thermoforce_mpc.scenario.own_code import code_file, is_policy, policy_settings
