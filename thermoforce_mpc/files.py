@@ -7,6 +7,7 @@ a device, a pipe or a file of any size.
 from __future__ import annotations
 
 import errno
+import hashlib
 import io
 import json
 import math
@@ -198,3 +199,11 @@ def pyarrow_for(what: object, error: type[InputError]) -> Any:
     except ModuleNotFoundError as missing:
         raise error(f"{what}: Parquet needs {missing.name}: pip install 'thermoforce-mpc[parquet]'") from missing
     return pyarrow
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, hexadecimal; raises `OSError` where it cannot be read, as a device or pipe."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise OSError(errno.EINVAL, "not a file", str(path))
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

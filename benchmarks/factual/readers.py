@@ -13,8 +13,8 @@ from benchmarks.factual.refit import VALUES, refit_homes
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.data.dataframes import column
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.measurements.load import read_measurements
-from thermoforce_mpc.simulation.folder.run_folder import file_sha256
 
 MONS, BOX = "mons_house_30min.csv.gz", "armadillo_H2_30min.csv"
 MONS_ROOMS = {

@@ -20,7 +20,7 @@ import pandas as pd
 from benchmarks.factual.homes import Home
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.simulation.folder.run_folder import file_sha256
+from thermoforce_mpc.files import file_sha256
 
 SURVEY, VALUES = "REFIT_BUILDING_SURVEY.xml", "REFIT_TIME_SERIES_VALUES.csv"
 _ID, _TIME, _DATA = "TimeSeriesVariable/@id", "dateTime", "data"

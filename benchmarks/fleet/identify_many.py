@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from time import perf_counter
 
 from thermoforce_mpc.data import DAY_S
-from thermoforce_mpc.identification.pipeline import BuildingRecords, identify_many
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification import identify
 from thermoforce_mpc.identification.probing.probe import Probing
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.drawn_houses.weeks import WEEKS
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -42,20 +45,27 @@ def measure(houses: int = 100, seed: int = SEED, progress: Callable[[str], None]
     for index in range(houses):
         progress(f"probing house {index + 1} of {houses}")
         buildings.append(probed_house(seed, index))
-    list(identify_many(buildings[:1]))  # compiled functions are loaded before the clock starts
+    _ending(buildings[0])  # compiled functions are loaded before the clock starts
     progress(f"identifying {houses} houses")
     begin = perf_counter()
-    found = list(identify_many(buildings))
-    return ManyTimes(
-        houses=houses,
-        refused=sum(one.refused for one in found),
-        failed=sum(one.model is None and not one.refused for one in found),
-        seconds=(perf_counter() - begin) / houses,
-    )
+    endings = [_ending(identified) for identified in buildings]
+    seconds = (perf_counter() - begin) / houses
+    return ManyTimes(houses, endings.count("refused"), endings.count("failed"), seconds)
 
 
-def probed_house(seed: int, index: int) -> BuildingRecords:
-    """House `index` of population `seed` with three days of probing as `tf-mpc run` does them before a week."""
+def _ending(identified: Callable[[], ThermalModel]) -> str:
+    """How an identification ends: with a model, refused for its records, or failed."""
+    try:
+        identified()
+    except DataError:
+        return "refused"
+    except Exception:  # counted; the other houses go on
+        return "failed"
+    return "model"
+
+
+def probed_house(seed: int, index: int) -> Callable[[], ThermalModel]:
+    """Identification of house `index` of population `seed` from three days of probing, as `tf-mpc run` does them."""
     plant = GeneratedHousePlant(draw_house(seed, index))
     testcase, scenario = plant.testcase, Scenario(testcase=plant.testcase.name)
     probing, config = identification_settings(scenario, testcase, _CONTROLLER)
@@ -65,4 +75,4 @@ def probed_house(seed: int, index: int) -> BuildingRecords:
         start_s = (365.0 - PROBED_DAYS) * DAY_S
     run = Probing(plant, start_s, seed=scenario.seed, layout=testcase.layout, config=probing, identification=config)
     run.go_on(PROBED_DAYS)
-    return BuildingRecords(f"house {index}", [run.record], (), testcase.layout, config, testcase.step_s)
+    return partial(identify, run.record, config=config, layout=testcase.layout, step_s=testcase.step_s)

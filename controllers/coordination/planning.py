@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from controllers.coordination.admm import Coordination, coordinate
+from controllers.checks import ControllerConfigError
+from controllers.coordination.joint import JointPlan, Member, plan_jointly
 from controllers.coordination.limit import SharedPower
-from controllers.coordination.member import QPMember
-from controllers.coordination.settling import Agreement
 from controllers.many.batch import BatchPlanner, Planned, buildings_of
 from controllers.mpc.config import MPCConfig
 from controllers.optimisation.plan_model import PlanModel
@@ -26,10 +24,15 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 
 @dataclass(frozen=True)
 class SharedPlans:
-    """Plans by building, and what the buildings agreed on; None where none could take part."""
+    """Plans by building.
+
+    `joint`: those that share what is shared; None where no building could take part. `why_over`: '', or why the limit
+    may be exceeded.
+    """
 
     plans: Mapping[str, Planned]
-    agreement: Agreement | None
+    joint: JointPlan | None
+    why_over: str
 
 
 def plan_shared(
@@ -40,9 +43,7 @@ def plan_shared(
     states: Mapping[str, object] | None = None,
     *,
     config: MPCConfig | Mapping[str, MPCConfig] | None = None,
-    coordination: Coordination | None = None,
     grace_s: float = 300.0,
-    executor: Executor | None = None,
 ) -> SharedPlans:
     """Plan for buildings whose planned powers together keep what is shared.
 
@@ -58,9 +59,7 @@ def plan_shared(
             behind the same limit that are not planned for.
         states: `Planned.state` of each building's last plan; a building that is not named begins a run.
         config: options of all controllers, or of each building by name.
-        coordination: options of the agreement.
         grace_s: how long a plan stays valid after its step while the next one is late, s.
-        executor: solves several buildings at once.
 
     Raises:
         ControllerConfigError: `config` names a building without a model, or what is given for a building is no model or
@@ -71,7 +70,7 @@ def plan_shared(
         if not (np.isfinite(largest_kW.get(name, np.nan)) and largest_kW[name] >= 0.0):
             raise DataError(f"largest_kW: needs a power of at least 0 kW for building '{name}'")
     planner = BatchPlanner(buildings_of(models, config), grace_s)
-    solves = _SharedSolves(shared, dict(largest_kW), coordination, executor, planner.answer)
+    solves = _SharedSolves(shared, largest_kW, planner.answer)
     wanted = [(name, observation, (states or {}).get(name)) for name, observation in observations.items()]
     computations = [_labelled(name, planner.planning(name, observation, state)) for name, observation, state in wanted]
     plans = run(gather(computations, last=_is_solve), solves)
@@ -79,7 +78,7 @@ def plan_shared(
         name: planner.to_planned(observation, plan, state, seconds)
         for (name, observation, _), ((plan, state), seconds) in zip(wanted, plans, strict=True)
     }
-    return SharedPlans(planned, solves.agreement)
+    return SharedPlans(planned, solves.joint, solves.why_over)
 
 
 @dataclass(frozen=True)
@@ -109,14 +108,13 @@ def _labelled(name: str, computation: Computation[Result]) -> Computation[Result
 
 @dataclass
 class _SharedSolves:
-    """Answers solves, which come all at once, by an agreement, and everything else as `others` does."""
+    """Answers solves, which come all at once, by one programme, and everything else as `others` does."""
 
     shared: SharedPower
-    largest_kW: dict[str, float]
-    coordination: Coordination | None
-    executor: Executor | None
+    largest_kW: Mapping[str, float]
     others: Handler
-    agreement: Agreement | None = field(default=None)
+    joint: JointPlan | None = field(default=None)
+    why_over: str = field(default="")
 
     def __call__(self, requests: list[Request]) -> Sequence[Outcome]:
         """Outcomes in the order of `requests`."""
@@ -124,39 +122,38 @@ class _SharedSolves:
         rest = [i for i in range(len(requests)) if i not in of]
         outcomes = dict(zip(rest, self.others([requests[i] for i in rest]), strict=True)) if rest else {}
         if of:
-            outcomes |= self._agreed(of)
+            outcomes |= self._planned(of)
         return [outcomes[i] for i in range(len(requests))]
 
-    def _agreed(self, of: Mapping[int, _LabelledSolve]) -> dict[int, Outcome]:
-        members, why = dict[int, QPMember](), dict[int, str]()
-        for i, labelled in of.items():
-            solver, problem = labelled.solve.solver, labelled.solve.problem
-            model = getattr(solver, "model", None)
-            if not isinstance(model, PlanModel) or not model.convex or model.structure.chosen:
-                why[i] = "its problem is not convex"
-            elif not np.isfinite(model.numbers(problem)).all():
-                why[i] = "its problem holds numbers that are not finite"
-            elif model.shape.terms:
-                why[i] = "it plans with terms of its own"
-            elif problem.n_steps != self.shared.limit_kW.size:
-                why[i] = f"it plans {problem.n_steps} steps, and {self.shared.limit_kW.size} are shared"
-            else:
-                largest = np.full(problem.n_steps, self.largest_kW[labelled.name])
-                config = solver.config if isinstance(solver, QPSolver) else QPConfig()
-                members[i] = QPMember(labelled.name, model.operator, model.shape, problem, config, largest)
-        taking_part = {of[i].name for i in members}
+    def _planned(self, of: Mapping[int, _LabelledSolve]) -> dict[int, Outcome]:
+        members, why = list[Member](), dict[str, str]()
+        for labelled in of.values():
+            try:
+                members.append(self._member(labelled))
+            except ControllerConfigError as error:
+                why[labelled.name] = str(error)
+        taking_part = {member.name for member in members}
         others = [power for name, power in self.largest_kW.items() if name not in taking_part]
-        aside_kW = np.full(self.shared.limit_kW.size, sum(others))
-        left = self.shared.less(aside_kW)
-        if members:
-            agreed = coordinate(list(members.values()), left, self.coordination, executor=self.executor)
-            why_over = self.shared.why_over(agreed.reserved_kW + aside_kW, len(agreed.silent) + len(others))
-            self.agreement = replace(agreed, why_over=why_over)
-            settled, silent = self.agreement.settled, self.agreement.silent
-            why |= {i: silent[m.name] for i, m in members.items() if m.name in silent}
-            done = {i: Outcome(settled[m.name].solution) for i, m in members.items() if m.name in settled}
-        else:
-            done = {}
-        return done | {
-            i: Outcome(failed("no share", 0, f"no share of what is shared: {text}")) for i, text in why.items()
+        configs = [
+            labelled.solve.solver.config for labelled in of.values() if isinstance(labelled.solve.solver, QPSolver)
+        ]
+        joint = plan_jointly(members, self.shared.less(sum(others)), configs[0] if configs else QPConfig())
+        self.joint = joint if members else None
+        self.why_over = self.shared.why_over(joint.reserved_kW + sum(others), len(joint.silent) + len(others))
+        why |= joint.silent
+        return {
+            i: Outcome(
+                failed("no share", 0, f"no share of what is shared: {why[labelled.name]}")
+                if labelled.name in why
+                else joint.solutions[labelled.name]
+            )
+            for i, labelled in of.items()
         }
+
+    def _member(self, labelled: _LabelledSolve) -> Member:
+        problem, model = labelled.solve.problem, getattr(labelled.solve.solver, "model", None)
+        if not isinstance(model, PlanModel):
+            raise ControllerConfigError("its problem is not convex")
+        if problem.n_steps != self.shared.limit_kW.size:
+            raise ControllerConfigError(f"it plans {problem.n_steps} steps, and {self.shared.limit_kW.size} are shared")
+        return Member(labelled.name, model, problem, self.largest_kW[labelled.name])

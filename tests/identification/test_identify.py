@@ -354,34 +354,3 @@ def test_an_operator_that_cannot_be_proven_is_refused(monkeypatch):
     config = IdentificationConfig(order=1, feedback=True, epochs=2)
     with pytest.raises(DataError, match=r"not certified: the modulation depends on .* per K"):
         identify(pairs=[make_pair(HOUSE, seed) for seed in range(3)], config=config)
-
-
-@pytest.mark.slow
-def test_a_heat_map_by_data_sheet_replaces_measured_heat():
-    """Without a heat meter, the sheet says how heat depends on u and T_out; what is learned is the building."""
-    house = replace(HOUSE, slope_per_K=0.06)
-    blind = record(house, 4.0, noise_K=0.01, heat_measured=False)
-    fixed, proportional = house.machine_W
-    sheet = {
-        "coefficients": (fixed, 0.06 * fixed, proportional, 0.06 * proportional),
-        "T_out_range_C": (-12.0, 25.0),
-        "lowest_level": 0.05,
-    }
-    options = {"order": 3, "modulation": "linear"}
-    with_sheet, without = (
-        identify([blind], config=validate(IdentificationConfig, options | given, "options"), floor_area_m2=190.0)
-        for given in ({"heat_capacity": sheet}, {})
-    )
-    assert with_sheet.only.operator.heat_input.heat.coefficients == sheet["coefficients"]
-    assert without.only.operator.heat_input.kind == "identity"
-    # Without a sheet the dependence on T_out is estimated, that on u is not.
-    assert effect_rmse(with_sheet, house)[0] < 0.7 * effect_rmse(without, house)[0]
-
-
-def test_impossible_data_sheets_are_refused():
-    falling = {"coefficients": [0, 0, 5000, 600], "T_out_range_C": [-20, 15]}
-    with pytest.raises(ConfigError, match="not increasing in u at T_out = -20"):
-        validate(IdentificationConfig, {"heat_capacity": falling}, "options")
-    rising = {"coefficients": [0, 0, 5000, 0], "T_out_range_C": [-20, 15]}
-    with pytest.raises(ConfigError, match="heat_input is identity"):
-        validate(IdentificationConfig, {"heat_capacity": rising, "heat_input": "identity"}, "options")

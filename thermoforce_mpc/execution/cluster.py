@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from thermoforce_mpc.errors import ConfigError, EngineError, counted
-from thermoforce_mpc.execution.cluster_address import check_scheduler, is_missing
+from thermoforce_mpc.execution.cluster_address import check_scheduler
 from thermoforce_mpc.execution.cluster_worker import (
     Order,
     WrongWorker,
@@ -94,7 +94,7 @@ class DaskEngine:
         except BaseException:
             self._close()
             raise
-        say(f"Dask scheduler {address}: {counted(n, 'worker')}{self._dashboard()}")
+        say(f"Dask scheduler {address}: {counted(n, 'worker')}")
         if not n:
             self._warn(self._no_worker())
 
@@ -215,12 +215,6 @@ class DaskEngine:
         for worker, error in ((w, f) for w, f in answers.items() if isinstance(f, BaseException)):
             raise ConfigError(f"worker {worker} cannot load thermoforce-mpc of this version: {_first_line(error)}")
         return len(answers)
-
-    def _dashboard(self) -> str:
-        if not self._client.scheduler_info().get("services", {}).get("dashboard"):
-            return ""
-        link: str = self._client.dashboard_link
-        return "" if is_missing(link) else f", dashboard {link}"
 
     def _update_workers(self) -> None:
         """Read which workers there are now; report those that are gone, and where there are none for long."""

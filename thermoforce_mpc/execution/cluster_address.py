@@ -1,4 +1,4 @@
-"""Whether a Dask scheduler answers at an address, and has a dashboard.
+"""Whether a Dask scheduler answers at an address.
 
 A `Client` that finds nobody leaves a thread behind, or waits for ever.
 """
@@ -8,13 +8,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from concurrent.futures import Future
-from contextlib import closing
-from http import HTTPStatus
-from http.client import HTTPConnection, HTTPException
 from typing import Any
-from urllib.parse import urlsplit
-
-_PAGE_S = 2.0
 
 
 def check_scheduler(address: str, within_s: float) -> None:
@@ -35,22 +29,6 @@ def check_scheduler(address: str, within_s: float) -> None:
     # Elsewhere, since this thread may have an event loop, as in a notebook; as a daemon, so that signals need not wait.
     threading.Thread(target=ask, name="tf-mpc asks a scheduler", daemon=True).start()
     answer.result(within_s + 1.0)  # looking up a name cannot be cancelled
-
-
-def is_missing(link: str) -> bool:
-    """Whether the server of `link` answers that it has no such page.
-
-    A scheduler without dashboard names the port of one, since it serves other pages there.
-    """
-    parts = urlsplit(link)
-    if parts.scheme != "http" or not parts.hostname:
-        return False
-    with closing(HTTPConnection(parts.hostname, parts.port, timeout=_PAGE_S)) as connection:
-        try:
-            connection.request("HEAD", parts.path)
-            return connection.getresponse().status == HTTPStatus.NOT_FOUND
-        except (OSError, HTTPException):  # such as a port that only browsers elsewhere reach
-            return False
 
 
 async def _check(address: str, within_s: float) -> None:

@@ -2,6 +2,6 @@
 
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import Pair
-from thermoforce_mpc.identification.pipeline import BuildingRecords, Identified, identify, identify_many
+from thermoforce_mpc.identification.pipeline import identify
 
-__all__ = ["BuildingRecords", "IdentificationConfig", "Identified", "Pair", "identify", "identify_many"]
+__all__ = ["IdentificationConfig", "Pair", "identify"]

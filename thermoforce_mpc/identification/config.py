@@ -6,32 +6,10 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Modes of the operator: an emitter, the room and its structure.
 _MODES = 3
-
-
-class HeatCapacityConfig(StrictModel):
-    """Delivered heat from a data sheet: `on(u)·(c0 + c1·T_out) + u·(c2 + c3·T_out)`, see `MachineLoad`."""
-
-    coefficients: tuple[float, float, float, float] = Field(description="c0 W, c1 W/K, c2 W, c3 W/K, all as heat > 0")
-    T_out_range_C: tuple[float, float] = Field(description="valid outdoor temperatures, °C")
-    lowest_level: float = Field(1.0, gt=0, le=1, description="level below which the machine cycles")
-
-    @model_validator(mode="after")
-    def _rises_with_u(self) -> HeatCapacityConfig:
-        try:
-            self.load()
-        except DataError as error:
-            raise ValueError(str(error)) from error
-        return self
-
-    def load(self) -> MachineLoad:
-        """Return the `MachineLoad` of these coefficients."""
-        return MachineLoad(self.coefficients, self.T_out_range_C, self.lowest_level)
 
 
 class IdentificationConfig(StrictModel):
@@ -48,9 +26,6 @@ class IdentificationConfig(StrictModel):
         "auto",
         description="input of the modes: u, or heat from the heat capacity of (u, T_out); auto: u, or measured heat "
         "where held-out data prefer it or levels between off and full are held",
-    )
-    heat_capacity: HeatCapacityConfig | None = Field(
-        None, description="heat capacity from a data sheet instead of an identified one"
     )
     machine: Literal["auto", "heat pump", "air conditioner", "direct", "other"] = Field(
         "auto", description="machine type of the heat capacity's prior; auto: chosen by mode and data"
@@ -110,8 +85,6 @@ class IdentificationConfig(StrictModel):
     def _consistent(self) -> IdentificationConfig:
         if len(self.disturbance_sd_K) != len(self.disturbance_hours):
             raise ValueError("disturbance_sd_K and disturbance_hours must have the same number of values")
-        if self.heat_capacity is not None and self.heat_input == "identity":
-            raise ValueError("heat_capacity is given, but heat_input is identity: drop one of them")
         if self.method == "two_stage" and self.order not in ("auto", 1):
             raise ValueError(f"method two_stage is of order 1, but order is {self.order}")
         return self

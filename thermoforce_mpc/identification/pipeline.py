@@ -7,10 +7,9 @@ operator of the building. All steps are deterministic for a given seed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
-from time import perf_counter
 from typing import Literal
 
 import numpy as np
@@ -286,69 +285,3 @@ def _times_of(records: Sequence[Record]) -> str:
         return "identified"
     spans = [f"{record.stamps()[0]} to {record.stamps()[-1]}" for record in records]
     return f"records of {'; '.join(spans)}"
-
-
-@dataclass(frozen=True)
-class BuildingRecords:
-    """What one of many buildings is identified from; see `identify` for all but `name`."""
-
-    name: str
-    runs: Sequence[Record] = ()
-    pairs: Sequence[Pair] = ()
-    layout: Layout | None = None
-    config: IdentificationConfig | None = None
-    step_s: float | None = None
-    source: str | None = None
-
-
-@dataclass(frozen=True)
-class Identified:
-    """Result for one building.
-
-    Attributes:
-        name: of the building.
-        model: None where there is none.
-        reason: why there is none, else empty.
-        refused: whether its records were refused; without a model and not refused, the program failed on them.
-        seconds: wall time.
-    """
-
-    name: str
-    model: ThermalModel | None
-    reason: str = ""
-    refused: bool = False
-    seconds: float = 0.0
-
-
-def identify_many(
-    buildings: Iterable[BuildingRecords], config: IdentificationConfig | None = None
-) -> Iterator[Identified]:
-    """Identify buildings of any layouts and records of any lengths.
-
-    A model is that of `identify`, whatever the others are. Buildings are taken one at a time, when the next result is
-    asked for, so that memory holds one.
-
-    Args:
-        buildings: records and options of each.
-        config: options of the buildings that have none of their own.
-
-    Yields:
-        One result for each building, in their order; a building without a model has the reason in its place.
-    """
-    for building in buildings:
-        began = perf_counter()
-        model, reason, refused = None, "", False
-        try:
-            model = identify(
-                building.runs,
-                building.pairs,
-                config=building.config or config,
-                layout=building.layout,
-                step_s=building.step_s,
-                source=building.source,
-            )
-        except DataError as error:
-            reason, refused = str(error), True
-        except Exception as error:  # returned in its place; the others continue
-            reason = f"{type(error).__name__}: {error}"
-        yield Identified(building.name, model, reason, refused, perf_counter() - began)

@@ -242,7 +242,7 @@ def _of_zone(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
 
 
 def _of_office(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
-    from thermoforce_mpc.plants.energyplus.office import PERIODS
+    from thermoforce_mpc.plants.energyplus.office_plant import PERIODS
 
     return PERIODS
 

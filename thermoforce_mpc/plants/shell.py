@@ -13,7 +13,7 @@ from typing import Generic, Protocol, Self, TypeVar, cast
 
 import numpy as np
 
-from thermoforce_mpc.data import SINGLE, Array, Block, Boundary, Levels, Measurement, Names, Record
+from thermoforce_mpc.data import SINGLE, Array, Bands, Block, Boundary, Levels, Measurement, Names, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import check_levels, check_start, forecast_times, record_times
 from thermoforce_mpc.scenario.building import PRICES, Price
@@ -152,6 +152,19 @@ class PlantShell(Releasing, ABC):
     @abstractmethod
     def _past(self, edges: Array) -> Record:
         """The record of steps between `edges` (n + 1,), s."""
+
+
+class RoomSetpointShell(PlantShell):
+    """A `RoomSetpointPlant` in a shell."""
+
+    def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
+        """Apply `u` (None: native control), or the room set-points `band_C`, °C, for `duration_s`.
+
+        Raises:
+            InputError: `u`, `band_C` or `duration_s` is out of range, or the plant was not reset.
+            PlantError: what simulates it failed, or took too long.
+        """
+        return self._advanced(check_levels(u, duration_s, band_C, names=self._names, lowest=self._lowest))
 
 
 class Samples:

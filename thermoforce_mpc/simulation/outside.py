@@ -20,13 +20,13 @@ from typing import NamedTuple
 
 from thermoforce_mpc.data.given import known_marks, note_marks
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.plants.boptest.token import allow_token
 from thermoforce_mpc.plants.registry import REGISTRY, plant_name
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.own_code import code_file
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge, parse_overrides, validate
-from thermoforce_mpc.simulation.folder.run_folder import file_sha256
 
 CODE = "file of Python"
 

@@ -71,7 +71,6 @@ def test_actuators_that_go_together_cannot_be_told_apart():
     assert "cannot be told apart from heater_1" in found[0].in_words()
     apart = tellings(operated(np.array([drawn(n), drawn(n, seed=7)]), 14), layout)
     assert [telling.tells for telling in apart] == [True, True]
-    assert apart[0].alone_sd == pytest.approx(found[0].alone_sd)
     assert apart[0].relative_sd < found[0].relative_sd
 
 

@@ -9,22 +9,28 @@ from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
 from thermoforce_mpc.plants.energyplus.engine import is_available, weather_file
-from thermoforce_mpc.plants.energyplus.office import SmallOffice
 from thermoforce_mpc.plants.energyplus.office_model import WEATHER, ZONES, OfficeRun, office_schedules
+from thermoforce_mpc.plants.energyplus.office_plant import SmallOfficePlant
 from thermoforce_mpc.plants.energyplus.simulate import Wiring, run_engine
+from thermoforce_mpc.plants.testcases import load_testcase
 
 pytestmark = pytest.mark.slow
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed")
 
-HEATING, COOLING = slice(0, 5), slice(5, 10)
+AREAS_M2 = np.array([149.66, 113.45, 67.30, 113.45, 67.30])
+NAMES = ("core", "south", "east", "north", "west")
 
 
-def told(**setpoints):
-    values = np.full(10, np.nan)
-    for name, value in setpoints.items():
-        values[SmallOffice.actuators.index(name)] = value
-    return values
+def office(**options):
+    return SmallOfficePlant(load_testcase("energyplus:small_office"), **options)
+
+
+def told(plant, duration_s, **rooms):
+    """Advance with (level, heating, cooling set-point) of rooms by name, the others under native control."""
+    levels = [rooms[name][0] if name in rooms else None for name in NAMES]
+    bands = [rooms[name][1:] if name in rooms else None for name in NAMES]
+    return plant.advance(levels, duration_s, bands)
 
 
 class Watching:
@@ -87,7 +93,7 @@ def test_means_are_taken_over_the_system_steps_of_a_step():
 @pytest.fixture(scope="module")
 def cold():
     """Native control from Monday 29 January, a day of warm-up and a day scored: plant, record, forecast, KPIs."""
-    with SmallOffice() as plant:
+    with office() as plant:
         first = plant.reset(29 * DAY_S, DAY_S)
         nothing = plant.kpis()
         boundary = plant.forecast(DAY_S, 300.0)
@@ -98,77 +104,55 @@ def cold():
 @pytest.mark.slow
 def test_native_control_keeps_the_schedules_and_the_record_has_the_shapes_of_its_names(cold):
     plant, first, nothing, boundary, last, record = cold
-    assert (len(plant.zones), len(plant.actuators), len(plant.machines)) == (5, 10, 10)
-    assert plant.actuators[0] == "core_heating"
-    assert plant.actuators[5] == "core_cooling"
-    assert plant.floor_area_m2.sum() == pytest.approx(511.16)
+    assert record.names.zones == NAMES
     n = 2 * 288
     assert record.time_s[[0, -1]].tolist() == [28 * DAY_S, 30 * DAY_S]
     assert record.T_zone_C.shape == (5, n + 1)
-    assert record.T_out_C.shape == record.solar_W_m2.shape == (n + 1,)
-    for values in (record.setpoint_C, record.level, record.heat_W, record.power_W):
-        assert values.shape == (10, n)
-    assert record.supply_W.shape == record.fan_W.shape == (5, n)
+    assert record.u.shape == record.heat_W.shape == record.power_W.shape == (5, n)
     assert (first.time_s, last.time_s) == (29 * DAY_S, 30 * DAY_S)
-    assert np.isnan(first.level).all()
+    assert np.isnan(first.u).all()
     assert last.T_zone_C.tolist() == record.T_zone_C[:, -1].tolist()
     assert last.power_W == pytest.approx(record.power_W[:, 288:].mean(axis=1))
-    heating, cooling = office_schedules().setpoints_C(record.time_s[:-1])
-    assert (record.setpoint_C[HEATING] == heating).all()
-    assert (record.setpoint_C[COOLING] == cooling).all()
     at_work = (boundary.time_s % DAY_S > 8 * HOUR_S) & (boundary.time_s % DAY_S < 20 * HOUR_S)
     assert record.T_zone_C[:, 288:][:, at_work].min() > 20.9
     assert nothing == dict.fromkeys(plant.kpis(), 0.0), "nothing counts before the warm-up is over"
 
 
-def test_heat_and_power_are_those_of_burner_coil_and_fan(cold):
-    plant, _, _, _, _, record = cold
-    assert record.power_W[HEATING] == pytest.approx(record.heat_W[HEATING] / 0.8)  # the burners' efficiency
-    assert (record.heat_W[HEATING] >= 0).all()
-    assert (record.heat_W[COOLING] <= 0).all()
-    assert record.power_W[COOLING] == pytest.approx(record.fan_W, abs=20.0)  # no cooling in January but for a touch
+def test_level_heat_and_power_are_those_of_burner_coil_and_fan(cold):
+    _, _, _, _, _, record = cold
+    sizes_W = np.array([zone.heating_W for zone in ZONES])[:, None]
+    assert record.u == pytest.approx(np.minimum(record.heat_W / sizes_W, 1.0))
+    fan_W = record.power_W - np.maximum(record.heat_W, 0.0) / 0.8  # the burners' efficiency
     hour = record.time_s[:-1] % DAY_S / HOUR_S
     on = (hour >= 6) & (hour < 22)
-    assert record.fan_W[:, on].min(axis=1) == pytest.approx(record.fan_W.max(axis=1))  # ventilation by the clock
-    assert (record.fan_W[:, ~on] == 0.0).any()  # at night it cycles
-    assert record.level == pytest.approx(np.minimum(record.heat_W / plant.capacity_W[:, None], 1.0))
-    # From 07:00 on outdoor air is heated too: burners give more than the room receives; at night there is none.
-    noon = (hour >= 10) & (hour < 12)
-    assert (record.heat_W[HEATING, noon].mean(axis=1) > record.supply_W[:, noon].mean(axis=1) + 300.0).all()
-    early = (hour >= 6.2) & (hour < 6.9)
-    assert record.supply_W[:, early] == pytest.approx(record.heat_W[HEATING, early] + record.fan_W[:, early], rel=0.05)
+    assert fan_W[:, on].min(axis=1) == pytest.approx(fan_W.max(axis=1), abs=20.0)  # ventilation by the clock
+    assert (np.abs(fan_W[:, ~on]) < 1e-6).any()  # at night it cycles
 
 
 def test_the_forecast_is_the_weather_that_comes_and_bounds_are_tight_while_people_are_there(cold):
-    plant, _, _, boundary, _, record = cold
+    _, _, _, boundary, _, record = cold
     assert boundary.T_out_C == pytest.approx(record.T_out_C[288:], abs=0.5)
     assert np.abs(boundary.solar_W_m2 - record.solar_W_m2[288:]).max() < 60.0
-    for values in (boundary.occupancy, boundary.lower_C, boundary.upper_C):
-        assert values.shape == (5, 289)
     hour = boundary.time_s % DAY_S / HOUR_S
     busy = (hour >= 6) & (hour < 20)
     for bound, tight, wide in ((boundary.lower_C, 21.0, 14.6), (boundary.upper_C, 24.0, 27.7)):
         assert bound == pytest.approx(np.tile(np.where(busy, tight, wide), (5, 1)))
-    assert boundary.occupancy[:, 120] == pytest.approx(plant.floor_area_m2 / 18.58 * 0.95)
-    assert boundary.price_per_kWh.shape == boundary.emission_kg_per_kWh.shape == (10, 289)
-    assert (boundary.price_per_kWh[HEATING] == 0.07).all()
-    assert (boundary.price_per_kWh[COOLING] == 0.2535).all()
+    assert boundary.occupancy[:, 120] == pytest.approx(AREAS_M2 / 18.58 * 0.95)
+    assert (boundary.heating_price_per_kWh == 0.07).all()
+    assert (boundary.price_per_kWh == 0.2535).all()
 
 
-def test_zones_and_the_building_are_scored_per_floor_area_of_the_building(cold):
+def test_gas_electricity_and_every_zone_count(cold):
     plant, _, _, boundary, _, record = cold
-    total, zones = plant.kpis(), plant.zone_kpis()
-    gas, electric = (record.power_W[which, 288:].sum() / 12 / 1e3 / 511.16 for which in (HEATING, COOLING))
-    assert total["ener_tot"] == pytest.approx(gas + electric)
-    assert total["cost_tot"] == pytest.approx(0.07 * gas + 0.2535 * electric)
-    assert tuple(zones) == plant.zones
-    for name in ("ener_tot", "cost_tot", "emis_tot"):
-        assert sum(zone[name] for zone in zones.values()) == pytest.approx(total[name])
-    outside = np.maximum(
-        np.maximum(boundary.lower_C - record.T_zone_C[:, 288:], record.T_zone_C[:, 288:] - boundary.upper_C), 0
-    )
+    total, kWh_m2 = plant.kpis(), 1.0 / 12 / 1e3 / AREAS_M2.sum()
+    gas = np.maximum(record.heat_W[:, 288:], 0.0).sum() / 0.8 * kWh_m2
+    energy = record.power_W[:, 288:].sum() * kWh_m2
+    assert total["ener_tot"] == pytest.approx(energy)
+    assert total["cost_tot"] == pytest.approx(0.07 * gas + 0.2535 * (energy - gas))
+    T = record.T_zone_C[:, 288:]
+    outside = np.maximum(np.maximum(boundary.lower_C - T, T - boundary.upper_C), 0)
     K_h = np.trapezoid(outside, boundary.time_s / HOUR_S, axis=1)
-    assert [zone["tdis_tot"] for zone in zones.values()] == pytest.approx(K_h)
+    assert [total[f"tdis_tot[{name}]"] for name in NAMES] == pytest.approx(K_h)
     assert total["tdis_tot"] == pytest.approx(K_h.mean())
     assert K_h.min() > 0.2, "the native schedule begins to heat when people come"
 
@@ -177,76 +161,63 @@ def test_a_steps_record_is_the_mean_of_its_parts(cold):
     plant, _, _, _, _, fine = cold
     coarse = plant.past(1800.0)
     assert coarse.T_zone_C.tolist() == fine.T_zone_C[:, ::6].tolist()
-    assert coarse.power_W == pytest.approx(fine.power_W.reshape(10, 96, 6).mean(axis=2))
+    assert coarse.power_W == pytest.approx(fine.power_W.reshape(5, 96, 6).mean(axis=2))
     with pytest.raises(InputError, match="multiple of EnergyPlus' step of 300 s"):
         plant.past(400.0)
 
 
 @pytest.mark.slow
 def test_a_told_set_point_acts_in_its_zone_and_gives_back_control_when_it_is_silent():
-    with SmallOffice() as plant:
+    with office() as plant:
         plant.reset(28 * DAY_S + 4 * HOUR_S, 4 * HOUR_S)
-        driven = plant.advance(told(south_heating=35.0), 1200.0)  # at night a unit pauses 5 min in 35
-        south, record = plant.zones.index("south"), plant.past(300.0)
+        driven = told(plant, 1200.0, south=(1.0, 35.0, 35.0))  # at night a unit pauses 5 min in 35
+        south, record = NAMES.index("south"), plant.past(300.0)
         assert record.T_zone_C[south, -4:].max() > 19.0
         assert np.delete(driven.T_zone_C, south).max() < 17.5
         assert record.heat_W[south].max() == pytest.approx(ZONES[south].heating_W, rel=1e-3), "the burner at its size"
-        assert record.level.max() == pytest.approx(1.0, abs=1e-3)
-        # The other set-point of the zone gives way, those of the other zones stay.
-        assert driven.setpoint_C == pytest.approx([15.6, 35.0, 15.6, 15.6, 15.6, 26.7, 35.0, 26.7, 26.7, 26.7])
-        native = plant.advance(None, 900.0)
-        assert native.setpoint_C == pytest.approx([15.6] * 5 + [26.7] * 5)
-        cooled = plant.advance(told(core_cooling=10.0, north_heating=20.0, north_cooling=20.0), 300.0)
-        assert cooled.setpoint_C[[0, 5, 3, 8]].tolist() == [10.0, 10.0, 20.0, 20.0]
-        plant.advance(told(north_heating=20.0, north_cooling=20.0), 900.0)
+        assert record.u.max() == pytest.approx(1.0, abs=1e-3)
+        told(plant, 1200.0, north=(1.0, 20.0, 20.0))
         assert plant.past(300.0).T_zone_C[3, -3:].max() == pytest.approx(20.0, abs=0.1)
+        assert plant.past(300.0).heat_W[south, -3:].max() < 0.1 * ZONES[south].heating_W
 
 
 @pytest.mark.slow
 def test_cooling_has_its_sign_and_its_price():
-    with SmallOffice() as plant:
+    with office() as plant:
         plant.reset(196 * DAY_S + 14 * HOUR_S, 8 * HOUR_S, "dynamic")
-        full = plant.advance(np.full(10, 10.0), 900.0)
-        assert (full.heat_W[COOLING] < 0.75 * plant.capacity_W[COOLING]).all()
-        assert (full.heat_W[COOLING] > plant.capacity_W[COOLING]).all()
-        assert (full.power_W[HEATING] == 0.0).all()
-        assert (full.power_W[COOLING] > full.fan_W + 1000.0).all()
+        full = told(plant, 900.0, **dict.fromkeys(NAMES, (-0.5, 10.0, 10.0)))
+        sizes_W = np.array([zone.cooling_W for zone in ZONES])
+        assert (full.heat_W < -0.75 * sizes_W).all()
+        assert (full.heat_W > -sizes_W).all()
+        assert (full.power_W > 1000.0).all()
         assert plant.kpis()["pgas_tot"] == 0.0
         assert plant.kpis()["cost_tot"] == pytest.approx(0.2666 * plant.kpis()["ener_tot"])
-        assert plant.forecast(HOUR_S, HOUR_S).price_per_kWh[:, 0].tolist() == [0.07] * 5 + [0.2666] * 5
 
 
 @pytest.mark.slow
-def test_the_same_actions_give_the_same_bits():
+def test_the_same_actions_give_the_same_bits_and_an_uncertain_forecast_keeps_bounds_and_prices():
     def run(plant):
         plant.reset(98 * DAY_S, 6 * HOUR_S)
-        for values in (told(core_heating=22.0), None, told(west_cooling=18.0)):
-            plant.advance(values, 900.0)
-        return plant.past(900.0)
+        assert plant.past(900.0).power_W.shape == (5, 24)
+        for rooms in ({"core": (1.0, 22.0, 24.0)}, {}, {"west": (-0.5, 18.0, 18.0)}):
+            told(plant, 900.0, **rooms)
+        return plant.past(900.0), plant.forecast(DAY_S, HOUR_S)
 
-    with SmallOffice() as plant:
-        a, b = run(plant), run(plant)
-        for name in ("T_zone_C", "heat_W", "power_W", "setpoint_C"):
-            assert getattr(a, name).tobytes() == getattr(b, name).tobytes()
-
-
-@pytest.mark.slow
-def test_a_forecast_with_errors_keeps_bounds_and_prices():
-    with SmallOffice(forecast_error=ForecastError("medium", 1)) as plant, SmallOffice() as exact:
-        for one in (plant, exact):
-            one.reset(28 * DAY_S, 0.0)
-        a, b = plant.forecast(DAY_S, HOUR_S), exact.forecast(DAY_S, HOUR_S)
-        assert np.abs(a.T_out_C - b.T_out_C).max() > 0.1
-        assert a.lower_C.tolist() == b.lower_C.tolist()
-        assert exact.past(900.0).power_W.shape == (10, 0)
+    with office() as plant, office(forecast_error=ForecastError("medium", 1)) as erring:
+        (a, exact), (b, uncertain) = run(plant), run(erring)
+    for name in ("T_zone_C", "heat_W", "power_W", "u"):
+        assert getattr(a, name).tobytes() == getattr(b, name).tobytes()
+    assert np.abs(uncertain.T_out_C - exact.T_out_C).max() > 0.1
+    assert uncertain.lower_C.tolist() == exact.lower_C.tolist()
 
 
 @pytest.mark.slow
 def test_what_cannot_be_done_is_refused_by_name_and_the_process_ends_with_the_plant():
     others = set(multiprocessing.active_children())  # of the shared fixture
-    plant = SmallOffice()
-    with pytest.raises(InputError, match="call reset"):
-        plant.advance(None, 900.0)
+    plant = office()
+    for ask in (lambda: plant.advance(None, 900.0), lambda: plant.forecast(DAY_S, HOUR_S), plant.kpis):
+        with pytest.raises(InputError, match="call reset"):
+            ask()
     with pytest.raises(InputError, match="peak_heat_day, cold_day, mix_day, peak_cool_day"):
         plant.period("monsoon")
     assert plant.period("peak_cool_day").start_s == 196 * DAY_S
@@ -255,14 +226,8 @@ def test_what_cannot_be_done_is_refused_by_name_and_the_process_ends_with_the_pl
     with pytest.raises(InputError, match="warm-up of 400 s: expected a multiple"):
         plant.reset(DAY_S, 400.0)
     plant.reset(0.0, 0.0)
-    for values, message in (
-        (np.full(9, 20.0), r"shape \(9,\).*core_heating"),
-        (told(east_heating=40.0), "set-point of east_heating: 40 °C"),
-        (told(west_heating=24.0, west_cooling=22.0), "zone west: its heating set-point of 24 °C"),
-        (["warm"] * 10, "expected 10 numbers"),
-    ):
-        with pytest.raises(InputError, match=message):
-            plant.advance(values, 900.0)
+    with pytest.raises(InputError, match=r"core_thermostat.*heating set-point not above"):
+        told(plant, 900.0, core=(1.0, 24.0, 22.0))
     with pytest.raises(InputError, match="step of 300 s"):
         plant.advance(None, 450.0)
     (process,) = set(multiprocessing.active_children()) - others
@@ -283,4 +248,4 @@ def test_without_the_engine_it_says_what_to_install(monkeypatch):
     office_schedules.cache_clear()
     monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"small_office.*pip install 'thermoforce-mpc\[energyplus\]'"):
-        SmallOffice()
+        office()

@@ -70,7 +70,6 @@ _axes_options = added(
         metavar="A,B",
         help="none, low, medium, high.  [default: the scenario's, else none]",
     ),
-    click.option("--identification-days", type=float, help="Days of probing before a window.  [default: 3]"),
     click.option("--tariff-file", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
 )
 _result_options = added(
@@ -156,11 +155,11 @@ def _windows_of(base: Scenario) -> tuple[str, ...]:
 
 def scenario_options_from(options: Mapping[str, Any]) -> dict[str, Any]:
     """The options renamed to those that `scenario_from` expects."""
-    assignments = list(options["assignments"])
-    if options["identification_days"] is not None:
-        assignments.insert(0, f"identification.days={options['identification_days']!r}")
-    unchanged = ("testcase", "config", "days", "weather", "seed", "model", "probing", "url", "fmu", "equal_comfort")
-    return {key: options[key] for key in unchanged} | {"prices": options["tariff_file"], "assignments": assignments}
+    unchanged = (
+        "testcase", "config", "days", "weather", "seed", "model", "probing", "url", "fmu", "equal_comfort",
+        "assignments",
+    )  # fmt: skip
+    return {key: options[key] for key in unchanged} | {"prices": options["tariff_file"]}
 
 
 def run_comparison(

@@ -59,15 +59,15 @@ def assembled(
         for k, b in enumerate(others_of(layout, a, config)):
             if layout.home[b] == home:
                 continue
-            answer = step_response(fit.of_other(k), STEP_RESPONSE_H[-1], HOUR_S)
-            name = layout.names.actuators[b]
-            for hours in STEP_RESPONSE_H:
-                uncertainty[f"step_response_{hours}h_K[{name}]"] = layout.signs[b] * float(answer.mean_K[hours])
-                uncertainty[f"step_response_{hours}h_sd_K[{name}]"] = float(answer.sd_K[hours])
+            name, effects_K = layout.names.actuators[b], {}
+            for hours, mean_K, sd_K in zip(STEP_RESPONSE_H, *step_response(fit.of_other(k)), strict=True):
+                effects_K[hours] = float(mean_K)
+                uncertainty[f"step_response_{hours}h_K[{name}]"] = layout.signs[b] * float(mean_K)
+                uncertainty[f"step_response_{hours}h_sd_K[{name}]"] = float(sd_K)
             sd = np.sqrt(np.diagonal(fit.other_covariance[k]))[fit.log_tau.size :]
             if (sd[1:] > _UNINFORMATIVE * fit.other_sd[k][1:]).all() and sd.size > 1:
                 notes.append(f"the record does not tell what {name} does to {layout.names.zones[home]}")
-            if answer.mean_K[24] >= _LEAST_EFFECT_K:
+            if effects_K[24] >= _LEAST_EFFECT_K:
                 pairs[home][b] = _pair(fit, k, zones[a].operator, zones[b].operator, layout.signs[b])
         cards[a] = replace(cards[a], uncertainty=uncertainty, notes=tuple(notes))
     operator = BuildingOperator(

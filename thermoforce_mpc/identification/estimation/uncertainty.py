@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array
@@ -15,29 +13,20 @@ from thermoforce_mpc.identification.estimation.modes import unit_responses
 STEP_RESPONSE_H: tuple[int, ...] = (1, 2, 4, 8, 12, 24, 48)
 
 
-@dataclass(frozen=True)
-class StepResponse:
-    """Step response to full level: mean `mean_K` and standard deviation `sd_K` (n,) K at `hours` (n,) h."""
+def step_response(fit: JointFit) -> tuple[Array, Array]:
+    """Mean and standard deviation, K, of the response of the linear fit (m = 1) to full level, `STEP_RESPONSE_H` after.
 
-    hours: Array
-    mean_K: Array
-    sd_K: Array
-
-
-def step_response(fit: JointFit, hours: float, step_s: float) -> StepResponse:
-    """Return the step response of the linear fit (m = 1, v = 1) over `hours` h; sd by first-order propagation."""
-    n = max(1, round(hours * HOUR_S / step_s))
-    r = fit.log_tau.size
+    The standard deviation is a first-order propagation.
+    """
+    r, parameters = fit.log_tau.size, np.concatenate([fit.log_tau, fit.gains])
 
     def response(parameters: Array) -> Array:
-        return np.asarray(unit_responses(parameters[:r], step_s, np.ones(n)) @ parameters[r:])
+        hourly = unit_responses(parameters[:r], HOUR_S, np.ones(STEP_RESPONSE_H[-1])) @ parameters[r:]
+        return np.asarray(hourly[list(STEP_RESPONSE_H)])
 
-    slopes = jacobian(response, np.concatenate([fit.log_tau, fit.gains]))
+    slopes = jacobian(response, parameters)
     variance = np.einsum("ti,ij,tj->t", slopes, fit.covariance, slopes)
-    mean = response(np.concatenate([fit.log_tau, fit.gains]))
-    return StepResponse(
-        np.asarray(np.arange(n + 1) * step_s / HOUR_S, dtype=np.float64), mean, np.sqrt(np.maximum(variance, 0.0))
-    )
+    return response(parameters), np.sqrt(np.maximum(variance, 0.0))
 
 
 def uncertainty(fit: JointFit, level_sd: float = 0.0) -> dict[str, float]:
@@ -52,9 +41,7 @@ def uncertainty(fit: JointFit, level_sd: float = 0.0) -> dict[str, float]:
     names = ["starting_slope_K_per_h", *(f"steady_gain_{i}_K" for i in range(2, r + 1))]
     for name, value, sd in zip(names, fit.gains, sds[r:], strict=True):
         out |= {name: float(value), name.replace("_K", "_sd_K", 1): float(sd)}
-    answer = step_response(fit, STEP_RESPONSE_H[-1], HOUR_S)
-    for hours in STEP_RESPONSE_H:
-        out |= {f"step_response_{hours}h_K": float(answer.mean_K[hours])}
-        sd = float(np.hypot(answer.sd_K[hours], level_sd * answer.mean_K[hours]))
-        out |= {f"step_response_{hours}h_sd_K": sd}
+    for hours, mean_K, sd_K in zip(STEP_RESPONSE_H, *step_response(fit), strict=True):
+        out |= {f"step_response_{hours}h_K": float(mean_K)}
+        out |= {f"step_response_{hours}h_sd_K": float(np.hypot(sd_K, level_sd * mean_K))}
     return out

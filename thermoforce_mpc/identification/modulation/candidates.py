@@ -148,7 +148,7 @@ class Candidates:
 
 def may_be_level(heat_input: HeatInput, config: IdentificationConfig) -> bool:
     """Whether it is open if the input is measured heat or the level."""
-    return heat_input.heat is not None and config.heat_input == "auto" and config.heat_capacity is None
+    return heat_input.heat is not None and config.heat_input == "auto"
 
 
 def by_level(case: Case, heat_input: HeatInput) -> RegressionData:

@@ -36,7 +36,7 @@ _MEMORY, _FLAT, _SETTLED = 30, 1e-6, 1e-9
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """Trained operator, and loss per epoch.
+    """Trained operator, and what it is judged by.
 
     `residuals_before` and `residuals` (rows,): whitened held-out residuals before and after training; `blocks` (rows,):
     their block numbers, see `validation.blocks`.
@@ -46,7 +46,6 @@ class TrainingResult:
     residuals_before: Array
     residuals: Array
     blocks: NDArray[np.intp]
-    losses: Array
 
 
 def train(
@@ -57,10 +56,9 @@ def train(
     modulation_sd = config.modulation_sd or (_MODULATION_SD_METERED if metered else _MODULATION_SD)
     start = with_network(linear, config.seed)
     misfit = Misfit(start, regressions, priors, modulation_sd)
-    begin = misfit.begin
-    end, losses = minimise(misfit, begin, config)
-    before, after = misfit.held_out_residuals(begin), misfit.held_out_residuals(end)
-    return TrainingResult(misfit.operator(end), before, after, misfit.held_out_blocks, np.array(losses))
+    end, _ = minimise(misfit, misfit.begin, config)
+    before, after = misfit.held_out_residuals(misfit.begin), misfit.held_out_residuals(end)
+    return TrainingResult(misfit.operator(end), before, after, misfit.held_out_blocks)
 
 
 def with_network(linear: OperatorParameters, seed: int) -> OperatorParameters:

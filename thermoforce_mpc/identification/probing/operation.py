@@ -35,15 +35,14 @@ _BLURRED = 1.25
 class Telling:
     """What a record is expected to tell about one actuator.
 
-    `relative_sd`: of the effect of a day at full level on its zone; `alone_sd`: if the effects of the others were
-    known; `blurred_by`: actuators whose levels went with its own so much that the effects cannot be told apart.
+    `relative_sd`: of the effect of a day at full level on its zone; `blurred_by`: actuators whose levels went with its
+    own so much that the effects cannot be told apart.
     `levels`: least and highest level in the record; `on_share`: share of the time above 0.02.
     """
 
     actuator: str
     zone: str
     relative_sd: float
-    alone_sd: float
     blurred_by: tuple[str, ...]
     levels: tuple[float, float]
     on_share: float
@@ -159,7 +158,6 @@ def _telling(record: Record, layout: Layout, designer: Designer, a: int) -> Tell
         names.actuators[a],
         names.zones[home],
         together,
-        alone,
         blurred if together > _BLURRED * alone else (),
         (float(u.min()), float(u.max())),
         float((np.abs(u) > 0.02).mean()),

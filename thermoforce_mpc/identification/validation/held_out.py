@@ -56,8 +56,6 @@ def identified_heat_input(
         return HeatInput(lowest=lowest), ["heat input: identity, the level is heat over full heat"]
     if config.heat_input == "identity":
         return IDENTITY, ["heat input: identity, as configured"]
-    if config.heat_capacity is not None:
-        return HeatInput(heat=config.heat_capacity.load()), ["measured heat: as given"]
     heat = np.concatenate([h.heat_W[0] for h in histories]) * sign
     measured = float(np.isfinite(heat).mean())
     if measured < _MEASURED:

@@ -57,23 +57,12 @@ def identify_zone(
     Raises:
         DataError: nothing shows that the actuator acts (where it is alone), or its effect has no proven sign.
     """
-    task, config = data.task, data.config
+    task = data.task
     days = sum(h.n_steps * h.step_s for h in data.histories) / DAY_S
     say(f"fitting the forced response to {days:.3g} days at {data.histories[0].step_s:g} s")
     fit = None
     if effects is None:
-        model = two_stage_model(
-            task.runs,
-            task.pairs,
-            task.data,
-            config,
-            {fold: data.heat_input(fold) for fold in ("whole", "training", "earlier")},
-            task.sign,
-            task.step_s,
-            task.source,
-            data.notes,
-            task.heat_W_m2,
-        )
+        model = two_stage_model(data)
     else:
         model, fit = _joint_model(data, effects, say)
     model = _accepted(model, data)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -23,6 +23,7 @@ from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.validation.held_out import Case, held_out, normalisation, ranges
 from thermoforce_mpc.identification.validation.held_out_fit import before_held_out
 from thermoforce_mpc.identification.validation.reasons import UNJUDGED
+from thermoforce_mpc.identification.zones.data import ZoneData
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -33,28 +34,18 @@ from thermoforce_mpc.model.zone_model import ZoneModel
 _TWO_STAGE_SD = 0.3
 
 
-def two_stage_model(
-    runs: Sequence[Record],
-    pairs: Sequence[Pair],
-    data: Mapping[str, str],
-    config: IdentificationConfig,
-    heat_inputs: Mapping[str, HeatInput],
-    sign: int,
-    step_s: float | None,
-    source: str,
-    notes: Sequence[str],
-    heat_W_m2: float = float("nan"),
-) -> ZoneModel:
+def two_stage_model(data: ZoneData) -> ZoneModel:
     """Return the thermal model, order 1; training of the network, on pairs if any, starts from the two-stage fit.
 
     It is judged on held-out rows, in which the stages had no part either: of pairs if there are any, else of the runs.
-    `heat_W_m2`: metered heat of full level per m² of floor, NaN where it is not known.
     """
+    task, config = data.task, data.config
+    runs, pairs, sign = task.runs, task.pairs, task.sign
     if not runs:
         raise DataError("method two_stage needs single runs, none were given; for pairs only use method joint")
-    heat_input = heat_inputs["whole"]
+    heat_input = data.heat_input("whole")
     fit = fit_two_stage(runs, heat_input=heat_input, sign=sign)
-    step_s = step_s or fit.step_s
+    step_s = task.step_s or fit.step_s
     operator = fit.operator()
     scores = {
         "one_step_rmse_K": fit.rmse_K,
@@ -64,16 +55,16 @@ def two_stage_model(
     }
     cases = _cases(runs, pairs, heat_input, config)
     splits, unjudged = held_out(cases, config), ""
-    seen = _cases(runs, pairs, heat_inputs["training"], config)
+    seen = _cases(runs, pairs, data.heat_input("training"), config)
     try:
-        last = _fold(seen, splits, fit, heat_inputs["training"], config)
+        last = _fold(seen, splits, fit, data.heat_input("training"), config)
     except DataError as error:
         last, unjudged = _of_fit(cases, splits, fit), f"without its held-out rows: {error}"
     before = None
     if not unjudged:
-        earlier = before_held_out(_cases(runs, pairs, heat_inputs["earlier"], config), splits, config)
+        earlier = before_held_out(_cases(runs, pairs, data.heat_input("earlier"), config), splits, config)
         with suppress(DataError):  # there is no earlier part then
-            before = _fold(*earlier, fit, heat_inputs["earlier"], config)
+            before = _fold(*earlier, fit, data.heat_input("earlier"), config)
     trials = Trial.linear(last, sign), None if before is None else Trial.linear(before, sign)
     said: list[str] = []
     if pairs or config.modulation != "linear":
@@ -83,20 +74,20 @@ def two_stage_model(
         operator, said, trials = modulated.operator, modulated.notes, (modulated.last, modulated.before)
         scores |= modulated.scores
     known = _step_response(fit, operator)
-    verdict = judge(*trials, operator, known, scores["acts_log_odds"], heat_W_m2)
+    verdict = judge(*trials, operator, known, scores["acts_log_odds"], task.heat_W_m2)
     if unjudged:
         verdict = Competence(False, (f"it cannot be judged {unjudged}",), plainly=UNJUDGED)
     return ZoneModel(
         operator=operator.resampled(step_s),
         free=fit.free_model().resampled(step_s),
         card=ModelCard(
-            source=source,
-            data=data,
-            ranges=ranges([*runs, *(h for p in pairs for h in (p.a, p.b))]),
+            source=task.source,
+            data=task.data,
+            ranges=ranges(data.histories),
             scores=scores,
             uncertainty={"pole_sd": fit.a_sd, "gain_sd_K": fit.g_sd} | known,
             config=config.model_dump(mode="json"),
-            notes=(*notes, *said),
+            notes=(*data.notes, *said),
             competence=verdict,
         ),
     )

@@ -6,13 +6,13 @@ DOE reference buildings.
 
 from __future__ import annotations
 
-import hashlib
 import importlib.metadata
 import importlib.util
 from functools import cache
 from pathlib import Path
 
 from thermoforce_mpc.errors import PlantError, WeatherError
+from thermoforce_mpc.files import file_sha256
 
 PACKAGE = "pyenergyplus-lbnl"
 
@@ -60,8 +60,4 @@ def reference_building(name: str) -> Path:
     return path
 
 
-@cache
-def file_hash(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+file_hash = cache(file_sha256)

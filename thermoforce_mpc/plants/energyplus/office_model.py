@@ -27,6 +27,7 @@ from thermoforce_mpc.plants.energyplus.zone import YEAR
 BUILDING = "RefBldgSmallOfficeNew2004_Chicago"
 WEATHER = "Chicago-OHare"
 STEPS_PER_HOUR = 12
+STEP_S = HOUR_S / STEPS_PER_HOUR
 
 
 @dataclass(frozen=True)
@@ -59,19 +60,15 @@ AREA_PER_PERSON_M2 = 18.58
 class OfficeReading:
     """Reading at the end of a step: temperatures °C, global horizontal irradiance W/m², means over the step W.
 
-    Per zone (Z): `T_zone_C`, `supply_W` (sensible heat that the supply air brings, negative where it cools), `fan_W`.
-    Per actuator (all heating, then all cooling; A = 2 Z): `setpoint_C` and `heat_W` (of burner, of coil, negative).
-    Per machine (all gas, then all electric; M = 2 Z): `power_W`, electric is compressor and fan.
+    Per zone (Z,): `T_zone_C`. All burners, then all coils (2 Z,): `heat_W`, of coils negative, and `power_W`, gas and
+    electric (compressor and fan).
     """
 
     T_zone_C: tuple[float, ...]
     T_out_C: float
     solar_W_m2: float
-    setpoint_C: tuple[float, ...]
     heat_W: tuple[float, ...]
     power_W: tuple[float, ...]
-    supply_W: tuple[float, ...]
-    fan_W: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -155,7 +152,7 @@ class OfficeRun:
     @property
     def step_s(self) -> float:
         """Length of a step, s."""
-        return HOUR_S / STEPS_PER_HOUR
+        return STEP_S
 
     @property
     def n_steps(self) -> int:
@@ -212,20 +209,13 @@ def _read(value: Mapping[str, float]) -> OfficeReading:
     def each(name: str) -> tuple[float, ...]:
         return tuple(value[f"{zone.name}_{name}"] for zone in ZONES)
 
-    def less(of: tuple[float, ...], these: tuple[float, ...]) -> tuple[float, ...]:
-        return tuple(a - b for a, b in zip(of, these, strict=True))
-
     weather = weather_reading(value, math.nan)
-    fan, none = each("fan"), (0.0,) * len(ZONES)
     return OfficeReading(
         T_zone_C=each("T"),
         T_out_C=weather.T_out_C,
         solar_W_m2=weather.solar_W_m2,
-        setpoint_C=each("heating_setpoint") + each("cooling_setpoint"),
-        heat_W=each("burner") + less(none, each("coil")),
-        power_W=each("gas") + tuple(a + b for a, b in zip(each("compressor"), fan, strict=True)),
-        supply_W=less(each("heated"), each("cooled")),
-        fan_W=fan,
+        heat_W=each("burner") + tuple(0.0 - heat for heat in each("coil")),
+        power_W=each("gas") + tuple(a + b for a, b in zip(each("compressor"), each("fan"), strict=True)),
     )
 
 
@@ -239,14 +229,7 @@ def _points(names: Mapping[str, tuple[str, str]]) -> dict[str, tuple[str, str]]:
 
 
 _WIRING = Wiring(
-    sensors=_points(
-        {
-            "T": ("Zone Air Temperature", "{zone}"),
-            "heating_setpoint": ("Zone Thermostat Heating Setpoint Temperature", "{zone}"),
-            "cooling_setpoint": ("Zone Thermostat Cooling Setpoint Temperature", "{zone}"),
-        }
-    )
-    | WEATHER_SENSORS,
+    sensors=_points({"T": ("Zone Air Temperature", "{zone}")}) | WEATHER_SENSORS,
     means=_points(
         {
             "burner": ("Heating Coil Heating Rate", "{unit}_HeatC"),
@@ -254,8 +237,6 @@ _WIRING = Wiring(
             "coil": ("Cooling Coil Sensible Cooling Rate", "{unit}_CoolC DXCoil"),
             "compressor": ("Cooling Coil Electricity Rate", "{unit}_CoolC DXCoil"),
             "fan": ("Fan Electricity Rate", "{unit}_Fan"),
-            "heated": ("Zone Air System Sensible Heating Rate", "{zone}"),
-            "cooled": ("Zone Air System Sensible Cooling Rate", "{zone}"),
         }
     ),
     actuators={

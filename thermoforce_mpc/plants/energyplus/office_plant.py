@@ -1,30 +1,61 @@
-"""The small office behind the `Plant` protocol: one room thermostat per zone, with a level of either sign.
+"""The DOE small office as a plant with five zones; the engine runs in its own process. Building: `office_model`.
 
-A zone's unit has a burner and a cooling coil, of which one works at a time; its level is heat over the burner's size,
-negative for cooling. Gas and electricity of a unit are billed apart: while heating at the price of gas, while cooling
-at that of electricity.
+One room thermostat per zone, whose own loops deliver the heat, with a level of either sign: a zone's unit has a burner
+and a cooling coil, of which one works at a time; its level is heat over the burner's size, negative for cooling. Gas
+and electricity of a unit are billed apart: while heating at the price of gas, while cooling at that of electricity.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from thermoforce_mpc.boundary import tariffs
-from thermoforce_mpc.boundary.forecast_error import ForecastError
-from thermoforce_mpc.data import ZERO_C_K, Array, Bands, Boundary, Levels, Measurement, Period, PlantInfo, Record
-from thermoforce_mpc.plants.checks import check_levels
-from thermoforce_mpc.plants.energyplus.office import SmallOffice
-from thermoforce_mpc.plants.energyplus.office_data import OfficeMeasurement, OfficeRecord
-from thermoforce_mpc.plants.shell import Releasing
+from thermoforce_mpc.boundary.forecast_error import ForecastError, forecast_weather
+from thermoforce_mpc.boundary.weather import load_weather
+from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array, Block, Boundary, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.plants.checks import day_period
+from thermoforce_mpc.plants.energyplus.engine import engine_version, file_hash, reference_building, weather_file
+from thermoforce_mpc.plants.energyplus.office_model import (
+    AREA_PER_PERSON_M2,
+    BUILDING,
+    STEP_S,
+    WEATHER,
+    ZONES,
+    OfficeReading,
+    OfficeRun,
+    office_schedules,
+)
+from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, EngineProcess, whole_steps
+from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.shell import RoomSetpointShell, Samples, WithProcess
 from thermoforce_mpc.plants.waiting import PATIENCE_S
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.testcase import TestCase
 
+# Two weeks from a Monday without holidays: first day of the year, from 0.
+PERIODS = {"peak_heat_day": 28, "cold_day": 343, "mix_day": 98, "peak_cool_day": 196}
+# Share of people from which on the tight comfort band holds: weekdays 06:00 to 20:00, Saturdays 06:00 to 17:00.
+OCCUPIED_FROM = 0.1
 
-class SmallOfficePlant(Releasing):
-    """`RoomSetpointPlant` of the DOE small office: zones, actuators and machines as in its test case, five each."""
+_Z = len(ZONES)
+_FLOOR_AREA_M2 = np.array([zone.floor_area_m2 for zone in ZONES])
+_FULL_W = np.array([zone.heating_W for zone in ZONES])
+# Width of each signal in a row of the record, and its place; of heat and power those of gas come first.
+_WIDTHS = {"T_zone_C": _Z, "T_out_C": 1, "solar_W_m2": 1, "heat_W": 2 * _Z, "power_W": 2 * _Z}
+_ENDS = np.cumsum(list(_WIDTHS.values()))
+_PLACE = {name: slice(int(end) - width, int(end)) for (name, width), end in zip(_WIDTHS.items(), _ENDS, strict=True)}
+
+
+class SmallOfficePlant(WithProcess[EngineProcess[tuple[float, ...], OfficeReading]], RoomSetpointShell):
+    """DOE small office (Chicago, TMY3 weather of O'Hare), run through the engine's runtime API.
+
+    Zones, actuators and machines are those of its test case, five each. Durations are multiples of the 5-min step.
+    There is no snapshot; every reset starts a new process.
+    """
 
     def __init__(
         self,
@@ -34,104 +65,188 @@ class SmallOfficePlant(Releasing):
         forecast_error: ForecastError | None = None,
         patience_s: float = PATIENCE_S,
     ) -> None:
-        """Arguments as for `SmallOffice`; raises as it does."""
+        """Read the weather and the schedules; the engine starts at `reset`.
+
+        Args:
+            highly_dynamic: highly dynamic tariff of electricity; default: a synthetic one, see `boundary.tariffs`.
+            forecast_error: weather forecast errors; default: a perfect forecast.
+            patience_s: longest time for a quarter of an hour of the building's time, and for the engine's warm-up, s.
+
+        Raises:
+            ConfigError: the engine is not installed.
+        """
+        try:
+            self._schedules = office_schedules()
+        except PlantError as error:
+            raise ConfigError(f"test case '{testcase.name}': {error}") from error
         self.testcase, self._points = testcase, testcase.points
-        self._office = SmallOffice(highly_dynamic=highly_dynamic, forecast_error=forecast_error, patience_s=patience_s)
-        self._full_W = self._office.capacity_W[: len(self._points.zones)]
+        self._names, self._lowest = self._points.layout.names, self._points.layout.lowest
+        self._file = weather_file(WEATHER)
+        self.weather = load_weather(self._file)
+        self._forecast_error, self._patience_s = forecast_error, patience_s
+        self._tariffs = tariffs.by_name(highly_dynamic)
 
     @property
     def info(self) -> PlantInfo:
         """Building, weather and engine version."""
-        return self._office.info
+        return PlantInfo(
+            kind="energyplus",
+            testcase="energyplus:small_office",
+            description=f"DOE small office of {_FLOOR_AREA_M2.sum():.0f} m2, five zones with a rooftop unit each",
+            weather=self._file.stem,
+            version=engine_version(),
+            details={
+                "weather_sha256": file_hash(self._file),
+                "building_sha256": file_hash(reference_building(BUILDING)),
+            },
+        )
 
     def period(self, name: str) -> Period:
-        """See `SmallOffice.period`."""
-        return self._office.period(name)
-
-    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
-        """See `SmallOffice.reset`."""
-        return self._measured(self._office.reset(start_s, warmup_s, price))
-
-    def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
-        """Let the thermostats keep the room set-points `band_C` (A,), °C, for `duration_s`, a multiple of 5 min.
-
-        `u` (A,) tells by its sign which loop of a zone may act; None leaves the zone to the file's own thermostat.
+        """Return the two weeks 'peak_heat_day', 'cold_day', 'mix_day' or 'peak_cool_day', or those of a start day.
 
         Raises:
-            InputError: a level, a band or the duration is out of range, or the plant was not reset.
-            PlantError: the engine failed.
+            InputError: `name` is neither of these nor a day of the year.
         """
-        layout = self._points.layout
-        block = check_levels(u, duration_s, band_C, names=layout.names, lowest=layout.lowest)
-        n = len(layout.home)
-        setpoints_C = np.full(2 * n, math.nan)
+        if name in PERIODS:
+            return Period(name, PERIODS[name] * DAY_S)
+        return day_period(name, PERIODS)
+
+    def _check_reset(self, start_s: float, warmup_s: float, price: str) -> None:
+        super()._check_reset(start_s, warmup_s, price)
+        for what, duration_s in (("start", start_s), ("warm-up", warmup_s)):
+            whole_steps(what, duration_s, STEP_S)
+
+    def _begin(self) -> None:
+        self.close()
+        begin_s, run = self._begin_s, OfficeRun(int(self._begin_s // DAY_S), RUN_DAYS)
+        self._process = EngineProcess(run, self._patience_s)
+        # The engine repeats its first day to warm up, so the weather of this reading is that of the next midnight.
+        self._now_s, (first,) = run.first_day * DAY_S, _rows_of([self._process.first])
+        for signal, column in (("T_out_C", "T_dry_C"), ("solar_W_m2", "global_W_m2")):
+            first[_PLACE[signal]] = self.weather.at(column, np.array([self._now_s]))
+        self._samples = Samples(self._now_s, first)
+        if begin_s > self._now_s:
+            self._run(Block.native(_Z, begin_s - self._now_s))
+            # The engine starts at midnight; the time up to the warm-up is not recorded.
+            self._samples = Samples(begin_s, self._samples.rows[-1])
+
+    def _run(self, block: Block) -> None:
+        setpoints_C = np.full(2 * _Z, math.nan)
         for a, (level, band, one) in enumerate(zip(block.u, block.band_C, self._points.actuators, strict=True)):
             actuator = one.actuator
             if level is None or not isinstance(actuator, RoomSetpoints):
                 continue
             values = actuator.inputs(level, band)
             setpoints_C[a] = values[f"{actuator.heating}_u"] - ZERO_C_K
-            setpoints_C[n + a] = values[f"{actuator.cooling}_u"] - ZERO_C_K
-        return self._measured(self._office.advance(setpoints_C, block.duration_s))
+            setpoints_C[_Z + a] = values[f"{actuator.cooling}_u"] - ZERO_C_K
+        readings = self._running.advance(tuple(setpoints_C.tolist()), block.duration_s).readings
+        self._samples.append(self._now_s + STEP_S * np.arange(1.0, len(readings) + 1), _rows_of(readings))
+        self._now_s = self._running.now_s
 
-    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """See `SmallOffice.forecast`; raises as it does."""
-        office = self._office.forecast(horizon_s, interval_s)
-        n = len(self._points.zones)
+    def _boundary(self, time_s: Array) -> Boundary:
+        """See `PlantShell`.
+
+        Comfort bounds, the same in every zone: the thermostats' set-points of the day while `OCCUPIED_FROM` of the
+        people are present; otherwise those of the night, and the tolerance at which a unit starts at night.
+        """
+        self._check_started()
+        T_out, solar = forecast_weather(self.weather, self._forecast_error, time_s)
+        lower, upper = self._bounds(time_s)
         return Boundary(
-            time_s=office.time_s,
-            T_out_C=office.T_out_C,
-            solar_W_m2=office.solar_W_m2,
-            occupancy=office.occupancy,
-            lower_C=office.lower_C,
-            upper_C=office.upper_C,
-            price_per_kWh=office.price_per_kWh[n:],
-            emission_kg_per_kWh=office.emission_kg_per_kWh[n:],
-            heating_price_per_kWh=office.price_per_kWh[:n],
-            names=self._points.layout.names,
+            time_s=time_s,
+            T_out_C=T_out,
+            solar_W_m2=solar,
+            occupancy=_FLOOR_AREA_M2[:, None] / AREA_PER_PERSON_M2 * self._schedules.occupancy(time_s),
+            lower_C=np.tile(lower, (_Z, 1)),
+            upper_C=np.tile(upper, (_Z, 1)),
+            price_per_kWh=np.tile(self._tariffs[self._price](time_s), (_Z, 1)),
+            emission_kg_per_kWh=np.full((_Z, time_s.size), tariffs.EMISSION_KG_PER_KWH),
+            heating_price_per_kWh=np.full((_Z, time_s.size), tariffs.GAS),
+            names=self._names,
         )
 
-    def past(self, step_s: float) -> Record:
-        """See `SmallOffice.past`; raises as it does."""
-        office = self._office.past(step_s)
+    def _past(self, edges: Array) -> Record:
+        self._check_started()
+        n = edges.size - 1
+        every = whole_steps("history in steps", edges[1] - edges[0], STEP_S) if n else 1
+        rows = self._samples.rows[-1 - n * every :]
+
+        def samples(name: str) -> Array:
+            return np.ascontiguousarray(rows[::every, _PLACE[name]].T)
+
+        def means(name: str) -> Array:
+            acting = rows[1:, _PLACE[name]]
+            return np.ascontiguousarray(acting.reshape(n, every, acting.shape[1]).mean(axis=1).T)
+
         return Record(
-            time_s=office.time_s,
-            T_zone_C=office.T_zone_C,
-            T_out_C=office.T_out_C,
-            solar_W_m2=office.solar_W_m2,
-            names=self._points.layout.names,
-            **self._acting(office),
+            time_s=edges,
+            T_zone_C=samples("T_zone_C"),
+            T_out_C=samples("T_out_C")[0],
+            solar_W_m2=samples("solar_W_m2")[0],
+            u=self._levels(means("heat_W")),
+            heat_W=_of_units(means("heat_W")),
+            power_W=_of_units(means("power_W")),
+            names=self._names,
         )
 
     def kpis(self) -> dict[str, float]:
-        """BOPTEST's KPIs of the building, its discomfort also zone by zone; see `SmallOffice.kpis`."""
-        return self._office.kpis()
+        """Return BOPTEST's KPIs of the building since the end of the warm-up, from the 5-min record.
 
-    def close(self) -> None:
-        """End the engine's process; safe to call twice."""
-        self._office.close()
-
-    def _measured(self, office: OfficeMeasurement) -> Measurement:
-        acting = self._acting(office)
-        return Measurement(
-            time_s=office.time_s,
-            T_zone_C=office.T_zone_C,
-            T_out_C=office.T_out_C,
-            solar_W_m2=office.solar_W_m2,
-            u=acting["u"],
-            heat_W=acting["heat_W"],
-            power_W=acting["power_W"],
-            names=self._points.layout.names,
+        Energy is that of burners, compressors and fans, not of lights and plugs; discomfort is the mean over zones.
+        """
+        self._check_started()
+        time_s, rows = self._samples.between(self._start_s, self._now_s)
+        if len(rows) < 2:
+            names = ("ener_tot", "cost_tot", "emis_tot", "tdis_tot", "pele_tot", "pgas_tot")
+            return dict.fromkeys((*names, *(f"tdis_tot[{zone.name}]" for zone in ZONES)), 0.0)
+        lower, upper = self._bounds(time_s)
+        power, T_zone = rows[:, _PLACE["power_W"]], rows[:, _PLACE["T_zone_C"]]
+        gas = np.full(time_s.size, tariffs.GAS), np.full(time_s.size, tariffs.GAS_EMISSION_KG_PER_KWH)
+        electricity = self._tariffs[self._price](time_s), np.full(time_s.size, tariffs.EMISSION_KG_PER_KWH)
+        return building_kpis(
+            time_s,
+            supplies=[
+                Supply("GasPower", power[:, :_Z].sum(axis=1), *gas, of_steps=True),
+                Supply("ElectricPower", power[:, _Z:].sum(axis=1), *electricity, of_steps=True),
+            ],
+            thermal=[Violation(zone.name, excess(T_zone[:, z], lower, upper)) for z, zone in enumerate(ZONES)],
+            air_quality=[],
+            area_m2=float(_FLOOR_AREA_M2.sum()),
         )
 
-    def _acting(self, office: OfficeRecord | OfficeMeasurement) -> dict[str, Array]:
-        """Level, heat and power of each zone's unit: burner and coil together."""
-        n = len(self._points.zones)
-        heat_W = office.heat_W[:n] + office.heat_W[n:]
-        lowest = np.array(self._points.layout.lowest)
-        full_W, lowest = (values.reshape(-1, *(1,) * (heat_W.ndim - 1)) for values in (self._full_W, lowest))
-        return {
-            "u": np.clip(heat_W / full_W, lowest, 1.0),
-            "heat_W": heat_W,
-            "power_W": office.power_W[:n] + office.power_W[n:],
-        }
+    def _bounds(self, time_s: Array) -> tuple[Array, Array]:
+        """Return the comfort bounds of every zone, °C, (n,) each."""
+        occupied = self._schedules.occupancy(time_s) >= OCCUPIED_FROM
+        tight, wide = self._schedules.tight_C(), self._schedules.wide_C()
+        return np.where(occupied, tight[0], wide[0]), np.where(occupied, tight[1], wide[1])
+
+    def _measured(self, before_s: float) -> Measurement:
+        steps, rows = round((self._now_s - before_s) / STEP_S), self._samples.rows
+        heat_W, power_W = (
+            rows[-steps:, _PLACE[name]].mean(axis=0) if steps else np.full(2 * _Z, np.nan)
+            for name in ("heat_W", "power_W")
+        )
+        return Measurement(
+            time_s=self._now_s,
+            T_zone_C=rows[-1, _PLACE["T_zone_C"]].copy(),
+            T_out_C=float(rows[-1, _PLACE["T_out_C"]][0]),
+            solar_W_m2=float(rows[-1, _PLACE["solar_W_m2"]][0]),
+            u=self._levels(heat_W),
+            heat_W=_of_units(heat_W),
+            power_W=_of_units(power_W),
+            names=self._names,
+        )
+
+    def _levels(self, heat_W: Array) -> Array:
+        """Levels (Z,) or (Z, n) by the heat of burners and coils, (2 Z,) or (2 Z, n)."""
+        return np.clip(_of_units(heat_W).T / _FULL_W, self._lowest, 1.0).T
+
+
+def _of_units(values: Array) -> Array:
+    """Values (Z,) or (Z, n) of each zone's unit, from those of burners and electric parts, (2 Z,) or (2 Z, n)."""
+    return np.asarray(values[:_Z] + values[_Z:])
+
+
+def _rows_of(readings: Sequence[OfficeReading]) -> Array:
+    """Rows (n, k) of readings, see `_PLACE`."""
+    return np.array([np.hstack([getattr(reading, name) for name in _WIDTHS]) for reading in readings])

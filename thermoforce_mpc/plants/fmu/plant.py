@@ -16,10 +16,8 @@ from thermoforce_mpc.data import (
     HOUR_S,
     ZERO_C_K,
     Array,
-    Bands,
     Block,
     Boundary,
-    Levels,
     Measurement,
     Period,
     PlantInfo,
@@ -27,7 +25,7 @@ from thermoforce_mpc.data import (
 )
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.boptest.points import check_points
-from thermoforce_mpc.plants.checks import check_levels, day_period
+from thermoforce_mpc.plants.checks import day_period
 from thermoforce_mpc.plants.fmu.archive import read_archive, unpack
 from thermoforce_mpc.plants.fmu.run import FmuRun
 from thermoforce_mpc.plants.fmu.scores import Scores
@@ -40,12 +38,12 @@ from thermoforce_mpc.plants.records import (
     past_record,
     recorded_levels,
 )
-from thermoforce_mpc.plants.shell import PlantShell, WithProcess
+from thermoforce_mpc.plants.shell import RoomSetpointShell, WithProcess
 from thermoforce_mpc.plants.waiting import PATIENCE_S
 from thermoforce_mpc.scenario.testcase import TestCase
 
 
-class FmuPlant(WithProcess[FmuRun], PlantShell):
+class FmuPlant(WithProcess[FmuRun], RoomSetpointShell):
     """Test case in an FMU, run by FMPy in its own process.
 
     ```python
@@ -146,15 +144,6 @@ class FmuPlant(WithProcess[FmuRun], PlantShell):
         folder = Path(self._folder.name)
         self._process = FmuRun(self._archive.job(folder / "fmu", self._kept), folder / "work", self._patience_s)
         self._stretches = [self._process.start(self._now_s)]
-
-    def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
-        """Apply `u` in [0, 1] (None: native control), or the room set-points `band_C`, °C, for `duration_s`.
-
-        Raises:
-            InputError: `u`, `band_C` or `duration_s` is out of range, or the plant was not reset.
-            PlantError: the FMU failed, or took too long, at all tolerances.
-        """
-        return self._advanced(check_levels(u, duration_s, band_C, names=self._names, lowest=self._lowest))
 
     def _boundary(self, time_s: Array) -> Boundary:
         self._check_started()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from controllers.registry import controller_config, find_entry
@@ -15,10 +14,9 @@ from thermoforce_mpc.registry import plugin_sources
 from thermoforce_mpc.scenario.own_code import code_file, is_policy, policy_settings
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
-from thermoforce_mpc.simulation.comparison.input_files import named_files
+from thermoforce_mpc.simulation.comparison.input_files import file_hashes, named_files
 from thermoforce_mpc.simulation.comparison.variants import Variant, variant_scenario
 from thermoforce_mpc.simulation.composition import check_windows, controller_options
-from thermoforce_mpc.simulation.folder.run_folder import file_sha256
 from thermoforce_mpc.simulation.models.identifying import IdentificationTask, identification_task
 from thermoforce_mpc.version import VERSION
 
@@ -107,15 +105,8 @@ class Inputs:
     def __call__(self, path: str) -> str:
         """Content hash of a file or folder; raises `ConfigError`."""
         if path not in self._hashes:
-            where = Path(path).expanduser()
-            try:
-                if where.is_dir():
-                    files = sorted(p for p in where.rglob("*") if p.is_file())
-                    self._hashes[path] = digest({p.relative_to(where).as_posix(): file_sha256(p) for p in files})
-                else:
-                    self._hashes[path] = file_sha256(where)
-            except OSError as error:
-                raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
+            hashes = file_hashes(path)
+            self._hashes[path] = hashes.get("") or digest(hashes)
         return self._hashes[path]
 
 

@@ -12,9 +12,9 @@ from typing import Any
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution import Task
 from thermoforce_mpc.execution.keys import digest
+from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.simulation.comparison.option_files import with_files
-from thermoforce_mpc.simulation.folder.run_folder import file_sha256
 from thermoforce_mpc.simulation.models.identifying import IdentificationTask
 
 
@@ -62,18 +62,20 @@ NO_FILES = SentFiles(InputFiles({}), {})
 
 def input_files(paths: Iterable[str]) -> InputFiles | None:
     """What is to be sent of `paths`; None for no paths. Raises `ConfigError` if one cannot be read."""
-    hashes: dict[str, dict[str, str]] = {}
-    for path in sorted(set(paths)):
-        place = Path(path).expanduser()
-        try:
-            if place.is_dir():
-                below = sorted(file for file in place.rglob("*") if file.is_file())
-                hashes[path] = {file.relative_to(place).as_posix(): file_sha256(file) for file in below}
-            else:
-                hashes[path] = {"": file_sha256(place)}
-        except OSError as error:
-            raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
+    hashes = {path: file_hashes(path) for path in sorted(set(paths))}
     return InputFiles(hashes) if hashes else None
+
+
+def file_hashes(path: str) -> dict[str, str]:
+    """The hash of each file in a folder by its place below, or of a file by ''; raises `ConfigError`."""
+    place = Path(path).expanduser()
+    try:
+        if place.is_dir():
+            below = sorted(file for file in place.rglob("*") if file.is_file())
+            return {file.relative_to(place).as_posix(): file_sha256(file) for file in below}
+        return {"": file_sha256(place)}
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
 def task_of(files: InputFiles) -> Task:

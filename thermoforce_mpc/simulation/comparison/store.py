@@ -72,6 +72,28 @@ class Identified:
             write_folder(path, self.files, keep=not path.exists())
 
 
+def create_folder(folder: Path, *below: str) -> None:
+    """Create a folder and those `below`; raises `StorageError` if that fails, `ConfigError` where it holds a link."""
+    check_plain(folder)
+    try:
+        for path in (folder, *(folder / name for name in below)):
+            path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"--out {folder}: cannot be created ({error.strerror or error})") from error
+
+
+def finished_record(path: Path, cell: Cell) -> dict[str, Any] | None:
+    """The result of a cell in a file; None if it failed, was not run or cannot be read."""
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    expected = {"format": FORMAT, "key": cell.key, "status": DONE}
+    if not isinstance(record, dict) or {name: record.get(name) for name in expected} != expected:
+        return None
+    return record | {"variant": cell.variant}
+
+
 class Store:
     """Stored cells and models of one comparison: the `Results` of its tasks."""
 
@@ -80,12 +102,7 @@ class Store:
 
     def create(self) -> None:
         """Create the folder; raises `StorageError` if that fails, `ConfigError` where there is a link in it."""
-        check_plain(self.folder)
-        try:
-            for sub in ("cells", "models"):
-                (self.folder / sub).mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise StorageError(f"--out {self.folder}: cannot be created ({error.strerror or error})") from error
+        create_folder(self.folder, "cells", "models")
 
     def cell_path(self, cell: Cell) -> Path:
         """Path of a cell's result."""
@@ -100,13 +117,8 @@ class Store:
         """Stored result of this cell, or None if it failed, was not run or cannot be read."""
         # Found by key alone: the variant name does not affect the result.
         for path in sorted((self.folder / "cells").glob(f"*-{cell.key}.json")):
-            try:
-                record = json.loads(path.read_text(encoding="utf-8"))
-            except (OSError, ValueError):
-                continue
-            expected = {"format": FORMAT, "key": cell.key, "status": DONE}
-            if isinstance(record, dict) and {name: record.get(name) for name in expected} == expected:
-                return record | {"variant": cell.variant}
+            if (record := finished_record(path, cell)) is not None:
+                return record
         return None
 
     def get(self, task: Task) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,19 +12,19 @@ from typing import Any
 from urllib.parse import quote
 
 from controllers.registry import find_entry
-from thermoforce_mpc.errors import ConfigError, StorageError
+from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution import Task
 from thermoforce_mpc.files import storage_errors
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge, validate
-from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell, Inputs, expand
+from thermoforce_mpc.simulation.comparison.cells import Cell, Inputs, expand
 from thermoforce_mpc.simulation.comparison.input_files import InputFiles, SentFiles
-from thermoforce_mpc.simulation.comparison.store import DONE, Identified
+from thermoforce_mpc.simulation.comparison.store import Identified, create_folder, finished_record
 from thermoforce_mpc.simulation.comparison.tasks import failure, followed, run_record
 from thermoforce_mpc.simulation.comparison.tasks import tasks_of as cell_tasks
 from thermoforce_mpc.simulation.fleet.buildings import Building
 from thermoforce_mpc.simulation.fleet.file import FleetFile
-from thermoforce_mpc.simulation.folder.plain_files import check_plain, write_plain
+from thermoforce_mpc.simulation.folder.plain_files import write_plain
 from thermoforce_mpc.simulation.folder.run_folder import trajectory_frame, write_json
 
 
@@ -139,11 +138,7 @@ class FleetResults:
 
     def create(self) -> None:
         """Create the folder; raises `StorageError` if that fails, `ConfigError` where there is a link in it."""
-        check_plain(self.folder)
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise StorageError(f"--out {self.folder}: cannot be created ({error.strerror or error})") from error
+        create_folder(self.folder)
 
     def record_path(self, key: str) -> Path:
         """The record of a run."""
@@ -180,16 +175,9 @@ class FleetResults:
 
     def record(self, run: Run) -> dict[str, Any] | None:
         """The record of a finished run; None if it failed, was not run or cannot be read."""
-        try:
-            record = json.loads(self.record_path(run.cell.key).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return None
-        expected = {"format": FORMAT, "key": run.cell.key, "status": DONE}
-        if not isinstance(record, dict) or {name: record.get(name) for name in expected} != expected:
-            return None
         if run.trajectory and not self.trajectory_path(run.cell.key).is_file():
             return None
-        return record | {"variant": run.cell.variant}
+        return finished_record(self.record_path(run.cell.key), run.cell)
 
     def get(self, task: Task) -> Any:
         """What a run or an identification gave, or the content of input files.

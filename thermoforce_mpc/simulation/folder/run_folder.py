@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import errno
-import hashlib
 import json
 import platform
 import re
-import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
@@ -23,7 +20,7 @@ from filelock import FileLock, Timeout
 
 from thermoforce_mpc.data import DAY_S, Names, Plan, PlantInfo
 from thermoforce_mpc.errors import ArtifactError, ConfigError, StorageError
-from thermoforce_mpc.files import storage_errors, write_whole
+from thermoforce_mpc.files import file_sha256, storage_errors, write_whole
 from thermoforce_mpc.registry import plugins
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held
@@ -274,14 +271,6 @@ def write_json(path: Path, content: Mapping[str, Any], *, follow: bool = False) 
     """Write standard JSON: NaN and infinities become null; `follow` as of `written`."""
     text = json.dumps(plain_json(content), indent=2, ensure_ascii=False, allow_nan=False)
     write_whole(path, text + "\n", follow=follow)
-
-
-def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes, hexadecimal; raises `OSError` where it cannot be read, as a device or pipe."""
-    if not stat.S_ISREG(path.stat().st_mode):
-        raise OSError(errno.EINVAL, "not a file", str(path))
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def plain_json(value: Any) -> Any:

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from controllers.registry import find_entry, has_gate
 from thermoforce_mpc.errors import ArtifactError, DataError
+from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.composition import controller_options
-from thermoforce_mpc.simulation.folder.run_folder import file_sha256, file_stem, kept_model, plain_json
+from thermoforce_mpc.simulation.folder.run_folder import file_stem, kept_model, plain_json
 from thermoforce_mpc.simulation.journal.journal_values import Json
 from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
 from thermoforce_mpc.simulation.models.identifying import (

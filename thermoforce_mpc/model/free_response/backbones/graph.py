@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable, Mapping
 from functools import cached_property
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.errors import BackboneError
+from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.model.free_response.backbones.checkpoint import WEIGHTS
 from thermoforce_mpc.model.free_response.checks import level_places
 
@@ -38,7 +38,7 @@ class Graph:
         import onnxruntime
 
         self._weights = folder / WEIGHTS
-        self.weights_sha256 = hashlib.sha256(self._weights.read_bytes()).hexdigest()
+        self.weights_sha256 = file_sha256(self._weights)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 3  # errors, which are raised as well

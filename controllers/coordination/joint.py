@@ -1,0 +1,164 @@
+"""The programmes of buildings that share power as one, coupled by the limit and the peak of their sum."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+from scipy import sparse
+
+from controllers.checks import ControllerConfigError
+from controllers.coordination.limit import SharedPower
+from controllers.optimisation.plan_model import PlanModel
+from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem
+from controllers.optimisation.solution import Solution, checked_variables, failed
+from controllers.optimisation.solvers.qp_backends import Clarabel, Piqp, QPConfig, QPData, SolverResult
+from controllers.optimisation.statement.terms import PlanExpressions
+from thermoforce_mpc.data import Array
+
+# Power above its part of the limit that a checked plan may have, kW: a solver's tolerance. The programme's limit is
+# lower by as much for each building.
+LIMIT_TOLERANCE_KW = 1e-5
+
+
+def power_of_steps(plan: PlanExpressions) -> None:
+    """The building's power over each step as variables, kW."""
+    power = plan.variable("power", plan.power_W.shape[1], -np.inf, np.inf)
+    plan.equal(power - ca.sum1(plan.power_W) / POWER_UNIT_W)
+
+
+class Member:
+    """A building whose problem is a convex quadratic programme.
+
+    Args:
+        name: its name.
+        model: its statement.
+        problem: its instance.
+        largest_kW: the most it may draw whatever happens.
+
+    Raises:
+        ControllerConfigError: it cannot be planned with others, and why.
+    """
+
+    def __init__(self, name: str, model: PlanModel, problem: MPCProblem, largest_kW: float) -> None:
+        if not model.convex or model.structure.chosen:
+            raise ControllerConfigError("its problem is not convex")
+        if model.shape.terms:
+            raise ControllerConfigError("it plans with terms of its own")
+        if problem.power_per_u2_W is not None:  # rows of power are linear in u: its chord, too high at part load
+            per_u_W = problem.power_per_u_W + problem.power_per_u2_W
+            problem = replace(problem, power_per_u_W=per_u_W, power_per_u2_W=None)
+        self.name, self.largest_kW, self._problem = name, largest_kW, problem
+        self._model = PlanModel(model.operator, replace(model.shape.by_steps, terms=(power_of_steps,)))
+        self._p = self._model.numbers(problem)
+        if not np.isfinite(self._p).all():
+            raise ControllerConfigError("its problem holds numbers that are not finite")
+        self.programme, self.power_at = self._model.local(self._p), self._model.own_at
+
+    def checked(self, x: Array) -> Solution:
+        """Its plan, from its variables in a solution of all."""
+        claimed = self.programme.objective(x)
+        solution = checked_variables(self._model, self._problem, self._p, x, claimed, "jointly:solved", 0)
+        if solution.ok and (power_kW(solution) > x[self.power_at] + LIMIT_TOLERANCE_KW).any():
+            return failed(solution.status, 0, "its levels draw more than its part of the limit")
+        return replace(solution, own={})  # the power is ours, not the controller's
+
+
+@dataclass(frozen=True)
+class JointPlan:
+    """Plans of buildings that share power over N steps.
+
+    `solutions` by name; `silent`: why a building has none, by name: the most it may draw, `reserved_kW` for all such,
+    is set aside. `total_kW` (N,): planned power; `cost`: of all plans and their peak, currency.
+    """
+
+    solutions: Mapping[str, Solution]
+    silent: Mapping[str, str]
+    reserved_kW: float
+    total_kW: Array
+    cost: float
+
+
+def power_kW(solution: Solution) -> Array:
+    """Mean power over each step (N,), kW."""
+    assert solution.evaluation is not None
+    return np.asarray(solution.evaluation.power_W.sum(axis=0) / POWER_UNIT_W)
+
+
+def plan_jointly(members: Sequence[Member], shared: SharedPower, config: QPConfig) -> JointPlan:
+    """The plans of least cost under what is shared. Who has no plan that passes its check is planned around."""
+    silent, left, reserved_kW = dict[str, str](), list(members), 0.0
+    solutions: dict[str, Solution] = {}
+    while left:
+        remaining = shared.less(reserved_kW)
+        parts = _solved(left, remaining, config)
+        if parts is None:
+            why = _why_not(left, config)
+        else:
+            solutions = {member.name: member.checked(x) for member, x in zip(left, parts, strict=True)}
+            why = {name: solution.problem for name, solution in solutions.items() if not solution.ok}
+        if not why:
+            break
+        silent |= why
+        reserved_kW += sum(member.largest_kW for member in left if member.name in why)
+        left = [member for member in left if member.name not in why]
+    kept = {member.name: solutions[member.name] for member in left}
+    total_kW = sum(map(power_kW, kept.values()), np.zeros(shared.limit_kW.size))
+    cost = sum(solution.cost for solution in kept.values()) + shared.less(reserved_kW).cost(total_kW)
+    return JointPlan(kept, silent, reserved_kW, total_kW, cost)
+
+
+def _why_not(members: Sequence[Member], config: QPConfig) -> dict[str, str]:
+    """Whose own programme has no solution; where each has one, all members."""
+    alone = [m.name for m in members if _solved([m], SharedPower(np.full(m.power_at.size, np.inf)), config) is None]
+    if alone:
+        return dict.fromkeys(alone, "no solver finds a plan for it")
+    return dict.fromkeys((member.name for member in members), "no solver finds plans within what is shared")
+
+
+def _solved(members: Sequence[Member], shared: SharedPower, config: QPConfig) -> list[Array] | None:
+    """Variables of each member at the joint optimum; None where no solver reaches it."""
+    data = joint_programme(members, shared)
+    for solve in (Piqp(config), Clarabel(config)):
+        found: SolverResult = solve(data)
+        if found.solved and np.isfinite(found.x).all():
+            return np.split(found.x, np.cumsum([member.programme.linear.size for member in members]))[:-1]
+    return None
+
+
+def joint_programme(members: Sequence[Member], shared: SharedPower) -> QPData:
+    """The members' variables one after another, and last the peak above the one so far, kW."""
+    parts, n = [member.programme for member in members], shared.limit_kW.size
+    unit, starts = max(part.unit for part in parts), np.cumsum([0, *(part.linear.size for part in parts)])
+    scaled = [part.unit / unit for part in parts]
+    at = np.concatenate([start + member.power_at for start, member in zip(starts, members, strict=False)])
+    steps = np.tile(np.arange(n), len(members))
+    sums = sparse.csc_matrix((np.ones(at.size), (steps, at)), shape=(n, starts[-1] + 1))
+    limited, peaks = np.isfinite(shared.limit_kW), n if shared.peak_price_per_kW else 0
+    limit_kW = np.maximum(shared.limit_kW[limited] - len(members) * LIMIT_TOLERANCE_KW, 0.0)
+    above = sparse.csc_matrix(
+        (-np.ones(peaks), (np.arange(peaks), np.full(peaks, starts[-1]))), shape=(peaks, starts[-1] + 1)
+    )
+    linear = [part.linear * scale for part, scale in zip(parts, scaled, strict=True)]
+    quadratic = [part.quadratic * scale for part, scale in zip(parts, scaled, strict=True)]
+    return QPData(
+        sparse.block_diag([*quadratic, sparse.csc_matrix((1, 1))], format="csc"),
+        np.concatenate([*linear, [shared.peak_price_per_kW / unit]]),
+        _beside([part.A for part in parts]),
+        np.concatenate([part.b for part in parts]),
+        sparse.vstack([_beside([part.G for part in parts]), sums[limited], sums[:peaks] + above], format="csc"),
+        np.concatenate([*(part.low for part in parts), np.full(limit_kW.size + peaks, -np.inf)]),
+        np.concatenate([*(part.high for part in parts), limit_kW, np.full(peaks, shared.peak_so_far_kW)]),
+        np.concatenate([*(part.x_low for part in parts), [0.0]]),
+        np.concatenate([*(part.x_high for part in parts), [np.inf]]),
+        unit,
+        sum(part.constant for part in parts),
+    )
+
+
+def _beside(blocks: Sequence[sparse.csc_matrix]) -> sparse.csc_matrix:
+    """Blocks along the diagonal, with a column of zeros for the peak."""
+    rows = sum(block.shape[0] for block in blocks)
+    return sparse.hstack([sparse.block_diag(blocks), sparse.csc_matrix((rows, 1))], format="csc")
