@@ -18,7 +18,7 @@ from benchmarks.free_response.score import forecast_origins, window
 from benchmarks.free_response.sources import Source
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.model.free_response.checks import LEVELS
-from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse, Task
+from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
 
 _LEADS_H = (6, 24)
@@ -142,7 +142,7 @@ def _forecasts(source: Source, origins: Array, method: ResidualFreeResponse) -> 
     medians = []
     for first in range(0, len(tasks), _BATCH):
         found, _ = method.candidates(
-            [Task(free, history, ahead) for free, history, ahead, _ in tasks[first : first + _BATCH]]
+            [(free, history, ahead) for free, history, ahead, _ in tasks[first : first + _BATCH]]
         )
         medians += [quantiles[:, LEVELS.size // 2] for quantiles in found]
     mixed, state = [], None

@@ -27,14 +27,17 @@ def copy(tmp_path: Path) -> Path:
 
 
 def _contexts(*sizes: tuple[int, int]) -> list[Context]:
-    """Series of so many hours with gaps, one of them with nothing in its first days, and steps ahead."""
+    """Series of so many hours with gaps, one of them with nothing in its first days, and steps ahead.
+
+    The fourth column is read by models that correct a linear one.
+    """
     rng = np.random.default_rng(4)
     contexts = []
     for known, steps in sizes:
         free = daily(hours(known)) + 0.1 * rng.standard_normal(known + 1)
         free[rng.random(known + 1) < 0.1] = np.nan
         free[: known // 3] = np.nan
-        contexts.append(Context(free, 5.0 * rng.random((known + 1, 3)), 5.0 * rng.random((steps, 3))))
+        contexts.append(Context(free, 5.0 * rng.random((known + 1, 4)), 5.0 * rng.random((steps, 4))))
     return contexts
 
 

@@ -8,7 +8,6 @@ from forecasting import LEVELS, boundary_of, history_of, hours
 
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.execution.cooperative import Computation
-from thermoforce_mpc.model.free_response.chronos import Task
 from thermoforce_mpc.model.free_response.linear_weather import TIME_CONSTANTS_H, fit_linear_weather
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
@@ -21,7 +20,6 @@ class Fixed:
     """A forecaster that says what it is told: `offset_K` above the last finite value, quantiles `spread_K` apart."""
 
     name = "fixed"
-    after_linear_weather = False
 
     def __init__(self, offset_K: float, spread_K: float = 0.1) -> None:
         self.offset_K, self.spread_K = offset_K, spread_K
@@ -31,11 +29,11 @@ class Fixed:
         rows = last + (LEVELS - 0.5)[:, None] * self.spread_K / 0.4 + np.zeros(boundary.n_steps)
         return FreeForecast(LEVELS, rows, f"fixed {self.offset_K:g}")
 
-    def forecasting(self, tasks: list[Task]) -> Computation[list[FreeForecast]]:
+    def forecasting(self, tasks: list[tuple[Array, Record, Boundary]]) -> Computation[list[FreeForecast]]:
         yield from ()
         self.asked = getattr(self, "asked", [])
         self.asked.append(len(tasks))
-        return [self.forecast(*task[:3]) for task in tasks]
+        return [self.forecast(*task) for task in tasks]
 
 
 def room_and_weather(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -206,19 +204,19 @@ def test_trials_see_nothing_of_what_they_forecast() -> None:
     seen: list[tuple[Array, Record, Boundary]] = []
 
     class Watching(Fixed):
-        def forecasting(self, tasks: list[Task]) -> Computation[list[FreeForecast]]:
+        def forecasting(self, tasks: list[tuple[Array, Record, Boundary]]) -> Computation[list[FreeForecast]]:
             seen.extend(tasks)
             return super().forecasting(tasks)
 
     ResidualFreeResponse(Watching(0.0)).forecast(free[: N + 1], history, boundary)
     trials = seen[3:]  # the forecast itself comes first, three candidates of it
     assert len(trials) >= 3 * 20
-    for past_C, past, ahead, _ in trials:
+    for past_C, past, ahead in trials:
         now = past_C.size - 1
         assert past.n_steps == now <= N - AHEAD
         assert past.time_s[-1] == ahead.time_s[0]
         assert ahead.n_steps == AHEAD
         np.testing.assert_array_equal(ahead.T_out_C, outdoor[now : now + AHEAD + 1])
         assert not np.isfinite(ahead.lower_C).any()
-    for past_C, _, _, _ in trials[::3]:
+    for past_C, _, _ in trials[::3]:
         np.testing.assert_array_equal(past_C, free[: past_C.size])

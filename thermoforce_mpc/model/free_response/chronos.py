@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from thermoforce_mpc.execution.cooperative import Computation, Request, perform,
 from thermoforce_mpc.model.free_response.backbones.base import Context, clock, frozen_pass
 from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED, load_backbone, shipped_folder
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
+from thermoforce_mpc.model.free_response.linear_weather import DISTURBANCES_H, fits_linear_weather, mean_course
 from thermoforce_mpc.model.free_response.multi_resolution import (
     FEWEST_VALUES,
     Resolution,
@@ -34,14 +36,15 @@ _SHORTEST_HISTORY_S = DAY_S
 _SHORTEST_CONTEXT = 16
 _RESOLUTIONS = ("several", "one")
 
+Task = tuple[Array, Record, Boundary]
 
-class Task(NamedTuple):
-    """Control-free series (k,) °C, history and boundary; `course_C` (k + N,) of what left the series over."""
 
-    free_C: Array
-    history: Record
-    boundary: Boundary
-    course_C: Array | None = None
+@dataclass(frozen=True)
+class _Input:
+    """What a backbone is given for a task, and what is added to its answer, `ahead_C` (N,) °C."""
+
+    resolutions: list[Resolution]
+    ahead_C: Array
 
 
 class ChronosFreeResponse:
@@ -73,6 +76,8 @@ class ChronosFreeResponse:
         self.backbone, self._resolutions = backbone, resolutions
         self._context_steps = context_steps
         self.model = load_backbone(backbone)
+        # Trained on what linear weather models leave over: it corrects them.
+        self._after_linear_weather = bool(getattr(self.model, "after_linear_weather", False))
         self._short = Persistence()
 
     @property
@@ -84,11 +89,6 @@ class ChronosFreeResponse:
     def modules(self) -> tuple[nn.Module, ...]:
         """Modules with weights."""
         return self.model.modules
-
-    @property
-    def after_linear_weather(self) -> bool:
-        """Whether the backbone was trained on what linear weather models leave over, with their course."""
-        return bool(getattr(self.model, "after_linear_weather", False))
 
     def weight_hash(self) -> str:
         """Return the SHA-256 of all weights, of their file where a graph holds them; they are frozen."""
@@ -106,43 +106,47 @@ class ChronosFreeResponse:
         """See `FreeResponse.forecast`. NaN gaps are passed to the model unfilled.
 
         Raises:
-            DataError: no value was measured, history and forecast differ in step, or the model's output is not finite.
+            DataError: no value was measured, history and forecast differ in step, or the model's output is not finite;
+                of a backbone that corrects a linear weather model also where the weather is not finite.
         """
         return self.forecast_many([(free_C, history, boundary)])[0]
 
-    def forecast_many(self, tasks: Sequence[tuple[Array, Record, Boundary]]) -> list[FreeForecast]:
+    def forecast_many(self, tasks: Sequence[Task]) -> list[FreeForecast]:
         """Return forecasts for several buildings or instants in one pass through the model.
 
         Each task holds the arguments of `forecast` and is treated the same; raises what `forecast` raises.
         """
-        return run(self.forecasting([Task(*task) for task in tasks]))
+        return run(self.forecasting(tasks))
 
     def following(
         self, free_C: Array, history: Record, boundary: Boundary, state: object
     ) -> Computation[tuple[FreeForecast, object]]:
         """See `ComputedFreeResponse.following`; raises what `forecast` raises."""
-        (forecast,) = yield from self.forecasting([Task(free_C, history, boundary)])
+        (forecast,) = yield from self.forecasting([(free_C, history, boundary)])
         return forecast, None
 
     def forecasting(self, tasks: Sequence[Task]) -> Computation[list[FreeForecast]]:
         """`forecast_many` as a computation: it requests the quantiles of all its contexts from the backbone."""
-        inputs: list[list[Resolution] | FreeForecast] = []
+        inputs: list[_Input | FreeForecast] = []
         for i, task in enumerate(tasks):
             again = self._again(inputs[-1], tasks[i - 1], task) if i else None
-            inputs.append(again or self._input_of(task))
+            inputs.append(again or self._input_of(*task))
         contexts = [
-            resolution.context for resolutions in inputs if isinstance(resolutions, list) for resolution in resolutions
+            resolution.context
+            for of_task in inputs
+            if not isinstance(of_task, FreeForecast)
+            for resolution in of_task.resolutions
         ]
         per_context: Iterator[Array] = iter(())
         if contexts:
             per_context = iter((yield from perform(Request(self.model, self._run_backbone, contexts))))
         answers = []
-        for of_task, task in zip(inputs, tasks, strict=True):
+        for of_task, (_, _, boundary) in zip(inputs, tasks, strict=True):
             if isinstance(of_task, FreeForecast):
                 answers.append(of_task)
                 continue
-            quantiles = merged(of_task, [next(per_context) for _ in of_task])
-            answers.append(self._checked(np.sort(quantiles, axis=0), task.boundary))
+            quantiles = merged(of_task.resolutions, [next(per_context) for _ in of_task.resolutions])
+            answers.append(self._checked(np.sort(quantiles, axis=0) + of_task.ahead_C, boundary))
         return answers
 
     def _run_backbone(self, contexts: Sequence[Context]) -> list[Array]:
@@ -150,24 +154,34 @@ class ChronosFreeResponse:
         with frozen_pass():
             return self.model.quantiles_C(contexts)
 
-    def _input_of(self, task: Task) -> list[Resolution] | FreeForecast:
+    def _input_of(self, free_C: Array, history: Record, boundary: Boundary) -> _Input | FreeForecast:
         """What the backbone is given for a task, or the forecast of persistence where it is too little."""
-        free_C, history, boundary, course_C = task
         free = checked_free(free_C, history)
         if history.n_steps and abs(history.step_s - boundary.step_s) > 1e-6:
             raise DataError(f"history at {history.step_s:g} s and forecast at {boundary.step_s:g} s differ in step")
         why = self._too_little(free, boundary.step_s)
         if why:
             return self._persistence(free, history, boundary, why)
-        return self._resolutions_of(free, history, boundary, course_C)
+        past, ahead = _known_of(history), _known_of(boundary)[1:]
+        if not self._after_linear_weather:
+            return _Input(self._resolutions_of(free, past, ahead, boundary.step_s), np.zeros(boundary.n_steps))
+        course = mean_course(fits_linear_weather(free, history, boundary, DISTURBANCES_H))
+        past_C, ahead_C = course[: free.size], course[free.size :]
+        past, ahead = np.column_stack([past, past_C]), np.column_stack([ahead, ahead_C])
+        return _Input(self._resolutions_of(free - past_C, past, ahead, boundary.step_s), ahead_C)
 
-    def _again(self, before: list[Resolution] | FreeForecast, last: Task, task: Task) -> list[Resolution] | None:
+    def _again(self, before: _Input | FreeForecast, last: Task, task: Task) -> _Input | None:
         """The input of a task that has another series than the `last` one, but all else; None where it has not."""
-        if isinstance(before, FreeForecast) or any(a is not b for a, b in zip(task[1:], last[1:], strict=True)):
+        if (
+            self._after_linear_weather
+            or isinstance(before, FreeForecast)
+            or task[1] is not last[1]
+            or task[2] is not last[2]
+        ):
             return None
-        if not np.array_equal(np.isfinite(task.free_C), np.isfinite(last.free_C)):
+        if not np.array_equal(np.isfinite(task[0]), np.isfinite(last[0])):
             return None
-        return [resolution.of(task.free_C) for resolution in before]
+        return replace(before, resolutions=[resolution.of(task[0]) for resolution in before.resolutions])
 
     def _too_little(self, free: Array, step_s: float) -> str:
         """Return why persistence is needed, or an empty string."""
@@ -180,17 +194,11 @@ class ChronosFreeResponse:
             return f"only {n_recent} of the last {context.size} values were measured"
         return ""
 
-    def _resolutions_of(
-        self, free: Array, history: Record, boundary: Boundary, course_C: Array | None
-    ) -> list[Resolution]:
-        past, ahead = _known_of(history), _known_of(boundary)[1:]
-        if course_C is not None:
-            past = np.column_stack([past, course_C[: free.size]])
-            ahead = np.column_stack([ahead, course_C[free.size :]])
+    def _resolutions_of(self, free: Array, past: Array, ahead: Array, step_s: float) -> list[Resolution]:
         longest = self._context_steps
         if self._resolutions == "one":
             return [own_resolution(free, past, ahead, longest)]
-        return resolutions_of(free, past, ahead, boundary.step_s, longest)
+        return resolutions_of(free, past, ahead, step_s, longest)
 
     def _checked(self, quantiles: Array, boundary: Boundary) -> FreeForecast:
         if quantiles.shape != (LEVELS.size, boundary.n_steps) or not np.isfinite(quantiles).all():

@@ -23,7 +23,6 @@ from thermoforce_mpc.model.free_response.linear_weather import (
     DISTURBANCES_H,
     SHORTEST_HISTORY_S,
     fits_linear_weather,
-    mean_course,
 )
 from thermoforce_mpc.model.free_response.stacking import stacking_weights
 
@@ -99,12 +98,9 @@ class ResidualFreeResponse:
         free = checked_free(free_C, history)
         if history.n_steps * boundary.step_s < SHORTEST_HISTORY_S:
             # Too short for the linear model; the backbone handles short histories and notes it.
-            (alone,) = yield from self.backbone.forecasting([Task(free, history, boundary)])
+            (alone,) = yield from self.backbone.forecasting([(free, history, boundary)])
             return alone, weights
-        if self.backbone.after_linear_weather:
-            rest = yield from self._after_linear_weather(free, history, boundary)
-            return rest, None
-        candidates, note = yield from self._candidates([Task(free, history, boundary)])
+        candidates, note = yield from self._candidates([(free, history, boundary)])
         now = float(history.time_s[-1])
         if (
             weights is None
@@ -117,14 +113,6 @@ class ResidualFreeResponse:
         note = f"linear weather models plus residual by {note}; {weights.why}"
         return FreeForecast(LEVELS, quantiles, note), weights
 
-    def _after_linear_weather(self, free: Array, history: Record, boundary: Boundary) -> Computation[FreeForecast]:
-        """Forecast by a backbone that knows what it corrects: the mean of the weather models."""
-        course = mean_course(fits_linear_weather(free, history, boundary, DISTURBANCES_H))
-        (rest,) = yield from self.backbone.forecasting([Task(free - course[: free.size], history, boundary, course)])
-        return FreeForecast(
-            LEVELS, course[free.size :] + rest.quantiles_C, f"linear weather models plus residual by {rest.note}"
-        )
-
     def candidates(self, tasks: Sequence[Task]) -> tuple[list[Array], str]:
         """Return the quantiles (3, 9, N) °C of the three candidates for each task, and the backbone's note.
 
@@ -136,11 +124,11 @@ class ResidualFreeResponse:
     def _candidates(self, tasks: Sequence[Task]) -> Computation[tuple[list[Array], str]]:
         todo: list[Task] = []
         ahead: list[Array] = []
-        for free, history, boundary, _ in tasks:
-            todo.append(Task(free, history, boundary))
+        for free, history, boundary in tasks:
+            todo.append((free, history, boundary))
             ahead.append(np.zeros(boundary.n_steps))
             for fit in fits_linear_weather(free, history, boundary, DISTURBANCES_H):
-                todo.append(Task(free - fit.past_C, history, boundary))
+                todo.append((free - fit.past_C, history, boundary))
                 ahead.append(fit.ahead_C)
         rests = yield from self.backbone.forecasting(todo)
         quantiles = [course + rest.quantiles_C for course, rest in zip(ahead, rests, strict=True)]
@@ -194,7 +182,7 @@ class ResidualFreeResponse:
 def _past_task(free: Array, history: Record, origin: int, steps: int) -> Task:
     """Return the forecast task at step `origin` of the history, with the measured weather as weather forecast."""
     ahead = Boundary.measured(history.slice(origin, origin + steps))
-    return Task(free[: origin + 1], history.slice(0, origin), ahead)
+    return free[: origin + 1], history.slice(0, origin), ahead
 
 
 def _key(free: Array, history: Record, origin: int, steps: int) -> tuple[float, int, bytes]:
