@@ -57,6 +57,12 @@ def test_free_responses_are_named_as_a_user_names_them_and_nothing_stands_in_for
     assert isinstance(known.predictor.free_responses[0].method, Oracle)
 
 
+def test_no_watch_takes_control_from_the_plans_that_are_compared():
+    testcase, model, plant = load_testcase(worth.HEAT_PUMP), simple_model(), EmbeddedPlant(synthetic_weather())
+    names = ("linear_weather", "default", "oracle")
+    assert not any(controller_with(name, testcase, model, plant).config.watch.enabled for name in names)
+
+
 @pytest.mark.slow
 def test_a_case_runs_each_free_response_on_the_same_days_and_says_where_there_is_no_model(monkeypatch):
     case = Case(worth.HEAT_PUMP, "108", "constant", 7, "none", 0.25, (1,), ("linear_weather", "oracle"))
