@@ -118,7 +118,7 @@ def _fields(batch: Batch) -> tuple[NDArray[Any], ...]:
 
 
 def _score(pipeline: Any, batch: Batch, scale: Array) -> ContextScore:
-    past, future = batch.context, batch.future
+    past, future = batch.context.astype(np.float64), batch.future.astype(np.float64)
     n, steps = future.shape
     quantiles = _quantiles(pipeline, batch)
     day = past[:, -_SEASON:]

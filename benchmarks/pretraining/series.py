@@ -70,8 +70,8 @@ def draw_batch(rng: np.random.Generator, size: int, context: int, horizon: int) 
     starts = np.where(rng.random(size) < _SHARE_PADDED, starts, 0)
     past[np.arange(context) < starts[:, None]] = np.nan
     order = rng.permutation(size)
-    chosen = (a[order].astype(np.float32) for a in (past, future, covariates))
-    return Batch(*chosen, hour[order, _BURN_IN:])
+    past, future, covariates = (values[order].astype(np.float32) for values in (past, future, covariates))
+    return Batch(past, future, covariates, hour[order, _BURN_IN:])
 
 
 def courses(batch: Batch) -> NDArray[np.float32]:
@@ -84,8 +84,8 @@ def courses(batch: Batch) -> NDArray[np.float32]:
         known, step_h = np.flatnonzero(np.isfinite(past)), float(hour[1] - hour[0])
         if known.size * step_h >= _LEAST_FITTED_H:
             ahead = slice(known[0], None)
-            series = past[ahead], HOUR_S * hour[ahead], T_out[ahead], _SUN_W_M2 * sun[ahead]
-            fits = fitted(*(values.astype(np.float64) for values in series), HOUR_S * step_h, DISTURBANCES_H)
+            free_C, T_out_C, solar = (row[ahead].astype(np.float64) for row in (past, T_out, _SUN_W_M2 * sun))
+            fits = fitted(free_C, HOUR_S * hour[ahead], T_out_C, solar, HOUR_S * step_h, DISTURBANCES_H)
             course[ahead] = mean_course(fits)
     return out
 
