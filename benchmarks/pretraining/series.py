@@ -70,8 +70,8 @@ def draw_batch(rng: np.random.Generator, size: int, context: int, horizon: int) 
     starts = np.where(rng.random(size) < _SHARE_PADDED, starts, 0)
     past[np.arange(context) < starts[:, None]] = np.nan
     order = rng.permutation(size)
-    past, future, covariates = (values[order].astype(np.float32) for values in (past, future, covariates))
-    return Batch(past, future, covariates, hour[order, _BURN_IN:])
+    seen, ahead, known = (values[order].astype(np.float32) for values in (past, future, covariates))
+    return Batch(seen, ahead, known, hour[order, _BURN_IN:])
 
 
 def courses(batch: Batch) -> NDArray[np.float32]:
