@@ -21,6 +21,7 @@ from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import LocalEngine
+from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_WEATHER
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
@@ -99,7 +100,8 @@ def run_free_response_bench(
         limits = limit_rows(sources, backbone, progress)
     shares = share_rows(
         [*sources, *embedded_sources(people=PEOPLE), *house_sources(), *house_sources(people=PEOPLE)],
-        {name: methods[name] for name in ("persistence", "chronos", *_WEATHER_AWARE)},
+        {name: methods[name] for name in ("persistence", "chronos", *_WEATHER_AWARE)}
+        | {SHIPPED_WEATHER: build_free_response("chronos", backbone=SHIPPED_WEATHER)},
         _ORIGINS_QUICK if quick else _ORIGINS_SHARED,
         progress,
     )
