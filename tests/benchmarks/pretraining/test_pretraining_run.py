@@ -171,7 +171,9 @@ def test_a_run_with_weather_leaves_a_chronos2_that_reads_it(tmp_path):
         return pipeline.predict_quantiles([task], prediction_length=16, quantile_levels=[0.5])[0][0]
 
     assert (median(np.full(16, 90.0)) - median(np.full(16, 10.0))).abs().max() > 1e-6
-    assert [row["context"] for row in evaluate(tmp_path / "checkpoint", series=4)["contexts"]] == list(CONTEXTS)
+    rows = evaluate(tmp_path / "checkpoint", series=4)["contexts"]
+    assert [row["context"] for row in rows] == [length for length in CONTEXTS if length >= 96], "a day at 15 min"
+    assert all(np.isfinite(row["model"]) for row in rows)
 
 
 @pytest.mark.slow
