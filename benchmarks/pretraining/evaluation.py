@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.pretraining.model import CONTEXT, HORIZON, QUANTILES
-from benchmarks.pretraining.series import COVARIATES, Batch, courses, draw_batch
+from benchmarks.pretraining.series import Batch, courses, draw_batch
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import BackboneError, ConfigError
-from thermoforce_mpc.model.free_response.backbones.base import LINEAR_MODEL
+from thermoforce_mpc.model.free_response.backbones.base import COVARIATES, LINEAR_MODEL
 
 CONTEXTS = (48, 96, 168, 336, 512)
 _SEASON = 24

@@ -34,7 +34,6 @@ _SUN_W_M2 = 900.0
 # Share of series whose weather ahead is a forecast with errors, and the correlation time of these errors, h.
 _SHARE_UNCERTAIN = 0.5
 _ERROR_H = 12.0
-COVARIATES = ("outdoor_temperature", "irradiance", "clock")
 
 
 @dataclass(frozen=True)

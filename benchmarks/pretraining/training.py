@@ -17,8 +17,9 @@ from torch import Tensor
 
 from benchmarks.pretraining.groups import attend_within_groups
 from benchmarks.pretraining.model import CONTEXT, HORIZON, PATCH, build_model, build_weather_model
-from benchmarks.pretraining.series import COVARIATES, Batch, courses, draw_batch
+from benchmarks.pretraining.series import Batch, courses, draw_batch
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.model.free_response.backbones.base import COVARIATES
 
 # Targets further than this many standard deviations of the context away are masked: they would dominate the loss.
 _LARGEST_Z = 8.0

@@ -199,6 +199,7 @@ def run_closed_loop(
     Raises:
         PlantError: the plant or its service failed; the KPIs so far are lost.
         ControllerRaised: the controller did; likewise.
+        DataError: what the keeper says acted then could not have.
     """
     began = time.perf_counter()
     start = plant.reset(period.start_s, period.warmup_s, price)
@@ -227,7 +228,9 @@ def run_closed_loop(
         state = state if refused else next_state
         if keeper:
             kept = tuple(keeper.decided(len(records), observation.time_s, plan, blocks, refused))
-            blocks = _kept_blocks(kept, blocks, lowest, history.names)
+            if wrong := _wrong(kept, min(controller.step_s, end_s - now_s), lowest, history.names):
+                raise DataError(f"the journal tells of {wrong}; was it edited? Start the run again")
+            blocks = kept
         doubts += gaps
         samples: list[Sample] = []
         parts: list[tuple[float, Measurement]] = []
@@ -295,15 +298,10 @@ def checked_blocks(
     positive; the durations must sum to `step_s`. What is wrong with one actuator refuses the plan for all.
     """
     native = (Block.native(len(names.actuators), min(step_s, remaining_s)),)
-    for block in plan.blocks:
-        wrong = _unfit(block, lowest, names)
-        if wrong:
-            return native, f"refused {wrong}: native control instead"
     if not plan.blocks:
         return native, "the plan had no action: native control instead"
-    total_s = math.fsum(block.duration_s for block in plan.blocks)
-    if abs(total_s - step_s) > _CLOCK_TOLERANCE_S:
-        return native, f"refused blocks of {total_s:g} s in all for a step of {step_s:g} s: native control instead"
+    if wrong := _wrong(plan.blocks, step_s, lowest, names):
+        return native, f"refused {wrong}: native control instead"
     cut: list[Block] = []
     left_s = remaining_s
     for block in plan.blocks:
@@ -314,17 +312,15 @@ def checked_blocks(
     return tuple(cut), ""
 
 
-def _kept_blocks(
-    kept: tuple[Block, ...], planned: tuple[Block, ...], lowest: Sequence[float], names: Names
-) -> tuple[Block, ...]:
-    """What the keeper says acted then; raises `DataError` where it could not have, as in a journal that was edited."""
-    wrong = next(filter(None, (_unfit(block, lowest, names) for block in kept)), "")
-    durations_s = [math.fsum(block.duration_s for block in blocks) for blocks in (kept, planned)]
-    if not wrong and abs(durations_s[0] - durations_s[1]) > _CLOCK_TOLERANCE_S:
-        wrong = f"blocks of {durations_s[0]:g} s in all for {durations_s[1]:g} s"
-    if wrong:
-        raise DataError(f"the journal tells of {wrong}; was it edited? Start the run again")
-    return kept
+def _wrong(blocks: Sequence[Block], duration_s: float, lowest: float | Sequence[float], names: Names) -> str:
+    """What is wrong with blocks for `duration_s`, in words; empty where they may be applied."""
+    for block in blocks:
+        if wrong := _unfit(block, lowest, names):
+            return wrong
+    total_s = math.fsum(block.duration_s for block in blocks)
+    if abs(total_s - duration_s) > _CLOCK_TOLERANCE_S:
+        return f"blocks of {total_s:g} s in all for a step of {duration_s:g} s"
+    return ""
 
 
 def _unfit(block: Block, lowest: float | Sequence[float], names: Names) -> str:

@@ -1,9 +1,8 @@
 """Free response by linear weather models plus a frozen backbone's forecast of their residuals.
 
-The linear model is fitted twice, with independent errors and with a slow disturbance: the first is better if the model
-is nearly right, the second if it is not, and their mean nearly always. The backbone forecasts the residual of each, and
-the series itself, for buildings with little weather influence. The weights of the three candidates are learned in
-walk-forward trials on the history.
+The linear model is fitted for both `DISTURBANCES_H`. The backbone forecasts the residual of each fit, and the series
+itself, for buildings with little weather influence. The weights of the three candidates are learned in walk-forward
+trials on the history.
 """
 
 from __future__ import annotations
@@ -27,6 +26,7 @@ from thermoforce_mpc.model.free_response.linear_weather import (
 from thermoforce_mpc.model.free_response.stacking import stacking_weights
 
 _NAMES = ("without weather", "independent errors", "slow disturbance")
+# Chosen on the records that chose `DISTURBANCES_H`.
 _PRIOR = np.array([0.10, 0.50, 0.40])
 # Strength of the prior. Of 1, 2, 5, 10, 20, 50 and 1000 the best over the first 6 h of those records, and 2 % better
 # than 1 over 24 h. A larger value is 1 % better over 24 h there, but those buildings depend strongly on the weather; in

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from torch import nn
 
 
+COVARIATES = ("outdoor_temperature", "irradiance", "clock")
+"""Names of the covariates that are known of every instant."""
+
 LINEAR_MODEL = "linear_model"
 """Name of the covariate that is a linear weather model's course."""
 

@@ -9,11 +9,15 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.model.free_response.backbones.base import LINEAR_MODEL, Context, frozen_pass, padded_series
+from thermoforce_mpc.model.free_response.backbones.base import (
+    COVARIATES,
+    LINEAR_MODEL,
+    Context,
+    frozen_pass,
+    padded_series,
+)
 from thermoforce_mpc.model.free_response.backbones.graph import ByGraph
 from thermoforce_mpc.model.free_response.checks import LEVELS
-
-_COVARIATES = ("outdoor_temperature", "irradiance", "clock", LINEAR_MODEL)
 
 
 class Chronos2Backbone(ByGraph):
@@ -25,7 +29,7 @@ class Chronos2Backbone(ByGraph):
     def __init__(self, *args: Any, after_linear_weather: bool = False) -> None:
         super().__init__(*args)
         self.after_linear_weather = after_linear_weather
-        self._names = _COVARIATES if after_linear_weather else _COVARIATES[:-1]
+        self._names = (*COVARIATES, LINEAR_MODEL) if after_linear_weather else COVARIATES
 
     def _steps_at_once(self, settings: Mapping[str, Any]) -> int:
         return int(settings["output_patch_size"]) * int(settings["max_output_patches"])
