@@ -33,8 +33,9 @@ def main(threads: int) -> None:
 @click.option("--encoder-layers", default=TrainingConfig.encoder_layers, help="Number of encoder layers.")
 @click.option("--bfloat16", is_flag=True, help="Matrix products in bfloat16 (faster if the processor supports it).")
 @click.option("--weather", is_flag=True, help="A Chronos-2 with known weather ahead instead of a Chronos-Bolt.")
+@click.option("--workers", default=0, help="Processes that draw series ahead; the series are the same.")
 @click.option("--force", is_flag=True, help="Overwrite the run in the folder.")
-def train(out: Path, start_from: Path | None, force: bool, **options: Any) -> None:
+def train(out: Path, start_from: Path | None, force: bool, workers: int, **options: Any) -> None:
     """Train the forecaster on synthetic series; an interrupted run is resumed.
 
     The checkpoint is OUT/checkpoint. To ship it, copy its files to a folder of
@@ -43,7 +44,9 @@ def train(out: Path, start_from: Path | None, force: bool, **options: Any) -> No
     try:
         start_sha256 = weights_sha256(start_from) if start_from else ""
         config = TrainingConfig(start_sha256=start_sha256, **options)
-        checkpoint = pretrain(out, config, lambda line: click.echo(line), start=start_from, force=force)
+        checkpoint = pretrain(
+            out, config, lambda line: click.echo(line), start=start_from, force=force, workers=workers
+        )
     except ConfigError as error:
         raise _failure(error) from None
     click.echo(f"Checkpoint: {checkpoint}")

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
 
 from benchmarks.pretraining.groups import attend_within_groups
 from benchmarks.pretraining.model import CONTEXT, HORIZON, PATCH, build_model, build_weather_model
@@ -23,12 +24,14 @@ from thermoforce_mpc.model.free_response.backbones.base import COVARIATES
 
 # Targets further than this many standard deviations of the context away are masked: they would dominate the loss.
 _LARGEST_Z = 8.0
-# The same of what a linear model leaves over, which after a day may be little before and much after.
-_LARGEST_REST_Z = 40.0
+# The same of what a linear model leaves over, which after a day is little before and much after; a Chronos-2 reads and
+# says arcsinh of it.
+_LARGEST_REST_Z = 1000.0
 _WARM_UP = 200
 _CLIP = 1.0
-# Lengths of context of a batch with weather, steps; shorter ones cost less, and a building begins with a day.
-_CONTEXTS = (112, 192, 352, CONTEXT)
+# Lengths, steps, of what the linear model of a batch is fitted to, up to two weeks at 15 min; the last `CONTEXT` of it
+# are read. Shorter ones cost less, and a building begins with a day.
+_FITTED = (112, 192, 352, CONTEXT, 1344)
 # The series, its covariates, and the course of the linear model.
 _ROWS = 2 + len(COVARIATES)
 # Computed at import, since the files may change during a long run.
@@ -73,6 +76,7 @@ def pretrain(
     *,
     start: Path | None = None,
     force: bool = False,
+    workers: int = 0,
 ) -> Path:
     """Train, or resume from `folder/state.pt`; writes `folder/checkpoint` with weights and `training.json`.
 
@@ -83,6 +87,7 @@ def pretrain(
         start: folder of a checkpoint to start from instead of random weights; `config.start_sha256` must be its
             `weights_sha256`.
         force: overwrite a run in `folder`.
+        workers: processes that draw series ahead, none: the training process draws them; the series are the same.
 
     Raises:
         ConfigError: `folder` holds a finished run, or one of another configuration or code, and `force` is not set;
@@ -119,12 +124,13 @@ def pretrain(
     rates = [config.rate_scale * config.muon_lr, config.rate_scale * config.adamw_lr]
     began, running = time.perf_counter(), 0.0
     model.train()
-    for step in range(first, config.steps):
+    ahead = DataLoader(_Draws(config), batch_size=None, sampler=range(first, config.steps), num_workers=workers)
+    for step, tensors in enumerate(ahead, first):
         for optimiser, rate in zip(optimisers, rates, strict=True):
             for group in optimiser.param_groups:
                 group["lr"] = rate * _schedule(step, config.steps)
         with torch.autocast(device, dtype=torch.bfloat16, enabled=config.bfloat16):
-            loss = loss_of(model, np.random.default_rng([config.seed, 1, step]), config)
+            loss = loss_of(model, tensors)
         for optimiser in optimisers:
             optimiser.zero_grad(set_to_none=True)
         loss.backward()
@@ -208,45 +214,63 @@ def _check_resumable(state: dict[str, Any], config: TrainingConfig, folder: Path
         raise ConfigError(f"{folder} holds a finished run of {config.steps} steps: {advice}")
 
 
-def loss_of(model: Any, rng: np.random.Generator, config: TrainingConfig, size: int | None = None) -> Tensor:
-    """Quantile loss on one random batch of `size` series, by default that of training."""
-    if not config.weather:
-        return batch_loss(model, draw_batch(rng, size or config.batch, CONTEXT, HORIZON))
-    return weather_loss(model, draw_batch(rng, size or config.batch, int(rng.choice(_CONTEXTS)), HORIZON))
+class _Draws(Dataset[tuple[Tensor, ...]]):
+    """What training reads of step k, `drawn` for a seed that only the configuration's and k decide."""
+
+    def __init__(self, config: TrainingConfig) -> None:
+        self.config = config
+
+    def __getitem__(self, step: int) -> tuple[Tensor, ...]:
+        return drawn(np.random.default_rng([self.config.seed, 1, step]), self.config)
 
 
-def weather_loss(model: Any, batch: Batch) -> Tensor:
-    """Quantile loss of a Chronos-2 on what the linear weather model leaves of `batch`.
+def drawn(rng: np.random.Generator, config: TrainingConfig, size: int | None = None) -> tuple[Tensor, ...]:
+    """One random batch of `size` series, by default that of training, as `loss_of` reads it."""
+    size = size or config.batch
+    if config.weather:
+        return corrections(draw_batch(rng, size, int(rng.choice(_FITTED)), HORIZON))
+    batch = draw_batch(rng, size, CONTEXT, HORIZON)
+    return torch.from_numpy(batch.context), torch.from_numpy(batch.future)
 
-    The rows of the covariates and of the model's course are known ahead and have no loss.
+
+def corrections(batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
+    """What a Chronos-2 reads and is to say: past (B rows, C), known ahead and target (B rows, H).
+
+    A group of rows is what the linear weather model leaves of a series, its covariates and the model's course; only the
+    first has a target.
     """
     n, context, horizon = len(batch.context), batch.context.shape[1], batch.future.shape[1]
     course = courses(batch)
     rest = batch.context - course[:, :context], batch.future - course[:, context:]
     known = np.concatenate([batch.covariates, course[:, None]], axis=1)
-    past = np.concatenate([rest[0][:, None], known[:, :, :context]], axis=1)
+    past = np.concatenate([rest[0][:, None], known[:, :, :context]], axis=1)[:, :, -CONTEXT:]
     ahead, target = np.full((2, n, _ROWS, horizon), np.nan, dtype=np.float32)
     ahead[:, 1:], target[:, 0] = known[:, :, context:], rest[1]
-    scale = np.nanstd(rest[0], axis=1, keepdims=True)
-    middle = np.nanmean(rest[0], axis=1, keepdims=True)
+    scale = np.nanstd(past[:, 0], axis=1, keepdims=True)
+    middle = np.nanmean(past[:, 0], axis=1, keepdims=True)
     target[:, 0][np.abs(rest[1] - middle) > _LARGEST_REST_Z * scale] = np.nan
-    rows = (torch.from_numpy(values.reshape(n * _ROWS, -1)) for values in (past, ahead, target))
-    seen, coming, wanted = (values.to(model.device) for values in rows)
+    seen, coming, wanted = (torch.from_numpy(values.reshape(n * _ROWS, -1)) for values in (past, ahead, target))
+    return seen, coming, wanted
+
+
+def loss_of(model: Any, tensors: tuple[Tensor, ...]) -> Tensor:
+    """Quantile loss on what `drawn` gave: of a Chronos-Bolt, or of a Chronos-2 where there is weather."""
+    on_device = [values.to(model.device, non_blocking=True) for values in tensors]
+    if len(on_device) == 2:
+        return _series_loss(model, *on_device)
+    seen, coming, wanted = on_device
     with attend_within_groups(model, _ROWS):
         loss: Tensor = model(
             context=seen,
-            group_ids=torch.arange(n, device=model.device).repeat_interleave(_ROWS),
+            group_ids=torch.arange(len(seen) // _ROWS, device=model.device).repeat_interleave(_ROWS),
             future_covariates=coming,
-            num_output_patches=horizon // PATCH,
+            num_output_patches=coming.shape[1] // PATCH,
             future_target=wanted,
         ).loss
     return loss * _ROWS
 
 
-def batch_loss(model: Any, batch: Batch) -> Tensor:
-    """Quantile loss of a Chronos-Bolt on `batch`."""
-    context = torch.from_numpy(batch.context).to(model.device)
-    future = torch.from_numpy(batch.future).to(model.device)
+def _series_loss(model: Any, context: Tensor, future: Tensor) -> Tensor:
     _, (loc, scale) = model.instance_norm(context)
     future = torch.where(((future - loc) / scale).abs() > _LARGEST_Z, torch.nan, future)
     loss: Tensor = model(context=context, target=future).loss
@@ -268,7 +292,7 @@ def _validation_loss(model: Any, config: TrainingConfig) -> float:
     model.eval()
     with torch.no_grad():
         losses = [
-            loss_of(model, np.random.default_rng([config.seed, 2, i]), config, 128).item()
+            loss_of(model, drawn(np.random.default_rng([config.seed, 2, i]), config, 128)).item()
             for i in range(config.validation_batches)
         ]
     model.train()

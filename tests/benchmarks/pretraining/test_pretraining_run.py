@@ -20,7 +20,7 @@ from benchmarks.pretraining.evaluation import CONTEXTS, evaluate
 from benchmarks.pretraining.groups import attend_within_groups
 from benchmarks.pretraining.model import CONTEXT, HORIZON, build_weather_model
 from benchmarks.pretraining.series import draw_batch
-from benchmarks.pretraining.training import TrainingConfig, batch_loss, pretrain, split_parameters
+from benchmarks.pretraining.training import TrainingConfig, corrections, drawn, loss_of, pretrain, split_parameters
 from thermoforce_mpc.errors import BackboneError, ConfigError
 
 SHIPPED = Path(str(resources.files("thermoforce_mpc"))) / "model/free_response/backbones/weights/bolt_thermal"
@@ -141,6 +141,23 @@ def test_a_second_stage_may_have_more_layers_that_start_without_effect(trained, 
         pretrain(tmp_path / "narrow", narrow, lambda _: None, start=first)
 
 
+def test_series_drawn_by_other_processes_are_the_same(trained, tmp_path):
+    pretrain(tmp_path, TINY, lambda _: None, workers=2)
+    whole, beside = weights(trained[0]), weights(tmp_path)
+    assert all(torch.equal(whole[name], beside[name]) for name in whole)
+
+
+def test_what_corrects_a_linear_model_reads_the_end_of_what_that_was_fitted_to():
+    batch = draw_batch(np.random.default_rng(4), 3, CONTEXT + 160, HORIZON)
+    seen, coming, wanted = (values.numpy().reshape(3, 5, -1) for values in corrections(batch))
+    assert seen.shape[2] == CONTEXT
+    assert coming.shape[2] == wanted.shape[2] == HORIZON
+    np.testing.assert_allclose(seen[:, 0] + seen[:, 4], batch.context[:, 160:], atol=1e-4)
+    np.testing.assert_allclose(wanted[:, 0] + coming[:, 4], batch.future, atol=1e-4)
+    assert np.isnan(wanted[:, 1:]).all()
+    assert np.isnan(coming[:, 0]).all()
+
+
 def test_rows_of_a_group_attend_to_each_other_as_in_the_library():
     torch.manual_seed(0)
     model = build_weather_model(16, 32, 2).eval()
@@ -189,7 +206,7 @@ def test_the_loss_falls():
     optimisers = [torch.optim.Muon(matrices, lr=0.01), torch.optim.AdamW(rest, lr=2e-3)]
     losses = []
     for _ in range(25):
-        loss = batch_loss(model, draw_batch(np.random.default_rng(0), 8, CONTEXT, HORIZON))
+        loss = loss_of(model, drawn(np.random.default_rng(0), TINY))
         for optimiser in optimisers:
             optimiser.zero_grad()
         loss.backward()
