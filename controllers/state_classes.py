@@ -28,7 +28,6 @@ from thermoforce_mpc.model.competence import Competence, HorizonScore
 from thermoforce_mpc.model.forced_state import ForcedState
 from thermoforce_mpc.model.free_response.calibrated import CalibratedState, IssuedForecasts, Scores
 from thermoforce_mpc.model.free_response.rc import RcParameters
-from thermoforce_mpc.model.free_response.residual import Weights
 from thermoforce_mpc.model.free_response.substitute import SubstituteState
 from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
 from thermoforce_mpc.model.machine.load import MachineLoad
@@ -68,7 +67,6 @@ STATE_CLASSES: tuple[type[Any], ...] = (
     CalibratedState,
     IssuedForecasts,
     Scores,
-    Weights,
     # What a watch made of the model, and that model.
     ScaledModel,
     ZoneModel,

@@ -18,8 +18,6 @@ from benchmarks.free_response.scales import backbone_of
 from benchmarks.parameter_count import parameter_count
 from thermoforce_mpc.data import HOUR_S, Array, Boundary
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
-from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
-from thermoforce_mpc.model.free_response.stacking import stacking_weights
 
 PERSISTENCE, RAW = "persistence", "TSFM raw (zero-shot)"
 RC_FULL, RC_PERSISTED = "RC full (weather oracle)", "RC persist-weather"
@@ -29,9 +27,6 @@ RESIDUAL_PERSISTED, BEST = "ThermoForce, residual, persist-weather", "ThermoForc
 METHODS = (
     PERSISTENCE, RAW, RC_FULL, RC_PERSISTED, COVARIATES, COVARIATES_AR, OURS, RESIDUAL, RESIDUAL_PERSISTED, BEST,
 )  # fmt: skip
-_LEAD_EDGES_H = (3.0, 6.0, 12.0)
-# Prior weights of the composed forecast and of the residual free response's three candidates, and their strength.
-_PRIOR, _STRENGTH = np.full(4, 0.25), 1.0
 _LEVELS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 
 
@@ -54,12 +49,11 @@ class Evaluation:
     def __init__(self, home: Prepared, protocol: Protocol, backbone: str, others: Sequence[str] = ()) -> None:
         self.home, self.protocol, self.others = home, protocol, tuple(others)
         self.raw_model = ChronosFreeResponse(backbone_of(backbone), protocol.context_steps, resolutions="one")
-        self.residual = ResidualFreeResponse(ChronosFreeResponse(backbone_of(backbone), protocol.context_steps))
+        self.residual = ChronosFreeResponse("shipped_weather", protocol.context_steps, after_linear_weather=True)
         self.horizon = home.steps(max(protocol.horizons_h))
         self.validation = home.origins(home.validation, self.horizon)
         self.test = home.origins(home.test, self.horizon)
         self._composed: dict[tuple[str, str], Array] = {}
-        self._candidates: dict[tuple[str, str, bool], Array] = {}
 
     def run(self) -> Scores:
         """Score every method at every budget."""
@@ -104,18 +98,17 @@ class Evaluation:
         plain = self._validation_errors(none)
         ratios = [float(np.mean(self._validation_errors(f) / plain)) for f in found]
         forced = found[int(np.argmin(ratios))] if ratios and min(ratios) <= 1.0 - self.protocol.guard else none
-        share = self._shares(forced)
         composed = self._composed_C(forced, "test")
-        residual = self._residual_C(forced, "test", share)
+        residual = self._residual_C(forced, "test")
         self._score(scores, OURS, days, composed, forced.note)
         self._score(scores, RESIDUAL, days, residual, forced.note)
         if days == self.protocol.main_days:
-            held = self._residual_C(forced, "test", share, persisted=True)
+            held = self._residual_C(forced, "test", persisted=True)
             self._score(scores, RESIDUAL_PERSISTED, days, held, forced.note)
         # One choice per horizon, by the validation part.
         variants = {
             OURS: self._composed_C(forced, "validation"),
-            RESIDUAL: self._residual_C(forced, "validation", share),
+            RESIDUAL: self._residual_C(forced, "validation"),
         }
         answers = {OURS: composed, RESIDUAL: residual}
         entry, notes = scores.errors.setdefault(BEST, {}).setdefault(str(days), {}), []
@@ -144,36 +137,17 @@ class Evaluation:
             self._composed[key] = free + self._forced_ahead(forced, part)
         return self._composed[key]
 
-    def _residual_C(self, forced: Forced, part: str, share: Array, *, persisted: bool = False) -> Array:
-        found = self._free_candidates(forced, part, persisted)
-        return np.asarray(np.einsum("kn,okn->on", share, found) + self._forced_ahead(forced, part))
-
-    def _shares(self, forced: Forced) -> Array:
-        """Weights (4, N) of the free forecasts, learned on the validation part."""
-        truth = truth_of(self.home, self.validation, self.horizon) - self._forced_ahead(forced, "validation")
-        errors = self._free_candidates(forced, "validation", False) - truth[:, None]
-        lead_h = np.arange(1, self.horizon + 1) * self.home.record.step_s / HOUR_S
-        return stacking_weights(errors, _PRIOR, _STRENGTH, np.searchsorted(_LEAD_EDGES_H, lead_h - 1e-9))
-
-    def _free_candidates(self, forced: Forced, part: str, persisted: bool) -> Array:
-        """Free forecasts (origins, 4, N), °C: the frozen model's, and the candidates of `ResidualFreeResponse` from all
-        that is known at each origin.
-        """
-        key = (forced.note if forced.operator else "", part, persisted)
-        if key not in self._candidates:
-            free = self._free(forced)
-            tasks = []
-            for o in self._origins(part):
-                ahead = Boundary.measured(self.home.record.slice(o, o + self.horizon))
-                if persisted:
-                    now = np.ones(ahead.time_s.size)
-                    ahead = replace(ahead, T_out_C=ahead.T_out_C[0] * now, solar_W_m2=ahead.solar_W_m2[0] * now)
-                tasks.append((free[: o + 1], self.home.record.slice(0, o), ahead))
-            found, _ = self.residual.candidates(tasks)
-            medians = np.array([quantiles[:, quantiles.shape[1] // 2] for quantiles in found])
-            frozen = self._composed_C(forced, part) - self._forced_ahead(forced, part)
-            self._candidates[key] = np.concatenate([frozen[:, None], medians], axis=1)
-        return self._candidates[key]
+    def _residual_C(self, forced: Forced, part: str, *, persisted: bool = False) -> Array:
+        """Forecast of the residual free response, from all that is known at each origin, plus F, (origins, N), °C."""
+        free, tasks = self._free(forced), []
+        for o in self._origins(part):
+            ahead = Boundary.measured(self.home.record.slice(o, o + self.horizon))
+            if persisted:
+                now = np.ones(ahead.time_s.size)
+                ahead = replace(ahead, T_out_C=ahead.T_out_C[0] * now, solar_W_m2=ahead.solar_W_m2[0] * now)
+            tasks.append((free[: o + 1], self.home.record.slice(0, o), ahead))
+        medians = np.array([found.median_C for found in self.residual.forecast_many(tasks)])
+        return medians + self._forced_ahead(forced, part)
 
     def _free(self, forced: Forced) -> Array:
         return np.asarray(self.home.record.T_zone_C[0] - forced.forced_K)

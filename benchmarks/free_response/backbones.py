@@ -23,8 +23,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Observation, Re
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.model.free_response.backbones.loading import FRACAST
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
-from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
-from thermoforce_mpc.model.predictor import Predictor, PredictorState
+from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
@@ -112,8 +111,7 @@ _FIGURES = ("raw_rmse_K", "composed_rmse_K", "change_percent", "with_weather_rms
 def _row(name: str, backbone: ChronosFreeResponse, building: Building) -> dict[str, Any]:
     raw, composed, milliseconds = [], [], []
     weather: list[Array] = []
-    residual = ResidualFreeResponse(backbone)
-    learned: tuple[object, ...] = ()
+    residual = ChronosFreeResponse(backbone.backbone, after_linear_weather=True)
     for origin in building.origins:
         observation, u, truth = _instant(building, origin)
         history, boundary = observation.history, observation.boundary
@@ -122,9 +120,7 @@ def _row(name: str, backbone: ChronosFreeResponse, building: Building) -> dict[s
         milliseconds.append((time.perf_counter() - began) * 1e3)
         raw.append(alone - truth)
         composed.append(Predictor(building.model.operator, backbone).context(observation).predict(u).total_C[0] - truth)
-        context = Predictor(building.model.operator, residual).context(observation, PredictorState(free=learned))
-        learned = context.state.free if context.state else ()
-        weather.append(context.predict(u).total_C[0] - truth)
+        weather.append(Predictor(building.model.operator, residual).context(observation).predict(u).total_C[0] - truth)
     row = {
         "backbone": name,
         "parameters": parameter_count(backbone.model),

@@ -12,7 +12,6 @@ from benchmarks.free_response import energyplus
 from benchmarks.free_response.baselines.autoregressive import Autoregressive
 from benchmarks.free_response.baselines.exponential_smoothing import ExponentialSmoothing
 from benchmarks.free_response.baselines.seasonal_naive import SeasonalNaive
-from benchmarks.free_response.limit import limit_rows
 from benchmarks.free_response.runs import cost_rows, interval_runs, look_rows
 from benchmarks.free_response.score import Score, forecast_origins, mae_K, score
 from benchmarks.free_response.shares import share_rows
@@ -21,7 +20,6 @@ from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import LocalEngine
-from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED_WEATHER
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
@@ -56,8 +54,8 @@ def run_free_response_bench(
     Args:
         reference: folder of records of the real test case in the layout of docs/evidence/plant.md; optional.
         houses: folder with `mons_house_30min.csv.gz`; optional.
-        backbone: weights of the forecaster, as in `build_free_response`.
-        quick: fewer origins, without the two-week runs and the limit of weather corrections.
+        backbone: weights of `chronos`, as in `build_free_response`; `residual` has its own.
+        quick: fewer origins, without the two-week runs.
         out: folder for the plot `free_response.png`; no plot if None.
         progress: callback for progress lines.
 
@@ -94,14 +92,11 @@ def run_free_response_bench(
                 rows.append(_row(source, name, found, weather=level))
         progress(f"{source.name}: {len(origins)} origins")
     runs: tuple[list[dict[str, Any]], list[Target]] = ([], [])
-    limits: list[dict[str, Any]] = []
     if not quick:
-        runs = interval_runs([s for s in sources if s.group != "Mons"], backbone, progress)
-        limits = limit_rows(sources, backbone, progress)
+        runs = interval_runs([s for s in sources if s.group != "Mons"], progress)
     shares = share_rows(
         [*sources, *embedded_sources(people=PEOPLE), *house_sources(), *house_sources(people=PEOPLE)],
-        {name: methods[name] for name in ("persistence", "chronos", *_WEATHER_AWARE)}
-        | {SHIPPED_WEATHER: build_free_response("chronos", backbone=SHIPPED_WEATHER)},
+        {name: methods[name] for name in ("persistence", "chronos", *_WEATHER_AWARE)},
         _ORIGINS_QUICK if quick else _ORIGINS_SHARED,
         progress,
     )
@@ -116,7 +111,7 @@ def run_free_response_bench(
         Target("chronos: median processor ms per 24-h forecast", costs[0]["processor_ms"], 5.0),
         *runs[1],
     ]
-    return results_json("free-response", [*rows, *runs[0], *limits, *shares, *looks, *costs], targets)
+    return results_json("free-response", [*rows, *runs[0], *shares, *looks, *costs], targets)
 
 
 def _methods(backbone: str) -> dict[str, FreeResponse]:
@@ -129,7 +124,7 @@ def _methods(backbone: str) -> dict[str, FreeResponse]:
         "chronos": build_free_response("chronos", backbone=backbone),
         "arx26": Autoregressive(26, weather=True),
         "linear_weather": build_free_response("linear_weather"),
-        "residual": build_free_response("residual", backbone=backbone, calibrate=False),
+        "residual": build_free_response("residual", calibrate=False),
     }
 
 

@@ -29,9 +29,7 @@ _BUILDINGS, _REPEATS = 32, 15
 _FINE_STEP_S, _LONG_H = 900.0, 48.0
 
 
-def interval_runs(
-    sources: Sequence[Source], backbone: str, progress: Callable[[str], None]
-) -> tuple[list[Row], list[Target]]:
+def interval_runs(sources: Sequence[Source], progress: Callable[[str], None]) -> tuple[list[Row], list[Target]]:
     """Coverage of calibrated 80 % intervals of `residual` in runs of two weeks with BOPTEST's medium forecast errors.
 
     One row per sufficiently long hourly source: coverage over all lead times, and 6 h and 24 h ahead.
@@ -42,7 +40,7 @@ def interval_runs(
         origins = range(_START_STEP, source.free_C.size - source.horizon)
         if source.history.step_s != HOUR_S or len(origins) < _LEAST_STEPS:
             continue
-        method = build_free_response("residual", backbone=backbone, calibrate=True)
+        method = build_free_response("residual")
         inside = score(method, source, origins, ForecastError(_LEVEL, _ERROR_SEED)).inside[_SETTLING_STEPS:]
         share = float(inside.mean())
         ahead = {f"held_{hours}h_ahead": float(inside[:, hours - 1].mean()) for hours in _LEADS_H}

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.cases import run_all
 from benchmarks.interventions.dataset import ClimateData, Dataset, Window
 from benchmarks.interventions.methods.base import Predictor, Training
-from benchmarks.interventions.methods.registry import METHODS, Forecasters, find_method
+from benchmarks.interventions.methods.registry import METHODS, find_method
 from benchmarks.interventions.methods.remembering import tsfm
 from benchmarks.interventions.protocol import WINDOW_START_H
 from benchmarks.interventions.scores import LEVELS, CellScore, score_cell
@@ -118,7 +118,7 @@ def _evaluate(task: tuple[ClimateData, int, str, str, int]) -> tuple[list[CellSc
 
     torch.set_num_threads(1)  # fixed order of summation: reproducible results
     data, days, name, backbone, seed = task
-    predictor = METHODS[name].build(training_of(data, days, seed), Forecasters(tsfm(backbone), backbone))
+    predictor = METHODS[name].build(training_of(data, days, seed), tsfm(backbone))
     window = fan_window(data)
     held = np.broadcast_to(LEVELS[:, None], (LEVELS.size, window.factual.n_steps))
     return score_cells(name, predictor, data, days), predictor.respond(window, held)

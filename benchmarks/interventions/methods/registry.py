@@ -7,79 +7,73 @@ from dataclasses import dataclass
 
 from benchmarks.interventions.methods.base import Predictor, Training
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.model.free_response.backbones.loading import SHIPPED
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.protocols import FreeResponse
 
 
 @dataclass(frozen=True)
-class Forecasters:
-    """Forecasters for the methods: the paper's `tsfm`, and the name of its weights for other free responses."""
-
-    tsfm: FreeResponse
-    backbone: str = SHIPPED
-
-
-@dataclass(frozen=True)
 class Method:
-    """One row of the table; `ours`: a ThermoForce variant, not a baseline; `in_paper`: also compared in the paper."""
+    """One row of the table; `ours`: a ThermoForce variant, not a baseline; `in_paper`: also compared in the paper.
+
+    `build` gets the frozen forecaster of the paper's free response.
+    """
 
     name: str
     label: str
     ours: bool
     in_paper: bool
-    build: Callable[[Training, Forecasters], Predictor]
+    build: Callable[[Training, FreeResponse], Predictor]
 
 
-def _raw(training: Training, free: Forecasters) -> Predictor:
+def _raw(training: Training, free: FreeResponse) -> Predictor:
     from benchmarks.interventions.methods.raw import RawForecast
 
-    return RawForecast(free.tsfm)
+    return RawForecast(free)
 
 
-def _covariates(autoregressive: bool) -> Callable[[Training, Forecasters], Predictor]:
-    def build(training: Training, free: Forecasters) -> Predictor:
+def _covariates(autoregressive: bool) -> Callable[[Training, FreeResponse], Predictor]:
+    def build(training: Training, free: FreeResponse) -> Predictor:
         from benchmarks.interventions.methods.covariates import build_covariates
 
-        return build_covariates(training, free.tsfm, autoregressive=autoregressive)
+        return build_covariates(training, free, autoregressive=autoregressive)
 
     return build
 
 
-def _observational(training: Training, free: Forecasters) -> Predictor:
+def _observational(training: Training, free: FreeResponse) -> Predictor:
     from benchmarks.interventions.methods.grey_box import build_observational
 
     return build_observational(training)
 
 
-def _grey_box_on_probe(training: Training, free: Forecasters) -> Predictor:
+def _grey_box_on_probe(training: Training, free: FreeResponse) -> Predictor:
     from benchmarks.interventions.methods.grey_box import build_on_probe
 
     return build_on_probe(training)
 
 
-def _surrogate(training: Training, free: Forecasters) -> Predictor:
+def _surrogate(training: Training, free: FreeResponse) -> Predictor:
     from benchmarks.interventions.methods.surrogate import build_surrogate
 
-    return build_surrogate(training, free.tsfm)
+    return build_surrogate(training, free)
 
 
-def _unconstrained(training: Training, free: Forecasters) -> Predictor:
+def _unconstrained(training: Training, free: FreeResponse) -> Predictor:
     from benchmarks.interventions.methods.unconstrained import build_unconstrained
 
-    return build_unconstrained(training, free.tsfm)
+    return build_unconstrained(training, free)
 
 
 def _thermoforce(
     *orders: int, curve: bool = False, residual: bool = False
-) -> Callable[[Training, Forecasters], Predictor]:
-    def build(training: Training, free: Forecasters) -> Predictor:
+) -> Callable[[Training, FreeResponse], Predictor]:
+    def build(training: Training, free: FreeResponse) -> Predictor:
         from benchmarks.interventions.methods.curve import EXPONENTS
         from benchmarks.interventions.methods.thermoforce import build_thermoforce
 
-        forecaster = free.tsfm
+        forecaster = free
         if residual:  # intervals are not needed: only the median is scored
-            forecaster = build_free_response("residual", backbone=free.backbone, calibrate=False)
+            forecaster = build_free_response("residual", calibrate=False)
         return build_thermoforce(training, forecaster, orders=orders, exponents=EXPONENTS if curve else (1.0,))
 
     return build

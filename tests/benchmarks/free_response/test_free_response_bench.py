@@ -79,8 +79,8 @@ def test_runs_of_two_weeks_are_scored_after_two_days_and_short_records_are_not(m
         return Oracle(record)
 
     monkeypatch.setattr(runs, "build_free_response", build)
-    rows, targets = interval_runs([record, source(16)], "mine", lambda _: None)
-    assert built == [("residual", {"backbone": "mine", "calibrate": True})]
+    rows, targets = interval_runs([record, source(16)], lambda _: None)
+    assert built == [("residual", {})]
     assert [row["forecasts"] for row in rows] == [13 * 24 + 1 - 48]
     assert rows[0]["held"] == pytest.approx(0.5, abs=0.01)
     assert rows[0]["held_6h_ahead"] == pytest.approx(rows[0]["held_24h_ahead"], abs=0.01)

@@ -9,7 +9,7 @@ from paired_windows import GAINS_K, N, data, window
 
 from benchmarks.free_response.baselines.seasonal_naive import SeasonalNaive
 from benchmarks.interventions.dataset import Probe
-from benchmarks.interventions.methods import registry, thermoforce
+from benchmarks.interventions.methods import thermoforce
 from benchmarks.interventions.methods.base import (
     best,
     clearly_better,
@@ -24,7 +24,6 @@ from benchmarks.interventions.methods.registry import (
     METHODS,
     MONOTONE,
     TWO_STATE,
-    Forecasters,
     find_method,
 )
 from benchmarks.interventions.methods.remembering import Remembering
@@ -59,23 +58,15 @@ def size(climate):
 
 
 def test_the_raw_forecast_answers_every_plan_alike(climate, training, size):
-    raw = METHODS["tsfm"].build(training, Forecasters(FREE))
+    raw = METHODS["tsfm"].build(training, FREE)
     assert effect_rmse(raw, climate.part("test")) == pytest.approx(size)
-
-
-def test_the_weights_asked_for_reach_the_method_that_builds_its_own_forecaster(training, monkeypatch):
-    built = []
-    monkeypatch.setattr(registry, "build_free_response", lambda name, **options: built.append((name, options)) or FREE)
-    monkeypatch.setattr(thermoforce, "build_thermoforce", lambda training, free, **options: free)
-    METHODS[BEST].build(training, Forecasters(FREE, "some/weights"))
-    assert built == [("residual", {"backbone": "some/weights", "calibrate": False})]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "share"), [("tsfm_covariates", 0.4), ("tsfm_covariates_ar", 0.4), ("rc_probe", 0.05)])
 def test_baselines_find_most_of_the_effect_when_the_data_allow_it(climate, training, size, name, share):
     """A baseline that cannot learn a linear zone without noise would be a weak one."""
-    daily = Forecasters(SeasonalNaive())
+    daily = SeasonalNaive()
     assert effect_rmse(METHODS[name].build(training, daily), climate.part("test")) < share * size
 
 
@@ -84,7 +75,7 @@ def test_baselines_find_most_of_the_effect_when_the_data_allow_it(climate, train
 def test_ours_find_the_effect_with_its_sign_and_without_violations(climate, training, size, name, share, monkeypatch):
     # A network that is trained for a sixth of the usual time does for a zone without noise.
     monkeypatch.setattr(thermoforce, "IdentificationConfig", partial(IdentificationConfig, epochs=60))
-    cells = score_cells(name, METHODS[name].build(training, Forecasters(FREE)), climate, 3)
+    cells = score_cells(name, METHODS[name].build(training, FREE), climate, 3)
     assert [c.window for c in cells] == ["morning", "afternoon", "evening"]
     assert max(c.effect_rmse_K for c in cells) < share * size
     assert min(c.sign_accuracy for c in cells) == 1.0
@@ -150,7 +141,7 @@ def test_a_method_is_told_nothing_of_what_came_of_its_plans(climate, training):
         perturbed=replace(one.perturbed, T_zone_C=np.full(N + 1, -99.0)),
     )
     for name in ("tsfm", "tsfm_covariates", "rc", TWO_STATE):
-        predictor = METHODS[name].build(training, Forecasters(FREE))
+        predictor = METHODS[name].build(training, FREE)
         asked = plans(one)
         assert predictor.respond(one, asked).tobytes() == predictor.respond(blind, asked).tobytes(), name
 
@@ -161,7 +152,7 @@ def test_the_surrogate_learns_more_than_nothing_and_twice_the_same(climate, trai
 
     short = partial(surrogate.build_surrogate, epochs=40, settings=((0.2, 1e-4),))
     monkeypatch.setattr(surrogate, "build_surrogate", short)
-    one, two = (METHODS["surrogate"].build(training, Forecasters(FREE)) for _ in range(2))
+    one, two = (METHODS["surrogate"].build(training, FREE) for _ in range(2))
     windows = climate.part("test")
     assert effect_rmse(one, windows) < 0.5 * size
     assert one.respond(windows[0], plans(windows[0])).tobytes() == two.respond(windows[0], plans(windows[0])).tobytes()

@@ -54,7 +54,7 @@ def test_every_horizon_has_ordered_finite_quantiles(forecaster: ChronosFreeRespo
     assert forecast.quantiles_C.shape == (9, steps)
     assert np.isfinite(forecast.quantiles_C).all()
     assert (np.diff(forecast.quantiles_C, axis=0) >= 0).all()
-    assert forecast.note == forecaster.label
+    assert forecast.note.endswith(forecaster.label)
 
 
 def test_many_at_once_are_what_each_is_alone(forecaster: ChronosFreeResponse) -> None:
@@ -364,7 +364,7 @@ def test_residual_adds_the_backbone_to_the_linear_model_and_tells_its_hash(bolt_
     assert residual.weight_hash() == ChronosFreeResponse(str(bolt_folder)).weight_hash()  # type: ignore[attr-defined]
     mild, cold = (boundary_of(240, 24, T_out_C=np.linspace(5, t, 25)) for t in (15.0, -15.0))
     warmer = residual.forecast(free, history, mild)
-    assert "residual by Chronos-Bolt" in warmer.note
+    assert "corrected by Chronos-Bolt" in warmer.note
     assert (warmer.median_C - residual.forecast(free, history, cold).median_C)[-1] > 0
 
 

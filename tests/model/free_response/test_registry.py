@@ -14,7 +14,6 @@ from thermoforce_mpc.model.free_response.registry import (
     check_free_response,
     own_options,
 )
-from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
 from thermoforce_mpc.plants.testcases import load_testcase
 
 
@@ -27,12 +26,12 @@ def test_the_default_of_the_mpc_is_the_weather_model_with_the_forecaster_calibra
     built = build_free_response(config.name, **config.options)
     assert built.name == "residual"
     assert isinstance(built, CalibratedFreeResponse)
-    assert isinstance(built.inner, ResidualFreeResponse)
-    assert isinstance(built.inner.backbone, ChronosFreeResponse)
+    assert isinstance(built.inner, ChronosFreeResponse)
+    assert built.inner.backbone == "shipped_weather"
 
 
 def test_calibration_is_an_option_of_the_default_alone() -> None:
-    assert isinstance(build_free_response("residual", calibrate=False), ResidualFreeResponse)
+    assert isinstance(build_free_response("residual", calibrate=False), ChronosFreeResponse)
     assert isinstance(build_free_response("chronos"), ChronosFreeResponse)
     assert {name: list(options) for name, options in own_options().items() if options} == {
         "residual": ["backbone", "calibrate"],

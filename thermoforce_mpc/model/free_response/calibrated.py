@@ -77,7 +77,7 @@ class CalibratedState:
     """State of a run: forecasts issued and not yet fully compared, and the width of each of G groups of lead times.
 
     `steering` (G,): adaptation of the log width; `window` (G,): width from the `scores` of the last days, NaN with too
-    few of them. `latest_s`: time of the last forecast, s; `n_steps`: its length; `inner`: state of the wrapped method.
+    few of them. `latest_s`: time of the last forecast, s; `n_steps`: its length.
     """
 
     issued: IssuedForecasts | None = None
@@ -86,7 +86,6 @@ class CalibratedState:
     window: Array = field(default_factory=lambda: np.full(_GROUPS, np.nan))
     latest_s: float = -np.inf
     n_steps: int = 0
-    inner: object = None
 
 
 class CalibratedFreeResponse:
@@ -96,7 +95,7 @@ class CalibratedFreeResponse:
     """
 
     def __init__(self, inner: FreeResponse) -> None:
-        """Wrap `inner`; its own intervals are used until enough errors are known."""
+        """Wrap `inner`, which keeps no state; its own intervals are used until enough errors are known."""
         self.inner = inner
         self.name = inner.name
 
@@ -124,9 +123,9 @@ class CalibratedFreeResponse:
         free = checked_free(free_C, history)
         now, n = float(history.time_s[-1]), boundary.n_steps
         last = state if isinstance(state, CalibratedState) else CalibratedState()
-        raw, inner = yield from following(self.inner, free, history, boundary, last.inner)
+        raw, _ = yield from following(self.inner, free, history, boundary, None)
         if now < last.latest_s or n != last.n_steps:
-            last = CalibratedState(inner=inner)
+            last = CalibratedState()
         lead_s = np.asarray(np.arange(1, n + 1) * boundary.step_s, dtype=np.float64)
         group_of = np.searchsorted(_LEAD_EDGES_H, lead_s / HOUR_S - 1e-9)
         # One lead time per hour: those between are nearly identical.
@@ -150,7 +149,7 @@ class CalibratedFreeResponse:
                 )
         note = f"{raw.note}; interval times {scale.min():.1f} to {scale.max():.1f}"
         forecast = FreeForecast(raw.levels, np.asarray(median + scale * (raw.quantiles_C - median)), note)
-        return forecast, replace(compared, issued=issued, latest_s=now, n_steps=n, inner=inner)
+        return forecast, replace(compared, issued=issued, latest_s=now, n_steps=n)
 
 
 def _scored(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,13 +52,22 @@ class ChronosFreeResponse:
 
     name = "chronos"
 
-    def __init__(self, backbone: str = SHIPPED, context_steps: int = 512, resolutions: str = "several") -> None:
+    def __init__(
+        self,
+        backbone: str = SHIPPED,
+        context_steps: int = 512,
+        resolutions: str = "several",
+        *,
+        after_linear_weather: bool = False,
+    ) -> None:
         """Load the weights.
 
         Args:
             backbone: 'shipped' (or a smaller scale), 'fracast', a local directory, or a hub name; see `load_backbone`.
             context_steps: largest number of history values per resolution.
             resolutions: 'several', see `multi_resolution`, or 'one' at the series' own step, unrolled as in the paper.
+            after_linear_weather: forecast what linear weather models leave over instead of the series itself; a
+                backbone that was trained for that does so anyhow.
 
         Raises:
             ConfigError: `context_steps` is below the patch length of 16, or `resolutions` is neither of the two.
@@ -76,8 +85,11 @@ class ChronosFreeResponse:
         self.backbone, self._resolutions = backbone, resolutions
         self._context_steps = context_steps
         self.model = load_backbone(backbone)
-        # Trained on what linear weather models leave over: it corrects them.
-        self._after_linear_weather = bool(getattr(self.model, "after_linear_weather", False))
+        # One that was trained on what linear weather models leave over reads their course, too.
+        self._reads_course = bool(getattr(self.model, "after_linear_weather", False))
+        self._after_linear_weather = after_linear_weather or self._reads_course
+        if after_linear_weather:
+            self.name = "residual"
         self._short = Persistence()
 
     @property
@@ -127,10 +139,7 @@ class ChronosFreeResponse:
 
     def forecasting(self, tasks: Sequence[Task]) -> Computation[list[FreeForecast]]:
         """`forecast_many` as a computation: it requests the quantiles of all its contexts from the backbone."""
-        inputs: list[_Input | FreeForecast] = []
-        for i, task in enumerate(tasks):
-            again = self._again(inputs[-1], tasks[i - 1], task) if i else None
-            inputs.append(again or self._input_of(*task))
+        inputs = [self._input_of(*task) for task in tasks]
         contexts = [
             resolution.context
             for of_task in inputs
@@ -167,21 +176,9 @@ class ChronosFreeResponse:
             return _Input(self._resolutions_of(free, past, ahead, boundary.step_s), np.zeros(boundary.n_steps))
         course = mean_course(fits_linear_weather(free, history, boundary, DISTURBANCES_H))
         past_C, ahead_C = course[: free.size], course[free.size :]
-        past, ahead = np.column_stack([past, past_C]), np.column_stack([ahead, ahead_C])
+        if self._reads_course:
+            past, ahead = np.column_stack([past, past_C]), np.column_stack([ahead, ahead_C])
         return _Input(self._resolutions_of(free - past_C, past, ahead, boundary.step_s), ahead_C)
-
-    def _again(self, before: _Input | FreeForecast, last: Task, task: Task) -> _Input | None:
-        """The input of a task that has another series than the `last` one, but all else; None where it has not."""
-        if (
-            self._after_linear_weather
-            or isinstance(before, FreeForecast)
-            or task[1] is not last[1]
-            or task[2] is not last[2]
-        ):
-            return None
-        if not np.array_equal(np.isfinite(task[0]), np.isfinite(last[0])):
-            return None
-        return replace(before, resolutions=[resolution.of(task[0]) for resolution in before.resolutions])
 
     def _too_little(self, free: Array, step_s: float) -> str:
         """Return why persistence is needed, or an empty string."""
@@ -203,7 +200,8 @@ class ChronosFreeResponse:
     def _checked(self, quantiles: Array, boundary: Boundary) -> FreeForecast:
         if quantiles.shape != (LEVELS.size, boundary.n_steps) or not np.isfinite(quantiles).all():
             raise DataError(f"{self.label} gave values of shape {quantiles.shape} that are not all finite")
-        return FreeForecast(LEVELS, quantiles, self.label)
+        note = f"linear weather model, corrected by {self.label}" if self._after_linear_weather else self.label
+        return FreeForecast(LEVELS, quantiles, note)
 
     def _persistence(self, free: Array, history: Record, boundary: Boundary, why: str) -> FreeForecast:
         short = self._short.forecast(free, history, boundary)

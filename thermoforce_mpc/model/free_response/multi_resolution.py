@@ -1,26 +1,23 @@
-"""Forecast of one series at several resolutions: its own step, hourly, and hourly over the last week only.
+"""Forecast of one series at two resolutions: its own step, and hourly.
 
 A model that forecasts 64 steps at once covers 16 h at 15 min and must be unrolled beyond. An hourly series of the same
 history reaches further back and ahead in one pass: beyond 16 h errors are a few percent smaller, and the interval, far
-too narrow when unrolled, is nearly right (docs/evidence/free-responses.md). The mean over resolutions is
-better than most single ones. Quantiles are averaged level by level (Lichtendahl et al. 2013).
+too narrow when unrolled, is nearly right (docs/evidence/free-responses.md). The mean of both is better than either.
+Quantiles are averaged level by level (Lichtendahl et al. 2013).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.free_response.backbones.base import Context
 
 # Steps that the resolution at the series' own step forecasts at once: Chronos-Bolt's output patch.
 _AT_ONCE = 64
-_WEEK_S = 7 * DAY_S
-# The last week is a separate resolution only if the history is longer than this.
-_MORE_THAN_A_WEEK_S = 8 * DAY_S
 # Least number of values for instance normalisation.
 FEWEST_VALUES = 8
 
@@ -33,17 +30,6 @@ class Resolution:
     stride: int
     n_steps: int
     now_C: float
-
-    def of(self, free_C: Array) -> Resolution:
-        """The same instants and weather of another series (k,), °C, with values where this one's has them."""
-        series = _every(free_C, self.stride, self.context.free_C.size)
-        context = Context(series, self.context.past_weather, self.context.ahead_weather)
-        return Resolution(context, self.stride, self.n_steps, _now_C(free_C))
-
-    def last(self, k: int) -> Resolution:
-        """Only the last `k` values of the context."""
-        free_C, past_weather = self.context.free_C[-k:], self.context.past_weather[-k:]
-        return replace(self, context=replace(self.context, free_C=free_C, past_weather=past_weather))
 
 
 def own_resolution(free_C: Array, past_weather: Array, ahead_weather: Array, longest: int) -> Resolution:
@@ -65,14 +51,12 @@ def resolutions_of(
     """
     n = len(ahead_weather)
     stride = max(1, int((HOUR_S + 1e-6) // step_s))
-    whole = _at_resolution(free_C, past_weather, ahead_weather, stride=stride, longest=longest, ahead=n)
-    coarse, coarse_s = [whole] if stride > 1 else [], stride * step_s
-    if min(free_C.size * step_s, longest * coarse_s) > _MORE_THAN_A_WEEK_S:
-        coarse.append(whole.last(round(_WEEK_S / coarse_s) + 1))
-    coarse = [resolution for resolution in coarse if np.isfinite(resolution.context.free_C).sum() >= FEWEST_VALUES]
-    # Steps beyond one output patch are left to the coarse resolutions, if there are any.
-    ahead = min(n, _AT_ONCE) if any(resolution.stride > 1 for resolution in coarse) else n
-    return [_at_resolution(free_C, past_weather, ahead_weather, stride=1, longest=longest, ahead=ahead), *coarse]
+    hourly = _at_resolution(free_C, past_weather, ahead_weather, stride=stride, longest=longest, ahead=n)
+    if stride == 1 or np.isfinite(hourly.context.free_C).sum() < FEWEST_VALUES:
+        return [own_resolution(free_C, past_weather, ahead_weather, longest)]
+    # Steps beyond one output patch are left to the hourly one.
+    ahead = min(n, _AT_ONCE)
+    return [_at_resolution(free_C, past_weather, ahead_weather, stride=1, longest=longest, ahead=ahead), hourly]
 
 
 def _at_resolution(

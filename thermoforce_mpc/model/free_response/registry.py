@@ -20,13 +20,12 @@ if TYPE_CHECKING:
     from thermoforce_mpc.model.free_response.rc import RcParameters
 
 
-def _residual(backbone: str = "shipped", calibrate: bool = True) -> FreeResponse:
+def _residual(backbone: str = "shipped_weather", calibrate: bool = True) -> FreeResponse:
     """Linear weather models plus a frozen forecaster on what they leave over: the default, for every building."""
     from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
     from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
-    from thermoforce_mpc.model.free_response.residual import ResidualFreeResponse
 
-    method = ResidualFreeResponse(ChronosFreeResponse(backbone))
+    method = ChronosFreeResponse(backbone, after_linear_weather=True)
     return CalibratedFreeResponse(method) if calibrate else method
 
 
