@@ -119,7 +119,7 @@ def _timed(
             u = np.atleast_2d(solve(problem))
             seconds[name].append(time.perf_counter() - began)
             u = np.clip(u, 0.0, problem.machinery.u_max[:, None])
-            costs[name].append(float(model.costs(model.numbers(problem), u)))
+            costs[name].append(model.brings(problem, u).cost)
         if i % 10 == 9:
             progress(f"{i + 1} of {len(problems)} instances")
     return seconds, costs

@@ -117,12 +117,3 @@ class Evaluator:
 
     def _of_moves(self, u: Array) -> Array:
         return np.asarray(u, dtype=np.float64)[:, self.shape.first_steps].ravel(order="F")
-
-    def costs(self, p: Array, candidates: Array) -> Array:
-        """Objective of levels (..., A, N), currency, infinite where a limit is left, (...,)."""
-        flat, none = candidates.reshape(-1, *candidates.shape[-2:]), np.zeros(0)
-        costs = np.empty(len(flat))
-        for i, u in enumerate(flat):
-            out = self._check(self._of_moves(u), none, p)
-            costs[i] = out[0][0] if not out[6].size or out[6].min() >= -BOUND_TOLERANCE else np.inf
-        return costs.reshape(candidates.shape[:-2])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,6 @@ from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import PowerCap, ProblemShape, Weights, blocked_moves, every_step
 from controllers.optimisation.solution import checked_solution
-from controllers.optimisation.solvers.candidate_search import CandidateSearch, SearchConfig
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.qp_backends import QPConfig
@@ -198,26 +196,6 @@ def test_power_above_the_cap_is_bought_only_where_comfort_is_worth_it():
         over.append(np.maximum(numpy_problem.power_W(problem, solution.u).sum(axis=0) - limit, 0.0).sum())
     assert over[0] > 100.0
     assert over[1] < 0.01 * over[0]
-
-
-def test_the_search_keeps_capacity_and_is_never_better_than_the_programme():
-    rng = np.random.default_rng(10)
-    operator = random_building(rng, 2, (1, 1))
-    machinery = machinery_of(operator, (0, 0), share=np.array([0.7, 0.7]))
-    problem = random_building_problem(rng, operator, machinery)
-    found = CandidateSearch(operator, ProblemShape(every_step(N), machinery), SearchConfig()).solve(problem)
-    best = QPSolver(operator, ProblemShape(every_step(N), machinery), QPConfig()).solve(problem)
-    assert found.ok, found.problem
-    assert (
-        float(numpy_problem.cost(problem, operator, best.u))
-        <= float(numpy_problem.cost(problem, operator, found.u)) + 1e-6
-    )
-    off = float(numpy_problem.cost(problem, operator, np.zeros((2, N))))
-    one_alone = min(
-        float(numpy_problem.cost(problem, operator, np.array([np.full(N, a), np.full(N, b)])))
-        for a, b in itertools.product((0.0, 0.25, 0.5), repeat=2)
-    )
-    assert float(numpy_problem.cost(problem, operator, found.u)) < min(off, one_alone)
 
 
 def test_messages_name_the_actuator():

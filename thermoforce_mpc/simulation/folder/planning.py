@@ -29,7 +29,6 @@ _SOLVERS = {
     "clarabel": "Clarabel",
     "sqp": "SQP",
     "highs": "HiGHS",
-    "search": "candidate search",
     "policy": "a trained policy",
 }
 
