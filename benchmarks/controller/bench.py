@@ -87,11 +87,9 @@ def _contestants(
             example.n_steps, example.step_s, config.move_blocking.free_h, config.move_blocking.hold_h
         ),
     )
-    clarabel = config.qp.model_copy(update={"backends": ("clarabel",)})
     solvers = {
         _DEFAULT: _levels(QPSolver(operator, free, config.qp)),
         _BLOCKED: _levels(QPSolver(operator, blocked, config.qp)),
-        "qp by Clarabel": _levels(QPSolver(operator, free, clarabel)),
         _SQP: _levels(SQPSolver(operator, free, config.sqp, config.qp)),
         _IPOPT: _levels(IpoptSolver(operator, free, config.ipopt)),
         _PLANNED: _levels(IpoptSolver(operator, blocked, config.ipopt)),

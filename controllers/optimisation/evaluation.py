@@ -75,9 +75,9 @@ class Evaluator:
 
     def brings(self, problem: MPCProblem, u: Array, own: Array | None = None) -> Evaluation:
         """Evaluate levels `u` (A, N), with `own` variables of the user, in an instance."""
-        return self.evaluate(problem, self.numbers(problem), u, own)
+        return self.evaluate(self.numbers(problem), u, own)
 
-    def evaluate(self, problem: MPCProblem, p: Array, u: Array, own: Array | None = None) -> Evaluation:
+    def evaluate(self, p: Array, u: Array, own: Array | None = None) -> Evaluation:
         """Evaluate levels `u` (A, N), with `own` variables of the user, at parameters `p`."""
         given = np.zeros(sum(self._checks.own.values())) if own is None else own
         out = self._check(self._of_moves(u), given, p)

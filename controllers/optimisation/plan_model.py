@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from controllers.optimisation.evaluation import Evaluator
-from controllers.optimisation.problem import BOUND_TOLERANCE, MPCProblem, ProblemShape
+from controllers.optimisation.problem import BOUND_TOLERANCE, ProblemShape
 from controllers.optimisation.solvers.qp_backends import QPData
 from controllers.optimisation.statement.functions import functions_of
 from thermoforce_mpc.data import Array
@@ -123,9 +123,9 @@ class PlanModel(Evaluator):
         """The user's own variables among `x`."""
         return x[self.own_at]
 
-    def start(self, problem: MPCProblem, p: Array, u: Array, own: Array | None = None) -> Array:
+    def start(self, p: Array, u: Array, own: Array | None = None) -> Array:
         """All variables for the first levels of each move of `u` (A, N)."""
-        at, evaluation, x = self.variables.places, self.evaluate(problem, p, u, own), np.zeros(self.n_variables)
+        at, evaluation, x = self.variables.places, self.evaluate(p, u, own), np.zeros(self.n_variables)
         for name, value in evaluation.values.items():
             if name in at:
                 x[at[name]] = _in_order(name, value, at[name].size)

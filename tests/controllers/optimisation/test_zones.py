@@ -13,7 +13,7 @@ from controllers.checks import ControllerConfigError
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import PowerCap, ProblemShape, Weights, blocked_moves, every_step
-from controllers.optimisation.solution import checked_solution
+from controllers.optimisation.solution import Answer, checked
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.qp_backends import QPConfig
@@ -116,7 +116,7 @@ def test_zones_may_differ_in_order():
     problem = random_building_problem(rng, operator, machinery, n=n, step_s=900.0)
     for moves in (every_step(n), blocked_moves(n, 900.0, 12.0, 1.0)):
         shape = ProblemShape(moves, machinery)
-        ours = QPSolver(operator, shape, QPConfig(backends=("piqp",))).solve(problem)
+        ours = QPSolver(operator, shape, QPConfig()).solve(problem)
         best = IpoptSolver(operator, shape, IpoptConfig(tolerance=1e-10)).solve(problem)
         assert ours.optimal, ours.problem
         assert ours.cost == pytest.approx(best.cost, rel=1e-6)
@@ -176,7 +176,8 @@ def test_capacity_is_kept_where_it_would_be_exceeded():
     assert (0.8 * solution.u.sum(axis=0)).max() <= 1.0 + 1e-6
     assert (0.8 * unlimited.u.sum(axis=0)).max() > 1.2
     model, cost = PlanModel(operator, ProblemShape(every_step(N), limited)), unlimited.cost
-    refused = checked_solution(model, problem, model.numbers(problem), unlimited.u, cost, "ok", 1)
+    p = model.numbers(problem)
+    refused = checked(model, problem, p, Answer(model.start(p, unlimited.u), cost, "ok", 1))
     assert "capacity of machine 0" in refused.problem
 
 
@@ -205,7 +206,8 @@ def test_messages_name_the_actuator():
     u = np.zeros((2, N))
     u[1, 3] = 1.5
     model = PlanModel(operator, ProblemShape(every_step(N), problem.machinery))
-    solution = checked_solution(model, problem, model.numbers(problem), u, 0.0, "ok", 1)
+    p = model.numbers(problem)
+    solution = checked(model, problem, p, Answer(model.start(p, u), 0.0, "ok", 1))
     assert "u of actuator 1 leaves its bounds" in solution.problem
     with pytest.raises(DataError, match=r"2 zones, 2 actuators and 2 machines over 12 steps: price_per_kWh has shape"):
         replace(problem, price_per_kWh=problem.price_per_kWh[0])

@@ -26,7 +26,6 @@ _SOON_H = 6.0
 _SOLVERS = {
     "ipopt": "Ipopt",
     "piqp": "PIQP",
-    "clarabel": "Clarabel",
     "sqp": "SQP",
     "highs": "HiGHS",
     "policy": "a trained policy",
