@@ -25,7 +25,7 @@ class Evaluation:
 
     `cost`: the objective; `parts`: what it is the sum of, by name; `energy_cost` (N,), currency; `power_W` (M, N), mean
     over each step; at the end of each step `forced_K` and `slack_K` (Z, N); `running` (M, N), share of each step.
-    `broken`: which limit is left by how much, or ''. `values`: variables of the programme over the steps, by name.
+    `broken`: which limit is left by how much, or ''. `variables`: all of the programme.
     """
 
     u: Array
@@ -37,7 +37,7 @@ class Evaluation:
     slack_K: Array
     running: Array
     broken: str
-    values: Mapping[str, Array]
+    variables: Array
 
 
 class Evaluator:
@@ -86,15 +86,11 @@ class Evaluator:
             value.reshape(rows, -1, order="F").copy()
             for value, rows in zip(out[1:7], (1, s.M, s.Z, s.Z, s.M, 1), strict=True)
         )
-        values = {
-            name: value.reshape(self._checks.function.size_out(8 + i), order="F").copy()
-            for i, (name, value) in enumerate(zip(self._checks.values, out[8:], strict=True))
-        }
         parts = dict(zip(PARTS, map(float, out[7].ravel() + 0.0), strict=True))
         least = required.ravel()
         worst = int(np.argmin(least)) if least.size else -1
         broken = self._in_words(worst, -least[worst]) if worst >= 0 and least[worst] < -BOUND_TOLERANCE else ""
-        return Evaluation(u, float(out[0][0]), parts, energy[0], power, forced, slack, running, broken, values)
+        return Evaluation(u, float(out[0][0]), parts, energy[0], power, forced, slack, running, broken, out[8].copy())
 
     def by_name(self, own: Array | None) -> dict[str, Array]:
         """The user's own variables by the names that the user gave them."""
