@@ -30,10 +30,8 @@ class PlanModel(Evaluator):
         """
         super().__init__(operator, shape)
         s, self.functions = self.structure, functions_of(self.structure)
-        self.variables, self._local = self.functions.variables, Buffered(self.functions.local)
-        self.n_variables, self.convex = len(self.variables.names), self.variables.convex
-        at = self.variables.places
-        self._bounds = Buffered(self.functions.bounds)
+        self._bounds, self._local = Buffered(self.functions.bounds), Buffered(self.functions.local)
+        self.n_variables, self.convex, at = len(self.functions.names), self.functions.convex, self.functions.places
         self.levels_at = at["v"].reshape(s.N, s.A).T
         self._cold_at = at["cold"].reshape(s.N, len(s.signed)).T if s.signed else at["v"][:0]
         self.own_at = np.concatenate([np.zeros(0), *(at[name] for name in self._checks.own)]).astype(np.intp)

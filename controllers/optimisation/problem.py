@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.checks import ControllerConfigError
 from controllers.optimisation.machines import EquipmentLayout
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import N_FEATURES
 
 # Unit of power in solvers, W; scales its constraints like the others.
@@ -86,14 +84,6 @@ class ProblemShape:
         """The same where every control step is a move."""
         chosen_steps = int(np.searchsorted(self.move_of_step, self.n_chosen_moves))
         return replace(self, move_of_step=every_step(self.n_steps), chosen_steps=chosen_steps)
-
-    def check(self, operator: BuildingOperator) -> None:
-        """Raise `ControllerConfigError` where the operator is not of these actuators."""
-        if operator.actuators != self.machinery.actuators:
-            raise ControllerConfigError(
-                f"actuators of the operator are {', '.join(operator.actuators)}, of the machinery "
-                f"{', '.join(self.machinery.actuators)}: they must be the same in the same order"
-            )
 
     @property
     def needs_choices(self) -> bool:

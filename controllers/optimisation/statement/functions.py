@@ -34,16 +34,24 @@ class Check:
     own: Mapping[str, int]
 
 
-@dataclass(frozen=True)
-class Variables:
-    """Variables by name in their order.
+@dataclass(frozen=True, eq=False)
+class Functions:
+    """The programme of a structure.
 
-    `n_equal`: number of equations. `convex`: no derivative depends on variables or multipliers.
+    `bounds`: p → least and largest values of the variables. `local`: (x, p, multipliers) → objective, gradient, second
+    derivatives of the Lagrangian, equations and their Jacobian, inequalities and theirs. `rows`: (x, p) → objective and
+    rows, for Ipopt; a solver is used by one at a time (`busy`). `names` of the variables in their order; `n_equal`:
+    number of equations. `convex`: no derivative depends on variables or multipliers.
     """
 
+    bounds: ca.Function
+    local: ca.Function
+    rows: ca.Function
     names: tuple[str, ...]
     n_equal: int
     convex: bool
+    solvers: dict[str, ca.Function] = field(default_factory=dict)
+    busy: threading.Lock = field(default_factory=threading.Lock)
 
     @cached_property
     def places(self) -> dict[str, NDArray[np.intp]]:
@@ -51,26 +59,9 @@ class Variables:
         names = np.array(self.names)
         return {name: np.flatnonzero(names == name) for name in dict.fromkeys(self.names)}
 
-
-@dataclass(frozen=True, eq=False)
-class Functions:
-    """The programme of a structure.
-
-    `bounds`: p → least and largest values of the variables. `local`: (x, p, multipliers) → objective, gradient, second
-    derivatives of the Lagrangian, equations and their Jacobian, inequalities and theirs. `rows`: (x, p) → objective and
-    rows, for Ipopt; a solver is used by one at a time (`busy`).
-    """
-
-    variables: Variables
-    bounds: ca.Function
-    local: ca.Function
-    rows: ca.Function
-    solvers: dict[str, ca.Function] = field(default_factory=dict)
-    busy: threading.Lock = field(default_factory=threading.Lock)
-
     def ipopt(self, options: Mapping[str, Any]) -> ca.Function:
         """Ipopt on the statement, with constant derivatives where they are."""
-        constant = ("jac_c_constant", "jac_d_constant", "hessian_constant") if self.variables.convex else ()
+        constant = ("jac_c_constant", "jac_d_constant", "hessian_constant") if self.convex else ()
         options = {**options, **dict.fromkeys(constant, "yes")}
         key = json.dumps(options, sort_keys=True)
         if key not in self.solvers:
@@ -93,7 +84,7 @@ def check_of(s: Structure) -> Check:
 def functions_of(s: Structure) -> Functions:
     """The programme of a structure: from disk, or built."""
     facts, (bounds, local, rows) = stored(s, "programme", lambda: _build_programme(s))
-    return Functions(Variables(**facts), bounds, local, rows)
+    return Functions(bounds, local, rows, **facts)
 
 
 def _build_check(s: Structure) -> tuple[dict[str, Any], list[ca.Function]]:

@@ -217,7 +217,7 @@ def without(name: str, start: float = 0.0) -> Lie:
 
     def lie(model: PlanModel, problem: MPCProblem, p: Array, x: Array) -> Array:
         x = model.start(p, np.full(problem.power_per_u_W.shape, start))
-        x[model.variables.places[name]] = 0.0
+        x[model.functions.places[name]] = 0.0
         return x
 
     return lie
