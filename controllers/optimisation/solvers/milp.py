@@ -10,7 +10,6 @@ with the best plan so far; how far that may be from the optimum of the programme
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -21,7 +20,7 @@ from scipy import sparse
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.problem import ProblemShape
 from controllers.optimisation.solution import Answer, StatementSolver
-from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, QPData
+from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, QPData, SolverResult
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -39,20 +38,6 @@ class MilpConfig(StrictModel):
         return max(1, round(self.hours * HOUR_S / step_s))
 
 
-@dataclass(frozen=True)
-class ChoiceResult:
-    """Result of the mixed-integer solver; `x` is empty without a plan; `bound`: lower bound of the linear objective.
-
-    `optimal`: whether the solver reached its gap before its time limit.
-    """
-
-    x: Array
-    status: str
-    iterations: int
-    bound: float
-    optimal: bool = True
-
-
 class Highs:
     """HiGHS, by CasADi's interface, on the programme without its quadratic term."""
 
@@ -60,8 +45,11 @@ class Highs:
         limits = {"time_limit": config.max_seconds, "mip_rel_gap": config.gap}
         self._options = {"output_flag": False, "threads": 1, **limits}
 
-    def __call__(self, q: QPData, choices: NDArray[np.intp], start: Array | None = None) -> ChoiceResult:
-        """Solve one programme in which the columns `choices` are whole, from `start` (all columns) if given."""
+    def __call__(self, q: QPData, choices: NDArray[np.intp], start: Array | None = None) -> SolverResult:
+        """Solve one programme in which the columns `choices` are whole, from `start` (all columns) if given.
+
+        `x` is empty without a plan; at the time limit it is one that is not `solved`.
+        """
         rows, n = ca.DM(sparse.vstack([q.A, q.G], format="csc")), q.linear.size
         options = {"discrete": np.isin(np.arange(n), choices).tolist(), "error_on_fail": False, "highs": self._options}
         solver = ca.conic("choices", "highs", {"h": ca.Sparsity(n, n), "a": rows.sparsity()}, options)
@@ -72,7 +60,7 @@ class Highs:
         feasible = said["primal_solution_status"] == "Feasible"
         x = np.array(found["x"]).ravel() if feasible else np.empty(0)
         word, bound = str(said["return_status"]), float(said["mip_dual_bound"])
-        return ChoiceResult(x, word, int(said["simplex_iteration_count"]), bound, word == "Optimal")
+        return SolverResult(word == "Optimal", x, word, int(said["simplex_iteration_count"]), bound=bound)
 
 
 class MilpSolver(StatementSolver):
@@ -90,7 +78,7 @@ class MilpSolver(StatementSolver):
         shape: ProblemShape,
         config: MilpConfig,
         qp: QPConfig | None = None,
-        choose: Callable[[QPData, NDArray[np.intp], Array | None], ChoiceResult] | None = None,
+        choose: Callable[[QPData, NDArray[np.intp], Array | None], SolverResult] | None = None,
     ) -> None:
         super().__init__(operator, shape)
         if not self.model.convex:
@@ -115,7 +103,7 @@ class MilpSolver(StatementSolver):
             return
         claimed, linear = programme.objective(found.x), programme.objective(found.x, with_quadratic=False)
         gap = max(linear - programme.constant - programme.unit * found.bound, 0.0) / max(abs(linear), 1e-9)
-        why = "" if found.optimal else f"highs: time limit, at most {gap:.1%} above the optimum"
+        why = "" if found.solved else f"highs: time limit, at most {gap:.1%} above the optimum"
         yield Answer(found.x, claimed, f"{status}, gap {gap:.2g}", found.iterations, why, gap)
 
     def _start(self, programme: QPData) -> Array | None:

@@ -49,13 +49,14 @@ class QPData:
 
 @dataclass(frozen=True)
 class SolverResult:
-    """Result of a solver of quadratic programmes."""
+    """Result of a solver of programmes; `solved`: `x` is its optimum. `bound`: lower bound of the linear objective."""
 
     solved: bool
     x: Array
     status: str
     iterations: int
     multipliers: Array = field(default_factory=lambda: np.zeros(0))
+    bound: float = -np.inf
 
 
 class Piqp:

@@ -18,7 +18,7 @@ from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, Weights
 from controllers.optimisation.solution import Solution
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
-from controllers.optimisation.solvers.milp import ChoiceResult, MilpConfig, MilpSolver
+from controllers.optimisation.solvers.milp import MilpConfig, MilpSolver
 from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, SolverResult
 from controllers.optimisation.solvers.sqp import SQPConfig, SQPSolver
@@ -248,7 +248,7 @@ def test_a_solver_that_lies_is_caught(lie, reason):
     assert solution.ok, solution.problem
     assert solution.status == "ipopt:Solve_Succeeded"
     refused = QPSolver(operator, shape, QPConfig(), None, liar).solve(problem)
-    milp = MilpSolver(operator, shape, EXACT, choose=lambda *given: ChoiceResult(told, "claims", 1, -np.inf))
+    milp = MilpSolver(operator, shape, EXACT, choose=lambda *given: SolverResult(True, told, "claims", 1))
     for solution in (refused, milp.solve(problem)):
         assert (solution.ok, solution.u.size) == (False, 0)
         assert any(said in solution.problem for said in reason.split("|")), solution.problem
@@ -268,7 +268,7 @@ def test_exclusion_that_is_not_kept_is_caught():
     operator, problem, shape = instance(replace(CASES["exclusive"], signs=(1, 1)), np.random.default_rng(1))
     model = PlanModel(operator, shape)
     told = model.start(model.numbers(problem), np.full(problem.power_per_u_W.shape, 0.5))
-    milp = MilpSolver(operator, shape, EXACT, choose=lambda *given: ChoiceResult(told, "claims", 1, -np.inf))
+    milp = MilpSolver(operator, shape, EXACT, choose=lambda *given: SolverResult(True, told, "claims", 1))
     assert "actuator 0, actuator 1 act together" in milp.solve(problem).problem
 
 
