@@ -101,10 +101,6 @@ class PlanModel(Evaluator):
         """The user's own variables among `x`."""
         return x[self.own_at]
 
-    def start(self, p: Array, u: Array, own: Array | None = None) -> Array:
-        """All variables for the first levels of each move of `u` (A, N), with `own` variables of the user."""
-        return self.evaluate(p, u, own).variables
-
     def rounded(self, x: Array) -> Array:
         """Choices (in the order of `choices`) near variables in which they need not be whole."""
         s, m = self.structure, self.shape.machinery

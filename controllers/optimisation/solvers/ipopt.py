@@ -59,7 +59,7 @@ class IpoptSolver(StatementSolver):
     def _answer(self, p: Array, start: Array, options: Mapping[str, Any]) -> Answer:
         """Its answer from levels (A, N)."""
         model, (low, high) = self.model, self.model.bounds(p)
-        x, claimed, status, iterations = self._ipopt(p, model.start(p, start), low, high, options)
+        x, claimed, status, iterations = self._ipopt(p, model.evaluate(p, start).variables, low, high, options)
         if model.choices.size and status in _ACCEPTED:
             low[model.choices] = high[model.choices] = model.rounded(x)
             x, claimed, status, more = self._ipopt(p, np.clip(x, low, high), low, high, options)

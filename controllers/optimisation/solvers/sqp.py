@@ -59,8 +59,9 @@ class SQPSolver(StatementSolver):
     def _answers(self, p: Array, guess: Array | None) -> Iterator[Answer]:
         model, solver = self.model, Piqp(self._qp)
         own = np.clip(0.0, *model.bounds(p))[model.own_at]
-        x = model.start(p, model.cold() if guess is None else guess, own)
-        cost, multipliers, near = model.evaluate(p, model.levels(x), own).cost, None, 0.0
+        begun = model.evaluate(p, model.cold() if guess is None else guess, own)
+        x, multipliers, near = begun.variables, None, 0.0
+        cost = model.evaluate(p, model.levels(x), own).cost
         for iteration in range(1, self._config.max_iterations + 1):
             programme = model.local(p, x, multipliers)
             answer = solver(replace(programme, quadratic=sparse.csc_matrix(programme.quadratic + near * self._near)))
@@ -89,5 +90,5 @@ class SQPSolver(StatementSolver):
             u, own = model.levels(moved), model.own(moved)
             found = model.evaluate(p, u, own)
             if found.cost <= at_most and not found.broken:
-                return model.start(p, u, own), found.cost, length
+                return found.variables, found.cost, length
         return None

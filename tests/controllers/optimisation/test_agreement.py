@@ -209,14 +209,14 @@ Lie = Callable[[PlanModel, MPCProblem, Array, Array], Array]
 def with_full_level(model: PlanModel, problem: MPCProblem, p: Array, x: Array) -> Array:
     """All consistent, but more than the machine can give."""
     u = np.repeat(problem.machinery.u_max[:, None], problem.n_steps, axis=1)
-    return model.start(p, u)
+    return model.evaluate(p, u).variables
 
 
 def without(name: str, start: float = 0.0) -> Lie:
     """Variables in which something that costs is not counted."""
 
     def lie(model: PlanModel, problem: MPCProblem, p: Array, x: Array) -> Array:
-        x = model.start(p, np.full(problem.power_per_u_W.shape, start))
+        x = model.evaluate(p, np.full(problem.power_per_u_W.shape, start)).variables
         x[model.functions.places[name]] = 0.0
         return x
 
@@ -267,7 +267,7 @@ def test_power_above_the_lowest_level_that_is_not_counted_is_caught():
 def test_exclusion_that_is_not_kept_is_caught():
     operator, problem, shape = instance(replace(CASES["exclusive"], signs=(1, 1)), np.random.default_rng(1))
     model = PlanModel(operator, shape)
-    told = model.start(model.numbers(problem), np.full(problem.power_per_u_W.shape, 0.5))
+    told = model.evaluate(model.numbers(problem), np.full(problem.power_per_u_W.shape, 0.5)).variables
     milp = MilpSolver(operator, shape, EXACT, choose=lambda *given: SolverResult(True, told, "claims", 1))
     assert "actuator 0, actuator 1 act together" in milp.solve(problem).problem
 

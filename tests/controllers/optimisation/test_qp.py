@@ -135,7 +135,7 @@ def test_a_claim_that_is_true_is_accepted_and_one_that_is_too_good_is_not():
     cost = float(numpy_problem.cost(problem, operator, u))
     model = PlanModel(operator, ProblemShape(every_step(N)))
     p = model.numbers(problem)
-    x = model.start(p, u)
+    x = model.evaluate(p, u).variables
     assert checked(model, problem, p, Answer(x, cost, "ok", 1)).ok
     assert not checked(model, problem, p, Answer(x, 0.9 * cost, "ok", 1)).ok
 

@@ -84,7 +84,7 @@ def test_levels_start_a_solver_with_all_variables_and_the_cost_of_the_check(case
         p = model.numbers(problem)
         for _ in range(5):
             u = random_levels(rng, problem, shape)
-            x = model.start(p, u)
+            x = model.evaluate(p, u).variables
             programme = model.local(p, x)
             np.testing.assert_allclose(programme.b, 0.0, atol=1e-9)
             assert programme.low.max(initial=0.0) <= 1e-9
