@@ -88,11 +88,6 @@ _OWN: dict[str, Entry] = {
         "as thermoforce_mpc, with the free response of a linear RC model",
         free_response={"name": "rc"},
     ),
-    "candidate_search": _mpc_entry(
-        "the paper's search over candidate trajectories, level held for the step",
-        **_AS_PRINTED,
-        solver="search",
-    ),
     "thermostat": Entry(
         "on/off thermostat, optional weekday setback",
         False,

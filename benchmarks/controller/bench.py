@@ -87,11 +87,9 @@ def _contestants(
             example.n_steps, example.step_s, config.move_blocking.free_h, config.move_blocking.hold_h
         ),
     )
-    clarabel = config.qp.model_copy(update={"backends": ("clarabel",)})
     solvers = {
         _DEFAULT: _levels(QPSolver(operator, free, config.qp)),
         _BLOCKED: _levels(QPSolver(operator, blocked, config.qp)),
-        "qp by Clarabel": _levels(QPSolver(operator, free, clarabel)),
         _SQP: _levels(SQPSolver(operator, free, config.sqp, config.qp)),
         _IPOPT: _levels(IpoptSolver(operator, free, config.ipopt)),
         _PLANNED: _levels(IpoptSolver(operator, blocked, config.ipopt)),
@@ -119,7 +117,7 @@ def _timed(
             u = np.atleast_2d(solve(problem))
             seconds[name].append(time.perf_counter() - began)
             u = np.clip(u, 0.0, problem.machinery.u_max[:, None])
-            costs[name].append(float(model.costs(model.numbers(problem), u)))
+            costs[name].append(model.brings(problem, u).cost)
         if i % 10 == 9:
             progress(f"{i + 1} of {len(problems)} instances")
     return seconds, costs

@@ -137,12 +137,12 @@ def beside_do_mpc(
             ours.append(time.process_time() - began)
             if not solution.ok:
                 raise RuntimeError(f"{n_zones} zones: {solution.problem}")
-        best, numbers = solution.cost, solver.model.numbers(problem)
+        best = solution.cost
         for peer, seconds in zip(peers, theirs, strict=True):
             began = time.process_time()
             u = peer.solve(problem)
             seconds.append(time.process_time() - began)
-            found = float(solver.model.costs(numbers, np.clip(u, 0.0, machinery.u_max[:, None])))
+            found = solver.model.brings(problem, np.clip(u, 0.0, machinery.u_max[:, None])).cost
             differences.append(abs(found - best) / abs(best))
     do_mpc_s, helped_s = (float(np.median(seconds)) for seconds in theirs)
     return BesideDoMpc(float(np.median(ours)), do_mpc_s, helped_s, max(differences))

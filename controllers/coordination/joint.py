@@ -13,8 +13,8 @@ from controllers.checks import ControllerConfigError
 from controllers.coordination.limit import SharedPower
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem
-from controllers.optimisation.solution import Solution, checked_variables, failed
-from controllers.optimisation.solvers.qp_backends import Clarabel, Piqp, QPConfig, QPData, SolverResult
+from controllers.optimisation.solution import Answer, Solution, checked, failed
+from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, QPData
 from controllers.optimisation.statement.terms import PlanExpressions
 from thermoforce_mpc.data import Array
 
@@ -59,8 +59,8 @@ class Member:
 
     def checked(self, x: Array) -> Solution:
         """Its plan, from its variables in a solution of all."""
-        claimed = self.programme.objective(x)
-        solution = checked_variables(self._model, self._problem, self._p, x, claimed, "jointly:solved", 0)
+        answer = Answer(x, self.programme.objective(x), "jointly:solved", 0)
+        solution = checked(self._model, self._problem, self._p, answer)
         if solution.ok and (power_kW(solution) > x[self.power_at] + LIMIT_TOLERANCE_KW).any():
             return failed(solution.status, 0, "its levels draw more than its part of the limit")
         return replace(solution, own={})  # the power is ours, not the controller's
@@ -119,13 +119,11 @@ def _why_not(members: Sequence[Member], config: QPConfig) -> dict[str, str]:
 
 
 def _solved(members: Sequence[Member], shared: SharedPower, config: QPConfig) -> list[Array] | None:
-    """Variables of each member at the joint optimum; None where no solver reaches it."""
-    data = joint_programme(members, shared)
-    for solve in (Piqp(config), Clarabel(config)):
-        found: SolverResult = solve(data)
-        if found.solved and np.isfinite(found.x).all():
-            return np.split(found.x, np.cumsum([member.programme.linear.size for member in members]))[:-1]
-    return None
+    """Variables of each member at the joint optimum; None where PIQP does not reach it."""
+    found = Piqp(config)(joint_programme(members, shared))
+    if not found.solved:
+        return None
+    return np.split(found.x, np.cumsum([member.programme.linear.size for member in members]))[:-1]
 
 
 def joint_programme(members: Sequence[Member], shared: SharedPower) -> QPData:

@@ -12,7 +12,6 @@ from controllers.actuation.actuator import ActuationConfig
 from controllers.monitoring.meters import MeterConfig
 from controllers.monitoring.watch_state import WatchConfig
 from controllers.monitoring.zone_sensor_state import SensorConfig
-from controllers.optimisation.solvers.candidate_search import SearchConfig
 from controllers.optimisation.solvers.ipopt import IpoptConfig
 from controllers.optimisation.solvers.milp import MilpConfig
 from controllers.optimisation.solvers.qp_backends import QPConfig
@@ -148,12 +147,12 @@ class MPCConfig(StrictModel):
     offset_h: float | None = Field(
         6.0, gt=0, description="time over which the mean error of one-step predictions is added to them, h; null: never"
     )
-    solver: Literal["auto", "ipopt", "qp", "sqp", "milp", "search"] = Field(
+    solver: Literal["auto", "ipopt", "qp", "sqp", "milp"] = Field(
         "auto",
         description="ipopt: nonlinear programme; qp: quadratic programme, where the problem is convex; sqp: sequential "
         "quadratic programming, where the gain sees the predicted temperature; milp: which of actuators that exclude "
-        "one another acts in the first hours, by mixed-integer programming; search: the paper's candidate "
-        "trajectories; auto: milp with such choices, else ipopt up to two zones, qp or sqp beyond",
+        "one another acts in the first hours, by mixed-integer programming; auto: milp with such choices, else ipopt "
+        "up to two zones, qp or sqp beyond",
     )
     terms: str | None = Field(
         None,
@@ -186,7 +185,6 @@ class MPCConfig(StrictModel):
     milp: MilpConfig = MilpConfig()
     ipopt: IpoptConfig = IpoptConfig()
     sqp: SQPConfig = SQPConfig()
-    search: SearchConfig = SearchConfig()
 
     def actuation_of(self, actuator: str) -> ActuationConfig:
         """Actuation of an actuator."""

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 from controllers.actuation.actuators import Actuators
-from controllers.checks import ControllerConfigError
 from controllers.monitoring.scaled_model import ScaledModel
 from controllers.mpc.config import MPCConfig
 from controllers.optimisation.evaluation import Evaluator
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import ProblemShape, blocked_moves, every_step
-from controllers.optimisation.solution import FirstOf, Solver
-from controllers.optimisation.solvers.candidate_search import CandidateSearch
+from controllers.optimisation.solution import Solver
 from controllers.optimisation.solvers.ipopt import IpoptSolver
 from controllers.optimisation.solvers.milp import MilpSolver
 from controllers.optimisation.solvers.qp import QPSolver
@@ -58,16 +57,11 @@ def build_solver(config: MPCConfig, operator: BuildingOperator, shape: ProblemSh
     Raises:
         ControllerConfigError: the solver named does not fit the problem.
     """
-    if config.solver == "search":
-        if shape.machinery.signed.size or shape.terms:
-            raise ControllerConfigError(
-                "controller.options.solver: search plans neither heating and cooling together nor terms; use auto or qp"
-            )
-        return CandidateSearch(operator, shape.by_steps, config.search)
+    ipopt = cache(lambda: IpoptSolver(operator, shape, config.ipopt))
     build: dict[str, Callable[[], Solver]] = {
-        "ipopt": lambda: IpoptSolver(operator, shape, config.ipopt),
-        "qp": lambda: QPSolver(operator, shape, config.qp),
-        "sqp": lambda: FirstOf([SQPSolver(operator, shape, config.sqp, config.qp), build["ipopt"]()]),
+        "ipopt": ipopt,
+        "qp": lambda: QPSolver(operator, shape, config.qp, ipopt),
+        "sqp": lambda: SQPSolver(operator, shape, config.sqp, config.qp, ipopt),
         "milp": lambda: MilpSolver(operator, shape, config.milp, config.qp),
     }
     return build[chosen_solver(config, operator, shape)]()

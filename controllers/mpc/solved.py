@@ -59,7 +59,7 @@ def power_limit(instance: Instance, solution: Solution, brought: Evaluation, eva
 
     def power_W(levels: Array) -> float:
         u = np.concatenate([levels[:, None], solution.u[:, 1:]], axis=1)
-        return float(evaluator.evaluate(problem, numbers, u, solution.own_values).power_W[:, 0].sum())
+        return float(evaluator.evaluate(numbers, u, solution.own_values).power_W[:, 0].sum())
 
     return PowerLimit(
         cap_W=instance.cap_W,

@@ -25,7 +25,7 @@ class Evaluation:
 
     `cost`: the objective; `parts`: what it is the sum of, by name; `energy_cost` (N,), currency; `power_W` (M, N), mean
     over each step; at the end of each step `forced_K` and `slack_K` (Z, N); `running` (M, N), share of each step.
-    `broken`: which limit is left by how much, or ''. `values`: variables of the programme over the steps, by name.
+    `broken`: which limit is left by how much, or ''. `variables`: all of the programme.
     """
 
     u: Array
@@ -37,7 +37,7 @@ class Evaluation:
     slack_K: Array
     running: Array
     broken: str
-    values: Mapping[str, Array]
+    variables: Array
 
 
 class Evaluator:
@@ -75,9 +75,9 @@ class Evaluator:
 
     def brings(self, problem: MPCProblem, u: Array, own: Array | None = None) -> Evaluation:
         """Evaluate levels `u` (A, N), with `own` variables of the user, in an instance."""
-        return self.evaluate(problem, self.numbers(problem), u, own)
+        return self.evaluate(self.numbers(problem), u, own)
 
-    def evaluate(self, problem: MPCProblem, p: Array, u: Array, own: Array | None = None) -> Evaluation:
+    def evaluate(self, p: Array, u: Array, own: Array | None = None) -> Evaluation:
         """Evaluate levels `u` (A, N), with `own` variables of the user, at parameters `p`."""
         given = np.zeros(sum(self._checks.own.values())) if own is None else own
         out = self._check(self._of_moves(u), given, p)
@@ -86,15 +86,11 @@ class Evaluator:
             value.reshape(rows, -1, order="F").copy()
             for value, rows in zip(out[1:7], (1, s.M, s.Z, s.Z, s.M, 1), strict=True)
         )
-        values = {
-            name: value.reshape(self._checks.function.size_out(8 + i), order="F").copy()
-            for i, (name, value) in enumerate(zip(self._checks.values, out[8:], strict=True))
-        }
         parts = dict(zip(PARTS, map(float, out[7].ravel() + 0.0), strict=True))
         least = required.ravel()
         worst = int(np.argmin(least)) if least.size else -1
         broken = self._in_words(worst, -least[worst]) if worst >= 0 and least[worst] < -BOUND_TOLERANCE else ""
-        return Evaluation(u, float(out[0][0]), parts, energy[0], power, forced, slack, running, broken, values)
+        return Evaluation(u, float(out[0][0]), parts, energy[0], power, forced, slack, running, broken, out[8].copy())
 
     def by_name(self, own: Array | None) -> dict[str, Array]:
         """The user's own variables by the names that the user gave them."""
@@ -117,12 +113,3 @@ class Evaluator:
 
     def _of_moves(self, u: Array) -> Array:
         return np.asarray(u, dtype=np.float64)[:, self.shape.first_steps].ravel(order="F")
-
-    def costs(self, p: Array, candidates: Array) -> Array:
-        """Objective of levels (..., A, N), currency, infinite where a limit is left, (...,)."""
-        flat, none = candidates.reshape(-1, *candidates.shape[-2:]), np.zeros(0)
-        costs = np.empty(len(flat))
-        for i, u in enumerate(flat):
-            out = self._check(self._of_moves(u), none, p)
-            costs[i] = out[0][0] if not out[6].size or out[6].min() >= -BOUND_TOLERANCE else np.inf
-        return costs.reshape(candidates.shape[:-2])

@@ -30,8 +30,10 @@ class EquipmentLayout:
             default: it runs in full as long as the longest of them acts (`model.machine.running`).
         exclusive: groups of actuators (their numbers) of which at most one may act in a step.
 
+    Names, machines and groups are those of a `Layout`, which checks them.
+
     Raises:
-        ControllerConfigError: shapes or numbers do not fit together; names actuator or machine.
+        ControllerConfigError: levels do not fit together; names the actuator.
     """
 
     actuators: tuple[str, ...]
@@ -45,10 +47,7 @@ class EquipmentLayout:
     exclusive: tuple[tuple[int, ...], ...] = ()
 
     def __post_init__(self) -> None:
-        A, M = len(self.actuators), len(self.machines)
-        for what, names in (("actuator", self.actuators), ("machine", self.machines)):
-            if not names or len(set(names)) != len(names):
-                raise ControllerConfigError(f"names of {what}s {list(names)}: need one or more, each once")
+        A = len(self.actuators)
         for name in ("u_max", "lowest_level", "u_min", "share", "machine_of"):
             kind = np.intp if name == "machine_of" else np.float64
             value = np.array(getattr(self, name), dtype=kind)
@@ -57,34 +56,19 @@ class EquipmentLayout:
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         for a, actuator in enumerate(self.actuators):
-            if not (self.u_min[a] <= 0.0 < self.u_max[a] and self.lowest_level[a] > 0.0 and self.share[a] >= 0.0):
-                raise ControllerConfigError(
-                    f"actuator {actuator}: levels from {self.u_min[a]:g} to {self.u_max[a]:g}, lowest level "
-                    f"{self.lowest_level[a]:g}, share {self.share[a]:g}: expected u_min ≤ 0 < u_max, lowest > 0 ≤ share"
+            low, high, lowest, m = self.u_min[a], self.u_max[a], self.lowest_level[a], self.machine_of[a]
+            problem, needed = "", f"its lowest level must be the highest, {high:g}"
+            if not (low <= 0.0 < high and lowest > 0.0 and self.share[a] >= 0.0):
+                problem = (
+                    f"levels from {low:g} to {high:g}, lowest level {lowest:g}, share {self.share[a]:g}: expected "
                 )
-            if self.u_min[a] < 0.0 and self.lowest_level[a] < self.u_max[a]:
-                raise ControllerConfigError(
-                    f"actuator {actuator}: a level that heats and cools (from {self.u_min[a]:g}) does not switch below "
-                    f"{self.lowest_level[a]:g}: its lowest level must be the highest, {self.u_max[a]:g}"
-                )
-            if not 0 <= self.machine_of[a] < M:
-                raise ControllerConfigError(f"actuator {actuator}: machine {self.machine_of[a]} is not among {M}")
-        for a, actuator in enumerate(self.actuators):
-            if self.stepped[a] and self.shared[self.machine_of[a]]:
-                raise ControllerConfigError(
-                    f"actuator {actuator}: it shares machine {self.machines[self.machine_of[a]]}, so it cannot hold "
-                    f"levels above {self.lowest_level[a]:g}: its lowest level must be the highest, {self.u_max[a]:g}"
-                )
-        if self.cycles_below and (len(self.cycles_below) != M or not all(0 <= load <= 1 for load in self.cycles_below)):
-            raise ControllerConfigError(
-                f"cycles_below of {M} machines: found {self.cycles_below}, expected 0 to 1 each"
-            )
-        idle = [name for m, name in enumerate(self.machines) if m not in self.machine_of]
-        if idle:
-            raise ControllerConfigError(f"machine {', '.join(idle)} feeds no actuator")
-        for group in self.exclusive:
-            if len(group) < 2 or len(set(group)) != len(group) or not all(0 <= a < A for a in group):
-                raise ControllerConfigError(f"actuators that exclude one another: {group} are not two or more of {A}")
+                problem += "u_min ≤ 0 < u_max, lowest > 0 ≤ share"
+            elif low < 0.0 and lowest < high:
+                problem = f"a level that heats and cools (from {low:g}) does not switch below {lowest:g}: {needed}"
+            elif self.stepped[a] and self.shared[m]:
+                problem = f"it shares machine {self.machines[m]}, so it cannot hold levels above {lowest:g}: {needed}"
+            if problem:
+                raise ControllerConfigError(f"actuator {actuator}: {problem}")
 
     @staticmethod
     def one(u_max: float = 1.0, lowest_level: float = 1.0, u_min: float = 0.0) -> EquipmentLayout:

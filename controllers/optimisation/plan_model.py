@@ -8,15 +8,12 @@ import numpy as np
 from scipy import sparse
 
 from controllers.optimisation.evaluation import Evaluator
-from controllers.optimisation.problem import BOUND_TOLERANCE, MPCProblem, ProblemShape
+from controllers.optimisation.problem import BOUND_TOLERANCE, ProblemShape
 from controllers.optimisation.solvers.qp_backends import QPData
 from controllers.optimisation.statement.functions import functions_of
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.casadi_export import Buffered
-
-# What a machine's share of running and the times that make it up can be at most; a bound that must not be active.
-_MOST_RUNNING = 2.0
 
 # Level from which a solve without a guess starts, as a share of the highest.
 _START = 0.3
@@ -32,29 +29,13 @@ class PlanModel(Evaluator):
             ControllerConfigError: the operator is not of these actuators, or its heat is for another lowest level.
         """
         super().__init__(operator, shape)
-        s, machinery, self.functions = self.structure, shape.machinery, functions_of(self.structure)
-        self.variables, self._local = self.functions.variables, Buffered(self.functions.local)
-        self.n_variables, self.convex = len(self.variables.names), self.variables.convex
-        at = self.variables.places
-        low, high = np.full(self.n_variables, -np.inf), np.full(self.n_variables, np.inf)
-        for name in set(at) - {"y", "drive", "inside"}:
-            low[at[name]] = 0.0
-        for name in {"runs", "theta", "excess"} & set(at):
-            high[at[name]] = _MOST_RUNNING
-        for name, (least, most) in self.variables.own.items():
-            low[at[name]], high[at[name]] = least, most
+        s, self.functions = self.structure, functions_of(self.structure)
+        self._bounds, self._local = Buffered(self.functions.bounds), Buffered(self.functions.local)
+        self.n_variables, self.convex, at = len(self.functions.names), self.functions.convex, self.functions.places
         self.levels_at = at["v"].reshape(s.N, s.A).T
-        high[self.levels_at] = machinery.u_max[:, None]
-        if s.stepped:
-            over = (machinery.u_max - machinery.lowest_level)[list(s.stepped)]
-            high[at["over"]] = np.tile(over, s.N)
-        if s.signed:
-            self._cold_at = at["cold"].reshape(s.N, len(s.signed)).T
-            high[self._cold_at] = -machinery.u_min[list(s.signed)][:, None]
-        self.own_at = np.concatenate([np.zeros(0), *(at[name] for name in self.variables.own)]).astype(np.intp)
+        self._cold_at = at["cold"].reshape(s.N, len(s.signed)).T if s.signed else at["v"][:0]
+        self.own_at = np.concatenate([np.zeros(0), *(at[name] for name in self._checks.own)]).astype(np.intp)
         self.choices = at.get("b", np.zeros(0, dtype=np.intp))
-        high[self.choices] = 1.0
-        self.x_low, self.x_high = low, high
 
     def cold(self) -> Array:
         """Levels (A, N) from which a solve without a guess starts."""
@@ -62,11 +43,8 @@ class PlanModel(Evaluator):
 
     def bounds(self, p: Array) -> tuple[Array, Array]:
         """Least and largest values of the variables."""
-        low, high = self.x_low.copy(), self.x_high.copy()
-        lower, upper, T_free = (self._numbers.part(p, name) for name in ("lower", "upper", "T_free"))
-        inside = self.variables.places["inside"]
-        low[inside], high[inside] = lower - T_free, np.maximum(upper, lower) - T_free
-        return low, high
+        low, high = self._bounds(p)
+        return low.copy(), high.copy()
 
     def local(self, p: Array, x: Array | None = None, multipliers: Array | None = None) -> QPData:
         """The quadratic programme of the step from `x`, by default from 0: for a convex instance, the instance."""
@@ -123,15 +101,6 @@ class PlanModel(Evaluator):
         """The user's own variables among `x`."""
         return x[self.own_at]
 
-    def start(self, problem: MPCProblem, p: Array, u: Array, own: Array | None = None) -> Array:
-        """All variables for the first levels of each move of `u` (A, N)."""
-        at, evaluation, x = self.variables.places, self.evaluate(problem, p, u, own), np.zeros(self.n_variables)
-        for name, value in evaluation.values.items():
-            if name in at:
-                x[at[name]] = _in_order(name, value, at[name].size)
-        x[self.own_at] = 0.0 if own is None else own
-        return x
-
     def rounded(self, x: Array) -> Array:
         """Choices (in the order of `choices`) near variables in which they need not be whole."""
         s, m = self.structure, self.shape.machinery
@@ -145,9 +114,3 @@ class PlanModel(Evaluator):
             rows = [s.chosen.index(a) for a in group]
             on[rows] = np.where(on[rows] < on[rows].max(axis=0), 0.0, on[rows])
         return np.asarray(np.minimum(on, 1.0).ravel(order="F"))
-
-
-def _in_order(name: str, columns: Array, size: int) -> Array:
-    """Values in the order of their variables: row after row where a name stands for several variables."""
-    by_rows = name in ("runs", "theta", "excess")
-    return (columns if by_rows else columns.T).ravel()[:size]

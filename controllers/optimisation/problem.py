@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.checks import ControllerConfigError
 from controllers.optimisation.machines import EquipmentLayout
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import N_FEATURES
 
 # Unit of power in solvers, W; scales its constraints like the others.
@@ -86,14 +84,6 @@ class ProblemShape:
         """The same where every control step is a move."""
         chosen_steps = int(np.searchsorted(self.move_of_step, self.n_chosen_moves))
         return replace(self, move_of_step=every_step(self.n_steps), chosen_steps=chosen_steps)
-
-    def check(self, operator: BuildingOperator) -> None:
-        """Raise `ControllerConfigError` where the operator is not of these actuators."""
-        if operator.actuators != self.machinery.actuators:
-            raise ControllerConfigError(
-                f"actuators of the operator are {', '.join(operator.actuators)}, of the machinery "
-                f"{', '.join(self.machinery.actuators)}: they must be the same in the same order"
-            )
 
     @property
     def needs_choices(self) -> bool:
@@ -172,31 +162,22 @@ class MPCProblem:
     def __post_init__(self) -> None:
         Z, n = self.T_free_C.shape if np.ndim(self.T_free_C) == 2 else (-1, -1)
         (A, M), r = self.machinery.shape, np.shape(self.forced_state_K)[-1]
-        expected: list[tuple[str, NDArray[Any] | float, tuple[int, ...]]] = [
-            ("T_free_C", self.T_free_C, (Z, n)),
-            ("lower_C", self.lower_C, (Z, n)),
-            ("upper_C", self.upper_C, (Z, n)),
-            ("features", self.features, (Z, n, N_FEATURES)),
-            ("forced_state_K", self.forced_state_K, (Z, A, r)),
-            ("terminal_price_per_K", self.terminal_price_per_K, (Z, A, r)),
-            ("price_per_kWh", self.price_per_kWh, (M, n)),
-            ("power_fixed_W", self.power_fixed_W, (M, n)),
-            ("power_per_u_W", self.power_per_u_W, (A, n)),
-        ]
-        cooling, cap = self.cooling, self.power_cap
-        optional: list[tuple[str, Array | None, tuple[int, ...]]] = [
-            ("cooling.price_per_kWh", None if cooling is None else cooling.price_per_kWh, (A, n)),
-            ("cooling.power_per_u_W", None if cooling is None else cooling.power_per_u_W, (A, n)),
-            ("power_cap.limit_W", None if cap is None else cap.limit_W, (n,)),
-            ("power_per_u2_W", self.power_per_u2_W, (A, n)),
-            ("capacity", self.capacity, (M, n)),
-            ("last_u", self.last_u, (A,)),
-        ]
-        expected += [(name, value, shape) for name, value, shape in optional if value is not None]
+        zones, machines, actuators = (Z, n), (M, n), (A, n)
+        expected = {
+            **dict.fromkeys(("T_free_C", "lower_C", "upper_C"), zones),
+            **dict.fromkeys(("forced_state_K", "terminal_price_per_K"), (Z, A, r)),
+            **dict.fromkeys(("price_per_kWh", "power_fixed_W", "capacity"), machines),
+            **dict.fromkeys(("power_per_u_W", "power_per_u2_W"), actuators),
+            **dict.fromkeys(("cooling.price_per_kWh", "cooling.power_per_u_W"), actuators),
+            **{"features": (*zones, N_FEATURES), "power_cap.limit_W": (n,), "last_u": (A,)},
+        }
         if np.ndim(self.weights.comfort):
-            expected.append(("weights.comfort", self.weights.comfort, (Z,)))
-        for name, value, shape in expected:
-            if np.shape(value) != shape:
+            expected["weights.comfort"] = (Z,)
+        for name, shape in expected.items():
+            value: Any = self
+            for part in name.split("."):
+                value = None if value is None else getattr(value, part)
+            if value is not None and np.shape(value) != shape:
                 raise DataError(
                     f"MPC problem of {Z} zones, {A} actuators and {M} machines over {n} steps: {name} has shape "
                     f"{np.shape(value)}, expected {shape}"

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 
-from controllers.optimisation.evaluation import Evaluation, Evaluator
+from controllers.optimisation.evaluation import Evaluation
 from controllers.optimisation.plan_model import PlanModel
-from controllers.optimisation.problem import MPCProblem
+from controllers.optimisation.problem import MPCProblem, ProblemShape
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.casadi_export import export_calls
 
 # Relative tolerance between a solver's objective and the recomputed one: they differ if the solver accepted violated
@@ -53,7 +54,7 @@ class Solve:
 class Solution:
     """Result of a solver; `ok` only if status, finiteness, bounds and objective passed the checks.
 
-    `optimal` is False for levels that passed them without being the solver's optimum (`accept_suboptimal`).
+    `optimal` is False for levels that passed them without being the solver's optimum.
 
     `u` (A, N): levels, empty when not ok; `status`: solver and its own status; `problem`: reason of a failure; `gap`:
     how much of its cost the solution may at most be above the optimum of what was solved, relative; 0 where it is
@@ -88,90 +89,114 @@ def failed(status: str, iterations: int, why: str) -> Solution:
     return Solution(False, np.empty((0, 0)), status, iterations, why)
 
 
-def not_finite(p: Array) -> Solution | None:
-    """A failed solution where the parameters of an instance are not all finite."""
-    if np.isfinite(p).all():
-        return None
-    return failed("not started", 0, "the problem holds numbers that are not finite")
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a method says: variables `x` with an objective of `claimed`, None where it ended before its optimum.
 
-
-def checked_solution(
-    model: Evaluator,
-    problem: MPCProblem,
-    p: Array,
-    u: Array,
-    claimed: float,
-    status: str,
-    iterations: int,
-    own: Array | None = None,
-) -> Solution:
-    """Check the levels `u` (A, N) of a solver that reports success with an objective of `claimed`.
-
-    They are refused unless they are finite, within bounds, capacities and exclusion, and their objective, recomputed by
-    the statement mode by mode, agrees with `claimed`. All other inequalities are soft, so such levels are feasible; a
-    different objective shows that another problem was solved. `p`: parameters; `own`: variables of the user.
+    `status`, `iterations`, `gap`: as of `Solution`. `why`: why `x` is not the optimum, '' where it is.
     """
-    if u.shape != (model.structure.A, problem.n_steps) or not np.isfinite(u).all() or not np.isfinite(claimed):
-        return failed(status, iterations, f"{status} was reported, but the solution is not finite")
-    found = model.evaluate(problem, p, u, own)
-    outside = problem.unfit(u) or found.broken
-    if outside:
-        return failed(status, iterations, f"{status} was reported, but {outside}")
-    if not abs(found.cost - claimed) <= _CLAIM_TOLERANCE * (1.0 + abs(found.cost)):
-        what = f"{status} was reported with an objective of {claimed:.6g}, but its levels cost {found.cost:.6g}"
-        return failed(status, iterations, what)
-    return Solution(True, u, status, iterations, evaluation=found, own=model.by_name(own))
+
+    x: Array
+    claimed: float | None
+    status: str
+    iterations: int
+    why: str = ""
+    gap: float = 0.0
 
 
-def checked_variables(
-    model: PlanModel, problem: MPCProblem, p: Array, x: Array, claimed: float, status: str, iterations: int
-) -> Solution:
-    """Check the variables `x` of a solver that reports success, as `checked_solution` does levels."""
-    if x.size != model.n_variables or not np.isfinite(x).all():
-        return failed(status, iterations, f"{status} was reported, but the solution is not finite")
-    outside = model.outside(x)
-    if outside:
-        return failed(status, iterations, f"{status} was reported, but {outside}")
-    return checked_solution(model, problem, p, model.levels(x), claimed, status, iterations, model.own(x))
+class StatementSolver:
+    """Solves the statement of one operator and shape; a subclass says how.
 
+    Args:
+        operator: the operator of the building.
+        shape: what all its problems have in common.
+        fallback: builds the solver that is asked where this one finds no optimum.
 
-def accept_suboptimal(
-    model: PlanModel, problem: MPCProblem, p: Array, x: Array, guess: Array | None, ended: Solution
-) -> Solution:
-    """A solver's last variables `x` as a solution that is not optimal, or `ended` where they are not acceptable.
-
-    Their levels must not cost more than nothing, full level, or `guess`, the previous plan one step on (A, N).
+    Raises:
+        ControllerConfigError: the problem does not fit the method, or the operator is not of these actuators.
     """
-    if x.size != model.n_variables or not np.isfinite(x).all():
-        return ended
-    m, u, own = problem.machinery, model.levels(x), model.own(x)
-    low, high = m.u_min[:, None], m.u_max[:, None]
-    own_evaluation = model.evaluate(problem, p, u, own)
-    if own_evaluation.broken:
-        return ended
-    references = [np.zeros_like(u), np.broadcast_to(high, u.shape)]
-    if guess is not None and guess.shape == u.shape:
-        references.append(np.clip(guess, low, high))
-    evaluations = [model.evaluate(problem, p, levels, own) for levels in references]
-    least = min((found.cost for found in evaluations if not found.broken), default=np.inf)
-    if not own_evaluation.cost <= least + _SAME_COST * (1.0 + abs(least)):
-        return failed(ended.status, ended.iterations, f"{ended.problem}, with levels dearer than without it")
-    return replace(ended, ok=True, u=own_evaluation.u, optimal=False, evaluation=own_evaluation, own=model.by_name(own))
 
+    name = ""
 
-class FirstOf:
-    """Solvers in the order in which they are tried: the first optimum, or else the first acceptable levels."""
-
-    def __init__(self, solvers: Sequence[Solver]) -> None:
-        self.solvers = tuple(solvers)
+    def __init__(
+        self, operator: BuildingOperator, shape: ProblemShape, fallback: Callable[[], Solver] | None = None
+    ) -> None:
+        self.model, self._fallback = PlanModel(operator, shape), fallback
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
-        """Solve one instance. On failure `ok` is False and `problem` has each solver's reason."""
-        tried: list[Solution] = []
-        for solver in self.solvers:
-            tried.append(solver.solve(problem, guess))
-            if tried[-1].ok and tried[-1].optimal:
-                return tried[-1]
-        acceptable = next((solution for solution in tried if solution.ok), None)
-        reasons = "; ".join(solution.problem for solution in tried if solution.problem)
-        return acceptable or replace(tried[0], problem=reasons)
+        """Solve one instance, from `guess` (A, N) where the method starts somewhere.
+
+        On failure `ok` is False and `problem` has the reason. Levels that are not the optimum must not cost more than
+        `guess`.
+        """
+        p = self.model.numbers(problem)
+        if not np.isfinite(p).all():
+            return failed("not started", 0, "the problem holds numbers that are not finite")
+        return first_of(self._solutions(problem, p, guess))
+
+    def _solutions(self, problem: MPCProblem, p: Array, guess: Array | None) -> Iterator[Solution]:
+        try:
+            for answer in self._answers(p, guess):
+                yield checked(self.model, problem, p, answer, guess)
+        except Exception as error:  # a failed solve is a value
+            yield failed(f"{self.name}:raised", 0, f"{self.name}: raised {type(error).__name__}: {error}")
+        if self._fallback is not None:
+            yield self._fallback().solve(problem, guess)
+
+    def _answers(self, p: Array, guess: Array | None) -> Iterator[Answer]:
+        """What the method answers at parameters `p`; a further answer is asked for where one is not the optimum."""
+        raise NotImplementedError
+
+
+def first_of(solutions: Iterable[Solution]) -> Solution:
+    """The first optimum, or else the first acceptable levels, or a failure with all reasons."""
+    tried: list[Solution] = []
+    for solution in solutions:
+        if solution.ok and solution.optimal:
+            return solution
+        tried.append(solution)
+    acceptable = next((solution for solution in tried if solution.ok), None)
+    reasons = "; ".join(dict.fromkeys(solution.problem for solution in tried))
+    return acceptable or replace(tried[0], problem=reasons)
+
+
+def checked(model: PlanModel, problem: MPCProblem, p: Array, answer: Answer, guess: Array | None = None) -> Solution:
+    """The solution that an answer is at parameters `p`.
+
+    Refused are variables that are not finite, or out of bounds, capacities or exclusion, and those whose objective, as
+    the statement counts it mode by mode, is not what was claimed: another problem was solved. All other inequalities
+    are soft, so such levels are feasible.
+
+    Without a claim the levels must not cost more than nothing, full level, or `guess`, the previous plan one step on.
+    """
+    refused = failed(answer.status, answer.iterations, answer.why)
+    if answer.x.size != model.n_variables or not np.isfinite(answer.x).all():
+        said = f"{answer.status} was reported, but the solution is not finite"
+        return refused if answer.claimed is None else replace(refused, problem=said)
+    u, own = model.levels(answer.x), model.own(answer.x)
+    found = model.evaluate(p, u, own)
+    if answer.claimed is None:
+        why = found.broken or _dearer(model, problem, p, found.cost, own, guess)
+        if why:
+            return replace(refused, problem=f"{answer.why}, with levels {why}")
+    else:
+        why = model.outside(answer.x) or found.broken
+        if not why and not abs(found.cost - answer.claimed) <= _CLAIM_TOLERANCE * (1.0 + abs(found.cost)):
+            why = f"of an objective of {answer.claimed:.6g} its levels cost {found.cost:.6g}"
+        if why:
+            return replace(refused, problem=f"{answer.status} was reported, but {why}")
+    return replace(
+        refused, ok=True, u=u, gap=answer.gap, optimal=not answer.why, evaluation=found, own=model.by_name(own)
+    )
+
+
+def _dearer(model: PlanModel, problem: MPCProblem, p: Array, cost: float, own: Array, guess: Array | None) -> str:
+    """Why levels of a cost are not to be acted on without an optimum, or ''."""
+    m = problem.machinery
+    low, high = (np.repeat(bound[:, None], problem.n_steps, axis=1) for bound in (m.u_min, m.u_max))
+    others = [np.zeros_like(high), high]
+    if guess is not None and guess.shape == high.shape:
+        others.append(np.clip(guess, low, high))
+    found = [model.evaluate(p, levels, own) for levels in others]
+    least = min((other.cost for other in found if not other.broken), default=np.inf)
+    return "" if cost <= least + _SAME_COST * (1.0 + abs(least)) else "dearer than without it"

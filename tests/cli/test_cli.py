@@ -359,7 +359,7 @@ def test_controllers_lists_options_with_defaults():
     done = CliRunner().invoke(cli, ["controllers", "thermoforce_mpc"])
     assert "controller.options.actuation.block_s  (default 300.0)" in done.output
     overview = CliRunner().invoke(cli, ["controllers"]).output
-    for name in ("thermoforce_mpc", "rc_mpc", "candidate_search", "thermostat", "native"):
+    for name in ("thermoforce_mpc", "rc_mpc", "thermoforce_paper", "thermostat", "native"):
         assert name in overview
 
 

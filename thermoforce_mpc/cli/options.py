@@ -105,7 +105,7 @@ mpc_options = added(
         type=FiniteRange(min=0, min_open=True),
         help="Cost of a K·h of discomfort per m² of floor, in the currency.  [default: 0.026]",
     ),
-    click.option("--solver", metavar="NAME", help="auto, ipopt, qp, sqp, milp or search."),
+    click.option("--solver", metavar="NAME", help="auto, ipopt, qp, sqp or milp."),
     click.option(
         "--forecaster",
         metavar="NAME",

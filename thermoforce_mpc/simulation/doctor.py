@@ -169,9 +169,7 @@ def _solver(name: str) -> Finding:
     config = MPCConfig.model_validate(settings | {"gate": {"enabled": False}, "guard": {"enabled": False}})
     plan = ThermoForceMPC(model, config).plan(_cold_house())
     if plan.status is not PlanStatus.SOLVED or not plan.u.size or plan.u.max() < 0.1:
-        return Finding(
-            "", "failed", f"no plan: {plan.why}", "pip install --force-reinstall casadi piqp clarabel highspy"
-        )
+        return Finding("", "failed", f"no plan: {plan.why}", "pip install --force-reinstall casadi piqp")
     return Finding("", "ok", f"{plan.solver_status}, {plan.iterations} iterations")
 
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from pydantic import Field
 
-from controllers.optimisation.plan_model import PlanModel
-from controllers.optimisation.problem import MPCProblem, ProblemShape
-from controllers.optimisation.solution import Solution, accept_suboptimal, checked_variables, failed, not_finite
+from controllers.optimisation.problem import ProblemShape
+from controllers.optimisation.solution import Answer, StatementSolver
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -30,17 +28,16 @@ class IpoptConfig(StrictModel):
     max_seconds: float = Field(20.0, gt=0, description="wall time before a solve counts as failed, s")
 
 
-class IpoptSolver:
-    """Solves `MPCProblem`s of one operator and shape with Ipopt.
+class IpoptSolver(StatementSolver):
+    """By Ipopt. Where it fails from the guess, it starts cold, with a line search.
 
     Choices between off and on are relaxed, rounded, and solved again as they are then: good, but not the best of all.
-
-    Raises:
-        ControllerConfigError: the operator is not of these actuators.
     """
 
+    name = "ipopt"
+
     def __init__(self, operator: BuildingOperator, shape: ProblemShape, config: IpoptConfig) -> None:
-        self.model, self.operator = PlanModel(operator, shape), operator
+        super().__init__(operator, shape)
         self._options = {
             "print_level": 0,
             "sb": "yes",
@@ -54,43 +51,27 @@ class IpoptSolver:
         }
         self.model.functions.ipopt(self._options)  # built once
 
-    def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
-        """Solve one instance from `guess` (A, N). On failure `ok` is False and `problem` has the reason.
-
-        Where that fails, the solver starts cold, with a line search.
-        """
-        p = self.model.numbers(problem)
-        if unfinished := not_finite(p):
-            return unfinished
+    def _answers(self, p: Array, guess: Array | None) -> Iterator[Answer]:
         cold = self.model.cold()
-        solution = self._solve_from(problem, p, cold if guess is None else guess, guess, self._options)
-        if solution.ok and solution.optimal:
-            return solution
-        again = self._solve_from(problem, p, cold, guess, self._options | _CAREFUL)
-        return again if not solution.ok or (again.ok and again.optimal) else solution
+        yield self._answer(p, cold if guess is None else guess, self._options)
+        yield self._answer(p, cold, self._options | _CAREFUL)
 
-    def _solve_from(
-        self, problem: MPCProblem, p: Array, start: Array, previous: Array | None, options: Mapping[str, Any]
-    ) -> Solution:
-        """Solve from one guess (A, N); `previous`: the plan of the step before, which an iterate must not exceed."""
+    def _answer(self, p: Array, start: Array, options: Mapping[str, Any]) -> Answer:
+        """Its answer from levels (A, N)."""
         model, (low, high) = self.model, self.model.bounds(p)
-        x, claimed, status, iterations = self._ipopt(p, model.start(problem, p, start), low, high, options)
+        x, claimed, status, iterations = self._ipopt(p, model.evaluate(p, start).variables, low, high, options)
         if model.choices.size and status in _ACCEPTED:
             low[model.choices] = high[model.choices] = model.rounded(x)
             x, claimed, status, more = self._ipopt(p, np.clip(x, low, high), low, high, options)
             iterations += more
-        said = f"ipopt:{status}"
-        if status not in _ACCEPTED:
-            ended = failed(said, iterations, f"Ipopt ended with {status}")
-            return accept_suboptimal(model, problem, p, x, previous, ended)
-        solution = checked_variables(model, problem, p, x, claimed, said, iterations)
-        return solution if status == _OPTIMAL else replace(solution, optimal=False, problem=f"Ipopt: {status}")
+        why = "" if status == _OPTIMAL else f"Ipopt ended with {status}"
+        return Answer(x, claimed if status in _ACCEPTED else None, f"ipopt:{status}", iterations, why)
 
     def _ipopt(
         self, p: Array, x: Array, low: Array, high: Array, options: Mapping[str, Any]
     ) -> tuple[Array, float, str, int]:
         """Variables, objective, status and iterations of one call."""
-        n_rows, n_equal = self.model.functions.rows.size1_out(1), self.model.variables.n_equal
+        n_rows, n_equal = self.model.functions.rows.size1_out(1), self.model.functions.n_equal
         upper = np.full(n_rows, np.inf)
         upper[:n_equal] = 0.0
         solver = self.model.functions.ipopt(options)

@@ -9,26 +9,21 @@ with the best plan so far; how far that may be from the optimum of the programme
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy import sparse
 
 from controllers.checks import ControllerConfigError
-from controllers.optimisation.plan_model import PlanModel
-from controllers.optimisation.problem import MPCProblem, ProblemShape
-from controllers.optimisation.solution import Solution, checked_variables, failed, not_finite
-from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, QPData
+from controllers.optimisation.problem import ProblemShape
+from controllers.optimisation.solution import Answer, StatementSolver
+from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, QPData, SolverResult
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.scenario.settings import StrictModel
-
-if TYPE_CHECKING:
-    import highspy
 
 
 class MilpConfig(StrictModel):
@@ -43,93 +38,39 @@ class MilpConfig(StrictModel):
         return max(1, round(self.hours * HOUR_S / step_s))
 
 
-@dataclass(frozen=True)
-class ChoiceResult:
-    """Result of the mixed-integer solver; `x` is empty without a plan; `bound`: lower bound of the linear objective.
-
-    `optimal`: whether the solver reached its gap before its time limit.
-    """
-
-    x: Array
-    status: str
-    nodes: int
-    bound: float
-    optimal: bool = True
-
-
 class Highs:
-    """HiGHS on the programme without its quadratic term."""
+    """HiGHS, by CasADi's interface, on the programme without its quadratic term."""
 
     def __init__(self, config: MilpConfig) -> None:
-        self._config = config
+        limits = {"time_limit": config.max_seconds, "mip_rel_gap": config.gap}
+        self._options = {"output_flag": False, "threads": 1, **limits}
 
-    def __call__(self, q: QPData, choices: NDArray[np.intp], start: Array | None = None) -> ChoiceResult:
-        """Solve one programme in which the columns `choices` are whole, from `start` (all columns) if given."""
-        import highspy
+    def __call__(self, q: QPData, choices: NDArray[np.intp], start: Array | None = None) -> SolverResult:
+        """Solve one programme in which the columns `choices` are whole, from `start` (all columns) if given.
 
-        solver = silent_highs()
-        for name, value in {
-            "threads": 1,
-            "time_limit": self._config.max_seconds,
-            "mip_rel_gap": self._config.gap,
-        }.items():
-            solver.setOptionValue(name, value)
-        matrix = sparse.vstack([q.A, q.G], format="csc")
-        lp = highspy.HighsLp()
-        lp.num_row_, lp.num_col_ = matrix.shape
-        lp.col_cost_, lp.col_lower_, lp.col_upper_ = q.linear, q.x_low, q.x_high
-        lp.row_lower_, lp.row_upper_ = np.concatenate([q.b, q.low]), np.concatenate([q.b, q.high])
-        lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
-        lp.a_matrix_.num_row_, lp.a_matrix_.num_col_ = matrix.shape
-        lp.a_matrix_.start_, lp.a_matrix_.index_, lp.a_matrix_.value_ = matrix.indptr, matrix.indices, matrix.data
-        integrality = np.zeros(q.linear.size, dtype=np.intp)
-        integrality[choices] = 1
-        kinds: Any = [highspy.HighsVarType.kContinuous, highspy.HighsVarType.kInteger]
-        lp.integrality_ = [kinds[is_whole] for is_whole in integrality.tolist()]
-        solver.passModel(lp)
-        if start is not None:
-            warm_start = highspy.HighsSolution()
-            warm_start.col_value = start
-            solver.setSolution(warm_start)
-        solver.run()
-        status, info = solver.getModelStatus(), solver.getInfo()
-        word = solver.modelStatusToString(status)
-        stopped = {highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kTimeLimit}
-        if status not in stopped or info.primal_solution_status != highspy.SolutionStatus.kSolutionStatusFeasible:
-            return ChoiceResult(np.empty(0), word, int(info.mip_node_count), -np.inf)
-        x = np.array(solver.getSolution().col_value, dtype=np.float64)
-        optimal = status == highspy.HighsModelStatus.kOptimal
-        return ChoiceResult(x, word, int(info.mip_node_count), float(info.mip_dual_bound), optimal)
+        `x` is empty without a plan; at the time limit it is one that is not `solved`.
+        """
+        rows, n = ca.DM(sparse.vstack([q.A, q.G], format="csc")), q.linear.size
+        options = {"discrete": np.isin(np.arange(n), choices).tolist(), "error_on_fail": False, "highs": self._options}
+        solver = ca.conic("choices", "highs", {"h": ca.Sparsity(n, n), "a": rows.sparsity()}, options)
+        low, high = np.concatenate([q.b, q.low]), np.concatenate([q.b, q.high])
+        begin = {} if start is None else {"x0": start}
+        found = solver(g=q.linear, a=rows, lba=low, uba=high, lbx=q.x_low, ubx=q.x_high, **begin)
+        said = solver.stats()
+        feasible = said["primal_solution_status"] == "Feasible"
+        x = np.array(found["x"]).ravel() if feasible else np.empty(0)
+        word, bound = str(said["return_status"]), float(said["mip_dual_bound"])
+        return SolverResult(word == "Optimal", x, word, int(said["simplex_iteration_count"]), bound=bound)
 
 
-def silent_highs() -> highspy.Highs:
-    """A HiGHS that prints nothing: the first of a process says its version while it is made, before options are set."""
-    import highspy
+class MilpSolver(StatementSolver):
+    """By HiGHS, or by `choose` in its place; `shape.chosen_steps` says for how long choices are decided.
 
-    class Silent(highspy.Highs):
-        def enableCallbacks(self) -> None:  # what its constructor does first
-            self.setOptionValue("output_flag", False)
-            super().enableCallbacks()
-
-    solver = Silent()
-    solver.setOptionValue("output_flag", False)
-    return solver
-
-
-class MilpSolver:
-    """Solves `MPCProblem`s of one operator and shape; `shape.chosen_steps` says for how long choices are decided.
-
-    Args:
-        operator: the operator of the building.
-        shape: what all its problems have in common.
-        config: options of HiGHS.
-        qp: options of the relaxation that HiGHS starts from.
-        choose: solver of the choices in the place of `Highs`.
-
-    Raises:
-        ControllerConfigError: the problem is not convex but for its choices, a term of the user is quadratic, or the
-            operator is not of these actuators.
+    The problem must be convex but for its choices, and terms of the user linear. `qp`: options of the relaxation that
+    HiGHS starts from.
     """
+
+    name = "highs"
 
     def __init__(
         self,
@@ -137,9 +78,9 @@ class MilpSolver:
         shape: ProblemShape,
         config: MilpConfig,
         qp: QPConfig | None = None,
-        choose: Callable[[QPData, NDArray[np.intp], Array | None], ChoiceResult] | None = None,
+        choose: Callable[[QPData, NDArray[np.intp], Array | None], SolverResult] | None = None,
     ) -> None:
-        self.model, self.operator = PlanModel(operator, shape), operator
+        super().__init__(operator, shape)
         if not self.model.convex:
             raise ControllerConfigError(
                 "solver milp: the gain depends on the predicted temperature, or another term is not linear; use "
@@ -153,29 +94,17 @@ class MilpSolver:
             )
         self._choose, self._relax = choose or Highs(config), Piqp(qp or QPConfig())
 
-    def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
-        """Solve one instance; `guess` is not used. On failure `ok` is False and `problem` has the reason."""
-        model, p = self.model, self.model.numbers(problem)
-        if unfinished := not_finite(p):
-            return unfinished
-        programme = model.local(p)
-        try:
-            answer = self._choose(programme, model.choices, self._start(programme))
-        except Exception as error:  # a failed solve is a value
-            return failed("highs:raised", 0, f"highs: raised {type(error).__name__}: {error}")
-        status = f"highs:{answer.status}"
-        if not answer.x.size:
-            return failed(status, answer.nodes, f"highs: ended with {answer.status} and no plan")
-        claimed = programme.objective(answer.x)
-        solution = checked_variables(model, problem, p, answer.x, claimed, status, answer.nodes)
-        if not solution.ok:
-            return replace(solution, problem=f"highs: {solution.problem}")
-        linear = programme.constant + programme.unit * float(programme.linear @ answer.x)
-        bound = programme.constant + programme.unit * answer.bound
-        gap = max(linear - bound, 0.0) / max(abs(linear), 1e-9)
-        why = "" if answer.optimal else f"highs: time limit, at most {gap:.1%} above the optimum"
-        status = f"{status}, gap {gap:.2g}"
-        return replace(solution, gap=gap, status=status, problem=why, optimal=answer.optimal)
+    def _answers(self, p: Array, guess: Array | None) -> Iterator[Answer]:
+        programme = self.model.local(p)
+        found = self._choose(programme, self.model.choices, self._start(programme))
+        status = f"highs:{found.status}"
+        if not found.x.size:
+            yield Answer(found.x, None, status, found.iterations, f"highs: ended with {found.status} and no plan")
+            return
+        claimed, linear = programme.objective(found.x), programme.objective(found.x, with_quadratic=False)
+        gap = max(linear - programme.constant - programme.unit * found.bound, 0.0) / max(abs(linear), 1e-9)
+        why = "" if found.solved else f"highs: time limit, at most {gap:.1%} above the optimum"
+        yield Answer(found.x, claimed, f"{status}, gap {gap:.2g}", found.iterations, why, gap)
 
     def _start(self, programme: QPData) -> Array | None:
         """The relaxation's levels with their choices rounded: what HiGHS improves on; None where it fails."""

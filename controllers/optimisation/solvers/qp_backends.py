@@ -1,9 +1,9 @@
-"""Solvers of sparse quadratic programmes: PIQP (Schwan et al. 2023) and Clarabel (Goulart and Chen 2024)."""
+"""Sparse quadratic programmes and PIQP, which solves them (Schwan et al. 2023)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -12,18 +12,12 @@ from scipy import sparse
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.scenario.settings import StrictModel
 
-QPBackend = Literal["piqp", "clarabel"]
-
 
 class QPConfig(StrictModel):
-    """Options of the quadratic programme solvers."""
+    """Options of PIQP."""
 
-    backends: tuple[QPBackend, ...] = Field(
-        ("piqp", "clarabel"), min_length=1, description="solvers in the order in which they are tried"
-    )
-    tolerance: float = Field(1e-7, gt=0, description="absolute and relative tolerance of the solvers")
+    tolerance: float = Field(1e-7, gt=0, description="absolute and relative tolerance")
     max_iterations: int = Field(100, ge=1, description="iterations before a solve counts as failed")
-    max_seconds: float = Field(20.0, gt=0, description="clarabel: wall time before a solve counts as failed, s")
 
 
 @dataclass(frozen=True)
@@ -45,22 +39,24 @@ class QPData:
     unit: float
     constant: float
 
-    def objective(self, x: Array) -> float:
+    def objective(self, x: Array, *, with_quadratic: bool = True) -> float:
         """Objective at `x` including the constant, currency; NaN where `x` is of another size."""
         if x.size != self.linear.size:
             return float("nan")
-        return self.constant + self.unit * float(0.5 * x @ (self.quadratic @ x) + self.linear @ x)
+        bend = 0.5 * x @ (self.quadratic @ x) if with_quadratic else 0.0
+        return self.constant + self.unit * float(bend + self.linear @ x)
 
 
 @dataclass(frozen=True)
 class SolverResult:
-    """Result of a backend."""
+    """Result of a solver of programmes; `solved`: `x` is its optimum. `bound`: lower bound of the linear objective."""
 
     solved: bool
     x: Array
     status: str
     iterations: int
     multipliers: Array = field(default_factory=lambda: np.zeros(0))
+    bound: float = -np.inf
 
 
 class Piqp:
@@ -102,29 +98,3 @@ class Piqp:
         multipliers = np.concatenate([result.y, result.z_u - result.z_l])
         x = np.array(result.x, dtype=np.float64)
         return SolverResult(solved, x, str(status.name), int(result.info.iter), multipliers)
-
-
-class Clarabel:
-    """Clarabel, set up for each instance: by default it is called only when PIQP failed."""
-
-    def __init__(self, config: QPConfig) -> None:
-        self._config = config
-
-    def __call__(self, q: QPData) -> SolverResult:
-        """Solve one programme."""
-        import clarabel
-
-        eye = sparse.identity(q.linear.size, format="csc")
-        upper = [(q.G, q.high), (-q.G, -q.low), (eye, q.x_high), (-eye, -q.x_low)]
-        finite = [(matrix[np.isfinite(bound)], bound[np.isfinite(bound)]) for matrix, bound in upper]
-        A = sparse.vstack([q.A, *(matrix for matrix, _ in finite)], format="csc")
-        b = np.concatenate([q.b, *(bound for _, bound in finite)])
-        cones = [clarabel.ZeroConeT(q.b.size), clarabel.NonnegativeConeT(b.size - q.b.size)]
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.max_iter = self._config.max_iterations
-        settings.time_limit = self._config.max_seconds
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = self._config.tolerance
-        result = clarabel.DefaultSolver(sparse.triu(q.quadratic, format="csc"), q.linear, A, b, cones, settings).solve()
-        status = str(result.status)
-        return SolverResult(status == "Solved", np.array(result.x, dtype=np.float64), status, int(result.iterations))

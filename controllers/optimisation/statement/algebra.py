@@ -1,7 +1,7 @@
-"""Two readings of the statement: variables and rows for solvers, or expressions of levels that are given.
+"""Variables of the statement: with bounds and rows for solvers, and what each is at levels that are given.
 
-`at_least` is a slack with rows in one and a maximum in the other. So one text is the programme that is solved, the
-check of what a solver answers, and the rollout of any levels.
+`at_least` is a slack with rows for a solver and a maximum at given levels. So one text is the programme that is solved,
+the check of what a solver answers, and the rollout of any levels.
 """
 
 from __future__ import annotations
@@ -16,147 +16,85 @@ from thermoforce_mpc.model.operator.casadi_export import gain_from
 
 # Levels up to this do not act.
 ACTS_ABOVE = 1e-6
+# What a machine's share of running and the times that make it up can be at most; a bound that must not be active.
+MOST_RUNNING = 2.0
 
 
 @dataclass
-class Lifted:
-    """Variables `x` with bounds, and rows: 0 in `equal`, at least 0 in `above`."""
+class Algebra:
+    """Variables `x` with bounds, and rows: 0 in `equal`, at least 0 in `above`.
 
+    `u` (A, N): levels that are given, at which variables are `at_levels`; `given`: those of the user's `own` variables,
+    whose sizes are by name. `required`: what must be at least 0 at given levels, and what it is.
+    """
+
+    u: ca.SX
     x: list[ca.SX] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
-    own: dict[str, tuple[float, float]] = field(default_factory=dict)
+    low: list[ca.SX] = field(default_factory=list)
+    high: list[ca.SX] = field(default_factory=list)
+    at_levels: list[ca.SX] = field(default_factory=list)
+    own: dict[str, int] = field(default_factory=dict)
+    given: list[ca.SX] = field(default_factory=list)
     equal: list[ca.SX] = field(default_factory=list)
     above: list[ca.SX] = field(default_factory=list)
+    required: list[tuple[str, ca.SX]] = field(default_factory=list)
 
-    def variable(self, name: str, rows: int, columns: int) -> ca.SX:
-        """New variables."""
-        x = ca.SX.sym(name, rows, columns)
+    def variable(self, name: str, at_levels: ca.SX, low: ca.SX | float = 0.0, high: ca.SX | float = ca.inf) -> ca.SX:
+        """New variables, which are `at_levels` at given levels."""
+        x = ca.SX.sym(name, *at_levels.shape)
         self.x.append(ca.vec(x))
         self.names += [name] * x.numel()
+        self.at_levels.append(ca.vec(at_levels))
+        for bounds, bound in ((self.low, low), (self.high, high)):
+            bounds.append(ca.vec(ca.SX.ones(*x.shape) * bound))
         return x
 
     def own_variable(self, name: str, n: int, low: float, high: float) -> ca.SX:
         """New variables (1, n) of the user, between two bounds."""
-        self.own[f"own {name}"] = (low, high)
-        return self.variable(f"own {name}", 1, n)
+        self.own[f"own {name}"] = n
+        self.given.append(ca.SX.sym(name, 1, n))
+        return self.variable(f"own {name}", self.given[-1], low, high)
 
-    def levels(self, s: Structure) -> tuple[ca.SX, ca.SX]:
+    def at_given(self, *values: ca.SX) -> list[ca.SX]:
+        """Variables and `values` at given levels, densely."""
+        x, at_levels = ca.veccat(*self.x), ca.veccat(*self.at_levels)
+        variables, found = ca.substitute_inplace([x], [at_levels], list(values))
+        return [ca.densify(value) for value in (*variables, *found)]
+
+    def levels(self, q: Mapping[str, ca.SX], s: Structure) -> tuple[ca.SX, ca.SX]:
         """Levels above and below 0, (A, N)."""
-        v, cold = self.variable("v", s.A, s.N), ca.SX(s.A, s.N)
-        if s.signed:
-            cold[list(s.signed), :] = self.variable("cold", len(s.signed), s.N)
+        of, cold = list(s.signed), ca.SX(s.A, s.N)
+        v = self.variable("v", ca.fmax(self.u, 0.0) if of else self.u, 0.0, ca.repmat(q["u_max"], 1, s.N))
+        if of:
+            cold[of, :] = self.variable("cold", ca.fmax(-self.u[of, :], 0.0), 0.0, ca.repmat(-q["u_min"][of], 1, s.N))
         return v, cold
 
     def acting(self, q: Mapping[str, ca.SX], s: Structure, v: ca.SX, cold: ca.SX) -> ca.SX:
         """Whether actuators act, (chosen, first steps)."""
-        b, early = self.variable("b", len(s.chosen), s.n_chosen), slice(0, s.n_chosen)
+        of, early = list(s.chosen), slice(0, s.n_chosen)
+        b = self.variable("b", v[of, early] + cold[of, early] > ACTS_ABOVE, 0.0, 1.0)
         for i, a in enumerate(s.chosen):
             self.require("", q["u_max"][a] * b[i, :] - v[a, early])
             if a in s.signed:
                 self.require("", -q["u_min"][a] * b[i, :] - cold[a, early])
         return b
 
-    def at_least(self, name: str, *bounds: ca.SX) -> ca.SX:
-        """max(0, bounds), from above: it costs, so it is not more."""
-        x = self.variable(name, *bounds[0].shape)
+    def at_least(self, name: str, *bounds: ca.SX, high: ca.SX | float = ca.inf) -> ca.SX:
+        """max(0, bounds); for a solver from above: it costs, so it is not more."""
+        greatest = ca.SX.zeros(*bounds[0].shape)
+        for bound in bounds:
+            greatest = ca.fmax(greatest, bound)
+        x = self.variable(name, greatest, 0.0, high)
         for bound in bounds:
             self.require("", x - bound)
         return x
 
     def highest(self, name: str, row: ca.SX) -> ca.SX:
         """The highest of a row, at least 0."""
-        x = self.variable(name, 1, 1)
+        x = self.variable(name, ca.fmax(ca.mmax(row), 0.0))
         self.require("", x - row)
         return x
-
-    def least(self, name: str, kinks: Sequence[ca.SX], objective: Callable[[ca.SX], ca.SX]) -> ca.SX:
-        """Where a convex, piecewise linear objective is least."""
-        return self.variable(name, *kinks[0].shape)
-
-    def response(self, q: Mapping[str, ca.SX], s: Structure, heat: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Responses of the zones (Z, N), drives m·v (A, N) of `heat` v by difference equations, and slack (Z, N).
-
-        The response is what is inside the comfort bounds, a variable between numbers, less what is below, plus what is
-        above: where a zone has one group, comfort needs no rows.
-        """
-        inside, below, above = (self.variable(name, s.Z, s.N) for name in ("inside", "below", "above"))
-        forced, drive = inside - below + above, heat
-        zones = [z for z, _ in s.groups]
-        y = forced
-        if zones != list(range(s.Z)):
-            y = self.variable("y", len(s.groups), s.N)
-            self.equal.append(ca.vec(forced - ca.mtimes(_zones_of(zones, s.Z), y)))
-        if s.hidden:
-            drive = self.variable("drive", s.A, s.N)
-            seen = ca.horzcat(ca.sum2(q["forced"]), y[:, :-1])
-            gain = ca.horzcat(*(gain_from(q, q["before"][:, k], seen[0, k]) for k in range(s.N)))
-            self.equal.append(ca.vec(drive - gain * heat))
-        late = [drive]
-        for _ in range(1, s.r):
-            late.append(ca.horzcat(ca.SX(s.A, 1), late[-1][:, :-1]))
-        kind_of = [s.kinds.index(window) for window in s.windows]
-        right = ca.horzcat(q["begin"], ca.SX(len(s.groups), max(s.N - s.r, 0)))[:, : s.N]
-        left, shifted = y, y
-        for i in range(s.r):
-            for kind in range(len(s.kinds)):
-                of = [k for k in range(s.N) if kind_of[k] == kind]
-                right[:, of] += ca.mtimes(_numerator(q, s, kind * s.r + i), late[i][:, of])
-            shifted = ca.horzcat(ca.SX(len(s.groups), 1), shifted[:, :-1])
-            left += q["denominator"][:, [kind * s.r + i for kind in kind_of]] * shifted
-        self.equal.append(ca.vec(left - right))
-        return forced, drive, below + above
-
-    def require(self, what: str, row: ca.SX) -> None:
-        """Rows that are at least 0."""
-        self.above.append(ca.vec(row))
-
-    def equal_to_zero(self, what: str, row: ca.SX) -> None:
-        """Rows that are 0."""
-        self.equal.append(ca.vec(row))
-
-
-@dataclass
-class Direct:
-    """Expressions of levels `u` (A, N) that are given, by name; `required`: what must be at least 0, and what it is."""
-
-    u: ca.SX
-    own: dict[str, ca.SX] = field(default_factory=dict)
-    values: dict[str, ca.SX] = field(default_factory=dict)
-    required: list[tuple[str, ca.SX]] = field(default_factory=list)
-
-    def own_variable(self, name: str, n: int, low: float, high: float) -> ca.SX:
-        """Variables (1, n) of the user: given too."""
-        self.own[f"own {name}"] = ca.SX.sym(name, 1, n)
-        return self.own[f"own {name}"]
-
-    def _keep(self, name: str, value: ca.SX) -> ca.SX:
-        # Names that appear again are further rows.
-        self.values[name] = ca.vertcat(self.values[name], value) if name in self.values else value
-        return value
-
-    def levels(self, s: Structure) -> tuple[ca.SX, ca.SX]:
-        """Levels above and below 0, (A, N)."""
-        cold = ca.SX(s.A, s.N)
-        if s.signed:
-            of = list(s.signed)
-            cold[of, :] = self._keep("cold", ca.fmax(-self.u[of, :], 0.0))
-        return self._keep("v", ca.fmax(self.u, 0.0) if s.signed else self.u), cold
-
-    def acting(self, q: Mapping[str, ca.SX], s: Structure, v: ca.SX, cold: ca.SX) -> ca.SX:
-        """Whether actuators act, (chosen, first steps)."""
-        acts = v[list(s.chosen), : s.n_chosen] + cold[list(s.chosen), : s.n_chosen] > ACTS_ABOVE
-        return self._keep("b", acts)
-
-    def at_least(self, name: str, *bounds: ca.SX) -> ca.SX:
-        """max(0, bounds)."""
-        found = ca.SX.zeros(*bounds[0].shape)
-        for bound in bounds:
-            found = ca.fmax(found, bound)
-        return self._keep(name, found)
-
-    def highest(self, name: str, row: ca.SX) -> ca.SX:
-        """The highest of a row, at least 0."""
-        return self._keep(name, ca.fmax(ca.mmax(row), 0.0))
 
     def least(self, name: str, kinks: Sequence[ca.SX], objective: Callable[[ca.SX], ca.SX]) -> ca.SX:
         """Where a convex, piecewise linear objective is least: one of its kinks."""
@@ -164,36 +102,77 @@ class Direct:
         for kink in kinks[1:]:
             value = objective(kink)
             best, least = ca.if_else(value < least, kink, best), ca.fmin(value, least)
-        return self._keep(name, best)
+        return self.variable(name, best, 0.0, MOST_RUNNING)
 
     def response(self, q: Mapping[str, ca.SX], s: Structure, heat: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Responses of the zones (Z, N), drives m·v (A, N) of `heat` v, mode by mode (paper eq:operator), and slack."""
-        forced, columns, drives = q["forced"], [], []
-        actuators = [a for _, a in s.pairs]
-        of_group = [s.groups.index(next(g for g in s.groups if g[0] == z and a in g[1])) for z, a in s.pairs]
-        sums, sizes = _zones_of(of_group, len(s.groups)), sorted(set(s.lengths))
-        for k in range(s.N):
-            drive = heat[:, k]
-            if s.hidden:
-                drive = gain_from(q, q["before"][:, k], ca.sum2(forced)) * drive
-            of = slice(s.r * sizes.index(s.lengths[k]), s.r * sizes.index(s.lengths[k]) + s.r)
-            forced = q["poles"][:, of] * forced + q["gains"][:, of] * ca.repmat(drive[actuators], 1, s.r)
-            columns.append(ca.mtimes(sums, ca.sum2(forced)))
-            drives.append(drive)
-        y = self._keep("y", ca.horzcat(*columns))
-        total = ca.mtimes(_zones_of([z for z, _ in s.groups], s.Z), y)
-        low, high = q["lower"] - q["T_free"], q["upper"] - q["T_free"]
-        below, above = (self._keep("below", ca.fmax(low - total, 0.0)), self._keep("above", ca.fmax(total - high, 0.0)))
-        self._keep("inside", total + below - above)
-        return total, self._keep("drive", ca.horzcat(*drives)), below + above
+        """Responses of the zones (Z, N), drives m·v (A, N) of `heat` v by difference equations, and slack (Z, N).
+
+        The response is what is inside the comfort bounds, a variable between numbers, less what is below, plus what is
+        above: where a zone has one group, comfort needs no rows. At given levels it is counted mode by mode.
+        """
+        modes, modes_drive = _mode_by_mode(q, s, heat)
+        zones = _zones_of([z for z, _ in s.groups], s.Z)
+        total, low, high = ca.mtimes(zones, modes), q["lower"] - q["T_free"], q["upper"] - q["T_free"]
+        less, more = ca.fmax(low - total, 0.0), ca.fmax(total - high, 0.0)
+        inside = self.variable("inside", total + less - more, low, ca.fmax(high, low))
+        below, above = self.variable("below", less), self.variable("above", more)
+        forced, drive = inside - below + above, heat
+        y = forced
+        if [z for z, _ in s.groups] != list(range(s.Z)):
+            y = self.variable("y", modes, -ca.inf)
+            self.equal.append(ca.vec(forced - ca.mtimes(zones, y)))
+        if s.hidden:
+            drive = self.variable("drive", modes_drive, -ca.inf)
+            seen = ca.horzcat(ca.sum2(q["forced"]), y[:, :-1])
+            gain = ca.horzcat(*(gain_from(q, q["before"][:, k], seen[0, k]) for k in range(s.N)))
+            self.equal.append(ca.vec(drive - gain * heat))
+        self.equal.append(ca.vec(_difference_equations(q, s, y, drive)))
+        return forced, drive, below + above
 
     def require(self, what: str, row: ca.SX) -> None:
-        """What must be at least 0."""
-        self.required.append((what, ca.mmin(row)))
+        """Rows that are at least 0; `what` they are, '' where given levels leave no choice."""
+        self.above.append(ca.vec(row))
+        if what:
+            self.required.append((what, ca.mmin(row)))
 
     def equal_to_zero(self, what: str, row: ca.SX) -> None:
-        """What must be 0."""
+        """Rows that are 0."""
+        self.equal.append(ca.vec(row))
         self.required.append((what, -ca.mmax(ca.fabs(row))))
+
+
+def _mode_by_mode(q: Mapping[str, ca.SX], s: Structure, heat: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Responses of the groups and drives m·v (A, N) of `heat` v (paper eq:operator)."""
+    forced, columns, drives = q["forced"], [], []
+    actuators = [a for _, a in s.pairs]
+    of_group = [s.groups.index(next(g for g in s.groups if g[0] == z and a in g[1])) for z, a in s.pairs]
+    sums, sizes = _zones_of(of_group, len(s.groups)), sorted(set(s.lengths))
+    for k in range(s.N):
+        drive = heat[:, k]
+        if s.hidden:
+            drive = gain_from(q, q["before"][:, k], ca.sum2(forced)) * drive
+        of = slice(s.r * sizes.index(s.lengths[k]), s.r * sizes.index(s.lengths[k]) + s.r)
+        forced = q["poles"][:, of] * forced + q["gains"][:, of] * ca.repmat(drive[actuators], 1, s.r)
+        columns.append(ca.mtimes(sums, ca.sum2(forced)))
+        drives.append(drive)
+    return ca.horzcat(*columns), ca.horzcat(*drives)
+
+
+def _difference_equations(q: Mapping[str, ca.SX], s: Structure, y: ca.SX, drive: ca.SX) -> ca.SX:
+    """What is 0 where the responses y of the groups follow the drives, (groups, N)."""
+    late = [drive]
+    for _ in range(1, s.r):
+        late.append(ca.horzcat(ca.SX(s.A, 1), late[-1][:, :-1]))
+    kind_of = [s.kinds.index(window) for window in s.windows]
+    right = ca.horzcat(q["begin"], ca.SX(len(s.groups), max(s.N - s.r, 0)))[:, : s.N]
+    left, shifted = y, y
+    for i in range(s.r):
+        for kind in range(len(s.kinds)):
+            of = [k for k in range(s.N) if kind_of[k] == kind]
+            right[:, of] += ca.mtimes(_numerator(q, s, kind * s.r + i), late[i][:, of])
+        shifted = ca.horzcat(ca.SX(len(s.groups), 1), shifted[:, :-1])
+        left += q["denominator"][:, [kind * s.r + i for kind in kind_of]] * shifted
+    return left - right
 
 
 def _zones_of(numbers: Sequence[int], count: int) -> ca.SX:

@@ -13,9 +13,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.optimisation.statement.algebra import Direct, Lifted
+from controllers.optimisation.statement.algebra import Algebra
 from controllers.optimisation.statement.function_store import stored
-from controllers.optimisation.statement.problem_statement import parameter_sizes, state
+from controllers.optimisation.statement.problem_statement import Stated, parameter_sizes, state
 from controllers.optimisation.statement.structure import Structure
 
 # Structures kept in the process.
@@ -25,28 +25,33 @@ _MOST = 64
 @dataclass(frozen=True)
 class Check:
     """`function`: (u, own, p) → cost, energy cost (1, N), power (M, N), forced response (Z, N), slack (Z, N), running
-    (M, N), least of each of what is `required`, the parts of the cost (`PARTS`); then the variables called `values`.
+    (M, N), least of each of what is `required`, the parts of the cost (`PARTS`), and all variables of the programme.
     `own`: how many the user's own are, by name.
     """
 
     function: ca.Function
     required: tuple[str, ...]
-    values: tuple[str, ...]
     own: Mapping[str, int]
 
 
-@dataclass(frozen=True)
-class Variables:
-    """Variables by name in their order.
+@dataclass(frozen=True, eq=False)
+class Functions:
+    """The programme of a structure.
 
-    `own`: bounds of the user's own. `n_equal`: number of equations. `convex`: no derivative depends on variables or
-    multipliers.
+    `bounds`: p → least and largest values of the variables. `local`: (x, p, multipliers) → objective, gradient, second
+    derivatives of the Lagrangian, equations and their Jacobian, inequalities and theirs. `rows`: (x, p) → objective and
+    rows, for Ipopt; a solver is used by one at a time (`busy`). `names` of the variables in their order; `n_equal`:
+    number of equations. `convex`: no derivative depends on variables or multipliers.
     """
 
+    bounds: ca.Function
+    local: ca.Function
+    rows: ca.Function
     names: tuple[str, ...]
-    own: Mapping[str, tuple[float, float]]
     n_equal: int
     convex: bool
+    solvers: dict[str, ca.Function] = field(default_factory=dict)
+    busy: threading.Lock = field(default_factory=threading.Lock)
 
     @cached_property
     def places(self) -> dict[str, NDArray[np.intp]]:
@@ -54,25 +59,9 @@ class Variables:
         names = np.array(self.names)
         return {name: np.flatnonzero(names == name) for name in dict.fromkeys(self.names)}
 
-
-@dataclass(frozen=True, eq=False)
-class Functions:
-    """The programme of a structure.
-
-    `local`: (x, p, multipliers) → objective, gradient, second derivatives of the Lagrangian, equations and their
-    Jacobian, inequalities and theirs. `rows`: (x, p) → objective and rows, for Ipopt; a solver is used by one at a
-    time (`busy`).
-    """
-
-    variables: Variables
-    local: ca.Function
-    rows: ca.Function
-    solvers: dict[str, ca.Function] = field(default_factory=dict)
-    busy: threading.Lock = field(default_factory=threading.Lock)
-
     def ipopt(self, options: Mapping[str, Any]) -> ca.Function:
         """Ipopt on the statement, with constant derivatives where they are."""
-        constant = ("jac_c_constant", "jac_d_constant", "hessian_constant") if self.variables.convex else ()
+        constant = ("jac_c_constant", "jac_d_constant", "hessian_constant") if self.convex else ()
         options = {**options, **dict.fromkeys(constant, "yes")}
         key = json.dumps(options, sort_keys=True)
         if key not in self.solvers:
@@ -94,46 +83,41 @@ def check_of(s: Structure) -> Check:
 @lru_cache(_MOST)
 def functions_of(s: Structure) -> Functions:
     """The programme of a structure: from disk, or built."""
-    facts, (local, rows) = stored(s, "programme", lambda: _build_programme(s))
-    return Functions(Variables(**facts), local, rows)
+    facts, (bounds, local, rows) = stored(s, "programme", lambda: _build_programme(s))
+    return Functions(bounds, local, rows, **facts)
 
 
 def _build_check(s: Structure) -> tuple[dict[str, Any], list[ca.Function]]:
-    q, p = _parameters(s)
-    u = ca.SX.sym("u", s.A, s.N)
-    direct = Direct(u)
-    plan = state(direct, q, s)
-    required = ca.vertcat(*(least for _, least in direct.required))
-    outputs = [plan.cost, plan.energy, plan.power, plan.forced, plan.slack, plan.running, required]
-    outputs.append(ca.vertcat(*plan.parts.values()))
-    outputs = [ca.densify(value) for value in (*outputs, *direct.values.values())]
-    facts = {
-        "required": tuple(what for what, _ in direct.required),
-        "values": tuple(direct.values),
-        "own": {name: own.numel() for name, own in direct.own.items()},
-    }
-    return facts, [ca.Function("check", [u, ca.veccat(*direct.own.values()), p], outputs)]
+    plan, alg, p = _stated(s)
+    required, parts = ca.vertcat(*(least for _, least in alg.required)), ca.vertcat(*plan.parts.values())
+    over_steps = (plan.energy, plan.power, plan.forced, plan.slack, plan.running)
+    x, *values = alg.at_given(plan.cost, *over_steps, required, parts)
+    facts = {"required": tuple(what for what, _ in alg.required), "own": alg.own}
+    return facts, [ca.Function("check", [alg.u, ca.veccat(*alg.given), p], [*values, x])]
 
 
 def _build_programme(s: Structure) -> tuple[dict[str, Any], list[ca.Function]]:
-    (q, p), lifted = _parameters(s), Lifted()
-    f = state(lifted, q, s).cost
-    x, equal, above = ca.veccat(*lifted.x), ca.veccat(*lifted.equal), ca.veccat(*lifted.above)
+    plan, alg, p = _stated(s)
+    f, x, equal, above = plan.cost, ca.veccat(*alg.x), ca.veccat(*alg.equal), ca.veccat(*alg.above)
     rows = ca.vertcat(equal, above)
     m = ca.SX.sym("m", rows.numel())
     A, G = ca.jacobian(equal, x), ca.jacobian(above, x)
     linear = not ca.depends_on(ca.veccat(A, G), x)
     H, gradient = ca.hessian(f if linear else f + ca.dot(m, rows), x)
     facts = {
-        "names": tuple(lifted.names),
-        "own": lifted.own,
+        "names": tuple(alg.names),
         "n_equal": equal.numel(),
         "convex": linear and not ca.depends_on(ca.vec(H), x),
     }
     outputs = [f, gradient if linear else ca.gradient(f, x), H, equal, A, above, G]
-    return facts, [ca.Function("local", [x, p, m], outputs), ca.Function("rows", [x, p], [f, rows])]
+    bounds = ca.Function("bounds", [p], [ca.densify(ca.veccat(*each)) for each in (alg.low, alg.high)])
+    return facts, [bounds, ca.Function("local", [x, p, m], outputs), ca.Function("rows", [x, p], [f, rows])]
 
 
-def _parameters(s: Structure) -> tuple[dict[str, ca.SX], ca.SX]:
-    q = {name: ca.SX.sym(name, *size) for name, size in parameter_sizes(s).items()}
-    return q, ca.veccat(*q.values())
+def _stated(s: Structure) -> tuple[Stated, Algebra, ca.SX]:
+    """The statement, its variables and its parameters."""
+    q, alg = (
+        {name: ca.SX.sym(name, *size) for name, size in parameter_sizes(s).items()},
+        Algebra(ca.SX.sym("u", s.A, s.N)),
+    )
+    return state(alg, q, s), alg, ca.veccat(*q.values())

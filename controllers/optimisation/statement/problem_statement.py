@@ -37,12 +37,11 @@ from dataclasses import dataclass
 import casadi as ca
 
 from controllers.optimisation.problem import POWER_UNIT_W
-from controllers.optimisation.statement.algebra import Direct, Lifted
+from controllers.optimisation.statement.algebra import MOST_RUNNING, Algebra
 from controllers.optimisation.statement.structure import Structure
 from controllers.optimisation.statement.terms import PlanExpressions
 from thermoforce_mpc.model.operator.casadi_export import gain_sizes
 
-Algebra = Lifted | Direct
 Parameters = Mapping[str, ca.SX]
 # What the cost is made of, currency: `stored heat` is minus what it is worth at the end, `other` the curvature and the
 # user's terms.
@@ -88,7 +87,7 @@ def parameter_sizes(s: Structure) -> dict[str, tuple[int, int]]:
 
 def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
     """State the plan of a structure `s` with parameters `q` in an algebra."""
-    heat, cool = alg.levels(s)
+    heat, cool = alg.levels(q, s)
     over, curve = _over(alg, q, s, heat)
     on = ca.repmat(q["on_per_v"], 1, s.N) * (heat - over)
     runs = _running(alg, q, s, heat, on)
@@ -106,8 +105,8 @@ def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
     parts["discomfort"] = ca.dot(lengths, ca.mtimes(q["comfort"].T, slack))
     parts["stored heat"] = -ca.dot(q["worth"], drive) - q["kept"]
     parts["other"] = q["weights"][0] * ca.dot(lengths, ca.sum1(u**2))
-    if s.curved or isinstance(alg, Direct):  # rows of power are linear otherwise
-        power += _of_machines(s, q["bend"] * curve)
+    whole = power + _of_machines(s, q["bend"] * curve)
+    power = whole if s.curved else power  # rows of power are linear otherwise
     total = ca.sum1(power) / POWER_UNIT_W
     if s.peak:
         parts["peak, cap"] += q["weights"][1] * POWER_UNIT_W * alg.highest("peak", total - q["reached"] / POWER_UNIT_W)
@@ -118,7 +117,7 @@ def state(alg: Algebra, q: Parameters, s: Structure) -> Stated:
         plan = PlanExpressions(alg, u, q["T_free"] + forced, power, slack, q["last_u"], s.step_s)
         term(plan)
         parts["other"] += plan.cost
-    return Stated(parts, energy, power, forced, slack, runs)
+    return Stated(parts, energy, whole, forced, slack, runs)
 
 
 def _over(alg: Algebra, q: Parameters, s: Structure, heat: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -126,7 +125,7 @@ def _over(alg: Algebra, q: Parameters, s: Structure, heat: ca.SX) -> tuple[ca.SX
     over, curve, rows = ca.SX(s.A, s.N), heat**2, list(s.stepped)
     if rows:
         lowest = ca.repmat(q["lowest"][rows], 1, s.N)
-        over[rows, :] = alg.at_least("over", heat[rows, :] - lowest)
+        over[rows, :] = alg.at_least("over", heat[rows, :] - lowest, high=ca.repmat(q["u_max"][rows], 1, s.N) - lowest)
         alg.require("", heat[rows, :] - over[rows, :])  # else what sags would cool while the level is 0
         curve[rows, :] = lowest * over[rows, :] + over[rows, :] ** 2
     return over, curve
@@ -148,7 +147,7 @@ def _running(alg: Algebra, q: Parameters, s: Structure, v: ca.SX, on: ca.SX) -> 
             part, split = part_load[m]
             together = ca.mtimes(q["runs_for"][fed].T, on[fed, :])
             asked = [_above_part_load(alg, q, fed, part, on) if split else together]
-        rows.append(alg.at_least("runs", *loads, *asked))
+        rows.append(alg.at_least("runs", *loads, *asked, high=MOST_RUNNING))
     return ca.vertcat(*rows)
 
 
@@ -164,7 +163,8 @@ def _above_part_load(alg: Algebra, q: Parameters, fed: list[int], part: tuple[in
     theta = alg.least("theta", [floor, *(ca.fmax(floor, on[a, :]) for a in part)], runs)
     for a in set(fed) - set(part):
         alg.require("", theta - on[a, :])
-    return theta + sum(q["runs_for"][a] * alg.at_least("excess", on[a, :] - theta) for a in part)
+    excess = {a: alg.at_least("excess", on[a, :] - theta, high=MOST_RUNNING) for a in part}
+    return theta + sum(q["runs_for"][a] * excess[a] for a in part)
 
 
 def _exclude(alg: Algebra, q: Parameters, s: Structure, v: ca.SX, cold: ca.SX, acts: ca.SX) -> None:

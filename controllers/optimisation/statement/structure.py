@@ -88,8 +88,12 @@ def structure_of(
     Raises:
         ControllerConfigError: the operator is not of these actuators, or its heat is known for another lowest level.
     """
-    shape.check(operator)
     machinery, (Z, A, r) = shape.machinery, operator.shape
+    if operator.actuators != machinery.actuators:
+        raise ControllerConfigError(
+            f"actuators of the operator are {', '.join(operator.actuators)}, of the machinery "
+            f"{', '.join(machinery.actuators)}: they must be the same in the same order"
+        )
     h = shape.n_chosen_moves if shape.needs_choices else 0
     for a, name in enumerate(machinery.actuators):
         heat = operator.of_actuator(a).heat_input.heat

@@ -13,7 +13,7 @@ from controllers.checks import ControllerConfigError, message_of
 from thermoforce_mpc.scenario.own_code import line_in, own_code
 
 if TYPE_CHECKING:
-    from controllers.optimisation.statement.algebra import Direct, Lifted
+    from controllers.optimisation.statement.algebra import Algebra
 
 _KEY = "controller.options.terms"
 # Expressions that are 0 or 1: a constraint is an expression that is at least 0, or 0.
@@ -33,7 +33,7 @@ class PlanExpressions:
         step_s: length of a step, s.
     """
 
-    algebra: Lifted | Direct
+    algebra: Algebra
     u: ca.SX
     T_zone_C: ca.SX
     power_W: ca.SX
@@ -80,9 +80,7 @@ class PlanExpressions:
 
     def _foreign(self, row: ca.SX) -> list[str]:
         """Names of symbols that are not of the plan."""
-        own = [value for value in self.algebra.own.values() if isinstance(value, ca.SX)]
-        own += getattr(self.algebra, "x", [])  # of solvers: with what stands for the user's
-        of_plan = ca.veccat(self.u, self.T_zone_C, self.power_W, self.slack_K, self.last_u, *own)
+        of_plan = ca.veccat(self.u, self.T_zone_C, self.power_W, self.slack_K, self.last_u, *self.algebra.x)
         known = {symbol.element_hash() for symbol in ca.symvar(of_plan)}
         return sorted({str(symbol) for symbol in ca.symvar(row) if symbol.element_hash() not in known})
 

@@ -30,12 +30,12 @@ def test_do_mpc_finds_the_optimum_of_ipopt_and_levels_cost_there_what_the_statem
     for problem in problems:
         best = ipopt.solve(problem).cost
         p = ipopt.model.numbers(problem)
-        found = ipopt.model.evaluate(problem, p, np.clip(peer.solve(problem), 0, 1)[None]).cost
+        found = ipopt.model.evaluate(p, np.clip(peer.solve(problem), 0, 1)[None]).cost
         assert found == pytest.approx(best, rel=1e-4)
-        assert ipopt.model.evaluate(problem, p, np.zeros((1, N))).cost > 1.001 * best
+        assert ipopt.model.evaluate(p, np.zeros((1, N))).cost > 1.001 * best
     for problem in problems:
         u = rng.uniform(0.0, 1.0, (1, N))
-        cost = ipopt.model.evaluate(problem, ipopt.model.numbers(problem), u).cost
+        cost = ipopt.model.evaluate(ipopt.model.numbers(problem), u).cost
         assert do_mpc_cost(peer, problem, u) == pytest.approx(cost, rel=1e-7)
 
 

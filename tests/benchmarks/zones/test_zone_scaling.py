@@ -53,13 +53,13 @@ def test_do_mpc_finds_the_same_optimum_of_a_building_and_levels_cost_there_the_s
     peer = DoMpcBuilding(operator, problem, modes_shared=modes_shared)
     solver = QPSolver(operator, ProblemShape(every_step(24), problem.machinery, capped=True), QPConfig())
     model, p = solver.model, solver.model.numbers(problem)
-    found = model.evaluate(problem, p, np.clip(peer.solve(problem), 0.0, 1.0))
+    found = model.evaluate(p, np.clip(peer.solve(problem), 0.0, 1.0))
     assert found.cost == pytest.approx(solver.solve(problem).cost, rel=1e-4)
     assert found.running.max() > 0.2
     assert found.power_W.sum(axis=0).max() > 0.9 * problem.power_cap.limit_W[0], "cap and machine matter"
     for _ in range(3):
         u = rng.uniform(0.0, [[0.9], [0.6]], (2, 24))
-        cost = model.evaluate(problem, p, u).cost
+        cost = model.evaluate(p, u).cost
         assert do_mpc_cost(peer, problem, u) == pytest.approx(cost, rel=1e-7)
 
 

@@ -20,7 +20,7 @@ from controllers.actuation.actuator import ActuationConfig
 from controllers.checks import ControllerConfigError, PackedState
 from controllers.many.portfolio import Portfolio, plan_many
 from controllers.many.worker import read_shared, write_shared
-from controllers.optimisation.solvers.qp_backends import Clarabel
+from controllers.optimisation.solvers.milp import Highs
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.competence import Competence
@@ -122,10 +122,8 @@ def test_what_is_wrong_with_a_building_costs_that_building(monkeypatch):
         "unknown, one instant": Observation(one.history, one.boundary.head(0)),
     }
     options |= dict.fromkeys(buildings.keys() - {"no solution"}, WEATHER_MODEL)
-    options["no solution"] = MPCConfig(
-        **HOURLY, free_response={"name": "linear_weather"}, solver="qp", qp={"backends": ("clarabel",)}
-    )
-    monkeypatch.setattr(Clarabel, "__call__", lambda self, q: 1 / 0)
+    options["no solution"] = MPCConfig(**HOURLY, free_response={"name": "linear_weather"}, solver="milp")
+    monkeypatch.setattr(Highs, "__call__", lambda *given: 1 / 0)
     found = plan_many(buildings, observations, {"bad state": "a state"}, config=options)
     expected = plan_many(models(3), houses(3), config=WEATHER_MODEL)
     for name, planned in expected.items():
@@ -137,7 +135,7 @@ def test_what_is_wrong_with_a_building_costs_that_building(monkeypatch):
         "bad step": (PlanStatus.NATIVE, "step 0 of"),
         "bad state": (PlanStatus.NATIVE, "state is a str"),
         "no forecast": (PlanStatus.NATIVE, "never measured"),
-        "no solution": (PlanStatus.THERMOSTAT, "clarabel: raised ZeroDivisionError"),
+        "no solution": (PlanStatus.THERMOSTAT, "highs: raised ZeroDivisionError"),
         "one instant": (PlanStatus.NATIVE, "boundary forecast has 0 steps"),
         "unknown": (PlanStatus.NATIVE, "no model of building 'unknown'"),
         "unknown, one instant": (PlanStatus.NATIVE, "no model of building 'unknown, one instant'"),

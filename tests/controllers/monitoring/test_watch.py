@@ -112,8 +112,7 @@ def test_off_it_does_not_notice_and_the_papers_settings_leave_it_off():
     assert watched(run("window", watch={"enabled": False})) == []
     testcase = load_testcase("bestest_hydronic_heat_pump")
     assert controller_config("thermoforce_mpc", {}, testcase).watch.enabled
-    for name in ("thermoforce_paper", "candidate_search"):
-        assert not controller_config(name, {}, testcase).watch.enabled
+    assert not controller_config("thermoforce_paper", {}, testcase).watch.enabled
 
 
 @pytest.mark.slow

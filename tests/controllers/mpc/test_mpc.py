@@ -105,7 +105,7 @@ def test_a_controller_that_is_let_go_leaves_no_thread_behind():
     wait_for("its threads end", lambda: not any(thread.is_alive() for thread in its))
 
 
-@pytest.mark.parametrize("solver", ["ipopt", "search"])
+@pytest.mark.parametrize("solver", ["ipopt", "qp"])
 @pytest.mark.parametrize("mode", ["duty", "modulating"])
 def test_every_plan_is_finite_inside_limits_and_one_step_long(solver, mode):
     if mode == "modulating":

@@ -36,7 +36,6 @@ CONTROLLERS = {
     "qp": mpc,
     "held levels": lambda: mpc(actuation={"mode": "modulating"}),
     "ipopt": lambda: mpc(solver="ipopt", actuation={"mode": "modulating"}),
-    "search": lambda: mpc(solver="search"),
 }
 
 

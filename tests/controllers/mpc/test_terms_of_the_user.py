@@ -160,11 +160,6 @@ def test_a_file_that_was_changed_is_read_again(tmp_path, monkeypatch):
     assert plan(terms_="limit.py:most").u.max() == pytest.approx(0.3, abs=1e-4)
 
 
-def test_where_terms_do_not_fit_they_are_refused():
-    with pytest.raises(ControllerConfigError, match="search plans neither heating and cooling together nor terms"):
-        plan([battery], solver="search")
-
-
 def test_a_run_refuses_a_file_of_terms_before_the_building_is_probed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     scenario = load_scenario(None, {"testcase": TESTCASE, "controller": {"options": {"terms": "none.py:ramp"}}})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -17,7 +18,7 @@ from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import MPCProblem, Weights
 from controllers.optimisation.solution import Solution
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
-from controllers.optimisation.solvers.milp import ChoiceResult, MilpConfig, MilpSolver
+from controllers.optimisation.solvers.milp import MilpConfig, MilpSolver
 from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, SolverResult
 from controllers.optimisation.solvers.sqp import SQPConfig, SQPSolver
@@ -48,7 +49,7 @@ def test_all_solvers_find_one_optimum(case):
         operator, problem, shape = instance(case, np.random.default_rng(seed))
         solvers = [SQPSolver(operator, shape, SQPConfig())]
         if case.convex:
-            solvers += [QPSolver(operator, shape, QPConfig(backends=(name,))) for name in ("piqp", "clarabel")]
+            solvers += [QPSolver(operator, shape, QPConfig())]
             solvers += [MilpSolver(operator, shape, EXACT)] * (not case.bend)
         best = cost(IpoptSolver(operator, shape, PRECISE).solve(problem), problem, operator)
         for solver in solvers:
@@ -208,15 +209,15 @@ Lie = Callable[[PlanModel, MPCProblem, Array, Array], Array]
 def with_full_level(model: PlanModel, problem: MPCProblem, p: Array, x: Array) -> Array:
     """All consistent, but more than the machine can give."""
     u = np.repeat(problem.machinery.u_max[:, None], problem.n_steps, axis=1)
-    return model.start(problem, p, u)
+    return model.evaluate(p, u).variables
 
 
 def without(name: str, start: float = 0.0) -> Lie:
     """Variables in which something that costs is not counted."""
 
     def lie(model: PlanModel, problem: MPCProblem, p: Array, x: Array) -> Array:
-        x = model.start(problem, p, np.full(problem.power_per_u_W.shape, start))
-        x[model.variables.places[name]] = 0.0
+        x = model.evaluate(p, np.full(problem.power_per_u_W.shape, start)).variables
+        x[model.functions.places[name]] = 0.0
         return x
 
     return lie
@@ -230,8 +231,8 @@ LIES: dict[str, tuple[Lie, str]] = {
     "out of bounds": (lambda model, problem, p, x: x + 0.9, "leaves its bounds"),
     "below": (lambda model, problem, p, x: x - 0.9, "leaves its bounds"),
     "over capacity": (with_full_level, "more than the capacity of machine 0"),
-    "discomfort is not counted": (without("below"), "but its levels cost"),
-    "running is not counted": (without("runs", 0.4), "but its levels cost"),
+    "discomfort is not counted": (without("below"), "its levels cost"),
+    "running is not counted": (without("runs", 0.4), "its levels cost"),
 }
 
 
@@ -242,11 +243,12 @@ def test_a_solver_that_lies_is_caught(lie, reason):
     p = model.numbers(problem)
     told = lie(model, problem, p, Piqp(QPConfig())(model.local(p)).x)
     liar = lambda q: SolverResult(True, told, "claims", 1)  # noqa: E731
-    solution = QPSolver(operator, shape, QPConfig(), {"piqp": liar}).solve(problem)
+    ipopt = partial(IpoptSolver, operator, shape, PRECISE)
+    solution = QPSolver(operator, shape, QPConfig(), ipopt, liar).solve(problem)
     assert solution.ok, solution.problem
-    assert solution.status == "clarabel:Solved"
-    refused = QPSolver(operator, shape, QPConfig(), {"piqp": liar, "clarabel": liar}).solve(problem)
-    milp = MilpSolver(operator, shape, EXACT, choose=lambda *given: ChoiceResult(told, "claims", 1, -np.inf))
+    assert solution.status == "ipopt:Solve_Succeeded"
+    refused = QPSolver(operator, shape, QPConfig(), None, liar).solve(problem)
+    milp = MilpSolver(operator, shape, EXACT, choose=lambda *given: SolverResult(True, told, "claims", 1))
     for solution in (refused, milp.solve(problem)):
         assert (solution.ok, solution.u.size) == (False, 0)
         assert any(said in solution.problem for said in reason.split("|")), solution.problem
@@ -258,15 +260,15 @@ def test_power_above_the_lowest_level_that_is_not_counted_is_caught():
     p = model.numbers(problem)
     told = without("over", 1.0)(model, problem, p, np.zeros(0))
     liar = lambda q: SolverResult(True, told, "claims", 1)  # noqa: E731
-    refused = QPSolver(operator, shape, QPConfig(), {"piqp": liar, "clarabel": liar}).solve(problem)
-    assert "but its levels cost" in refused.problem
+    refused = QPSolver(operator, shape, QPConfig(), None, liar).solve(problem)
+    assert "its levels cost" in refused.problem
 
 
 def test_exclusion_that_is_not_kept_is_caught():
     operator, problem, shape = instance(replace(CASES["exclusive"], signs=(1, 1)), np.random.default_rng(1))
     model = PlanModel(operator, shape)
-    told = model.start(problem, model.numbers(problem), np.full(problem.power_per_u_W.shape, 0.5))
-    milp = MilpSolver(operator, shape, EXACT, choose=lambda *given: ChoiceResult(told, "claims", 1, -np.inf))
+    told = model.evaluate(model.numbers(problem), np.full(problem.power_per_u_W.shape, 0.5)).variables
+    milp = MilpSolver(operator, shape, EXACT, choose=lambda *given: SolverResult(True, told, "claims", 1))
     assert "actuator 0, actuator 1 act together" in milp.solve(problem).problem
 
 

@@ -89,7 +89,7 @@ def plan(found: Machine, rng: np.random.Generator, solver: str) -> tuple[Solutio
     solution = build_solver(config, operator, shape).solve(problem)
     assert solution.ok, solution.problem
     by_steps = Evaluator(operator, shape.by_steps)
-    brought = by_steps.evaluate(problem, by_steps.numbers(problem), solution.u)
+    brought = by_steps.evaluate(by_steps.numbers(problem), solution.u)
     return solution, problem.T_free_C[0] + brought.forced_K[0]
 
 
@@ -122,7 +122,7 @@ def test_no_mix_of_what_a_machine_can_do_gives_the_same_heat_for_less_power(mete
             operator, ProblemShape(every_step(u.size), EquipmentLayout.one(lowest_level=found.lowest))
         )
         problem = found.problem(operator, 0.5, u.size)
-        planned = evaluator.evaluate(problem, evaluator.numbers(problem), u[None])
+        planned = evaluator.evaluate(evaluator.numbers(problem), u[None])
         able = np.concatenate([[[0.0, 0.0]], np.stack([found.heat_input(can, T_OUT_C), found.power_W(can)], axis=1)])
         corners = able[np.sort(ConvexHull(able).vertices)]
         # Of the hull the lower side: from off over the levels to full, whose line to off is the upper side.

@@ -1,4 +1,4 @@
-"""Both solvers on problems whose optimum is known another way."""
+"""Ipopt on problems whose optimum is known another way."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ import numpy_problem
 import pytest
 from mpc_problems import N, linear_programme_optimum, multi_start_optimum, random_operator, random_problem
 
-from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import MPCProblem, ProblemShape, every_step
-from controllers.optimisation.solvers.candidate_search import CandidateSearch, SearchConfig
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
 from thermoforce_mpc.model.operator.building import single
 
@@ -57,19 +55,6 @@ def test_a_fixed_part_that_is_not_worth_a_higher_level_counts_in_proportion_to_i
     np.testing.assert_allclose(numpy_problem.power_W(bent, np.full((1, N), 0.75)), expected)
 
 
-def test_ipopt_is_never_worse_than_the_candidates_of_a_machine_that_switches_and_holds():
-    rng = np.random.default_rng(3)
-    operator = single(random_operator(rng, 2))
-    shape = ProblemShape(every_step(N), EquipmentLayout.one(lowest_level=0.3))
-    ipopt, search = IpoptSolver(operator, shape, IpoptConfig()), CandidateSearch(operator, shape, SearchConfig())
-    for _ in range(5):
-        problem = random_problem(rng, 2, lowest=0.3, curvature=1e-6)
-        ours, theirs = ipopt.solve(problem), search.solve(problem)
-        assert ours.ok
-        assert theirs.ok
-        assert numpy_problem.cost(problem, operator, ours.u) <= numpy_problem.cost(problem, operator, theirs.u) + 1e-4
-
-
 def test_numbers_that_are_not_finite_are_a_failed_solve_not_an_action():
     rng = np.random.default_rng(1)
     operator = single(random_operator(rng, 1))
@@ -90,22 +75,6 @@ def test_too_few_iterations_are_a_failed_solve():
     )
     assert not solution.ok
     assert solution.status == "ipopt:Maximum_Iterations_Exceeded"
-
-
-def test_search_returns_the_cheapest_of_its_candidates():
-    rng = np.random.default_rng(4)
-    operator = single(random_operator(rng, 1))
-    problem = random_problem(rng, 1, lowest=0.3)
-    search = CandidateSearch(
-        operator,
-        ProblemShape(every_step(N), problem.machinery),
-        SearchConfig(levels=(0.0, 1.0), first_stretch_steps=(3,)),
-    )
-    solution = search.solve(problem)
-    rows = np.array([[[a] * 3 + [b] * (N - 3)] for a in (0.0, 1.0) for b in (0.0, 1.0)])
-    assert float(numpy_problem.cost(problem, operator, solution.u)) == pytest.approx(
-        float(numpy_problem.cost(problem, operator, rows).min())
-    )
 
 
 @pytest.mark.slow
@@ -129,18 +98,3 @@ def test_ipopt_finds_the_optimum_where_the_gain_sees_the_plan(seed):
     assert solution.ok, solution.problem
     best = multi_start_optimum(problem, operator, rng, starts=4)
     assert float(numpy_problem.cost(problem, operator, solution.u)) <= best * (1 + 1e-4)
-
-
-def test_a_candidate_outside_the_bounds_is_refused():
-    rng = np.random.default_rng(5)
-    config = SearchConfig().model_copy(update={"levels": (-1.0, -0.5)})
-    search = CandidateSearch(single(random_operator(rng, 1)), ProblemShape(every_step(N)), config)
-    solution = search.solve(random_problem(rng, 1))
-    assert (solution.ok, solution.u.size) == (False, 0)
-    assert "u of actuator leaves its bounds" in solution.problem
-
-
-@pytest.mark.parametrize("wrong", [{"levels": (-1.0, 1.0)}, {"levels": (0.0, 5.0)}, {"first_stretch_steps": (0, 3)}])
-def test_a_search_of_impossible_candidates_is_refused(wrong):
-    with pytest.raises(ValueError, match=r"should be (greater|less) than or equal to"):
-        SearchConfig(**wrong)

@@ -18,7 +18,7 @@ from controllers.mpc.readings import ReadingsFilter
 from controllers.mpc.state import MPCState
 from controllers.optimisation.solution import Solution
 from controllers.optimisation.solvers.qp import QPSolver
-from controllers.optimisation.solvers.qp_backends import Clarabel, Piqp, QPConfig
+from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig
 from thermoforce_mpc.data import HOUR_S, FreeForecast, Observation, Plan, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
@@ -153,8 +153,7 @@ def test_levels_of_a_solver_that_stopped_early_act_where_they_cost_no_more_than_
 
     def planned(acts) -> Plan:
         def solver(operator, shape):
-            backends = {"piqp": acts(Piqp(config)), "clarabel": acts(Clarabel(config))}
-            return QPSolver(operator, shape, config, backends)
+            return QPSolver(operator, shape, config, None, acts(Piqp(config)))
 
         return ThermoForceMPC(simple_model(), CONFIG, free_response=OutdoorResponse(), solver=solver).plan(
             observation()

@@ -69,12 +69,12 @@ def test_a_model_that_was_identified_but_not_judged_does_not_act_unless_the_user
         assert ("identify it again" in ours.steps[0].plan.why) == (held > 0)
 
 
-def test_the_gate_can_be_turned_off_and_is_in_the_papers_configurations():
+def test_the_gate_can_be_turned_off_and_is_in_the_papers_configuration():
     house = SimpleHouse()
     ours = run_closed_loop(house, mpc(CONDEMNED, gate={"enabled": False}), house.period("x"))
     assert ours.fallback_levels()["gate"] == 0
     off = {name for name, entry in REGISTRY.own.items() if entry.needs_model and not _config(name).gate.enabled}
-    assert off == {"thermoforce_paper", "candidate_search"}
+    assert off == {"thermoforce_paper"}
 
 
 def _config(name: str) -> MPCConfig:

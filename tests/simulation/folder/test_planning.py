@@ -45,7 +45,7 @@ def closed_loop(model, build=None, **options) -> RunResult:
 
 @pytest.mark.parametrize(
     ("solver", "word", "feedback"),
-    [("auto", "Ipopt", False), ("qp", "PIQP", False), ("sqp", "SQP", True), ("search", "candidate search", False)],
+    [("auto", "Ipopt", False), ("qp", "PIQP", False), ("sqp", "SQP", True)],
 )
 def test_every_plan_counts_once_and_calls_the_export_once(solver, word, feedback):
     model = networked(feedback=feedback)

@@ -75,14 +75,6 @@ def gain_from(q: Mapping[str, ca.SX], before: ca.SX, forced: ca.SX | float = 0.0
     return 1.0 + q["gamma"] * ca.tanh(ca.dot(q["output"], hidden) + q["output_bias"])
 
 
-def gains_function(hidden: int, n_steps: int) -> ca.Function:
-    """Return m(x) over a horizon as a function of the weights of `gain_weights`: `before` (H, N) → (1, N)."""
-    q = {name: ca.SX.sym(name, *size) for name, size in gain_sizes(hidden).items()}
-    before = ca.SX.sym("before", hidden)
-    m = ca.Function("gain", [before, *q.values()], [gain_from(q, before)])
-    return m.map("gains", "serial", n_steps, list(range(1, 1 + len(q))), [])
-
-
 def gain_sizes(hidden: int) -> dict[str, tuple[int, int]]:
     """Sizes of the weights of `gain_from`, by name."""
     return {"slope": (hidden, 1), "output": (hidden, 1), "output_bias": (1, 1), "gamma": (1, 1)}
@@ -109,16 +101,16 @@ class ExportedGain:
     """m(x) over a horizon by the exported function."""
 
     def __init__(self, params: OperatorParameters, n_steps: int) -> None:
-        self._params = params
-        if params.constant_modulation is None:
-            self._function = Buffered(gains_function(params.hidden_bias.size, n_steps))
-            self._weights = [np.ravel(value) for value in gain_weights(params).values()]
+        self._constant = params.constant_modulation
+        if self._constant is None:
+            self._function = Buffered(modulation_function(params).map(n_steps))
 
     def __call__(self, features: Array) -> Array | float:
         """Return m(x) at `features` (N, 4), (N,); the constant where no feature enters it."""
-        if self._params.constant_modulation is not None:
-            return self._params.constant_modulation
-        return self._function(before_gain(self._params, features).ravel(order="F"), *self._weights)[0].copy()
+        if self._constant is not None:
+            return self._constant
+        _calls.n += 1
+        return self._function(features.ravel())[0].copy()
 
 
 class Buffered:

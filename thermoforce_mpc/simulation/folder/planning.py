@@ -26,10 +26,8 @@ _SOON_H = 6.0
 _SOLVERS = {
     "ipopt": "Ipopt",
     "piqp": "PIQP",
-    "clarabel": "Clarabel",
     "sqp": "SQP",
     "highs": "HiGHS",
-    "search": "candidate search",
     "policy": "a trained policy",
 }
 
