@@ -27,7 +27,7 @@ _LAGS = ((0.0, 0), (600.0, 1), (600.0, 2), (1200.0, 2), (2400.0, 2), (4800.0, 2)
 _MEMORIES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 # Log likelihood from which a shift counts, and that of an early stamp as a share of all that heat explains: lags have
 # other shapes than those above.
-_LEAST_GAIN, _LEAST_SHARE_EARLY = 8.0, 0.1
+_LEAST_GAIN, _LEAST_SHARE_EARLY = 8.0, 0.09
 # Least share of known heat; rows needed for each coefficient.
 _LEAST_KNOWN, _ROWS_EACH = 0.5, 3
 
