@@ -138,7 +138,12 @@ def _csv(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat
     with _reading(path, " as CSV"):
         _check_lines(path, form, separator, len(names))
     # Blank lines are kept, so that the number of a row tells its line.
-    more = {"usecols": places, "na_values": list(form.missing), "skip_blank_lines": False, "low_memory": False}
+    more: dict[str, Any] = {
+        "usecols": places,
+        "na_values": list(form.missing),
+        "skip_blank_lines": False,
+        "low_memory": False,
+    }
     df = _frame(path, form, separator, **more).set_axis([names[place] for place in places], axis=1)
     filled = df.notna().any(axis=1).to_numpy().nonzero()[0]
     return df.iloc[: filled[-1] + 1 if filled.size else 0], form.skip_lines + 2
@@ -190,7 +195,7 @@ def head_of(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
 def _frame(path: Path, form: CsvFormat, separator: str, **more: Any) -> pd.DataFrame:
     """The table of a CSV file, with `more` options of pandas."""
     with _reading(path, " as CSV"):
-        rules = {"decimal": form.decimal, "encoding": form.encoding, "skiprows": form.skip_lines}
+        rules: dict[str, Any] = {"decimal": form.decimal, "encoding": form.encoding, "skiprows": form.skip_lines}
         return pd.read_csv(path, sep=separator, **rules, **more)
 
 
