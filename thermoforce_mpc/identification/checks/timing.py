@@ -20,8 +20,8 @@ from thermoforce_mpc.identification.checks.remark import Remark
 
 # Steps by which what acts is moved, at most.
 _MOST_SHIFT = 6
-# Time constants of emitters and sensors, s, and how many of them follow one another: a convector, a sensor on a wall (5
-# to 20 min), a radiator, screed (EN 1264: 1 to 3 h to half of its heat).
+# Time constants of emitters and sensors, s, and how many of them follow one another: nothing, a sensor or a convector,
+# both, a radiator behind pipes, thin screed, thick screed.
 _LAGS = ((0.0, 0), (600.0, 1), (600.0, 2), (1200.0, 2), (2400.0, 2), (4800.0, 2))
 # Means of the readings so far, in steps: what a Kalman filter makes of them, whose gain is not known.
 _MEMORIES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
