@@ -398,6 +398,14 @@ def test_a_level_in_shares_that_is_said_to_be_in_percent_is_doubted():
     assert level.doubt == "never above 0.01: check the unit, 0-1 is likelier than %"
 
 
+@pytest.mark.parametrize(("signal", "doubted"), [("P_Wh", True), ({"column": "P_Wh", "unit": "W"}, False)])
+def test_a_column_named_by_energy_is_doubted_where_no_unit_is_given(signal, doubted):
+    table = house().rename(columns={"P": "P_Wh"})
+    found = tf.read_measurements(table, BASE | {"machines": {"hp": {"power": signal}}})
+    power = next(s for s in found.understood.signals if s.key == "machines.hp.power")
+    assert ("its name says energy: name the unit" in power.doubt) is doubted
+
+
 def test_files_of_different_clocks_are_refused(tmp_path):
     df = house()
     winter = df.assign(time=[f"{t:%Y-%m-%d %H:%M}+01:00" for t in df["time"]])

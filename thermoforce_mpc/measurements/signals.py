@@ -19,6 +19,7 @@ from thermoforce_mpc.measurements.map.mapped_signals import (
     Temperature,
 )
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+from thermoforce_mpc.measurements.map.starting_map import kind_of
 from thermoforce_mpc.measurements.map.units import COUNTER, PER_STEP, converted
 from thermoforce_mpc.measurements.tables import screening
 from thermoforce_mpc.measurements.tables.clock import Timed
@@ -142,7 +143,7 @@ class SignalReader:
         least, median, most = (
             np.quantile(values[finite], (0.0, 0.5, 1.0)).tolist() if finite.any() else (float("nan"),) * 3
         )
-        doubt = _doubt(rules, readings, median, most) if finite.any() else "never measured: check the column"
+        doubt = _doubt(signal, rules, readings, median, most) if finite.any() else "never measured: check the column"
         edges = np.flatnonzero(np.diff(np.concatenate([[True], finite, [True]]).astype(int)))
         gaps = edges[1::2] - edges[0::2]
         self.summaries.append(
@@ -165,8 +166,10 @@ class SignalReader:
         return values
 
 
-def _doubt(rules: Rules, readings: Readings, median: float, most: float) -> str:
+def _doubt(signal: Signal, rules: Rules, readings: Readings, median: float, most: float) -> str:
     """What is odd about readings that were accepted, '' if nothing."""
+    if isinstance(signal, Power) and "unit" not in signal.model_fields_set and "energy" in map(kind_of, signal.columns):
+        return "read as W, and its name says energy: name the unit (W, Wh per step, kWh counter, …)"
     if rules.kind == "temperature" and not rules.usual[0] <= median <= rules.usual[1]:
         return f"a median of {median:.1f} °C is unusual: check the unit"
     if rules.kind == "level" and 0.0 < most < rules.usual[0]:

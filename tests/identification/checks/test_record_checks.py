@@ -21,8 +21,10 @@ STEP_S, DAYS, AREA_M2, FULL_W = 900.0, 14, 20.0, 1500.0
 LAYOUT = Layout.single(floor_area_m2=AREA_M2)
 
 
-def room(seed: int = 1) -> tuple[Record, np.ndarray]:
-    """A room of 20 m² and its walls under a thermostat with a setback, electrically heated; and the set-points, °C."""
+def room(seed: int = 1, slab_J_K: float = 0.0) -> tuple[Record, np.ndarray]:
+    """A room of 20 m² and its walls under a thermostat with a setback, electrically heated, perhaps through a slab;
+    and the set-points, °C.
+    """
     rng = np.random.default_rng(seed)
     n = round(DAYS * DAY_S / STEP_S)
     hour = np.arange(n + 1) * STEP_S / HOUR_S % 24
@@ -31,13 +33,16 @@ def room(seed: int = 1) -> tuple[Record, np.ndarray]:
     sun = np.clip(400.0 * np.cos(2 * np.pi * (hour - 13) / 24) - 150.0, 0.0, None)
     setpoint = np.where((hour >= 6) & (hour < 22), 21.0, 18.5)[:n]
     T = np.full((2, n + 1), 19.0)
+    slab = 20.0
     u = np.zeros(n)
     for k in range(n):
         on = u[k - 1] if k else 0.0
         u[k] = float(setpoint[k] + (0.2 if on else -0.2) > T[0, k])
         air, walls = T[:, k]
         for _ in range(15):
-            heat = FULL_W * u[k] + 1.5 * sun[k]
+            given = 200.0 * (slab - air) if slab_J_K else FULL_W * u[k]
+            slab += 60.0 * (FULL_W * u[k] - given) / slab_J_K if slab_J_K else 0.0
+            heat = given + 1.5 * sun[k]
             to_walls = 120.0 * (air - walls)
             air += 60.0 * (heat - to_walls - 12.0 * (air - outdoors[k])) / 4e5
             walls += 60.0 * (to_walls - 18.0 * (walls - outdoors[k])) / 5e6
@@ -74,6 +79,32 @@ def set_point(record: Record, *, metered: bool) -> Record:
     )
 
 
+def heat_pump(record: Record) -> Record:
+    """A heat pump, whose COP of 3 rises by 2 % a kelvin outdoors, gives the heat."""
+    return replace(record, power_W=record.heat_W / (3.0 + 0.06 * (record.T_out_C[:-1] - 3.0)))
+
+
+def modulating(record: Record) -> Record:
+    """The same machine, which never goes below a fifth of full level."""
+    load = FULL_W * (0.2 + 0.8 * record.u)
+    return replace(record, u=0.2 + 0.8 * record.u, power_W=load, heat_W=load)
+
+
+def household(record: Record) -> Record:
+    """Other loads of 200 W in the mean, new ones every hour."""
+    other = np.repeat(np.random.default_rng(3).exponential(200.0, record.n_steps // 4), 4)
+    return replace(record, power_W=record.power_W + other)
+
+
+def fahrenheit(record: Record) -> Record:
+    return replace(record, T_out_C=32.0 + 1.8 * record.T_out_C)
+
+
+def colder(record: Record) -> Record:
+    """Outdoors 10 K colder, so that the room is but few kelvin above 'degrees'."""
+    return replace(record, T_out_C=record.T_out_C - 10.0)
+
+
 def _unknown(record: Record) -> np.ndarray:
     return np.full_like(record.heat_W, np.nan)
 
@@ -93,16 +124,29 @@ FAULTS: list[tuple[str, str, Callable[[Record], Record]]] = [
     ("unit of power", "unit: kW", scaled(1e-3, 1e-3)),
     ("unit of power", "unit: W", scaled(1e3, 1e3)),
     ("unit of power", "unit: kW", scaled(1.0, 1e-3)),
-    ("unit of temperature", "unit: °F", lambda record: replace(record, T_out_C=32.0 + 1.8 * record.T_out_C)),
+    ("unit of power", "rises with the outdoor temperature", lambda record: scaled(1.0, 0.25)(heat_pump(record))),
+    ("unit of temperature", "unit: °F", fahrenheit),
+    ("unit of temperature", "unit: °F", lambda record: fahrenheit(colder(record))),
     ("meter holds another load", "hot water", hot_water),
+    ("meter holds another load", "with the heat explains", lambda record: household(modulating(record))),
     ("level is no level", "warms the room", lambda record: set_point(record, metered=True)),
     ("level is no level", "the same every day", lambda record: set_point(record, metered=False)),
 ]
 
 
 def test_nothing_is_said_of_a_record_without_a_fault():
-    for seed in range(4):
+    for seed in range(3):
         assert not remarks(room(seed)[0], LAYOUT)
+    assert not remarks(heat_pump(CLEAN), LAYOUT)
+    assert not remarks(modulating(CLEAN), LAYOUT)
+
+
+def test_an_hour_shows_through_a_slab_and_the_lag_of_a_slab_is_no_hour():
+    floor = room(slab_J_K=4e6)[0]
+    floor = replace(floor, T_zone_C=np.round(floor.T_zone_C, 1))
+    assert not remarks(floor, LAYOUT)
+    assert [remark.kind for remark in remarks(moved(floor, 4), LAYOUT)] == ["stamps late"]
+    assert [remark.kind for remark in remarks(moved(floor, -4), LAYOUT)] == ["stamps early"]
 
 
 @pytest.mark.parametrize(("kind", "says", "spoil"), FAULTS)

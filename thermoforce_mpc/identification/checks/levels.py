@@ -15,13 +15,14 @@ from thermoforce_mpc.identification.checks.regression import explained, fitted
 from thermoforce_mpc.identification.checks.remark import Remark
 
 # Share of the variance of its power that a machine's levels explain at least, with the outdoor temperature. Part load,
-# cycling and water temperatures leave up to 9 % (test cases and generated houses), another load or a set-point more.
-_LEAST_EXPLAINED = 0.8
+# cycling and water temperatures leave up to 10 % (test cases and generated houses), another load or a set-point more.
+# With the heat that it gave, a machine leaves up to 2 %.
+_LEAST_EXPLAINED, _LEAST_BY_HEAT = 0.8, 0.95
 # Off is no level at all, two steps and more; then a share of full power is no stand-by, and a share of all energy,
 # taken at so many times, no chance.
 _OFF, _BURST, _LEAST_ENERGY, _LEAST_TIMES = 1e-6, 0.15, 0.01, 4
 # Standard deviations from which rooms are warmed by what is beside the level, within so many steps.
-_WARMS, _WITHIN = 5.5, (1, 2)
+_WARMS, _WITHIN = 5.5, (1, 2, 4)
 # Without a meter: share of the variance of a level that the time of day explains where it is a schedule, what a zone
 # under a fixed level has of the outdoor temperature of two days at least (with a time constant of 100 h a third), and
 # what is needed of both to see it.
@@ -64,15 +65,20 @@ def _of_meter(
     on = (np.abs(row) > _OFF for row in u)  # fans and pumps of a machine that is on
     of_levels = [c[rows] for row in u for c in (row, np.square(row), row * T_out)] + [row[rows] for row in on]
     columns = np.array([np.ones(rows.sum()), *of_levels]).T
-    share, left = explained(columns, meter_W[rows])
+    (share, left), least = explained(columns, meter_W[rows]), _LEAST_EXPLAINED
+    names = " and ".join(record.names.label("u", a) for a in fed)
+    heat = np.abs(record.heat_W[fed]).sum(axis=0)[rows]
+    if not of_heat and share >= least and np.isfinite(heat).all():
+        columns = np.column_stack([columns, heat, heat * T_out[rows], np.square(heat)])
+        (share, left), least = explained(columns, meter_W[rows]), _LEAST_BY_HEAT
     beside = np.full(record.n_steps, np.nan)
     beside[rows] = left
     energy, times = _while_off(u, meter_W, rows)
     at_rest = energy > _LEAST_ENERGY and times >= _LEAST_TIMES
-    if not at_rest and (of_heat or share >= _LEAST_EXPLAINED):
+    if not at_rest and (of_heat or share >= least):
         return None
-    names = " and ".join(record.names.label("u", a) for a in fed)
-    says = f"{names} explain{'s' if len(fed) == 1 else ''} {100 * max(share, 0.0):.0f} % of the {where}"
+    beside_level = " with the heat" if least == _LEAST_BY_HEAT else ""
+    says = f"{names}{beside_level} explain{'s' if len(fed) == 1 else ''} {100 * max(share, 0.0):.0f} % of the {where}"
     if at_rest:
         says += f", {100 * energy:.0f} % of its energy flows while {'it is' if len(fed) == 1 else 'they are'} off"
     warms = _warming(record, layout, fed, beside)

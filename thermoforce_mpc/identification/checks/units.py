@@ -3,7 +3,7 @@
 | compared | possible | else |
 |---|---|---|
 | heat over power of its machine | 0.7 (an old boiler) to what a heat pump may reach | Wh per step, kW beside W |
-| the same in all weathers | above 1.1, a heat pump, it goes with the outdoor temperature | Wh per step beside W |
+| the same in all weathers | above 1.1, a heat pump, goes with the outdoor temperature, below not | the same |
 | heat per floor area and K to outdoors | up to 4 W/m²K | Wh per step beside W |
 | full load | 15 W to 300 kW; by floor area 1.5 to 500 W/m² | kW beside W |
 | outdoor temperature while heating | mostly below that of the room | °F |
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
 # heat pump passes, and no less than 6.5, of one with a borehole.
 _LEAST_RATIO, _CARNOT, _WATER_C, _BOREHOLE = 0.7, 0.5, 35.0, 6.5
 # A ratio above this is that of a heat pump, whose COP rises by 2 to 3 % a kelvin outdoors (EN 14511 data sheets).
-# That of a boiler or an electric heater is steady: its logarithm varies by less than 0.05.
+# That of a boiler or an electric heater is steady, and rises by 0.4 % where it condenses (EN 15502): its logarithm
+# varies by less than 0.05.
 _NO_HEAT_PUMP, _LEAST_SLOPE_PER_K, _STEADY = 1.1, 0.01, 0.05
 # Largest heat loss per floor area, W/m²K: houses before any insulation have 3.5 with their ventilation (TABULA).
 _MOST_LOSS_W_M2K = 4.0
@@ -58,12 +60,15 @@ def unit_remarks(record: Record, layout: Layout, model: ThermalModel | None = No
     found = [
         one for row in [*rows, ("T_out_C", record.T_out_C, OUTDOOR_C, _WEATHER_C)] if (one := _of_temperature(*row))
     ]
+    outdoors = _of_outdoors(record, layout)
+    if outdoors:  # then it tells nothing of losses and machines
+        record = replace(record, T_out_C=np.full_like(record.T_out_C, np.nan))
     for m, machine in enumerate(layout.names.machines):
         found += _of_machine(record, layout, m, machine)
     if model is not None:
         said = " ".join(one.where for one in found)
         found += [one for one in _beside_model(record, layout, model) if one.where not in said]
-    return found + _of_outdoors(record, layout)
+    return found + outdoors
 
 
 def _of_temperature(
@@ -177,16 +182,19 @@ def _of_ratio(record: Record, heat: Array, power: Array, both: Array, on: Array,
         words = f"no machine gives less than {_LEAST_RATIO:g} or more than {possible:.1f}"
         return [_ratio_remark(ratio, step_h, where, words)]
     rows = on & np.isfinite(T_out)
-    if ratio <= _NO_HEAT_PUMP or rows.sum() < _LEAST_ROWS or step_h == 1.0:
+    if rows.sum() < _LEAST_ROWS or step_h == 1.0:
         return []
     columns = np.array([np.ones(rows.sum()), T_out[rows]]).T
     beta, covariance, residual = fitted(columns, np.log(heat[rows] / power[rows]))
-    sd = float(np.sqrt(covariance[1, 1]))
-    heat_pump = residual.std() > _STEADY or beta[1] + _CLEAR * sd >= _LEAST_SLOPE_PER_K
-    if heat_pump or not _LEAST_RATIO <= ratio * step_h <= _NO_HEAT_PUMP:
-        return []
-    words = "too much for a boiler, and it does not go with the outdoor temperature as that of a heat pump does"
-    return [_ratio_remark(ratio, step_h, where, words)]
+    margin = _CLEAR * float(np.sqrt(covariance[1, 1]))
+    if ratio <= _NO_HEAT_PUMP:
+        wrong = beta[1] - margin > _LEAST_SLOPE_PER_K and _NO_HEAT_PUMP < ratio / step_h < possible
+        words = "as of a boiler, and yet it rises with the outdoor temperature as that of a heat pump does"
+    else:
+        steady = residual.std() <= _STEADY and beta[1] + margin < _LEAST_SLOPE_PER_K
+        wrong = steady and _LEAST_RATIO <= ratio * step_h <= _NO_HEAT_PUMP
+        words = "too much for a boiler, and it does not go with the outdoor temperature as that of a heat pump does"
+    return [_ratio_remark(ratio, step_h, where, words)] if wrong else []
 
 
 def _ratio_remark(ratio: float, step_h: float, where: str, why: str) -> Remark:

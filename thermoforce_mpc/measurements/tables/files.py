@@ -11,7 +11,8 @@ import itertools
 import lzma
 import re
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -73,12 +74,9 @@ def _unpacked_bytes(path: Path, most_bytes: int) -> int:
     if path.suffix not in _COMPRESSED:
         return path.stat().st_size
     n = 0
-    try:
-        with _COMPRESSED[path.suffix](path, "rb") as file:
-            while n <= most_bytes and (piece := file.read(_BLOCK)):
-                n += len(piece)
-    except _DAMAGED as error:
-        raise DataError(f"{path}: cannot be read ({_short(error)})") from error
+    with _reading(path), _opened(path) as file:
+        while n <= most_bytes and (piece := file.read(_BLOCK)):
+            n += len(piece)
     return n
 
 
@@ -137,21 +135,16 @@ def _parquet(path: Path, stamps: str | None, columns: Sequence[str] | None) -> p
 def _csv(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> tuple[pd.DataFrame, int]:
     separator, names, keys = _known_header(path, stamps, columns, form)
     places = sorted(names.index(key) for key in keys)
-    try:
+    with _reading(path, " as CSV"):
         _check_lines(path, form, separator, len(names))
-        df = pd.read_csv(
-            path,
-            sep=separator,
-            decimal=form.decimal,
-            encoding=form.encoding,
-            skiprows=form.skip_lines,
-            usecols=places,
-            na_values=list(form.missing),
-            skip_blank_lines=False,  # so that the number of a row tells its line
-            low_memory=False,
-        ).set_axis([names[place] for place in places], axis=1)
-    except _DAMAGED as error:
-        raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
+    # Blank lines are kept, so that the number of a row tells its line.
+    more: dict[str, Any] = {
+        "usecols": places,
+        "na_values": list(form.missing),
+        "skip_blank_lines": False,
+        "low_memory": False,
+    }
+    df = _frame(path, form, separator, **more).set_axis([names[place] for place in places], axis=1)
     filled = df.notna().any(axis=1).to_numpy().nonzero()[0]
     return df.iloc[: filled[-1] + 1 if filled.size else 0], form.skip_lines + 2
 
@@ -171,7 +164,7 @@ def _known_header(
 
 def _check_lines(path: Path, form: CsvFormat, separator: str, n: int) -> None:
     """Refuse lines with more or fewer than `n` cells, whose values would land in wrong columns."""
-    with _COMPRESSED.get(path.suffix, open)(path, "rt", encoding=form.encoding) as lines:
+    with _opened(path, "rt", form.encoding) as lines:
         begun = 1
         while block := lines.readlines(_BLOCK):
             for k in np.flatnonzero(np.array([line.count(separator) for line in block]) != n - 1):
@@ -195,30 +188,23 @@ def head_of(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
         df = _parquet(path, None, None).iloc[:rows]
         return df.reset_index() if isinstance(df.index, pd.DatetimeIndex) else df
     separator, names = _header(path, form)
-    try:
-        df = pd.read_csv(
-            path,
-            sep=separator,
-            decimal=form.decimal,
-            encoding=form.encoding,
-            skiprows=form.skip_lines,
-            nrows=rows,
-            index_col=False,
-        )
-        return df.set_axis(names, axis=1)
-    except _DAMAGED as error:
-        raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
+    with _reading(path, " as CSV"):  # its columns may be fewer than the names
+        return _frame(path, form, separator, nrows=rows, index_col=False).set_axis(names, axis=1)
+
+
+def _frame(path: Path, form: CsvFormat, separator: str, **more: Any) -> pd.DataFrame:
+    """The table of a CSV file, with `more` options of pandas."""
+    with _reading(path, " as CSV"):
+        rules: dict[str, Any] = {"decimal": form.decimal, "encoding": form.encoding, "skiprows": form.skip_lines}
+        return pd.read_csv(path, sep=separator, **rules, **more)
 
 
 def guessed_form(path: Path) -> CsvFormat:
     """How a CSV file seems to be written: UTF-8, else UTF-16 or the code page of Excel; decimal point or comma."""
     if path.suffix in _PARQUET:
         return CsvFormat()
-    try:
-        with _COMPRESSED.get(path.suffix, open)(path, "rb") as file:
-            start = file.read(_BLOCK)
-    except _DAMAGED as error:
-        raise DataError(f"{path}: cannot be read ({_short(error)})") from error
+    with _reading(path), _opened(path) as file:
+        start = file.read(_BLOCK)
     encoding = "utf-16" if start[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8"
     decoder = codecs.getincrementaldecoder(encoding)
     try:
@@ -236,7 +222,7 @@ def guessed_form(path: Path) -> CsvFormat:
 def _header(path: Path, form: CsvFormat) -> tuple[str, list[str]]:
     """Separator and names of the columns."""
     try:
-        with _COMPRESSED.get(path.suffix, open)(path, "rt", encoding=form.encoding) as lines:
+        with _reading(path, but=(UnicodeError,)), _opened(path, "rt", form.encoding) as lines:
             parts = iter(lambda: lines.readline(_BLOCK), "")  # not the whole of a line without end
             header = next(itertools.islice(parts, form.skip_lines, None), "").lstrip("\ufeff").rstrip("\r\n")
             if not header.strip():
@@ -250,14 +236,26 @@ def _header(path: Path, form: CsvFormat) -> tuple[str, list[str]]:
             f"{path}: is not {form.encoding} ({_short(error)}); set csv.encoding of the map: "
             "cp1252 for a file of Excel, utf-16 for its Unicode text"
         ) from error
-    except _DAMAGED as error:
-        raise DataError(f"{path}: cannot be read ({_short(error)})") from error
     separator = form.separator or max(_SEPARATORS, key=header.count)
-    try:
+    with _reading(path, " as CSV"):
         names = next(csv.reader([header], delimiter=separator, skipinitialspace=True))
-    except csv.Error as error:
-        raise DataError(f"{path}: cannot be read as CSV ({_short(error)})") from error
     return separator, [name.strip() for name in names]
+
+
+def _opened(path: Path, mode: str = "rb", encoding: str | None = None) -> Any:
+    """An open file, unpacked while it is read."""
+    return _COMPRESSED.get(path.suffix, open)(path, mode, encoding=encoding)
+
+
+@contextmanager
+def _reading(path: Path, how: str = "", but: tuple[type[Exception], ...] = ()) -> Iterator[None]:
+    """Say which file is damaged; errors `but` go through."""
+    try:
+        yield
+    except _DAMAGED as error:
+        if isinstance(error, but):
+            raise
+        raise DataError(f"{path}: cannot be read{how} ({_short(error)})") from error
 
 
 def _short(error: Exception) -> str:
