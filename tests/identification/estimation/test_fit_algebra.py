@@ -48,10 +48,9 @@ def test_a_disturbance_is_whitened_by_its_covariance(regression):
     expected = sum(
         sd**2 * np.exp(-lag / h) for sd, h in zip(CONFIG.disturbance_sd_K, CONFIG.disturbance_hours, strict=True)
     ) + CONFIG.sensor_sd_K**2 * np.eye(at.size)
-    np.testing.assert_allclose(disturbance.covariance(), expected, rtol=1e-12)
+    np.testing.assert_allclose(disturbance.covariance, expected, rtol=1e-12)
     L = np.linalg.cholesky(expected)
-    np.testing.assert_allclose(disturbance.factor(), L, atol=1e-10)
-    np.testing.assert_allclose(disturbance.factor(30), L[30:, 30:], atol=1e-10)
+    np.testing.assert_allclose(disturbance.factor, L, atol=1e-10)
     values = RNG.normal(size=(at.size, 3))
     np.testing.assert_allclose(disturbance.whitened(values), solve_triangular(L, values, lower=True), rtol=1e-7)
     np.testing.assert_allclose(
@@ -96,7 +95,7 @@ def plain_rows(regression, log_tau, sign):
     columns = [forced_columns(regression, log_tau, sign), other_columns(regression, log_tau)]
     columns += [] if regression.is_pair else list(free_columns(regression, log_tau))
     values = np.concatenate([*columns, regression.target[:, None]], axis=1)
-    return solve_triangular(np.linalg.cholesky(regression.disturbance.covariance()), values, lower=True)
+    return solve_triangular(np.linalg.cholesky(regression.disturbance.covariance), values, lower=True)
 
 
 def with_other(regression):

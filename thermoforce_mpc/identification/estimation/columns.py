@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.estimation.modes import (
     TIME_CONSTANTS_H,
-    lags_of_gains,
+    lagged,
     poles,
     unit_responses,
     wide_priors,
 )
-from thermoforce_mpc.identification.estimation.recursions import filtered
 from thermoforce_mpc.identification.estimation.regression import FREE_PRIOR, RegressionData
 
 # Weak priors of the level of the free response and of each mode's initial state, K.
@@ -29,7 +26,6 @@ _DEFAULT_FASTEST_LOG_TAU = np.log(TIME_CONSTANTS_H[3][:1])
 _SHARED = 3
 # Of the gains that the network says: to outdoors, K/K, and to 100 W/m², K, and as a share of them.
 _WEATHER_SD, _WEATHER_SHARE = np.array([0.05, 0.1]), 0.2
-_NEVER = np.array([np.inf])
 _DEFAULT_FREE_LOG_TAU = np.log([*TIME_CONSTANTS_H[3][1:], _GROUND_H])
 N_FREE = _DEFAULT_FREE_LOG_TAU.size
 """Number of free modes, the ground's last."""
@@ -61,67 +57,15 @@ def other_prior(regression: RegressionData, log_tau: Array) -> tuple[Array, Arra
 
 
 def free_columns(regression: RegressionData, log_tau: Array) -> tuple[Array, Array]:
-    """Return the columns of the shared free gains (rows, 7q + 1) and of the run's initial state (rows, q + 1)."""
-    q = free_time_constants(log_tau).size
-    columns = all_columns(regression, log_tau)[:, -(len(FREE_PRIOR) * q + 1) - (q + 1) :]
-    return columns[:, : -(q + 1)], columns[:, -(q + 1) :]
+    """Return the columns of the shared free gains (rows, 7q + 1) and of the run's initial state (rows, q + 1).
 
-
-def all_columns(regression: RegressionData, log_tau: Array) -> Array:
-    """Return the columns of all parameters (rows, p), signs of the actuators aside.
-
-    Forced response to the own and to the other actuators, r each; of a run then those of `free_columns`.
+    The last shared one is the level; the initial state has the fastest mode of the operator and the free ones.
     """
-    r, K = log_tau.size, regression.others.shape[0]
-    lags = Lags.of(r, K)
-    n = (1 + K) * r if regression.is_pair else lags.mode.size
-    own, lead = np.ones(n), np.zeros(n)
-    for of_all, of_gains in zip((own, lead), lags_of_gains(log_tau), strict=True):
-        of_all[: (1 + K) * r] = np.tile(of_gains, 1 + K)
-    pole = lags.poles(log_tau, regression.step_s)
-    return np.asarray(
-        filtered(
-            regression.signals, lags.signal[:n], pole[:n], lags.start[:n], own, lags.lead[:n], lead, regression.rows
-        )
-    )
-
-
-@dataclass(frozen=True)
-class Lags:
-    """Signal, mode, first lag of its actuator and state at the start of each column of `all_columns`, (p,) each.
-
-    See `recursions.filtered`. Modes are the r of the operator, the fastest of the initial state, the q free
-    ones, and one that never decays.
-    """
-
-    signal: NDArray[np.intp]
-    mode: NDArray[np.intp]
-    lead: NDArray[np.intp]
-    start: Array
-
-    @staticmethod
-    @cache
-    def of(r: int, K: int) -> Lags:
-        """Those of an operator of order r with K other actuators, first those of the actuators, r each."""
-        q = _DEFAULT_FREE_LOG_TAU.size
-        weather, free = len(FREE_PRIOR), r + 1 + np.arange(q)
-        # The level, which stays, and the initial states, which decay, have no signal.
-        alone = [r + 1 + q, r, *free]
-        signal = [
-            np.repeat(np.arange(1 + K), r),
-            np.repeat(1 + K + np.arange(weather), q),
-            np.full(len(alone), 1 + K + weather),
-        ]
-        mode = np.concatenate([np.tile(np.arange(r), 1 + K), np.tile(free, weather), alone])
-        lead, start = np.zeros(mode.size, dtype=np.intp), np.zeros(mode.size)
-        lead[: (1 + K) * r] = np.repeat(np.arange(1 + K) * r, r)
-        start[-len(alone) :] = 1.0
-        return Lags(np.concatenate(signal), mode, lead, start)
-
-    def poles(self, log_tau: Array, step_s: float) -> Array:
-        """The pole per step of each column (p,)."""
-        fastest = log_tau[:1] if log_tau.size > 1 else _DEFAULT_FASTEST_LOG_TAU
-        return poles(np.concatenate([log_tau, fastest, free_time_constants(log_tau), _NEVER]), step_s)[self.mode]
+    free, rows = free_time_constants(log_tau), regression.rows
+    fastest = log_tau[:1] if log_tau.size > 1 else _DEFAULT_FASTEST_LOG_TAU
+    fading = poles(np.concatenate([fastest, free]), regression.step_s)
+    shared = [lagged(signal, pole)[rows] for signal in regression.weather for pole in fading[1:]]
+    return np.stack([*shared, np.ones(rows.size)], axis=1), fading ** rows[:, None]
 
 
 def free_time_constants(log_tau: Array) -> Array:

@@ -45,12 +45,10 @@ class Residuals:
     @property
     def covariance(self) -> Array:
         """C (rows, rows), K²."""
-        return np.asarray(self.disturbance.covariance() + self.columns @ self.columns.T)
+        return np.asarray(self.disturbance.covariance + self.columns @ self.columns.T)
 
     def whitener(self) -> Array:
         """Return L⁻¹ (rows, rows): row i gives its innovation given all rows before, in standard deviations."""
-        if not self.columns.shape[1]:
-            return self.disturbance.whitened(np.eye(self.mean.size))
         factor = cholesky(self.covariance, lower=True, check_finite=False)
         return np.asarray(solve_triangular(factor, np.eye(self.mean.size), lower=True, check_finite=False))
 
@@ -63,13 +61,11 @@ class Residuals:
         values = self.disturbance.whitened(np.concatenate([self.columns, residual[:, None]], axis=1))
         p = self.columns.shape[1]
         W, later_residual = values[first:, :p], values[first:, p]
-        if p:
-            R = triangle(np.concatenate([values[:first], np.eye(p, p + 1)]))
-            unknown = solve_triangular(R[:p, :p], W.T, trans="T", check_finite=False)
-            M = cholesky(np.eye(later_residual.size) + unknown.T @ unknown, lower=True, check_finite=False)
-            white = solve_triangular(M, later_residual - unknown.T @ R[:p, p], lower=True, check_finite=False)
-            return np.asarray(white), self.disturbance.factor(first) @ M
-        return later_residual, self.disturbance.factor(first)
+        R = triangle(np.concatenate([values[:first], np.eye(p, p + 1)]))
+        unknown = solve_triangular(R[:p, :p], W.T, trans="T", check_finite=False)
+        M = cholesky(np.eye(later_residual.size) + unknown.T @ unknown, lower=True, check_finite=False)
+        white = solve_triangular(M, later_residual - unknown.T @ R[:p, p], lower=True, check_finite=False)
+        return np.asarray(white), self.disturbance.factor[first:, first:] @ M
 
     def scaled(self, scale: float) -> Residuals:
         """With `scale` times the disturbance."""
@@ -81,8 +77,8 @@ class Residuals:
         Whitened by the disturbance, the covariance is s² + W Wᵀ with the columns W, so that one singular value
         decomposition gives all scales s.
         """
-        values = np.concatenate([self.columns[:rows], residual[:rows, None]], axis=1)
-        R = triangle(self.disturbance.first(rows).whitened(values))
+        values = np.concatenate([self.columns, residual[:, None]], axis=1)
+        R = triangle(self.disturbance.whitened(values)[:rows])
         U, singular_values, _ = np.linalg.svd(R[:, :-1], full_matrices=False)
         projected = U.T @ R[:, -1]
         rest = float(np.sum((R[:, -1] - U @ projected) ** 2))

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.estimation.recursions import filtered
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
@@ -97,13 +97,17 @@ def poles(log_tau: Array, step_s: float) -> Array:
 def unit_responses(log_tau: Array, step_s: float, drive: Array, rows: NDArray[np.intp] | None = None) -> Array:
     """Return the forced response to `drive` (n,) per unit of [slope, G_2 … G_r], shape (n + 1, r), K.
 
-    Row t is the state before step t, starting from zero; only `rows`, increasing, where they are given.
+    Row t is the state before step t, starting from zero; only `rows` where they are given.
     """
-    rows = np.arange(drive.size + 1) if rows is None else rows
-    signals = np.ascontiguousarray(drive, dtype=np.float64)[:, None]
-    first, nothing = np.zeros(log_tau.size, dtype=np.intp), np.zeros(log_tau.size)
+    lags = np.stack([lagged(drive, pole) for pole in poles(log_tau, step_s)], axis=1)
     own, lead = lags_of_gains(log_tau)
-    return np.asarray(filtered(signals, first, poles(log_tau, step_s), nothing, own, first, lead, rows))
+    responses = own * lags + lead * lags[:, :1]
+    return np.asarray(responses if rows is None else responses[rows])
+
+
+def lagged(signal: Array, pole: float) -> Array:
+    """States (n + 1,) of a first-order lag of steady gain 1 of `signal` (n,), from zero."""
+    return np.append(0.0, lfilter([1.0 - pole], [1.0, -pole], signal))
 
 
 def lags_of_gains(log_tau: Array) -> tuple[Array, Array]:

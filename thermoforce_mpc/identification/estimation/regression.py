@@ -67,17 +67,10 @@ class RegressionData:
         """Drive of the run, of a pair the difference of its drives, (n,)."""
         return np.asarray(np.sum([sign * drive for sign, drive in self.drives], axis=0))
 
-    @cached_property
-    def signals(self) -> Array:
-        """What drives the columns in each step (n, 1 + K + 7 + 1).
-
-        The own drive, the others', the inputs of `FREE_PRIOR` in their units (zero for a pair), and nothing.
-        """
-        weather = np.zeros((self.n_steps, len(FREE_PRIOR) + 1))
-        if not self.is_pair:
-            for i, (name, (unit, *_)) in enumerate(FREE_PRIOR.items()):
-                weather[:, i] = self.inputs[:, INPUTS.index(name)] * unit
-        return np.concatenate([self.drive[:, None], self.others.reshape(-1, self.n_steps).T, weather], axis=1)
+    @property
+    def weather(self) -> Array:
+        """The inputs of `FREE_PRIOR` in their units (7, n)."""
+        return np.array([self.inputs[:, INPUTS.index(name)] * unit for name, (unit, *_) in FREE_PRIOR.items()])
 
     @property
     def is_pair(self) -> bool:

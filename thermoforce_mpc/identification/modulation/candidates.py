@@ -14,9 +14,8 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.joint import ModeFit
 from thermoforce_mpc.identification.estimation.likelihood import residuals
 from thermoforce_mpc.identification.estimation.modes import centred_priors
-from thermoforce_mpc.identification.estimation.recursions import responses
 from thermoforce_mpc.identification.estimation.regression import RegressionData, calibrated
-from thermoforce_mpc.identification.modulation.misfit import TrainingData
+from thermoforce_mpc.identification.modulation.misfit import TrainingData, responses
 from thermoforce_mpc.identification.modulation.training import TrainingResult, train
 from thermoforce_mpc.identification.validation.blocks import is_significant, standard_errors_saved
 from thermoforce_mpc.identification.validation.errors_ahead import Fold

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from scipy.special import expit, logit
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.estimation.likelihood import Residuals, Split
 from thermoforce_mpc.identification.estimation.modes import ModePriors
-from thermoforce_mpc.identification.estimation.recursions import adjoint, responses
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.validation.blocks import block_numbers
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, initial_weight
@@ -24,6 +24,24 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters, initia
 # Least relative distance of an initial pole to its bounds, which keeps its logit and gradient finite.
 _EDGE = 1e-9
 _SMALLEST_GAIN = 1e-12
+
+
+def responses(drives: Array, poles: Array) -> tuple[Array, Array]:
+    """Modes y(t + 1) = a y(t) + d(t) from zero under each of `drives` (m, n), and their derivatives by `poles` (r,).
+
+    Shape (m, n + 1, r) each.
+    """
+    y, slope = np.zeros((2, drives.shape[0], drives.shape[1] + 1, poles.size))
+    for i, a in enumerate(poles):
+        y[:, 1:, i] = lfilter([1.0], [1.0, -a], drives)
+        slope[:, 1:, i] = lfilter([1.0], [1.0, -a], y[:, :-1, i])
+    return y, slope
+
+
+def adjoint(by_response: Array, poles: Array, gains: Array) -> Array:
+    """Derivatives (m, n) by the drives of what has derivatives `by_response` (m, n + 1) by Σ gains y of `responses`."""
+    backwards = by_response[:, :0:-1]
+    return np.sum([lfilter([g], [1.0, -a], backwards)[:, ::-1] for a, g in zip(poles, gains, strict=True)], axis=0)
 
 
 @dataclass(frozen=True)
