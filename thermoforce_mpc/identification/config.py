@@ -25,7 +25,7 @@ class IdentificationConfig(StrictModel):
     heat_input: Literal["auto", "identity", "heat"] = Field(
         "auto",
         description="input of the modes: u, or heat from the heat capacity of (u, T_out); auto: u, or measured heat "
-        "where held-out data prefer it or levels between off and full are held",
+        "where levels between off and full are held",
     )
     machine: Literal["auto", "heat pump", "air conditioner", "direct", "other"] = Field(
         "auto", description="machine type of the heat capacity's prior; auto: chosen by mode and data"

@@ -74,7 +74,7 @@ def test_innovations_of_later_rows_are_the_end_of_those_of_all(regression, scale
         # A covariance with a condition of 10^10 is known to six digits.
         np.testing.assert_allclose(found, white[first:], atol=2e-5)
         np.testing.assert_allclose(factor, L[first:, first:], atol=1e-6)
-    np.testing.assert_allclose(rest.whitener(), np.linalg.inv(L), rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(rest.whitener, np.linalg.inv(L), rtol=1e-4, atol=1e-4)
 
 
 def test_the_likelihoods_of_all_scales_are_those_of_each(regression):

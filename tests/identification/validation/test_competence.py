@@ -11,7 +11,6 @@ from houses import House, make_pair, record, weather
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.estimation.modes import wide_priors
 from thermoforce_mpc.identification.estimation.regression import run_regression
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
 from thermoforce_mpc.identification.validation.competence import (
@@ -21,8 +20,7 @@ from thermoforce_mpc.identification.validation.competence import (
     is_well_known,
     missed_criteria,
 )
-from thermoforce_mpc.identification.validation.held_out import Case, held_out
-from thermoforce_mpc.identification.validation.held_out_fit import earlier_fold
+from thermoforce_mpc.identification.validation.held_out import before_held_out, held_out, seen_rows
 from thermoforce_mpc.identification.validation.plausible import most_K
 from thermoforce_mpc.model.competence import Competence, HorizonScore
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -99,17 +97,14 @@ def test_tests_count_an_earlier_part_that_its_fit_has_not_seen():
     one = verdict.horizons[0]
     assert one.blocks == 10  # two parts of 18 h in blocks of 4 h, the last of each shorter
 
-    case = Case(run_regression(run, HeatInput(), LINEAR), (run,), float(run.time_s[0]))
-    regression, priors = case.regression, wide_priors(2)
-    fold = earlier_fold([case], held_out([case], LINEAR), priors, HeatInput(), LINEAR, 1)
-    (split,) = fold.splits
+    (whole,) = held_out([run_regression(run, HeatInput(), LINEAR)], LINEAR)
+    (earlier,) = before_held_out([whole], LINEAR)
     # Half of the rows are fitted to, the quarter after them is held out.
-    assert split.train.size == pytest.approx(regression.rows.size / 2, abs=1)
-    assert split.judged.size == pytest.approx(regression.rows.size / 4, abs=1)
-    later = np.arange(regression.rows.size) >= split.judged[0]
-    changed = replace(case, regression=replace(regression, target=regression.target + 3.0 * later))
-    again = earlier_fold([changed], held_out([changed], LINEAR), priors, HeatInput(), LINEAR, 1)
-    assert again.fit.gains == pytest.approx(fold.fit.gains, rel=1e-12)
+    assert (whole.held, earlier.held) == pytest.approx((whole.rows.size / 4, whole.rows.size / 4), abs=1)
+    assert earlier.seen == pytest.approx(whole.rows.size / 2, abs=1)
+    (seen,) = seen_rows([earlier])
+    assert (seen.rows.size, seen.held) == (earlier.seen, 0)
+    np.testing.assert_array_equal(seen.target, whole.target[: earlier.seen])
 
 
 @pytest.mark.slow

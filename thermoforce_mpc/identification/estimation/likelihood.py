@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import Array
@@ -47,6 +47,7 @@ class Residuals:
         """C (rows, rows), K²."""
         return np.asarray(self.disturbance.covariance + self.columns @ self.columns.T)
 
+    @cached_property
     def whitener(self) -> Array:
         """Return L⁻¹ (rows, rows): row i gives its innovation given all rows before, in standard deviations."""
         factor = cholesky(self.covariance, lower=True, check_finite=False)
@@ -99,30 +100,3 @@ def residuals(regression: RegressionData, log_tau: Array) -> Residuals:
     mean, sd, _ = free_prior_of(regression, free_time_constants(log_tau).size)
     columns = np.concatenate([coupled, shared * sd, start * start_sd(start.shape[1])], axis=1)
     return Residuals(expected + shared @ mean, columns, regression.disturbance)
-
-
-@dataclass(frozen=True)
-class Split:
-    """Training rows, and held-out ones, which are judged."""
-
-    train: NDArray[np.intp]
-    judged: NDArray[np.intp]
-
-
-def split_run(regression: RegressionData, share: float) -> Split:
-    """Split a run: train on the first part, hold out the last `share`."""
-    n = regression.rows.size
-    first = max(1, min(n - 1, round(n * (1.0 - share))))
-    return Split(train=np.arange(first), judged=np.arange(first, n))
-
-
-def hold_out_pair(regression: RegressionData) -> Split:
-    """Return a split that holds out the whole pair."""
-    rows = np.arange(regression.rows.size)
-    return Split(train=rows[:0], judged=rows)
-
-
-def whole(regression: RegressionData) -> Split:
-    """Return a split that trains on all rows."""
-    rows = np.arange(regression.rows.size)
-    return Split(train=rows, judged=rows[:0])

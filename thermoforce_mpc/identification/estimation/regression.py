@@ -42,9 +42,10 @@ class RegressionData:
     """Run or pair in regression form.
 
     `target` (rows,) K; `rows` (rows,) indices of the boundaries used; `disturbance` of these rows; `inputs` (n, 8)
-    weather of the steps, empty for a pair; `drives`: sign and drive v (n,) of each run. `others` (K, n): drives of the
-    other actuators, signed by their sign, of a pair their difference; `other_gains` (K, 2, r): mean and standard
-    deviation of their [slope, G_2 … G_r], None where nothing is known of them.
+    weather of the steps, empty for a pair; `drives`: sign and drive v (n,) of each run; `histories`: their records.
+    `others` (K, n): drives of the other actuators, signed by their sign, of a pair their difference; `other_gains`
+    (K, 2, r): mean and standard deviation of their [slope, G_2 … G_r], None where nothing is known of them. `held`: how
+    many of the last rows are held out, so that a fit does not see them.
     """
 
     target: Array
@@ -53,9 +54,21 @@ class RegressionData:
     step_s: float
     drives: tuple[tuple[int, Array], ...]
     inputs: Array
+    histories: tuple[Record, ...] = ()
     others: Array = field(default_factory=lambda: np.empty((0, 0)))
     other_gains: Array | None = None
     weather_gains: Array | None = None
+    held: int = 0
+
+    @property
+    def seen(self) -> int:
+        """How many of the first rows a fit sees."""
+        return self.rows.size - self.held
+
+    def first(self, n: int) -> RegressionData:
+        """The first `n` rows, of which none is held out."""
+        disturbance = self.disturbance.first(n)
+        return replace(self, target=self.target[:n], rows=self.rows[:n], disturbance=disturbance, held=0)
 
     @property
     def n_steps(self) -> int:
@@ -111,6 +124,7 @@ def run_regression(
         step_s=history.step_s,
         drives=((1, heat_input(history.u[0], history.T_out_C[:-1])),),
         inputs=weather_inputs(history.time_s, history.T_out_C, history.solar_W_m2),
+        histories=(history,),
         others=_other_drives(history, others),
     )
 
@@ -146,6 +160,7 @@ def pair_regression(pair: Pair, heat_input: HeatInput, others: Sequence[OtherAct
         step_s=pair.a.step_s,
         drives=drives,
         inputs=np.empty((0, len(INPUTS))),
+        histories=(pair.a, pair.b),
         others=_other_drives(pair.a, others) - _other_drives(pair.b, others),
     )
 

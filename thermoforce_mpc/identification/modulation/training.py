@@ -8,10 +8,9 @@ that better than a few days of temperatures, also in weather that they did not s
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from thermoforce_mpc.data import Array
@@ -34,31 +33,16 @@ _MODULATION_SD, _MODULATION_SD_METERED = 0.15, 0.02
 _MEMORY, _FLAT, _SETTLED = 30, 1e-6, 1e-9
 
 
-@dataclass(frozen=True)
-class TrainingResult:
-    """Trained operator, and what it is judged by.
-
-    `residuals_before` and `residuals` (rows,): whitened held-out residuals before and after training; `blocks` (rows,):
-    their block numbers, see `validation.blocks`.
-    """
-
-    operator: OperatorParameters
-    residuals_before: Array
-    residuals: Array
-    blocks: NDArray[np.intp]
-
-
 def train(
     linear: OperatorParameters, regressions: Sequence[TrainingData], priors: ModePriors, config: IdentificationConfig
-) -> TrainingResult:
+) -> OperatorParameters:
     """Train from the `linear` operator for at most the configured number of epochs."""
     metered = linear.heat_input.law is not None
     modulation_sd = config.modulation_sd or (_MODULATION_SD_METERED if metered else _MODULATION_SD)
     start = with_network(linear, config.seed)
     misfit = Misfit(start, regressions, priors, modulation_sd)
     end, _ = minimise(misfit, misfit.begin, config)
-    before, after = misfit.held_out_residuals(misfit.begin), misfit.held_out_residuals(end)
-    return TrainingResult(misfit.operator(end), before, after, misfit.held_out_blocks)
+    return misfit.operator(end)
 
 
 def with_network(linear: OperatorParameters, seed: int) -> OperatorParameters:

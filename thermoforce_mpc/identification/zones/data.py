@@ -10,13 +10,16 @@ import numpy as np
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.likelihood import Split
 from thermoforce_mpc.identification.estimation.modes import ModePriors, centred_priors
 from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
-from thermoforce_mpc.identification.estimation.regression import OtherActuator, pair_regression, run_regression
+from thermoforce_mpc.identification.estimation.regression import (
+    OtherActuator,
+    RegressionData,
+    pair_regression,
+    run_regression,
+)
 from thermoforce_mpc.identification.network.folds import Effects
-from thermoforce_mpc.identification.validation.held_out import Case, held_out, identified_heat_input
-from thermoforce_mpc.identification.validation.held_out_fit import split_before
+from thermoforce_mpc.identification.validation.held_out import before_held_out, held_out, identified_heat_input
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
@@ -70,14 +73,11 @@ class ZoneTask:
 
 @dataclass(frozen=True)
 class ZoneData:
-    """A task with its records as regressions: `cases`, which rows of each are held out, and the resolution of the
-    sensor, K.
-    """
+    """A task with its records as regressions, the last rows held out, and the resolution of the sensor, K."""
 
     task: ZoneTask
     config: IdentificationConfig
-    cases: Sequence[Case]
-    splits: Sequence[Split]
+    regressions: Sequence[RegressionData]
     grid_K: float
     notes: Sequence[str]
 
@@ -90,49 +90,39 @@ class ZoneData:
             sensor_sd_K = float(np.hypot(config.sensor_sd_K, grid_K / np.sqrt(12.0)))
             config = config.model_copy(update={"sensor_sd_K": sensor_sd_K})
             notes.append(f"the zone sensor reads in steps of {grid_K:.2g} K: noise of {sensor_sd_K:.2g} K assumed")
-        cases = cases_of(task, config)
-        return cls(task, config, cases, held_out(cases, config), grid_K, notes)
+        return cls(task, config, regressions_of(task, config), grid_K, notes)
 
-    def knowing(self, effects: Effects) -> tuple[list[Case], ModePriors]:
-        """The cases with what the network says of levels and, as their prior, of the effects of the other actuators;
-        and the prior of that of the own one.
+    def knowing(self, effects: Effects) -> tuple[list[RegressionData], ModePriors]:
+        """The regressions with what the network says of levels and, as their prior, of the effects of the other
+        actuators; and the prior of that of the own one.
         """
         own, *others = effects.heat_inputs
         acting = [replace(other, heat_input=v) for other, v in zip(self.task.others, others, strict=True)]
-        cases = cases_of(replace(self.task, heat_input=own, others=acting), self.config)
+        regressions = regressions_of(replace(self.task, heat_input=own, others=acting), self.config)
         modes = effects.modes
         sd = np.maximum(HELD * modes.gains[1:], _LEAST_GAIN)
         prior = np.stack([modes.gains[1:], sd], axis=1)
-        known = [
-            replace(case, regression=replace(case.regression, other_gains=prior, weather_gains=modes.weather))
-            for case in cases
-        ]
+        known = [replace(e, other_gains=prior, weather_gains=modes.weather) for e in regressions]
         return known, centred_priors(modes.log_tau, modes.gains[0], HELD)
 
     @property
     def histories(self) -> list[Record]:
-        """The records of all cases."""
-        return [h for case in self.cases for h in case.histories]
+        """The records of all regressions."""
+        return [h for e in self.regressions for h in e.histories]
 
     def last_steps(self, fold: str) -> list[int]:
-        """How many steps of each case a fold may see, 0 for none: all of the `whole`, those before the held-out rows of
-        `training`, and of these, runs only, those before as many held out again of `earlier`.
+        """How many steps of each regression a fold may see, 0 for none: `whole` all, `training` those before the
+        held-out rows, `earlier` of these, runs only, those before as many held out anew.
         """
-        seen = []
-        for case, split in zip(self.cases, self.splits, strict=True):
-            rows, n = case.regression.rows, case.regression.n_steps
-            if fold == "whole":
-                seen.append(n)
-                continue
-            train = split.train
-            if fold == "earlier" and train.size:
-                train = (
-                    train[:0]
-                    if case.regression.is_pair or not split.judged.size
-                    else train[: split_before(case, split, self.config).train.size]
-                )
-            seen.append(int(rows[train[-1]]) if train.size else 0)
-        return seen
+        if fold == "whole":
+            return [e.n_steps for e in self.regressions]
+        steps = []
+        for e in self.regressions:
+            n = e.seen
+            if fold == "earlier":
+                n = 0 if e.is_pair else sum(before.seen for before in before_held_out([e], self.config))
+            steps.append(int(e.rows[n - 1]) if n else 0)
+        return steps
 
     def heat_input(self, fold: str) -> HeatInput:
         """What the own actuator delivers, as a fold may know it: by a heat meter's readings until its last steps.
@@ -142,7 +132,7 @@ class ZoneData:
         task = self.task
         if fold == "whole" or task.heat_input.law is None:
             return task.heat_input
-        ends = [n for case, n in zip(self.cases, self.last_steps(fold), strict=True) for _ in case.histories]
+        ends = [n for e, n in zip(self.regressions, self.last_steps(fold), strict=True) for _ in e.histories]
         seen = [history.slice(0, n) for history, n in zip(self.histories, ends, strict=True) if n > 1]
         try:
             return identified_heat_input(seen, self.config, task.sign, alone=task.alone)[0] if seen else IDENTITY
@@ -150,9 +140,7 @@ class ZoneData:
             return IDENTITY
 
 
-def cases_of(task: ZoneTask, config: IdentificationConfig) -> list[Case]:
-    """The records of a task as regressions."""
-    heat_input, others = task.heat_input, task.others
-    runs = [Case(run_regression(h, heat_input, config, others), (h,), float(h.time_s[0])) for h in task.runs]
-    pairs = [Case(pair_regression(p, heat_input, others), (p.a, p.b), float(p.a.time_s[0])) for p in task.pairs]
-    return [*runs, *pairs]
+def regressions_of(task: ZoneTask, config: IdentificationConfig) -> list[RegressionData]:
+    """The records of a task as regressions, the last rows held out."""
+    runs = [run_regression(run, task.heat_input, config, task.others) for run in task.runs]
+    return held_out([*runs, *(pair_regression(pair, task.heat_input, task.others) for pair in task.pairs)], config)

@@ -7,7 +7,7 @@ or whose sign is not proven, whatever the method. The zone's own actuator is the
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,21 +16,14 @@ from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.effects.level_laws import level_shape
 from thermoforce_mpc.identification.estimation.joint import JointFit, ModeFit, fit_joint, fit_modes
-from thermoforce_mpc.identification.estimation.likelihood import whole
-from thermoforce_mpc.identification.estimation.modes import centred_priors, to_operator
+from thermoforce_mpc.identification.estimation.modes import ModePriors, centred_priors, to_operator
+from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
-from thermoforce_mpc.identification.network.folds import ZoneEffects
+from thermoforce_mpc.identification.network.folds import Effects, ZoneEffects
 from thermoforce_mpc.identification.validation.competence import Trial, judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
-from thermoforce_mpc.identification.validation.held_out import (
-    normalisation,
-    ranges,
-)
-from thermoforce_mpc.identification.validation.held_out_fit import (
-    earlier_fold,
-    training_data,
-)
+from thermoforce_mpc.identification.validation.held_out import before_held_out, normalisation, ranges, seen_rows
 from thermoforce_mpc.identification.validation.warnings import uncertain
 from thermoforce_mpc.identification.zones.data import HELD, ZoneData
 from thermoforce_mpc.identification.zones.two_stage_model import two_stage_model
@@ -106,12 +99,14 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
     """The joint estimator as a zone's model, and its fit: effects from the network, input of the modulation by
     held-out data.
     """
-    task, config, splits = data.task, data.config, data.splits
+    task, config = data.task, data.config
     sign, heat_input, power = task.sign, effects.whole.heat_inputs[0], task.power
-    cases, priors = data.knowing(effects.whole)
-    seen_cases, seen_priors = data.knowing(effects.training)
-    seen = fit_modes(training_data(seen_cases, splits), seen_priors, sign)
-    final = fit_joint([c.regression for c in cases], priors, sign, effects.covariance)
+    regressions, priors = data.knowing(effects.whole)
+    final = fit_joint(regressions, priors, sign, effects.covariance)
+    last = _fold(*data.knowing(effects.training), effects.training, sign)
+    earlier, before_priors = data.knowing(effects.earlier)
+    earlier = before_held_out(earlier, config)
+    before = _fold(earlier, before_priors, effects.earlier, sign) if earlier else None
     histories, step_s = data.histories, task.step_s
     base_step = histories[0].step_s
     mean, scale = normalisation(histories)
@@ -132,16 +127,13 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
 
     operator, notes = replace(linear(final, heat_input), feedback=config.feedback), list(data.notes)
     scores = {"residual_scale": final.residual_scale, "acts_log_odds": effects.log_odds}
-    last = Fold(seen_cases, splits, seen, seen_priors, effects.training.heat_inputs[0])
-    before_cases, before_priors = data.knowing(effects.earlier)
-    before = earlier_fold(before_cases, splits, before_priors, effects.earlier.heat_inputs[0], config, sign)
     if heat_input.law is not None and last.heat_input.law is None:
         notes.append(_LEVEL_FOR_HEAT)
     if config.modulation == "linear":
         trials = Trial.linear(last, sign), None if before is None else Trial.linear(before, sign)
     else:
         say("training the modulation of the gain")
-        everything = Fold(cases, [whole(case.regression) for case in cases], final, priors, heat_input)
+        everything = Fold([replace(e, held=0) for e in regressions], final, priors, heat_input)
         modulated = modulate(everything, last, before, linear, config, power)
         operator, trials = modulated.operator, (modulated.last, modulated.before)
         scores, notes = scores | modulated.scores, [*notes, *modulated.notes]
@@ -166,3 +158,8 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
         ),
     )
     return model, final
+
+
+def _fold(regressions: Sequence[RegressionData], priors: ModePriors, effects: Effects, sign: int) -> Fold:
+    """The fit to the rows that are not held out."""
+    return Fold(regressions, fit_modes(seen_rows(regressions), priors, sign), priors, effects.heat_inputs[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,17 +12,15 @@ from thermoforce_mpc.data import HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.joint import ModeFit
-from thermoforce_mpc.identification.estimation.likelihood import Split, whole
 from thermoforce_mpc.identification.estimation.modes import centred_priors, to_operator, wide_priors
 from thermoforce_mpc.identification.estimation.records import Pair
-from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression
+from thermoforce_mpc.identification.estimation.regression import RegressionData, pair_regression, run_regression
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
 from thermoforce_mpc.identification.modulation.selection import modulate
 from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
 from thermoforce_mpc.identification.validation.competence import Trial, judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
-from thermoforce_mpc.identification.validation.held_out import Case, held_out, normalisation, ranges
-from thermoforce_mpc.identification.validation.held_out_fit import before_held_out
+from thermoforce_mpc.identification.validation.held_out import before_held_out, held_out, normalisation, ranges
 from thermoforce_mpc.identification.validation.reasons import UNJUDGED
 from thermoforce_mpc.identification.zones.data import ZoneData
 from thermoforce_mpc.model.card import ModelCard
@@ -53,23 +52,22 @@ def two_stage_model(data: ZoneData) -> ZoneModel:
         "on_steps": fit.n_on,
         "acts_log_odds": 0.5 * (fit.g / fit.g_sd) ** 2,
     }
-    cases = _cases(runs, pairs, heat_input, config)
-    splits, unjudged = held_out(cases, config), ""
-    seen = _cases(runs, pairs, data.heat_input("training"), config)
+    regressions, unjudged = _regressions(runs, pairs, heat_input, config), ""
+    seen = _regressions(runs, pairs, data.heat_input("training"), config)
     try:
-        last = _fold(seen, splits, fit, data.heat_input("training"), config)
+        last = _fold(seen, fit, data.heat_input("training"))
     except DataError as error:
-        last, unjudged = _of_fit(cases, splits, fit), f"without its held-out rows: {error}"
+        last, unjudged = _of_fit(regressions, fit), f"without its held-out rows: {error}"
     before = None
     if not unjudged:
-        earlier = before_held_out(_cases(runs, pairs, data.heat_input("earlier"), config), splits, config)
+        earlier = before_held_out(_regressions(runs, pairs, data.heat_input("earlier"), config), config)
         with suppress(DataError):  # there is no earlier part then
-            before = _fold(*earlier, fit, data.heat_input("earlier"), config)
+            before = _fold(earlier, fit, data.heat_input("earlier"))
     trials = Trial.linear(last, sign), None if before is None else Trial.linear(before, sign)
     said: list[str] = []
     if pairs or config.modulation != "linear":
-        histories = [h for case in cases for h in case.histories]
-        everything = _of_fit(cases, [whole(case.regression) for case in cases], fit)
+        histories = [h for e in regressions for h in e.histories]
+        everything = _of_fit([replace(e, held=0) for e in regressions], fit)
         modulated = modulate(everything, last, before, _linear(fit, histories, config), config)
         operator, said, trials = modulated.operator, modulated.notes, (modulated.last, modulated.before)
         scores |= modulated.scores
@@ -93,41 +91,31 @@ def two_stage_model(data: ZoneData) -> ZoneModel:
     )
 
 
-def _cases(
+def _regressions(
     runs: Sequence[Record], pairs: Sequence[Pair], heat_input: HeatInput, config: IdentificationConfig
-) -> list[Case]:
+) -> list[RegressionData]:
     """What the network is trained and everything judged on: the pairs if there are any, else the runs."""
     if pairs:
-        return [Case(pair_regression(p, heat_input), (p.a, p.b), float(p.a.time_s[0])) for p in pairs]
-    return [Case(run_regression(h, heat_input, config), (h,), float(h.time_s[0])) for h in runs]
+        return held_out([pair_regression(pair, heat_input) for pair in pairs], config)
+    return held_out([run_regression(run, heat_input, config) for run in runs], config)
 
 
-def _fold(
-    cases: Sequence[Case],
-    splits: Sequence[Split],
-    fit: TwoStageFit,
-    heat_input: HeatInput,
-    config: IdentificationConfig,
-) -> Fold:
+def _fold(regressions: Sequence[RegressionData], fit: TwoStageFit, heat_input: HeatInput) -> Fold:
     """The two stages without the held-out rows of runs; held-out pairs have no part in them anyway.
 
     Raises:
         DataError: too few steps are left.
     """
-    seen = [
-        case.histories[0].slice(0, int(case.regression.rows[split.train[-1]]))
-        for case, split in zip(cases, splits, strict=True)
-        if not case.regression.is_pair and split.train.size
-    ]
+    seen = [e.histories[0].slice(0, int(e.rows[e.seen - 1])) for e in regressions if not e.is_pair and e.seen]
     if seen:
         fit = fit_two_stage(seen, heat_input=heat_input, sign=fit.sign)
-    return _of_fit(cases, splits, fit)
+    return _of_fit(regressions, fit)
 
 
-def _of_fit(cases: Sequence[Case], splits: Sequence[Split], fit: TwoStageFit) -> Fold:
+def _of_fit(regressions: Sequence[RegressionData], fit: TwoStageFit) -> Fold:
     modes = _as_modes(fit)
     priors = centred_priors(modes.log_tau, modes.gains, _TWO_STAGE_SD)
-    return Fold(cases, splits, modes, priors, fit.heat_input)
+    return Fold(regressions, modes, priors, fit.heat_input)
 
 
 def _as_modes(fit: TwoStageFit) -> ModeFit:
