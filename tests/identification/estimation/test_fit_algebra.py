@@ -11,9 +11,9 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import HOUR_S
-from thermoforce_mpc.identification import IdentificationConfig, Pair
+from thermoforce_mpc.identification import Pair
 from thermoforce_mpc.identification.estimation.columns import forced_columns, free_columns, other_columns
-from thermoforce_mpc.identification.estimation.disturbance import Disturbance
+from thermoforce_mpc.identification.estimation.disturbance import ASSUMED_H, ASSUMED_SD_K, SENSOR_SD_K, Disturbance
 from thermoforce_mpc.identification.estimation.joint import fit_joint
 from thermoforce_mpc.identification.estimation.likelihood import residuals
 from thermoforce_mpc.identification.estimation.modes import wide_priors
@@ -22,7 +22,6 @@ from thermoforce_mpc.identification.estimation.rows import Rows
 from thermoforce_mpc.identification.estimation.triangles import triangle
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
-CONFIG = IdentificationConfig()
 LOG_TAU = np.log([0.6, 3.5, 50.0])
 RNG = np.random.default_rng(0)
 
@@ -31,7 +30,7 @@ RNG = np.random.default_rng(0)
 def regression():
     run = record(House(), 1.2, seed=1, noise_K=0.01)
     gaps = np.isin(np.arange(run.n_steps + 1), [5, 6, 7, 40, *range(60, 90)])
-    return run_regression(replace(run, T_zone_C=np.where(gaps, np.nan, run.T_zone_C)), IDENTITY, CONFIG)
+    return run_regression(replace(run, T_zone_C=np.where(gaps, np.nan, run.T_zone_C)), IDENTITY)
 
 
 @pytest.fixture(scope="module")
@@ -46,8 +45,8 @@ def test_a_disturbance_is_whitened_by_its_covariance(regression):
     at = disturbance.time_s / HOUR_S
     lag = np.abs(at[:, None] - at)
     expected = sum(
-        sd**2 * np.exp(-lag / h) for sd, h in zip(CONFIG.disturbance_sd_K, CONFIG.disturbance_hours, strict=True)
-    ) + CONFIG.sensor_sd_K**2 * np.eye(at.size)
+        sd**2 * np.exp(-lag / h) for sd, h in zip(ASSUMED_SD_K, ASSUMED_H, strict=True)
+    ) + SENSOR_SD_K**2 * np.eye(at.size)
     np.testing.assert_allclose(disturbance.covariance, expected, rtol=1e-12)
     L = np.linalg.cholesky(expected)
     np.testing.assert_allclose(disturbance.factor, L, atol=1e-10)
@@ -106,7 +105,7 @@ def with_other(regression):
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_rows_are_those_of_runs_and_pairs_and_of_their_priors(regression, pair, order):
     priors = wide_priors(order)
-    run = run_regression(record(House(), 1.0, seed=2, noise_K=0.01), IDENTITY, CONFIG)
+    run = run_regression(record(House(), 1.0, seed=2, noise_K=0.01), IDENTITY)
     for data in ([regression, pair, run], [with_other(regression), with_other(pair)], [pair]):
         data = scaled(data, 0.2)
         system = Rows.of(data, priors, -1)

@@ -12,7 +12,7 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.data import HOUR_S
-from thermoforce_mpc.identification import IdentificationConfig, Pair
+from thermoforce_mpc.identification import Pair
 from thermoforce_mpc.identification.estimation.likelihood import residuals
 from thermoforce_mpc.identification.estimation.modes import to_operator, wide_priors
 from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression
@@ -55,12 +55,11 @@ def by_torch(operator, data, priors):
 @pytest.mark.parametrize("order", [1, 2, 3])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_value_and_gradient_are_those_of_the_definition(order, sign):
-    config = IdentificationConfig()
     priors = wide_priors(order)
     data = []
     for seed, days in ((1, 1.0), (2, 1.25)):
         run = record(House(), days, seed=seed, noise_K=0.01)
-        e = run_regression(run, IDENTITY, config)
+        e = run_regression(run, IDENTITY)
         e = replace(e, held=e.rows.size - 70)
         x = feature_matrix(run.T_zone_C[0, :-1], run.T_out_C[:-1], run.solar_W_m2[:-1], run.time_s[:-1])
         data.append(TrainingData(e, (x,), residuals(e, priors.log_tau)))
@@ -97,7 +96,7 @@ def test_value_and_gradient_are_those_of_the_definition(order, sign):
 @pytest.mark.parametrize("edge", [0.0, 1.0])
 def test_a_pole_on_its_bound_and_no_gain_are_kept(edge):
     start = linear_operator([0.5 + 0.4 * edge], [0.0], step_s=900.0, pole_bounds=np.array([[0.5, 0.9]]))
-    run = run_regression(record(House(), 1.0), IDENTITY, IdentificationConfig(order=1))
+    run = run_regression(record(House(), 1.0), IDENTITY)
     priors = wide_priors(1)
     data = TrainingData(run, (np.zeros((run.n_steps, 4)),), residuals(run, priors.log_tau))
     misfit = Misfit(start, [data], priors, SD)

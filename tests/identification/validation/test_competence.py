@@ -97,7 +97,7 @@ def test_tests_count_an_earlier_part_that_its_fit_has_not_seen():
     one = verdict.horizons[0]
     assert one.blocks == 10  # two parts of 18 h in blocks of 4 h, the last of each shorter
 
-    (whole,) = held_out([run_regression(run, HeatInput(), LINEAR)], LINEAR)
+    (whole,) = held_out([run_regression(run, HeatInput())], LINEAR)
     (earlier,) = before_held_out([whole], LINEAR)
     # Half of the rows are fitted to, the quarter after them is held out.
     assert (whole.held, earlier.held) == pytest.approx((whole.rows.size / 4, whole.rows.size / 4), abs=1)

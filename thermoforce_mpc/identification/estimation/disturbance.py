@@ -13,7 +13,11 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.config import IdentificationConfig
+
+SENSOR_SD_K = 0.01
+"""Noise of a temperature sensor, K."""
+ASSUMED_SD_K, ASSUMED_H = np.array([0.02, 0.2, 2.0]), np.array([0.5, 3.0, 50.0])
+"""Standard deviations of disturbances, K, and their time constants, h."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +33,9 @@ class Disturbance:
     noise_sd_K: float
 
     @classmethod
-    def assumed(cls, time_s: Array, config: IdentificationConfig) -> Disturbance:
-        """What `config` assumes."""
-        processes = np.array([config.disturbance_sd_K, config.disturbance_hours], dtype=np.float64)
-        return cls(time_s, processes[0], processes[1], config.sensor_sd_K)
+    def assumed(cls, time_s: Array, sensor_sd_K: float) -> Disturbance:
+        """What is assumed of a house."""
+        return cls(time_s, ASSUMED_SD_K, ASSUMED_H, sensor_sd_K)
 
     @classmethod
     def independent(cls, time_s: Array, sd_K: float) -> Disturbance:

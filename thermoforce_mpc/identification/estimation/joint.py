@@ -16,8 +16,8 @@ import numpy as np
 from scipy.optimize import lsq_linear, minimize
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.columns import free_time_constants, other_prior
+from thermoforce_mpc.identification.estimation.disturbance import ASSUMED_H, ASSUMED_SD_K, SENSOR_SD_K
 from thermoforce_mpc.identification.estimation.modes import ModePriors, poles
 from thermoforce_mpc.identification.estimation.regression import (
     FREE_PRIOR,
@@ -69,12 +69,12 @@ class JointFit(ModeFit):
         """The fit as that of the zone's response to other actuator `k`."""
         return replace(self, gains=self.other_gains[k], covariance=self.other_covariance[k])
 
-    def free_model(self, step_s: float, config: IdentificationConfig) -> RcParameters:
+    def free_model(self, step_s: float, sensor_sd_K: float = SENSOR_SD_K) -> RcParameters:
         """Return the free part as a linear model at `step_s`."""
         a = poles(self.free_log_tau, step_s)
         # Each disturbance enters the mode nearest to its time constant; none enters the ground mode.
         share = np.zeros(a.size)
-        for sd, hours in zip(config.disturbance_sd_K, config.disturbance_hours, strict=True):
+        for sd, hours in zip(ASSUMED_SD_K, ASSUMED_H, strict=True):
             nearest = int(np.argmin(np.abs(self.free_log_tau[:-1] - np.log(hours))))
             share[nearest] = np.hypot(share[nearest], sd * max(self.residual_scale, 0.3))
         return RcParameters(
@@ -82,7 +82,7 @@ class JointFit(ModeFit):
             weights=self.free_gains * (1.0 - a)[:, None],
             step_s=step_s,
             process_sd_K=share * np.sqrt(1.0 - a**2),
-            sensor_sd_K=max(config.sensor_sd_K, 0.01),
+            sensor_sd_K=sensor_sd_K,
         )
 
 

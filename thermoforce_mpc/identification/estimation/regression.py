@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
-from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.disturbance import Disturbance
+from thermoforce_mpc.identification.estimation.disturbance import SENSOR_SD_K, Disturbance
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH, MOST_ROWS, Pair
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -102,8 +101,8 @@ class OtherActuator:
 def run_regression(
     history: Record,
     heat_input: HeatInput,
-    config: IdentificationConfig,
     others: Sequence[OtherActuator] = (),
+    sensor_sd_K: float = SENSOR_SD_K,
 ) -> RegressionData:
     """Return a run of one zone as a regression; missing temperatures are omitted.
 
@@ -120,7 +119,7 @@ def run_regression(
     return RegressionData(
         target=history.T_zone_C[0, rows] - REFERENCE_C,
         rows=rows,
-        disturbance=Disturbance.assumed(history.time_s[rows], config),
+        disturbance=Disturbance.assumed(history.time_s[rows], sensor_sd_K),
         step_s=history.step_s,
         drives=((1, heat_input(history.u[0], history.T_out_C[:-1])),),
         inputs=weather_inputs(history.time_s, history.T_out_C, history.solar_W_m2),

@@ -29,6 +29,7 @@ _STRAIGHT = 0.1
 _MOST = 0.99
 # Prior standard deviation of m(x) around its start: smaller where measured heat includes the dependence on T_out.
 _MODULATION_SD, _MODULATION_SD_METERED = 0.15, 0.02
+_LEARNING_RATE = 0.01  # of Adam
 # L-BFGS: history size; convergence tolerances of the gradient's largest element and of the loss's relative change.
 _MEMORY, _FLAT, _SETTLED = 30, 1e-6, 1e-9
 
@@ -38,9 +39,8 @@ def train(
 ) -> OperatorParameters:
     """Train from the `linear` operator for at most the configured number of epochs."""
     metered = linear.heat_input.law is not None
-    modulation_sd = config.modulation_sd or (_MODULATION_SD_METERED if metered else _MODULATION_SD)
     start = with_network(linear, config.seed)
-    misfit = Misfit(start, regressions, priors, modulation_sd)
+    misfit = Misfit(start, regressions, priors, _MODULATION_SD_METERED if metered else _MODULATION_SD)
     end, _ = minimise(misfit, misfit.begin, config)
     return misfit.operator(end)
 
@@ -77,7 +77,7 @@ def minimise(
         import torch  # slow to load, and for the paper's optimiser only
 
         parameters = torch.nn.Parameter(torch.from_numpy(start.copy()))
-        optimiser = torch.optim.Adam([parameters], lr=config.learning_rate)
+        optimiser = torch.optim.Adam([parameters], lr=_LEARNING_RATE)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.epochs)
         for _ in range(config.epochs):
             parameters.grad = torch.from_numpy(evaluate(parameters.detach().numpy())[1])

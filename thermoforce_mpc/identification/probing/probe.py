@@ -16,8 +16,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Boundary, Layout, Record
-from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.probing.design import Candidate, Designer
+from thermoforce_mpc.identification.probing.design import Candidate, choose
 from thermoforce_mpc.identification.probing.excitation import Excitation, Law, LevelTrial
 from thermoforce_mpc.identification.probing.politeness import Foresight
 from thermoforce_mpc.identification.probing.room_setpoints import RoomExcitation
@@ -118,7 +117,6 @@ class Probing:
         seed: int,
         layout: Layout | None = None,
         config: ProbingConfig | None = None,
-        identification: IdentificationConfig | None = None,
     ) -> None:
         """Reset `plant` with native warm-up to `start_s`; arguments as for `probe`.
 
@@ -126,7 +124,6 @@ class Probing:
             PlantError: the plant or service failed.
         """
         self.config = c = config or ProbingConfig()
-        self.designer = Designer(identification)
         self._plant, self._layout = plant, layout or Layout.single()
         now = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
         self.record = Record.beginning(now)
@@ -139,7 +136,7 @@ class Probing:
                 self._excites.append(_Rooms(c, draws, lowest))
             else:
                 own = past.part(zone, [a])
-                self._excites.append(_Levels(c, self.designer, draws, self._layout.signs[a], own))
+                self._excites.append(_Levels(c, draws, self._layout.signs[a], own))
 
     @property
     def days(self) -> float:
@@ -228,8 +225,8 @@ class _Rooms:
 class _Levels:
     """Excites a zone by the levels of an actuator; `past`: its record before the probing."""
 
-    def __init__(self, c: ProbingConfig, designer: Designer, seed: tuple[int, ...], sign: int, past: Record) -> None:
-        self._config, self._designer, self._seed = c, designer, seed
+    def __init__(self, c: ProbingConfig, seed: tuple[int, ...], sign: int, past: Record) -> None:
+        self._config, self._seed = c, seed
         self._sign = float(sign)
         self._foresight = Foresight(past, self._sign, c.step_s)
         self._excitation = Excitation(_law(c, c.hold_steps), np.random.default_rng(_seed(seed)))
@@ -252,9 +249,7 @@ class _Levels:
         centre = self._centre_C(band)
         if ahead is not None:
             candidates = _candidates(c, self._seed, record.n_steps)
-            chosen = self._designer.choose(
-                record, ahead, self._excitation, candidates, centre_C=centre, sign=self._sign
-            )
+            chosen = choose(record, ahead, self._excitation, candidates, centre_C=centre, sign=self._sign)
             self._excitation = self._excitation.resumed(chosen.law, chosen.seed)
         # Positive if the zone is too cold (heating) or too warm (cooling).
         level = self._excitation.next(self._sign * (centre - float(record.T_zone_C[0, -1])))

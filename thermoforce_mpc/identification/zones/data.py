@@ -10,6 +10,7 @@ import numpy as np
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.estimation.disturbance import SENSOR_SD_K
 from thermoforce_mpc.identification.estimation.modes import ModePriors, centred_priors
 from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
 from thermoforce_mpc.identification.estimation.regression import (
@@ -86,11 +87,9 @@ class ZoneData:
         """The data of a task; of a sensor that reads in steps, their rounding counts as its noise."""
         grid_K, notes = resolution_K(task.runs), list(task.notes)
         if grid_K:
-            # Rounding errors are uniform: their standard deviation is a twelfth's root of the resolution.
-            sensor_sd_K = float(np.hypot(config.sensor_sd_K, grid_K / np.sqrt(12.0)))
-            config = config.model_copy(update={"sensor_sd_K": sensor_sd_K})
-            notes.append(f"the zone sensor reads in steps of {grid_K:.2g} K: noise of {sensor_sd_K:.2g} K assumed")
-        return cls(task, config, regressions_of(task, config), grid_K, notes)
+            noise_K = sensor_sd_K(grid_K)
+            notes.append(f"the zone sensor reads in steps of {grid_K:.2g} K: noise of {noise_K:.2g} K assumed")
+        return cls(task, config, regressions_of(task, config, grid_K), grid_K, notes)
 
     def knowing(self, effects: Effects) -> tuple[list[RegressionData], ModePriors]:
         """The regressions with what the network says of levels and, as their prior, of the effects of the other
@@ -98,7 +97,7 @@ class ZoneData:
         """
         own, *others = effects.heat_inputs
         acting = [replace(other, heat_input=v) for other, v in zip(self.task.others, others, strict=True)]
-        regressions = regressions_of(replace(self.task, heat_input=own, others=acting), self.config)
+        regressions = regressions_of(replace(self.task, heat_input=own, others=acting), self.config, self.grid_K)
         modes = effects.modes
         sd = np.maximum(HELD * modes.gains[1:], _LEAST_GAIN)
         prior = np.stack([modes.gains[1:], sd], axis=1)
@@ -140,7 +139,12 @@ class ZoneData:
             return IDENTITY
 
 
-def regressions_of(task: ZoneTask, config: IdentificationConfig) -> list[RegressionData]:
+def sensor_sd_K(grid_K: float) -> float:
+    """Noise of a sensor that reads in steps, K: rounding errors are uniform."""
+    return float(np.hypot(SENSOR_SD_K, grid_K / np.sqrt(12.0)))
+
+
+def regressions_of(task: ZoneTask, config: IdentificationConfig, grid_K: float) -> list[RegressionData]:
     """The records of a task as regressions, the last rows held out."""
-    runs = [run_regression(run, task.heat_input, config, task.others) for run in task.runs]
+    runs = [run_regression(run, task.heat_input, task.others, sensor_sd_K(grid_K)) for run in task.runs]
     return held_out([*runs, *(pair_regression(pair, task.heat_input, task.others) for pair in task.pairs)], config)

@@ -25,7 +25,7 @@ from thermoforce_mpc.identification.validation.competence import Trial, judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.validation.held_out import before_held_out, normalisation, ranges, seen_rows
 from thermoforce_mpc.identification.validation.warnings import uncertain
-from thermoforce_mpc.identification.zones.data import HELD, ZoneData
+from thermoforce_mpc.identification.zones.data import HELD, ZoneData, sensor_sd_K
 from thermoforce_mpc.identification.zones.two_stage_model import two_stage_model
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
@@ -145,7 +145,7 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
     model = ZoneModel(
         operator=operator,
         power=power,
-        free=final.free_model(step_s or base_step, config) if task.runs else None,
+        free=final.free_model(step_s or base_step, sensor_sd_K(data.grid_K)) if task.runs else None,
         card=ModelCard(
             source=task.source,
             data=task.data,

@@ -97,7 +97,7 @@ def _regressions(
     """What the network is trained and everything judged on: the pairs if there are any, else the runs."""
     if pairs:
         return held_out([pair_regression(pair, heat_input) for pair in pairs], config)
-    return held_out([run_regression(run, heat_input, config) for run in runs], config)
+    return held_out([run_regression(run, heat_input) for run in runs], config)
 
 
 def _fold(regressions: Sequence[RegressionData], fit: TwoStageFit, heat_input: HeatInput) -> Fold:
