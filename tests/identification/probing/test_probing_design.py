@@ -12,7 +12,7 @@ from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.probing.design import information
-from thermoforce_mpc.identification.probing.excitation import Excitation, Law
+from thermoforce_mpc.identification.probing.excitation import Excitation
 from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.scenario.settings import validate
@@ -47,8 +47,7 @@ def test_comfort_comes_before_information(plant):
     record = _probed(plant, "informative", 20, days=2.0)
     assert record.T_zone_C[0, 24:].min() > 18.5
     assert record.T_zone_C[0].max() < 26.0
-    law = Law((0.0, 1.0), (1,), 0.35, 1.5, 1.5)
-    excitation = Excitation(law, np.random.default_rng(0))
+    excitation = Excitation((0.0, 1.0), (1,), np.random.default_rng(0))
     assert [excitation.next(2.0) for _ in range(5)] == [1.0] * 5, "too cold: always on"
     assert [excitation.next(-2.0) for _ in range(5)] == [0.0] * 5, "too warm: always off"
 

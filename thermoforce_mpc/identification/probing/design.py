@@ -9,7 +9,6 @@ far and the hours the candidate adds: twice the information gain, in nats. It ne
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.identification.estimation.likelihood import residuals
 from thermoforce_mpc.identification.estimation.modes import TIME_CONSTANTS_H, ModePriors, unit_responses
 from thermoforce_mpc.identification.estimation.regression import run_regression
-from thermoforce_mpc.identification.probing.excitation import Excitation, Law
+from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 # Step of the derivative with respect to ln τ.
@@ -40,23 +39,15 @@ _HOUSE = ModePriors(
 )
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """Candidate excitation: law of the draws, and their seed."""
-
-    law: Law
-    seed: tuple[int, ...]
-
-
 def choose(
     history: Record,
     ahead: Boundary,
     excitation: Excitation,
-    candidates: list[Candidate],
+    candidates: list[Draws],
     *,
     centre_C: float,
     sign: float,
-) -> Candidate:
+) -> Draws:
     """Return the best candidate for the hours of `ahead`.
 
     Args:
@@ -77,8 +68,7 @@ def choose(
     start_K = sign * (centre_C - float(history.T_zone_C[0, -1]))
     worth = []
     for candidate in candidates:
-        going_on = excitation.resumed(candidate.law, candidate.seed)
-        levels = _simulated_levels(going_on, ahead.n_steps, step_s, start_K, holding)
+        levels = _simulated_levels(excitation.resumed(candidate), ahead.n_steps, step_s, start_K, holding)
         worth.append(_criterion(np.concatenate([history.u[0], levels]), step_s, whitener, rows))
     return candidates[int(np.argmax(worth))]
 

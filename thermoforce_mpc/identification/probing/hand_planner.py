@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.probing.design import expected_rise_K, information
-from thermoforce_mpc.identification.probing.excitation import Excitation, Law
+from thermoforce_mpc.identification.probing.excitation import Excitation
 
 # Holding times by hand, h, and draws that are compared a day.
 HOLDS_H = (1, 2, 3, 4, 6)
 _CANDIDATES = 24
-# As the automatic probing leans and turns back, see `ProbingConfig`.
-_LEAN_PER_K, _TURN_K = 0.35, 1.5
 # Price of discomfort when draws are compared, nats per K·h.
 _DISCOMFORT = 0.02
 
@@ -86,8 +84,7 @@ class HandPlanner:
 
     def _draw(self, a: int, seed: tuple[int, ...]) -> Array:
         """Levels of a day from the first hour, NaN at night; they lean towards comfort as the design imagines it."""
-        law = Law(self.levels, HOLDS_H, _LEAN_PER_K, _TURN_K, _TURN_K)
-        excitation = Excitation(law, np.random.default_rng(seed))
+        excitation = Excitation(self.levels, HOLDS_H, np.random.default_rng(seed))
         awake = self._is_awake(24 * self.days + np.arange(24))
         levels = np.full(24, np.nan)
         sign, home = self.layout.signs[a], self.layout.home[a]
