@@ -16,7 +16,7 @@ from thermoforce_mpc.identification.estimation.columns import forced_columns, fr
 from thermoforce_mpc.identification.estimation.disturbance import ASSUMED_H, ASSUMED_SD_K, SENSOR_SD_K, Disturbance
 from thermoforce_mpc.identification.estimation.joint import fit_joint
 from thermoforce_mpc.identification.estimation.likelihood import residuals
-from thermoforce_mpc.identification.estimation.modes import wide_priors
+from thermoforce_mpc.identification.estimation.modes import centred_priors
 from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression, scaled
 from thermoforce_mpc.identification.estimation.rows import Rows
 from thermoforce_mpc.identification.estimation.triangles import triangle
@@ -97,16 +97,21 @@ def plain_rows(regression, log_tau, sign):
     return solve_triangular(np.linalg.cholesky(regression.disturbance.covariance), values, lower=True)
 
 
-def with_other(regression):
+def priors_of(order):
+    return centred_priors(LOG_TAU[:order], np.array([0.5, 1.5, 12.0])[:order], 1.0)
+
+
+def with_other(regression, order):
     """Beside an actuator that cools it."""
-    return replace(regression, others=-RNG.random((1, regression.n_steps)))
+    gains = np.ones((1, 2, order))
+    return replace(regression, others=-RNG.random((1, regression.n_steps)), other_gains=gains)
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_rows_are_those_of_runs_and_pairs_and_of_their_priors(regression, pair, order):
-    priors = wide_priors(order)
+    priors = priors_of(order)
     run = run_regression(record(House(), 1.0, seed=2, noise_K=0.01), IDENTITY)
-    for data in ([regression, pair, run], [with_other(regression), with_other(pair)], [pair]):
+    for data in ([regression, pair, run], [with_other(regression, order), with_other(pair, order)], [pair]):
         data = scaled(data, 0.2)
         system = Rows.of(data, priors, -1)
         begin, p = 0, system.columns.shape[1]
@@ -125,7 +130,7 @@ def test_rows_are_those_of_runs_and_pairs_and_of_their_priors(regression, pair, 
 
 def test_the_fit_is_the_least_sum_of_squares_within_bounds(regression, pair):
     """Moving any parameter within its bounds makes it larger."""
-    priors, data = wide_priors(3), [regression, pair]
+    priors, data = priors_of(3), [regression, pair]
     fit = fit_joint(data, priors, 1, np.zeros((1, 6, 6)))
     system = Rows.of(data, priors, 1)
     expected = lsq_linear(system.columns, system.target, (system.low, np.inf), method="bvls", tol=1e-14).x

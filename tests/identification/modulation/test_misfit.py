@@ -14,7 +14,7 @@ from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification import Pair
 from thermoforce_mpc.identification.estimation.likelihood import residuals
-from thermoforce_mpc.identification.estimation.modes import to_operator, wide_priors
+from thermoforce_mpc.identification.estimation.modes import bounds_h, centred_priors, to_operator
 from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression
 from thermoforce_mpc.identification.modulation.misfit import Misfit, TrainingData
 from thermoforce_mpc.model.operator.features import feature_matrix
@@ -55,7 +55,7 @@ def by_torch(operator, data, priors):
 @pytest.mark.parametrize("order", [1, 2, 3])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_value_and_gradient_are_those_of_the_definition(order, sign):
-    priors = wide_priors(order)
+    priors = centred_priors(np.log([0.6, 3.5, 50.0])[:order], np.array([0.5, 1.5, 12.0])[:order], 0.7)
     data = []
     for seed, days in ((1, 1.0), (2, 1.25)):
         run = record(House(), days, seed=seed, noise_K=0.01)
@@ -71,7 +71,7 @@ def test_value_and_gradient_are_those_of_the_definition(order, sign):
         e = replace(e, held=e.rows.size if seed == 4 else 0)  # the second pair is held out
         data.append(TrainingData(e, tuple(x), residuals(e, priors.log_tau)))
     start = to_operator(
-        priors.log_tau, np.array([0.4, 2.0, 15.0])[:order], step_s=900.0, bounds_h=priors.bounds_h(), sign=sign,
+        priors.log_tau, np.array([0.4, 2.0, 15.0])[:order], step_s=900.0, bounds_h=bounds_h(priors.log_tau), sign=sign,
         gamma=GAMMA, hidden=4, heat_input=IDENTITY, feature_mean=np.array([20.0, 4.0, 60.0, 0.0]),
         feature_scale=np.array([2.0, 4.0, 90.0, 0.7]),
     )  # fmt: skip
@@ -97,7 +97,7 @@ def test_value_and_gradient_are_those_of_the_definition(order, sign):
 def test_a_pole_on_its_bound_and_no_gain_are_kept(edge):
     start = linear_operator([0.5 + 0.4 * edge], [0.0], step_s=900.0, pole_bounds=np.array([[0.5, 0.9]]))
     run = run_regression(record(House(), 1.0), IDENTITY)
-    priors = wide_priors(1)
+    priors = centred_priors(np.log([25.0]), np.array([0.2]), 1.0)
     data = TrainingData(run, (np.zeros((run.n_steps, 4)),), residuals(run, priors.log_tau))
     misfit = Misfit(start, [data], priors, SD)
     kept = misfit.operator(misfit.begin)

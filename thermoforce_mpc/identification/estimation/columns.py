@@ -12,7 +12,6 @@ from thermoforce_mpc.identification.estimation.modes import (
     lagged,
     poles,
     unit_responses,
-    wide_priors,
 )
 from thermoforce_mpc.identification.estimation.regression import FREE_PRIOR, RegressionData
 
@@ -21,12 +20,12 @@ _LEVEL_SD_K = 50.0
 _START_SD_K = (3.0, 20.0, 50.0, 50.0)
 # Fixed time constant of soil and neighbouring rooms, h: too slow to identify, but not negligible.
 _GROUND_H = 400.0
-_DEFAULT_FASTEST_LOG_TAU = np.log(TIME_CONSTANTS_H[3][:1])
+_DEFAULT_FASTEST_LOG_TAU = np.log(TIME_CONSTANTS_H[:1])
 # Order of the operator whose slow modes are those of the free part.
 _SHARED = 3
 # Of the gains that the network says: to outdoors, K/K, and to 100 W/m², K, and as a share of them.
 _WEATHER_SD, _WEATHER_SHARE = np.array([0.05, 0.1]), 0.2
-_DEFAULT_FREE_LOG_TAU = np.log([*TIME_CONSTANTS_H[3][1:], _GROUND_H])
+_DEFAULT_FREE_LOG_TAU = np.log([*TIME_CONSTANTS_H[1:], _GROUND_H])
 N_FREE = _DEFAULT_FREE_LOG_TAU.size
 """Number of free modes, the ground's last."""
 
@@ -42,18 +41,9 @@ def other_columns(regression: RegressionData, log_tau: Array) -> Array:
     return np.concatenate(columns, axis=1) if columns else np.empty((regression.rows.size, 0))
 
 
-def other_prior(regression: RegressionData, log_tau: Array) -> tuple[Array, Array]:
-    """Return prior mean and standard deviation of the columns of `other_columns`, shape (K r,) each.
-
-    That of `wide_priors` where nothing else is known of their effects.
-    """
-    K, r = regression.others.shape[0], log_tau.size
-    if not K:
-        return np.empty(0), np.empty(0)
-    if regression.other_gains is not None:
-        return regression.other_gains[:, 0].ravel(), regression.other_gains[:, 1].ravel()
-    mean, sd = wide_priors(r).gains_at(log_tau)
-    return np.tile(mean, K), np.tile(sd, K)
+def other_prior(regression: RegressionData) -> tuple[Array, Array]:
+    """Return prior mean and standard deviation of the columns of `other_columns`, shape (K r,) each."""
+    return regression.other_gains[:, 0].ravel(), regression.other_gains[:, 1].ravel()
 
 
 def free_columns(regression: RegressionData, log_tau: Array) -> tuple[Array, Array]:

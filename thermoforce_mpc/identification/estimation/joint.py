@@ -18,7 +18,7 @@ from scipy.optimize import lsq_linear, minimize
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.estimation.columns import free_time_constants, other_prior
 from thermoforce_mpc.identification.estimation.disturbance import ASSUMED_H, ASSUMED_SD_K, SENSOR_SD_K
-from thermoforce_mpc.identification.estimation.modes import ModePriors, poles
+from thermoforce_mpc.identification.estimation.modes import ModePriors, bounds_h, poles
 from thermoforce_mpc.identification.estimation.regression import (
     FREE_PRIOR,
     REFERENCE_C,
@@ -116,7 +116,7 @@ def fit_joint(
         ),
         other_gains=values[r : r + K * r].reshape(K, r),
         other_covariance=covariance[1:],
-        other_sd=other_prior(regressions[0], fit.log_tau)[1].reshape(K, r),
+        other_sd=other_prior(regressions[0])[1].reshape(K, r),
     )
 
 
@@ -135,7 +135,7 @@ def _posterior_maximum(regressions: Sequence[RegressionData], priors: ModePriors
             away = (at - priors.log_tau) / priors.log_tau_sd
             return float(_solved(Rows.of(regressions, priors, sign, at)).squares + away @ away)
 
-        bounds = np.log(priors.bounds_h())
+        bounds = np.log(bounds_h(priors.log_tau))
         log_tau = minimize(squares, log_tau, method="Nelder-Mead", bounds=bounds, options=_SEARCH).x
     system = Rows.of(regressions, priors, sign, log_tau)
     values = _solved(system).values

@@ -92,7 +92,7 @@ class Residuals:
 def residuals(regression: RegressionData, log_tau: Array) -> Residuals:
     """Return the distribution of target − F in `regression` for these time constants."""
     of_others = other_columns(regression, log_tau)
-    other_mean, other_sd = other_prior(regression, log_tau)
+    other_mean, other_sd = other_prior(regression)
     expected, coupled = of_others @ other_mean, of_others * other_sd
     if regression.is_pair:
         return Residuals(expected, coupled, regression.disturbance)

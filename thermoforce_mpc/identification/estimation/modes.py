@@ -16,16 +16,12 @@ from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
-TIME_CONSTANTS_H: dict[int, tuple[float, ...]] = {1: (25.0,), 2: (6.0, 60.0), 3: (0.6, 3.5, 50.0)}
-"""Likely time constants by order, h. Three modes of a heated house: emitter (0.5 to 1 h), room against structure (2 to
-6 h), structure against outdoors (1 to 4 days)."""
+TIME_CONSTANTS_H = (0.6, 3.5, 50.0)
+"""Likely time constants of a heated house, h: emitter (0.5 to 1 h), room against structure (2 to 6 h), structure
+against outdoors (1 to 4 days)."""
 
-# Largest factor between the outermost time constants and their prior means.
+# Largest factor between the outermost time constants and what they are near.
 _REACH = 10.0
-# Prior standard deviations of the initial slope at full level, K/h, of a steady gain, K, of the rate of the slowest
-# mode, K/h, and of ln τ: those of a fan coil on a light room hold those of a slab too.
-_SLOPE_SD_K_PER_H, _GAIN_SD_K, _RATE_SD_K_PER_H = 20.0, 5.0, 0.5
-_LOG_TAU_SD = 0.7
 # Least standard deviation of a gain, K or K/h, also if the fit gives zero.
 _LEAST_GAIN_SD = 1e-3
 
@@ -49,13 +45,6 @@ class ModePriors:
         """Number of modes."""
         return int(self.log_tau.size)
 
-    def bounds_h(self) -> Array:
-        """Return the bounds of each time constant, shape (r, 2), h; neighbours meet at their geometric mean."""
-        tau = np.exp(self.log_tau)
-        inner = np.sqrt(tau[:-1] * tau[1:])
-        edges = np.concatenate([[tau[0] / _REACH], inner, [tau[-1] * _REACH]])
-        return np.stack([edges[:-1], edges[1:]], axis=1)
-
     def gains_at(self, log_tau: Array) -> tuple[Array, Array]:
         """Return prior mean and standard deviation (r,) of [slope, G_2 … G_r] for these time constants."""
         mean, sd = self.gain_mean.copy(), self.gain_sd.copy()
@@ -63,17 +52,6 @@ class ModePriors:
             tau = float(np.exp(log_tau[-1]))
             mean[-1], sd[-1] = self.slowest_rate[0] * tau, self.slowest_rate[1] * tau
         return mean, sd
-
-
-def wide_priors(order: int) -> ModePriors:
-    """Return priors of an actuator of which nothing is known but its sign, from a slab to a fan coil."""
-    return ModePriors(
-        log_tau=np.log(TIME_CONSTANTS_H[order]),
-        log_tau_sd=_LOG_TAU_SD,
-        gain_mean=np.zeros(order),
-        gain_sd=np.array([_SLOPE_SD_K_PER_H, *[_GAIN_SD_K] * (order - 1)]),
-        slowest_rate=(0.0, _RATE_SD_K_PER_H),
-    )
 
 
 def centred_priors(log_tau: Array, gains: Array, relative_sd: float) -> ModePriors:
@@ -87,6 +65,14 @@ def centred_priors(log_tau: Array, gains: Array, relative_sd: float) -> ModePrio
         gain_sd=gain_sd,
         slowest_rate=(rate, max(relative_sd * rate, _LEAST_GAIN_SD)),
     )
+
+
+def bounds_h(log_tau: Array) -> Array:
+    """Return the bounds of time constants near ln τ (r,), shape (r, 2), h; neighbours meet at their geometric mean."""
+    tau = np.exp(log_tau)
+    inner = np.sqrt(tau[:-1] * tau[1:])
+    edges = np.concatenate([[tau[0] / _REACH], inner, [tau[-1] * _REACH]])
+    return np.stack([edges[:-1], edges[1:]], axis=1)
 
 
 def poles(log_tau: Array, step_s: float) -> Array:

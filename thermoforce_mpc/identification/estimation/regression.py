@@ -43,7 +43,7 @@ class RegressionData:
     `target` (rows,) K; `rows` (rows,) indices of the boundaries used; `disturbance` of these rows; `inputs` (n, 8)
     weather of the steps, empty for a pair; `drives`: sign and drive v (n,) of each run; `histories`: their records.
     `others` (K, n): drives of the other actuators, signed by their sign, of a pair their difference; `other_gains`
-    (K, 2, r): mean and standard deviation of their [slope, G_2 … G_r], None where nothing is known of them. `held`: how
+    (K, 2, r): mean and standard deviation of their [slope, G_2 … G_r]. `held`: how
     many of the last rows are held out, so that a fit does not see them.
     """
 
@@ -55,7 +55,7 @@ class RegressionData:
     inputs: Array
     histories: tuple[Record, ...] = ()
     others: Array = field(default_factory=lambda: np.empty((0, 0)))
-    other_gains: Array | None = None
+    other_gains: Array = field(default_factory=lambda: np.empty((0, 2, 0)))
     weather_gains: Array | None = None
     held: int = 0
 

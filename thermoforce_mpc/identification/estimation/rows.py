@@ -43,7 +43,7 @@ class Rows:
         log_tau = priors.log_tau if log_tau is None else log_tau
         starts = N_FREE + 1
         runs = [regression for regression in regressions if not regression.is_pair]
-        parts = [priors.gains_at(log_tau), other_prior(regressions[0], log_tau)]
+        parts = [priors.gains_at(log_tau), other_prior(regressions[0])]
         low = [np.zeros(sum(mean.size for mean, _ in parts))]
         acting = low[0].size
         if runs:

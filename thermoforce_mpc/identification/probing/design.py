@@ -31,7 +31,7 @@ _KNOWN_FROM = 48
 _ROW_H = 1.0
 # The house that probing expects: one heated through its floor, where effects are the last to show.
 _HOUSE = ModePriors(
-    log_tau=np.log(TIME_CONSTANTS_H[3]),
+    log_tau=np.log(TIME_CONSTANTS_H),
     log_tau_sd=0.25,
     gain_mean=np.array([0.0, 2.0, 0.0]),
     gain_sd=np.array([0.1, 2.0, 0.0]),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from thermoforce_mpc.identification.estimation.regression import (
     pair_regression,
     run_regression,
 )
-from thermoforce_mpc.identification.network.folds import Effects
+from thermoforce_mpc.identification.network.projection import Modes
 from thermoforce_mpc.identification.validation.held_out import before_held_out, held_out, identified_heat_input
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
@@ -32,10 +33,19 @@ _LEAST_GAIN = 1e-3
 
 
 @dataclass(frozen=True)
-class ZoneTask:
+class Effects:
+    """What the network says of the actuators of a zone (1 + K,), its own first: their effects, and v of each."""
+
+    modes: Modes
+    heat_inputs: tuple[HeatInput, ...]
+
+
+@dataclass(frozen=True)
+class ZoneData:
     """What one zone is identified from.
 
     Attributes:
+        config: options.
         runs, pairs: records of the zone, prepared (`identification.records`); the first level is that of its own
             actuator, the rest are those of `others`.
         heat_input: what the own actuator delivers.
@@ -51,6 +61,7 @@ class ZoneTask:
         area_m2: floor area of the zone, m², NaN where it is not known.
     """
 
+    config: IdentificationConfig
     runs: Sequence[Record]
     pairs: Sequence[Pair]
     heat_input: HeatInput
@@ -71,36 +82,41 @@ class ZoneTask:
         """Metered heat of full level per m² of floor; NaN where it or the area is not known."""
         return self.heat_input.reference_W / self.area_m2 if self.heat_input.law is not None else float("nan")
 
+    @cached_property
+    def grid_K(self) -> float:
+        """Resolution of the sensor, K; 0 where it has none."""
+        return resolution_K(self.runs)
 
-@dataclass(frozen=True)
-class ZoneData:
-    """A task with its records as regressions, the last rows held out, and the resolution of the sensor, K."""
+    @property
+    def sensor_sd_K(self) -> float:
+        """Noise of the sensor, K: the rounding errors of one that reads in steps are uniform."""
+        return float(np.hypot(SENSOR_SD_K, self.grid_K / np.sqrt(12.0)))
 
-    task: ZoneTask
-    config: IdentificationConfig
-    regressions: Sequence[RegressionData]
-    grid_K: float
-    notes: Sequence[str]
+    @property
+    def said(self) -> list[str]:
+        """The notes, and what is assumed of the sensor."""
+        if not self.grid_K:
+            return list(self.notes)
+        steps = f"the zone sensor reads in steps of {self.grid_K:.2g} K: noise of {self.sensor_sd_K:.2g} K assumed"
+        return [*self.notes, steps]
 
-    @classmethod
-    def of(cls, task: ZoneTask, config: IdentificationConfig) -> ZoneData:
-        """The data of a task; of a sensor that reads in steps, their rounding counts as its noise."""
-        grid_K, notes = resolution_K(task.runs), list(task.notes)
-        if grid_K:
-            noise_K = sensor_sd_K(grid_K)
-            notes.append(f"the zone sensor reads in steps of {grid_K:.2g} K: noise of {noise_K:.2g} K assumed")
-        return cls(task, config, regressions_of(task, config, grid_K), grid_K, notes)
+    @cached_property
+    def regressions(self) -> list[RegressionData]:
+        """The records as regressions, the last rows held out."""
+        runs = [run_regression(run, self.heat_input, self.others, self.sensor_sd_K) for run in self.runs]
+        pairs = [pair_regression(pair, self.heat_input, self.others) for pair in self.pairs]
+        return held_out([*runs, *pairs], self.config)
 
     def knowing(self, effects: Effects) -> tuple[list[RegressionData], ModePriors]:
         """The regressions with what the network says of levels and, as their prior, of the effects of the other
         actuators; and the prior of that of the own one.
         """
         own, *others = effects.heat_inputs
-        acting = [replace(other, heat_input=v) for other, v in zip(self.task.others, others, strict=True)]
-        regressions = regressions_of(replace(self.task, heat_input=own, others=acting), self.config, self.grid_K)
+        acting = [replace(other, heat_input=v) for other, v in zip(self.others, others, strict=True)]
         modes = effects.modes
         sd = np.maximum(HELD * modes.gains[1:], _LEAST_GAIN)
         prior = np.stack([modes.gains[1:], sd], axis=1)
+        regressions = replace(self, heat_input=own, others=acting).regressions
         known = [replace(e, other_gains=prior, weather_gains=modes.weather) for e in regressions]
         return known, centred_priors(modes.log_tau, modes.gains[0], HELD)
 
@@ -123,28 +139,16 @@ class ZoneData:
             steps.append(int(e.rows[n - 1]) if n else 0)
         return steps
 
-    def heat_input(self, fold: str) -> HeatInput:
+    def heat_input_of(self, fold: str) -> HeatInput:
         """What the own actuator delivers, as a fold may know it: by a heat meter's readings until its last steps.
 
         The level where these are too few.
         """
-        task = self.task
-        if fold == "whole" or task.heat_input.law is None:
-            return task.heat_input
+        if fold == "whole" or self.heat_input.law is None:
+            return self.heat_input
         ends = [n for e, n in zip(self.regressions, self.last_steps(fold), strict=True) for _ in e.histories]
         seen = [history.slice(0, n) for history, n in zip(self.histories, ends, strict=True) if n > 1]
         try:
-            return identified_heat_input(seen, self.config, task.sign, alone=task.alone)[0] if seen else IDENTITY
+            return identified_heat_input(seen, self.config, self.sign, alone=self.alone)[0] if seen else IDENTITY
         except DataError:
             return IDENTITY
-
-
-def sensor_sd_K(grid_K: float) -> float:
-    """Noise of a sensor that reads in steps, K: rounding errors are uniform."""
-    return float(np.hypot(SENSOR_SD_K, grid_K / np.sqrt(12.0)))
-
-
-def regressions_of(task: ZoneTask, config: IdentificationConfig, grid_K: float) -> list[RegressionData]:
-    """The records of a task as regressions, the last rows held out."""
-    runs = [run_regression(run, task.heat_input, task.others, sensor_sd_K(grid_K)) for run in task.runs]
-    return held_out([*runs, *(pair_regression(pair, task.heat_input, task.others) for pair in task.pairs)], config)

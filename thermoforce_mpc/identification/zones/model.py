@@ -16,16 +16,16 @@ from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.effects.level_laws import level_shape
 from thermoforce_mpc.identification.estimation.joint import JointFit, ModeFit, fit_joint, fit_modes
-from thermoforce_mpc.identification.estimation.modes import ModePriors, centred_priors, to_operator
+from thermoforce_mpc.identification.estimation.modes import ModePriors, bounds_h, to_operator
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
-from thermoforce_mpc.identification.network.folds import Effects, ZoneEffects
 from thermoforce_mpc.identification.validation.competence import Trial, judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.validation.held_out import before_held_out, normalisation, ranges, seen_rows
 from thermoforce_mpc.identification.validation.warnings import uncertain
-from thermoforce_mpc.identification.zones.data import HELD, ZoneData, sensor_sd_K
+from thermoforce_mpc.identification.zones.data import Effects, ZoneData
+from thermoforce_mpc.identification.zones.effects import ZoneEffects
 from thermoforce_mpc.identification.zones.two_stage_model import two_stage_model
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
@@ -50,7 +50,6 @@ def identify_zone(
     Raises:
         DataError: nothing shows that the actuator acts (where it is alone), or its effect has no proven sign.
     """
-    task = data.task
     days = sum(h.n_steps * h.step_s for h in data.histories) / DAY_S
     say(f"fitting the forced response to {days:.3g} days at {data.histories[0].step_s:g} s")
     fit = None
@@ -59,7 +58,7 @@ def identify_zone(
     else:
         model, fit = _joint_model(data, effects, say)
     model = _accepted(model, data)
-    model = replace(model, card=replace(model.card, sun_on_sensor=task.sun))
+    model = replace(model, card=replace(model.card, sun_on_sensor=data.sun))
     say(f"identified an operator of order {model.operator.order}")
     return model, fit
 
@@ -71,7 +70,7 @@ def _accepted(model: ZoneModel, data: ZoneData) -> ZoneModel:
         DataError: it does not and the actuator is alone in the building, or its effect has no proven sign.
     """
     missing = _without_effect(model.card.scores["acts_log_odds"], data)
-    if missing and data.task.alone:
+    if missing and data.alone:
         raise DataError(missing)
     prove(model.operator)
     if not missing:
@@ -88,7 +87,7 @@ def _without_effect(log_odds: float, data: ZoneData) -> str:
         return ""
     dark = not any(np.any(h.solar_W_m2) for h in data.histories)
     return (
-        f"no effect of the actuator with the sign of {'heating' if data.task.sign > 0 else 'cooling'} was found in the "
+        f"no effect of the actuator with the sign of {'heating' if data.sign > 0 else 'cooling'} was found in the "
         f"data: the log odds that it acts are {log_odds:.1f}, need {_LEAST_LOG_ODDS:g}; check the sign of u, whether "
         "the actuator reached the zone, and that the zone sensor is in the room that it serves, or probe "
         f"harder{'; the record has no irradiance: name a signal for the sun' if dark else ''}"
@@ -99,15 +98,14 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
     """The joint estimator as a zone's model, and its fit: effects from the network, input of the modulation by
     held-out data.
     """
-    task, config = data.task, data.config
-    sign, heat_input, power = task.sign, effects.whole.heat_inputs[0], task.power
+    config, sign, heat_input, power = data.config, data.sign, effects.whole.heat_inputs[0], data.power
     regressions, priors = data.knowing(effects.whole)
     final = fit_joint(regressions, priors, sign, effects.covariance)
     last = _fold(*data.knowing(effects.training), effects.training, sign)
     earlier, before_priors = data.knowing(effects.earlier)
     earlier = before_held_out(earlier, config)
     before = _fold(earlier, before_priors, effects.earlier, sign) if earlier else None
-    histories, step_s = data.histories, task.step_s
+    histories, step_s = data.histories, data.step_s
     base_step = histories[0].step_s
     mean, scale = normalisation(histories)
 
@@ -116,7 +114,7 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
             fit.log_tau,
             fit.gains,
             step_s=base_step,
-            bounds_h=centred_priors(fit.log_tau, fit.gains, HELD).bounds_h(),
+            bounds_h=bounds_h(fit.log_tau),
             sign=sign,
             gamma=config.gamma,
             hidden=config.hidden,
@@ -125,7 +123,7 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
             feature_scale=scale,
         )
 
-    operator, notes = replace(linear(final, heat_input), feedback=config.feedback), list(data.notes)
+    operator, notes = replace(linear(final, heat_input), feedback=config.feedback), list(data.said)
     scores = {"residual_scale": final.residual_scale, "acts_log_odds": effects.log_odds}
     if heat_input.law is not None and last.heat_input.law is None:
         notes.append(_LEVEL_FOR_HEAT)
@@ -138,17 +136,17 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
         operator, trials = modulated.operator, (modulated.last, modulated.before)
         scores, notes = scores | modulated.scores, [*notes, *modulated.notes]
     operator = operator.resampled(step_s or base_step)
-    certainty = uncertainty(final, task.level_sd) | {"sensor_resolution_K": data.grid_K}
+    certainty = uncertainty(final, data.level_sd) | {"sensor_resolution_K": data.grid_K}
     shape, shape_notes = level_shape(effects.laws, histories, config, power, heat_input)
     notes = [*notes, *shape_notes]
-    verdict = judge(*trials, operator, certainty, effects.log_odds, task.heat_W_m2)
+    verdict = judge(*trials, operator, certainty, effects.log_odds, data.heat_W_m2)
     model = ZoneModel(
         operator=operator,
         power=power,
-        free=final.free_model(step_s or base_step, sensor_sd_K(data.grid_K)) if task.runs else None,
+        free=final.free_model(step_s or base_step, data.sensor_sd_K) if data.runs else None,
         card=ModelCard(
-            source=task.source,
-            data=task.data,
+            source=data.source,
+            data=data.data,
             ranges=ranges(histories),
             scores=scores,
             uncertainty=certainty | shape,

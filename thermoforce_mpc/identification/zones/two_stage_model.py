@@ -12,15 +12,14 @@ from thermoforce_mpc.data import HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.joint import ModeFit
-from thermoforce_mpc.identification.estimation.modes import centred_priors, to_operator, wide_priors
-from thermoforce_mpc.identification.estimation.records import Pair
-from thermoforce_mpc.identification.estimation.regression import RegressionData, pair_regression, run_regression
+from thermoforce_mpc.identification.estimation.modes import centred_priors, to_operator
+from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
 from thermoforce_mpc.identification.modulation.selection import modulate
 from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
 from thermoforce_mpc.identification.validation.competence import Trial, judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
-from thermoforce_mpc.identification.validation.held_out import before_held_out, held_out, normalisation, ranges
+from thermoforce_mpc.identification.validation.held_out import before_held_out, normalisation, ranges
 from thermoforce_mpc.identification.validation.reasons import UNJUDGED
 from thermoforce_mpc.identification.zones.data import ZoneData
 from thermoforce_mpc.model.card import ModelCard
@@ -31,6 +30,8 @@ from thermoforce_mpc.model.zone_model import ZoneModel
 
 # Relative prior standard deviation of pole and gain around the two-stage fit while the network is trained.
 _TWO_STAGE_SD = 0.3
+# Bounds of the time constant while the network is trained, h.
+_POLE_BOUNDS_H = np.array([[2.5, 250.0]])
 
 
 def two_stage_model(data: ZoneData) -> ZoneModel:
@@ -38,13 +39,12 @@ def two_stage_model(data: ZoneData) -> ZoneModel:
 
     It is judged on held-out rows, in which the stages had no part either: of pairs if there are any, else of the runs.
     """
-    task, config = data.task, data.config
-    runs, pairs, sign = task.runs, task.pairs, task.sign
+    config, runs, pairs, sign = data.config, data.runs, data.pairs, data.sign
     if not runs:
         raise DataError("method two_stage needs single runs, none were given; for pairs only use method joint")
-    heat_input = data.heat_input("whole")
+    heat_input = data.heat_input_of("whole")
     fit = fit_two_stage(runs, heat_input=heat_input, sign=sign)
-    step_s = task.step_s or fit.step_s
+    step_s = data.step_s or fit.step_s
     operator = fit.operator()
     scores = {
         "one_step_rmse_K": fit.rmse_K,
@@ -52,17 +52,17 @@ def two_stage_model(data: ZoneData) -> ZoneModel:
         "on_steps": fit.n_on,
         "acts_log_odds": 0.5 * (fit.g / fit.g_sd) ** 2,
     }
-    regressions, unjudged = _regressions(runs, pairs, heat_input, config), ""
-    seen = _regressions(runs, pairs, data.heat_input("training"), config)
+    regressions, unjudged = _regressions(data, heat_input), ""
+    seen = _regressions(data, data.heat_input_of("training"))
     try:
-        last = _fold(seen, fit, data.heat_input("training"))
+        last = _fold(seen, fit, data.heat_input_of("training"))
     except DataError as error:
         last, unjudged = _of_fit(regressions, fit), f"without its held-out rows: {error}"
     before = None
     if not unjudged:
-        earlier = before_held_out(_regressions(runs, pairs, data.heat_input("earlier"), config), config)
+        earlier = before_held_out(_regressions(data, data.heat_input_of("earlier")), config)
         with suppress(DataError):  # there is no earlier part then
-            before = _fold(earlier, fit, data.heat_input("earlier"))
+            before = _fold(earlier, fit, data.heat_input_of("earlier"))
     trials = Trial.linear(last, sign), None if before is None else Trial.linear(before, sign)
     said: list[str] = []
     if pairs or config.modulation != "linear":
@@ -72,32 +72,28 @@ def two_stage_model(data: ZoneData) -> ZoneModel:
         operator, said, trials = modulated.operator, modulated.notes, (modulated.last, modulated.before)
         scores |= modulated.scores
     known = _step_response(fit, operator)
-    verdict = judge(*trials, operator, known, scores["acts_log_odds"], task.heat_W_m2)
+    verdict = judge(*trials, operator, known, scores["acts_log_odds"], data.heat_W_m2)
     if unjudged:
         verdict = Competence(False, (f"it cannot be judged {unjudged}",), plainly=UNJUDGED)
     return ZoneModel(
         operator=operator.resampled(step_s),
         free=fit.free_model().resampled(step_s),
         card=ModelCard(
-            source=task.source,
-            data=task.data,
+            source=data.source,
+            data=data.data,
             ranges=ranges(data.histories),
             scores=scores,
             uncertainty={"pole_sd": fit.a_sd, "gain_sd_K": fit.g_sd} | known,
             config=config.model_dump(mode="json"),
-            notes=(*data.notes, *said),
+            notes=(*data.said, *said),
             competence=verdict,
         ),
     )
 
 
-def _regressions(
-    runs: Sequence[Record], pairs: Sequence[Pair], heat_input: HeatInput, config: IdentificationConfig
-) -> list[RegressionData]:
+def _regressions(data: ZoneData, heat_input: HeatInput) -> list[RegressionData]:
     """What the network is trained and everything judged on: the pairs if there are any, else the runs."""
-    if pairs:
-        return held_out([pair_regression(pair, heat_input) for pair in pairs], config)
-    return held_out([run_regression(run, heat_input) for run in runs], config)
+    return replace(data, heat_input=heat_input, others=(), runs=() if data.pairs else data.runs).regressions
 
 
 def _fold(regressions: Sequence[RegressionData], fit: TwoStageFit, heat_input: HeatInput) -> Fold:
@@ -135,7 +131,7 @@ def _linear(
             mode_fit.log_tau,
             mode_fit.gains,
             step_s=fit.step_s,
-            bounds_h=wide_priors(1).bounds_h(),
+            bounds_h=_POLE_BOUNDS_H,
             sign=fit.sign,
             # Without modulation only pole and gain are trained.
             gamma=0.0 if config.modulation == "linear" else config.gamma,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -16,29 +15,9 @@ from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.network.building import BuildingFit, Responses
 from thermoforce_mpc.identification.network.effects import Actuators, building_fit, room_pair, room_run
 from thermoforce_mpc.identification.network.estimate import RoomFit, Run
-from thermoforce_mpc.identification.network.projection import Modes, projected
+from thermoforce_mpc.identification.network.projection import projected
+from thermoforce_mpc.identification.zones.data import Effects, ZoneData
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-
-
-class ZoneRows(Protocol):
-    """Which rows of a zone a fold may see (`zones.data.ZoneData`), what it then knows of the heat of the own actuator,
-    and the resolution `grid_K` of the zone's sensor, K.
-    """
-
-    @property
-    def grid_K(self) -> float: ...  # noqa: D102
-
-    def last_steps(self, fold: str) -> list[int]: ...  # noqa: D102
-
-    def heat_input(self, fold: str) -> HeatInput: ...  # noqa: D102
-
-
-@dataclass(frozen=True)
-class Effects:
-    """What the network says of the actuators of a zone (1 + K,), its own first: their effects, and v of each."""
-
-    modes: Modes
-    heat_inputs: tuple[HeatInput, ...]
 
 
 @dataclass(frozen=True)
@@ -62,7 +41,7 @@ def zone_effects(
     runs: Sequence[Record],
     pairs: Sequence[Pair],
     layout: Layout,
-    data: Sequence[ZoneRows],
+    data: Sequence[ZoneData],
     config: IdentificationConfig,
     say: Callable[[str], None],
 ) -> list[ZoneEffects | None]:
@@ -81,7 +60,7 @@ def zone_effects(
     for fold in ("earlier", "training", "whole") if runs else ("training", "whole"):
         # Weather and levels of held-out rows are not seen either.
         seen = [run.slice(0, n) for run, n in zip(runs, data[0].last_steps(fold), strict=False) if n > 1]
-        heat_inputs = [of_zone.heat_input(fold) for of_zone in data]
+        heat_inputs = [of_zone.heat_input_of(fold) for of_zone in data]
         laws = [laws_of(seen, layout, a, heat_input, config) for a, heat_input in enumerate(heat_inputs)]
         actuators, rooms = Actuators(layout, heat_inputs, laws), []
         for zone in range(len(layout.floor_area_m2)):
@@ -139,7 +118,7 @@ def _seen(
     pairs: Sequence[Pair],
     zone: int,
     actuators: Actuators,
-    data: ZoneRows,
+    data: ZoneData,
     fold: str,
     joined: bool,
 ) -> list[Run]:
