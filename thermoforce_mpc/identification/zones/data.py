@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from thermoforce_mpc.data import Record
+from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.disturbance import SENSOR_SD_K
@@ -21,9 +21,12 @@ from thermoforce_mpc.identification.estimation.regression import (
     run_regression,
 )
 from thermoforce_mpc.identification.network.projection import Modes
+from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.validation.held_out import before_held_out, held_out, identified_heat_input
+from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 
 HELD = 0.5
@@ -152,3 +155,31 @@ class ZoneData:
             return identified_heat_input(seen, self.config, self.sign, alone=self.alone)[0] if seen else IDENTITY
         except DataError:
             return IDENTITY
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A linear estimate of a zone, from which its model is made and judged.
+
+    Attributes:
+        everything: the fit to all rows.
+        last, before: the fits without the held-out rows and without an earlier part, None where there is none.
+        bounds_h: bounds of the time constants (r, 2), h, while a network is trained, by ln τ (r,).
+        gamma: bound of the modulation.
+        trains: whether a network is trained.
+        free: linear free part, None without runs.
+        scores: for the model card; `acts_log_odds` that the actuator acts.
+        certainty: estimates and their standard deviations by name, by the operator that was made of it.
+        unjudged: why the model cannot be judged, empty where it can.
+    """
+
+    everything: Fold
+    last: Fold
+    before: Fold | None
+    bounds_h: Callable[[Array], Array]
+    gamma: float
+    trains: bool
+    free: RcParameters | None
+    scores: Mapping[str, float]
+    certainty: Callable[[OperatorParameters], dict[str, float]]
+    unjudged: str = ""

@@ -23,10 +23,11 @@ from thermoforce_mpc.identification.modulation.selection import modulate, prove
 from thermoforce_mpc.identification.validation.competence import Trial, judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.validation.held_out import before_held_out, normalisation, ranges, seen_rows
+from thermoforce_mpc.identification.validation.reasons import UNJUDGED
 from thermoforce_mpc.identification.validation.warnings import uncertain
-from thermoforce_mpc.identification.zones.data import Effects, ZoneData
+from thermoforce_mpc.identification.zones.data import Effects, Estimate, ZoneData
 from thermoforce_mpc.identification.zones.effects import ZoneEffects
-from thermoforce_mpc.identification.zones.two_stage_model import two_stage_model
+from thermoforce_mpc.identification.zones.two_stage_estimate import two_stage_estimate
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -54,11 +55,10 @@ def identify_zone(
     say(f"fitting the forced response to {days:.3g} days at {data.histories[0].step_s:g} s")
     fit = None
     if effects is None:
-        model = two_stage_model(data)
+        estimate = two_stage_estimate(data)
     else:
-        model, fit = _joint_model(data, effects, say)
-    model = _accepted(model, data)
-    model = replace(model, card=replace(model.card, sun_on_sensor=data.sun))
+        fit, estimate = _joint_estimate(data, effects)
+    model = _accepted(_modelled(data, estimate, effects, say), data)
     say(f"identified an operator of order {model.operator.order}")
     return model, fit
 
@@ -94,56 +94,74 @@ def _without_effect(log_odds: float, data: ZoneData) -> str:
     )
 
 
-def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None]) -> tuple[ZoneModel, JointFit]:
-    """The joint estimator as a zone's model, and its fit: effects from the network, input of the modulation by
-    held-out data.
-    """
-    config, sign, heat_input, power = data.config, data.sign, effects.whole.heat_inputs[0], data.power
+def _joint_estimate(data: ZoneData, effects: ZoneEffects) -> tuple[JointFit, Estimate]:
+    """The joint fit, with the effects of the network, and its folds."""
+    config, sign = data.config, data.sign
     regressions, priors = data.knowing(effects.whole)
-    final = fit_joint(regressions, priors, sign, effects.covariance)
-    last = _fold(*data.knowing(effects.training), effects.training, sign)
+    fit = fit_joint(regressions, priors, sign, effects.covariance)
     earlier, before_priors = data.knowing(effects.earlier)
     earlier = before_held_out(earlier, config)
-    before = _fold(earlier, before_priors, effects.earlier, sign) if earlier else None
-    histories, step_s = data.histories, data.step_s
-    base_step = histories[0].step_s
+    estimate = Estimate(
+        everything=Fold([replace(e, held=0) for e in regressions], fit, priors, effects.whole.heat_inputs[0]),
+        last=_fold(*data.knowing(effects.training), effects.training, sign),
+        before=_fold(earlier, before_priors, effects.earlier, sign) if earlier else None,
+        bounds_h=bounds_h,
+        gamma=config.gamma,
+        trains=config.modulation != "linear",
+        free=fit.free_model(data.step_s or data.histories[0].step_s, data.sensor_sd_K) if data.runs else None,
+        scores={"residual_scale": fit.residual_scale, "acts_log_odds": effects.log_odds},
+        certainty=lambda operator: uncertainty(fit, data.level_sd) | {"sensor_resolution_K": data.grid_K},
+    )
+    return fit, estimate
+
+
+def _fold(regressions: Sequence[RegressionData], priors: ModePriors, effects: Effects, sign: int) -> Fold:
+    """The fit to the rows that are not held out."""
+    return Fold(regressions, fit_modes(seen_rows(regressions), priors, sign), priors, effects.heat_inputs[0])
+
+
+def _modelled(data: ZoneData, estimate: Estimate, effects: ZoneEffects | None, say: Callable[[str], None]) -> ZoneModel:
+    """The zone's model of an estimate, with its network and its verdict."""
+    config, everything, last, before = data.config, estimate.everything, estimate.last, estimate.before
+    histories, sign = data.histories, data.sign
     mean, scale = normalisation(histories)
 
     def linear(fit: ModeFit, heat_input: HeatInput) -> OperatorParameters:
         return to_operator(
             fit.log_tau,
             fit.gains,
-            step_s=base_step,
-            bounds_h=bounds_h(fit.log_tau),
+            step_s=histories[0].step_s,
+            bounds_h=estimate.bounds_h(fit.log_tau),
             sign=sign,
-            gamma=config.gamma,
+            gamma=estimate.gamma,
             hidden=config.hidden,
             heat_input=heat_input,
             feature_mean=mean,
             feature_scale=scale,
         )
 
-    operator, notes = replace(linear(final, heat_input), feedback=config.feedback), list(data.said)
-    scores = {"residual_scale": final.residual_scale, "acts_log_odds": effects.log_odds}
-    if heat_input.law is not None and last.heat_input.law is None:
+    operator = replace(linear(everything.fit, everything.heat_input), feedback=config.feedback)
+    scores, notes = dict(estimate.scores), list(data.said)
+    if everything.heat_input.law is not None and last.heat_input.law is None:
         notes.append(_LEVEL_FOR_HEAT)
-    if config.modulation == "linear":
-        trials = Trial.linear(last, sign), None if before is None else Trial.linear(before, sign)
-    else:
+    trials = Trial.linear(last, sign), None if before is None else Trial.linear(before, sign)
+    if estimate.trains:
         say("training the modulation of the gain")
-        everything = Fold([replace(e, held=0) for e in regressions], final, priors, heat_input)
-        modulated = modulate(everything, last, before, linear, config, power)
+        modulated = modulate(everything, last, before, linear, config, data.power)
         operator, trials = modulated.operator, (modulated.last, modulated.before)
         scores, notes = scores | modulated.scores, [*notes, *modulated.notes]
-    operator = operator.resampled(step_s or base_step)
-    certainty = uncertainty(final, data.level_sd) | {"sensor_resolution_K": data.grid_K}
-    shape, shape_notes = level_shape(effects.laws, histories, config, power, heat_input)
-    notes = [*notes, *shape_notes]
-    verdict = judge(*trials, operator, certainty, effects.log_odds, data.heat_W_m2)
-    model = ZoneModel(
+    certainty, shape = estimate.certainty(operator), dict[str, float]()
+    operator = operator.resampled(data.step_s or histories[0].step_s)
+    if effects is not None:
+        shape, shape_notes = level_shape(effects.laws, histories, config, data.power, everything.heat_input)
+        notes += shape_notes
+    verdict = judge(*trials, operator, certainty, scores["acts_log_odds"], data.heat_W_m2)
+    if estimate.unjudged:
+        verdict = Competence(False, (estimate.unjudged,), plainly=UNJUDGED)
+    return ZoneModel(
         operator=operator,
-        power=power,
-        free=final.free_model(step_s or base_step, data.sensor_sd_K) if data.runs else None,
+        power=data.power,
+        free=estimate.free,
         card=ModelCard(
             source=data.source,
             data=data.data,
@@ -153,11 +171,6 @@ def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None
             config=config.model_dump(mode="json"),
             notes=(*notes, *uncertain(certainty)),
             competence=verdict,
+            sun_on_sensor=data.sun,
         ),
     )
-    return model, final
-
-
-def _fold(regressions: Sequence[RegressionData], priors: ModePriors, effects: Effects, sign: int) -> Fold:
-    """The fit to the rows that are not held out."""
-    return Fold(regressions, fit_modes(seen_rows(regressions), priors, sign), priors, effects.heat_inputs[0])
