@@ -71,14 +71,20 @@ def test_held_out_errors_are_those_of_the_predictor():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("days", "step_s"), [(40.0, 3600.0), (23.0, 300.0)], ids=["long", "rows 55 min apart"])
-def test_predictions_an_hour_ahead_are_judged_however_long_the_record(days, step_s):
-    """Rows of long records are thinned; some must remain an hour, or little more, before others."""
-    model = identify(record(HOUSE, days, step_s, noise_K=0.01), config=LINEAR.model_copy(update={"order": 2}))
+def test_predictions_an_hour_ahead_are_judged_however_long_the_record():
+    model = identify(record(HOUSE, 40.0, 3600.0, noise_K=0.01), config=LINEAR.model_copy(update={"order": 2}))
     verdict = model.only.card.competence
     assert verdict.competent, verdict.reasons
-    assert verdict.held_out_h == pytest.approx(6.0 * days, rel=0.02)
-    assert any("960 steps are fitted as 2 runs" in note for note in model.only.card.notes) == (days == 40.0)
+    assert verdict.held_out_h == pytest.approx(240.0, rel=0.02)
+    assert any("960 steps are fitted as 2 runs" in note for note in model.only.card.notes)
+
+
+def test_rows_of_a_thinned_record_are_an_hour_or_little_more_before_others():
+    """Every 55 min, no row would be within an hour and a half before another and an hour or more."""
+    rows = run_regression(record(HOUSE, 26.0, 300.0), HeatInput()).rows
+    assert rows.size < 26 * 288 / 5
+    ahead_h = np.subtract.outer(rows, rows)[20] / 12.0
+    assert ((ahead_h >= 1.0) & (ahead_h <= 1.5)).any()
 
 
 def test_a_lead_time_without_data_is_said_plainly():

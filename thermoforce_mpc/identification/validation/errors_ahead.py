@@ -1,8 +1,8 @@
 """Errors of predictions of held-out rows from every row some hours before them, with known weather.
 
 The free part is predicted as in `likelihood`: given the temperatures until the start, its gains and initial state are
-conditioned on them. The same is done without the actuator, with disturbances and time constants chosen anew on the
-training rows, so that the comparison is fair. All innovations of all starts come from one Cholesky factor: with
+conditioned on them. The same is done without the actuator, with disturbances chosen anew on the training rows, so that
+the comparison is fair. All innovations of all starts come from one Cholesky factor: with
 C = L Lᵀ and w = L⁻¹ r, the part of r_j that the rows before i do not predict is Σ_{k=i…j} L_jk w_k.
 """
 
@@ -85,8 +85,8 @@ def errors_of(
     """
     judged = [fold.regressions[i] for i in fold.judged]
     none = [np.zeros(e.rows.size) for e in judged]
-    model = _innovations(judged, [effects[i] for i in fold.judged], [fold.fit.log_tau], leads_h)
-    weather = _innovations(judged, none, [fold.fit.log_tau, fold.priors.log_tau], leads_h)
+    model = _innovations(judged, [effects[i] for i in fold.judged], fold.fit.log_tau, leads_h)
+    weather = _innovations(judged, none, fold.fit.log_tau, leads_h)
     return {
         hours: HeldOutErrors.joined(
             [_errors(number + i, e, model[i], weather[i], hours, block_h) for i, e in enumerate(judged)]
@@ -110,32 +110,20 @@ class _Innovations:
 
 
 def _innovations(
-    regressions: Sequence[RegressionData],
-    effects: Sequence[Array],
-    choices: Sequence[Array],
-    leads_h: Sequence[float],
+    regressions: Sequence[RegressionData], effects: Sequence[Array], log_tau: Array, leads_h: Sequence[float]
 ) -> list[_Innovations]:
-    """Return what predictions of these lead times need of each regression, with the likeliest disturbances and modes.
+    """Return what predictions of these lead times need of each regression, with the likeliest size of disturbances.
 
-    Likeliest on the rows before the held-out ones; `effects` (rows,) K are what the actions did. The size of the
-    disturbances is chosen with the first of the time constants `choices`, which then compete at that size.
+    Likeliest on the rows before the held-out ones; `effects` (rows,) K are what the actions did.
     """
-    rests = [[residuals(e, log_tau) for e in regressions] for log_tau in choices]
-    left = [
-        [e.target - effect - rest.mean for e, effect, rest in zip(regressions, effects, of_choice, strict=True)]
-        for of_choice in rests
-    ]
-
-    def likelihoods(choice: int, scales: Sequence[float]) -> Array:
-        each = zip(regressions, rests[choice], left[choice], strict=True)
-        return np.asarray(np.sum([rest.log_likelihoods(values, e.seen, scales) for e, rest, values in each], axis=0))
-
-    scale, likeliest = 1.0, 0
+    rests = [residuals(e, log_tau) for e in regressions]
+    left = [e.target - effect - rest.mean for e, effect, rest in zip(regressions, effects, rests, strict=True)]
+    scale, each = 1.0, list(zip(regressions, rests, left, strict=True))
     if all(e.seen and not e.is_pair for e in regressions):  # that of pairs is the error of a model, which is known
-        scale = _SCALES[int(np.argmax(likelihoods(0, _SCALES)))]
-        likeliest = int(np.argmax([likelihoods(choice, [scale])[0] for choice in range(len(choices))]))
+        likelihoods = [rest.log_likelihoods(values, e.seen, _SCALES) for e, rest, values in each]
+        scale = _SCALES[int(np.argmax(np.sum(likelihoods, axis=0)))]
     innovations = []
-    for e, rest, values in zip(regressions, rests[likeliest], left[likeliest], strict=True):
+    for e, rest, values in each:
         begin = 1 + min(int(np.min(_held_out(e, hours)[0], initial=max(e.seen - 1, 0))) for hours in leads_h)
         innovations.append(_Innovations(begin, *rest.scaled(scale).later(values, begin)))
     return innovations
