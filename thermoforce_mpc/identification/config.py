@@ -22,10 +22,10 @@ class IdentificationConfig(StrictModel):
     order: Literal["auto", 1, 2, 3] = Field(
         "auto", description="modes of the operator; auto: 3, with method two_stage 1"
     )
-    heat_input: Literal["auto", "identity", "heat"] = Field(
+    heat_input: Literal["auto", "identity"] = Field(
         "auto",
-        description="input of the modes: u, or heat from the heat capacity of (u, T_out); auto: u, or measured heat "
-        "where levels between off and full are held",
+        description="input of the modes; identity: u; auto: u, or measured heat where levels between off and full are "
+        "held",
     )
     machine: Literal["auto", "heat pump", "air conditioner", "direct", "other"] = Field(
         "auto", description="machine type of the heat capacity's prior; auto: chosen by mode and data"

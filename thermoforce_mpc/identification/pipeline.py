@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -173,10 +172,14 @@ def identify(
     fits: list[JointFit | None] = []
     for a, zone_data in enumerate(data_of):
         prefix, advice = _message_prefix(layout, a), ""
+
+        def tell(text: str, prefix: str = prefix) -> None:
+            say(prefix + text)
+
         if levels_only(heat_inputs[a], layout, a, config):
             zone_data, advice = _with_unknown_heat(zone_data, runs, layout, a, effects[a], config)
         try:
-            zone, fit = identify_zone(zone_data, effects[a], partial(_say, say, prefix))
+            zone, fit = identify_zone(zone_data, effects[a], tell)
         except DataError as error:
             raise DataError("; ".join([f"{prefix}{error}", *doubts])) from error
         zones.append(_barred(_with_advice(zone, advice), a, said))
@@ -205,10 +208,6 @@ def _barred(zone: ZoneModel, a: int, doubts: Sequence[Remark]) -> ZoneModel:
         plainly=_NO_LEVEL,
     )
     return replace(zone, card=replace(zone.card, competence=verdict))
-
-
-def _say(say: Callable[[str], None], prefix: str, text: str) -> None:
-    say(prefix + text)
 
 
 def _message_prefix(layout: Layout, a: int) -> str:

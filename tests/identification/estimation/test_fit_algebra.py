@@ -19,7 +19,6 @@ from thermoforce_mpc.identification.estimation.likelihood import residuals
 from thermoforce_mpc.identification.estimation.modes import centred_priors
 from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression, scaled
 from thermoforce_mpc.identification.estimation.rows import Rows
-from thermoforce_mpc.identification.estimation.triangles import triangle
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 LOG_TAU = np.log([0.6, 3.5, 50.0])
@@ -136,11 +135,3 @@ def test_the_fit_is_the_least_sum_of_squares_within_bounds(regression, pair):
     expected = lsq_linear(system.columns, system.target, (system.low, np.inf), method="bvls", tol=1e-14).x
     np.testing.assert_allclose(fit.gains, np.maximum(expected[:3], 1e-12), atol=1e-8)
     assert (fit.gains > 0.0).all()
-
-
-def test_a_triangle_has_the_same_sums_of_squares():
-    matrix, x = RNG.normal(size=(40, 6)), RNG.normal(size=6)
-    R = triangle(matrix)
-    assert R.shape == (6, 6)
-    assert np.sum((R @ x) ** 2) == pytest.approx(np.sum((matrix @ x) ** 2))
-    assert triangle(matrix[:4]).shape == (4, 6)

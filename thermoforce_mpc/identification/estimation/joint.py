@@ -25,7 +25,6 @@ from thermoforce_mpc.identification.estimation.regression import (
     RegressionData,
 )
 from thermoforce_mpc.identification.estimation.rows import Rows
-from thermoforce_mpc.identification.estimation.triangles import triangle
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 
 # Least gain, K or K/h: an effect that the record denies keeps the sign of its actuator.
@@ -151,7 +150,7 @@ class _Solution(NamedTuple):
 
 
 def _solved(system: Rows) -> _Solution:
-    R = triangle(np.column_stack([system.columns, system.target]))
+    R = np.asarray(np.linalg.qr(np.column_stack([system.columns, system.target]), mode="r"))
     found = lsq_linear(R[:, :-1], R[:, -1], (system.low, np.inf), method="bvls")
     return _Solution(found.x, 2.0 * found.cost)
 

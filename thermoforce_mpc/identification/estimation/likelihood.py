@@ -27,7 +27,6 @@ from thermoforce_mpc.identification.estimation.columns import (
 )
 from thermoforce_mpc.identification.estimation.disturbance import Disturbance
 from thermoforce_mpc.identification.estimation.regression import RegressionData
-from thermoforce_mpc.identification.estimation.triangles import triangle
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class Residuals:
         values = self.disturbance.whitened(np.concatenate([self.columns, residual[:, None]], axis=1))
         p = self.columns.shape[1]
         W, later_residual = values[first:, :p], values[first:, p]
-        R = triangle(np.concatenate([values[:first], np.eye(p, p + 1)]))
+        R = np.asarray(np.linalg.qr(np.concatenate([values[:first], np.eye(p, p + 1)]), mode="r"))
         unknown = solve_triangular(R[:p, :p], W.T, trans="T", check_finite=False)
         M = cholesky(np.eye(later_residual.size) + unknown.T @ unknown, lower=True, check_finite=False)
         white = solve_triangular(M, later_residual - unknown.T @ R[:p, p], lower=True, check_finite=False)
@@ -79,7 +78,7 @@ class Residuals:
         decomposition gives all scales s.
         """
         values = np.concatenate([self.columns, residual[:, None]], axis=1)
-        R = triangle(self.disturbance.whitened(values)[:rows])
+        R = np.asarray(np.linalg.qr(self.disturbance.whitened(values)[:rows], mode="r"))
         U, singular_values, _ = np.linalg.svd(R[:, :-1], full_matrices=False)
         projected = U.T @ R[:, -1]
         rest = float(np.sum((R[:, -1] - U @ projected) ** 2))

@@ -55,13 +55,13 @@ def modulate(
 ) -> Modulated:
     """Train m(x) on the training rows, compare it with m = 1 on the held-out ones, and train it on `everything`.
 
-    With heat input auto, v = u unless levels are held. The operator is that with m = 1 where the network is
+    Where heat was measured, v = u unless levels are held. The operator is that with m = 1 where the network is
     significantly worse than that and is not kept `always`. Whether what is judged on the rows that `last` holds out has
     a network is chosen on those of `before`: rows may not judge what they chose.
     """
     by_level, notes = False, []
     heat = everything.heat_input.heat
-    if heat is not None and config.heat_input == "auto":
+    if heat is not None:
         held_levels = _held_levels(heat, everything, power)
         by_level = not held_levels
         notes.append("heat input: the level, v = u" if by_level else f"heat input: measured heat, since {held_levels}")

@@ -36,13 +36,13 @@ LEAST_SCALE = np.array([5.0, 8.0, 150.0, 0.5])
 def identified_heat_input(
     histories: Sequence[Record], config: IdentificationConfig, sign: int, lowest: float = 0.0, alone: bool = True
 ) -> tuple[HeatInput, list[str]]:
-    """Return the heat input of the modes (measured heat if configured and available, else u) and notes on it.
+    """Return the heat input of the modes (measured heat where available, else u) and notes on it.
 
     Signed levels, `lowest` below 0, are heat themselves. `alone`: whether the building has no other actuator; of
     several, one that was hardly on must not refuse the rest.
 
     Raises:
-        DataError: heat is configured but was not measured, is that of the other mode, or cannot be fitted.
+        DataError: heat is that of the other mode, or cannot be fitted.
     """
     if lowest < 0.0:
         return HeatInput(lowest=lowest), ["heat input: identity, the level is heat over full heat"]
@@ -51,15 +51,10 @@ def identified_heat_input(
     heat = np.concatenate([h.heat_W[0] for h in histories]) * sign
     measured = float(np.isfinite(heat).mean())
     if measured < _MEASURED:
-        if config.heat_input == "heat":
-            raise DataError(
-                f"heat_input: heat is configured, but heat was measured in only {100 * measured:.0f} % of the steps; "
-                "name the heat points in the test case, or use heat_input: identity"
-            )
         return IDENTITY, [f"heat input: identity, heat was measured in {100 * measured:.0f} % of the steps"]
     u = np.concatenate([h.u[0] for h in histories])
     on = int((np.isfinite(heat) & (u > LEVEL_EDGE)).sum())
-    if on < LEAST_RUNNING and not alone and config.heat_input == "auto":
+    if on < LEAST_RUNNING and not alone:
         return IDENTITY, [f"heat input: identity, the actuator was on in {on} steps with measured heat"]
     if float(np.nansum(heat)) < 0.0:
         metered, mode = ("cooling", "heating") if sign > 0 else ("heating", "cooling")
