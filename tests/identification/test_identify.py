@@ -299,7 +299,6 @@ def test_pairs_must_be_pairs():
     [
         ({"method": "two_stage", "order": 2}, "is of order 1, but order is 2"),
         ({"time_constants_h": [1.0, 3.0]}, "time_constants_h"),
-        ({"disturbance_sd_K": [0.1]}, "same number"),
         ({"gama": 0.5}, "gamma"),
     ],
 )
