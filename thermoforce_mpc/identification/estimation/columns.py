@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 
 from thermoforce_mpc.data import Array
@@ -65,23 +63,17 @@ def free_time_constants(log_tau: Array) -> Array:
     return np.concatenate([log_tau[1:], _DEFAULT_FREE_LOG_TAU[-1:]])
 
 
-@cache
-def free_prior(n_free: int) -> tuple[Array, Array, Array]:
-    """Return prior mean, standard deviation and lower bound of the shared free columns, shape (7q + 1,) each."""
-    entries = [item[1:] for item in FREE_PRIOR.values() for _ in range(n_free)] + [(0.0, _LEVEL_SD_K, -np.inf)]
-    prior = np.array(entries).T
-    prior.setflags(write=False)  # shared by all callers
-    return prior[0], prior[1], prior[2]
+def free_prior(regression: RegressionData) -> tuple[Array, Array, Array]:
+    """Return prior mean, standard deviation and lower bound of the shared free columns, shape (7q + 1,) each.
 
-
-def free_prior_of(regression: RegressionData, n_free: int) -> tuple[Array, Array, Array]:
-    """`free_prior`, with what the network says of outdoors and sun where it is known."""
-    mean, sd, low = free_prior(n_free)
-    if regression.weather_gains is None:
-        return mean, sd, low
-    mean, sd, n = mean.copy(), sd.copy(), 2 * n_free
-    mean[:n] = regression.weather_gains.ravel()
-    sd[:n] = np.repeat(_WEATHER_SD, n_free) + _WEATHER_SHARE * np.abs(mean[:n])
+    With what the network says of outdoors and sun where it is known.
+    """
+    entries = [item[1:] for item in FREE_PRIOR.values() for _ in range(N_FREE)]
+    mean, sd, low = np.array([*entries, (0.0, _LEVEL_SD_K, -np.inf)]).T
+    if regression.weather_gains is not None:
+        n = 2 * N_FREE
+        mean[:n] = regression.weather_gains.ravel()
+        sd[:n] = np.repeat(_WEATHER_SD, N_FREE) + _WEATHER_SHARE * np.abs(mean[:n])
     return mean, sd, low
 
 

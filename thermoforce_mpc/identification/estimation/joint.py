@@ -10,10 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import lsq_linear, minimize
+from scipy.optimize import OptimizeResult, lsq_linear, minimize
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.estimation.columns import free_time_constants, other_prior
@@ -87,7 +86,7 @@ class JointFit(ModeFit):
 
 def fit_modes(regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> ModeFit:
     """Fit as `fit_joint`, without uncertainty and free part: enough to compare models."""
-    return _posterior_maximum(regressions, priors, sign).fit
+    return _posterior_maximum(regressions, priors, sign)[0]
 
 
 def fit_joint(
@@ -119,40 +118,28 @@ def fit_joint(
     )
 
 
-class _Maximum(NamedTuple):
-    """Maximum of the posterior, and the values of all columns there (p,)."""
-
-    fit: ModeFit
-    values: Array
-
-
-def _posterior_maximum(regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> _Maximum:
+def _posterior_maximum(regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> tuple[ModeFit, Array]:
+    """The fit, and the values of all columns (p,)."""
     log_tau = priors.log_tau
     if priors.order < _ENOUGH:
 
         def squares(at: Array) -> float:
             away = (at - priors.log_tau) / priors.log_tau_sd
-            return float(_solved(Rows.of(regressions, priors, sign, at)).squares + away @ away)
+            return float(2.0 * _solved(Rows.of(regressions, priors, sign, at)).cost + away @ away)
 
         bounds = np.log(bounds_h(priors.log_tau))
         log_tau = minimize(squares, log_tau, method="Nelder-Mead", bounds=bounds, options=_SEARCH).x
     system = Rows.of(regressions, priors, sign, log_tau)
-    values = _solved(system).values
+    values = np.asarray(_solved(system).x)
     n = sum(regression.rows.size for regression in regressions)
     residual = system.columns[:n] @ values - system.target[:n]
     gains = np.maximum(values[: priors.order], _LEAST_GAIN)
-    return _Maximum(ModeFit(log_tau, gains, float(np.sqrt(np.mean(residual**2)))), values)
+    return ModeFit(log_tau, gains, float(np.sqrt(np.mean(residual**2)))), values
 
 
-class _Solution(NamedTuple):
-    values: Array
-    squares: float
-
-
-def _solved(system: Rows) -> _Solution:
+def _solved(system: Rows) -> OptimizeResult:
     R = np.asarray(np.linalg.qr(np.column_stack([system.columns, system.target]), mode="r"))
-    found = lsq_linear(R[:, :-1], R[:, -1], (system.low, np.inf), method="bvls")
-    return _Solution(found.x, 2.0 * found.cost)
+    return lsq_linear(R[:, :-1], R[:, -1], (system.low, np.inf), method="bvls")
 
 
 def _free_gains(values: Array, n_free: int, *, with_free: bool) -> Array:

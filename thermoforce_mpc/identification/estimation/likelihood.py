@@ -19,8 +19,7 @@ from scipy.linalg import cholesky, solve_triangular
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.estimation.columns import (
     free_columns,
-    free_prior_of,
-    free_time_constants,
+    free_prior,
     other_columns,
     other_prior,
     start_sd,
@@ -96,6 +95,6 @@ def residuals(regression: RegressionData, log_tau: Array) -> Residuals:
     if regression.is_pair:
         return Residuals(expected, coupled, regression.disturbance)
     shared, start = free_columns(regression, log_tau)
-    mean, sd, _ = free_prior_of(regression, free_time_constants(log_tau).size)
+    mean, sd, _ = free_prior(regression)
     columns = np.concatenate([coupled, shared * sd, start * start_sd(start.shape[1])], axis=1)
     return Residuals(expected + shared @ mean, columns, regression.disturbance)

@@ -91,6 +91,13 @@ def unit_responses(log_tau: Array, step_s: float, drive: Array, rows: NDArray[np
     return np.asarray(responses if rows is None else responses[rows])
 
 
+def unit_steps(log_tau: Array, hours: Array) -> Array:
+    """Return the response to a step to 1 per unit of [slope, G_2 … G_r] at `hours` (T,) after it, shape (T, r), K."""
+    rising = -np.expm1(-hours[:, None] / np.exp(log_tau))
+    own, lead = lags_of_gains(log_tau)
+    return np.asarray(own * rising + lead * rising[:, :1])
+
+
 def lagged(signal: Array, pole: float) -> Array:
     """States (n + 1,) of a first-order lag of steady gain 1 of `signal` (n,), from zero."""
     return np.append(0.0, lfilter([1.0 - pole], [1.0, -pole], signal))

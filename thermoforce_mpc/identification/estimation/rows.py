@@ -12,7 +12,7 @@ from thermoforce_mpc.identification.estimation.columns import (
     N_FREE,
     forced_columns,
     free_columns,
-    free_prior_of,
+    free_prior,
     other_columns,
     other_prior,
     start_sd,
@@ -47,7 +47,7 @@ class Rows:
         low = [np.zeros(sum(mean.size for mean, _ in parts))]
         acting = low[0].size
         if runs:
-            mean, sd, least = free_prior_of(runs[0], N_FREE)
+            mean, sd, least = free_prior(runs[0])
             parts += [(mean, sd), (np.zeros(starts * len(runs)), np.tile(start_sd(starts), len(runs)))]
             low += [least, np.full(starts * len(runs), -np.inf)]
         mean, sd = (np.concatenate(part) for part in zip(*parts, strict=True))

@@ -52,7 +52,6 @@ def zone_effects(
     if config.method == "two_stage":
         return [None] * len(data)
     say("fitting the building as a network of heat capacities and conductances")
-    joined = config.cross_effects and len(layout.floor_area_m2) > 1
     by_fold: dict[str, BuildingFit] = {}
     inputs: dict[str, list[HeatInput]] = {}
     fit: BuildingFit | None = None
@@ -62,11 +61,11 @@ def zone_effects(
         seen = [run.slice(0, n) for run, n in zip(runs, data[0].last_steps(fold), strict=False) if n > 1]
         heat_inputs = [of_zone.heat_input_of(fold) for of_zone in data]
         laws = [laws_of(seen, layout, a, heat_input, config) for a, heat_input in enumerate(heat_inputs)]
-        actuators, rooms = Actuators(layout, heat_inputs, laws), []
+        actuators, rooms = Actuators(layout, heat_inputs, laws, config.cross_effects), []
         for zone in range(len(layout.floor_area_m2)):
             first = layout.actuators_of(zone)[:1]
-            rooms.append(_seen(runs, pairs, zone, actuators, data[first[0]] if first else data[0], fold, joined))
-        by_fold[fold] = fit = building_fit(actuators, rooms, joined=joined, before=fit)
+            rooms.append(_seen(runs, pairs, zone, actuators, data[first[0]] if first else data[0], fold))
+        by_fold[fold] = fit = building_fit(actuators, rooms, fit)
         inputs[fold] = [
             with_outdoors(v, _found(fit, a, laws[a]), weather_of(seen, a)) for a, v in enumerate(heat_inputs)
         ]
@@ -120,14 +119,13 @@ def _seen(
     actuators: Actuators,
     data: ZoneData,
     fold: str,
-    joined: bool,
 ) -> list[Run]:
     """What a fold may see of a zone."""
     found, steps = [], data.last_steps(fold)
     for run, n in zip(runs, steps, strict=False):
         if n > 1:
-            found.append(room_run(run.slice(0, n), zone, actuators, data.grid_K, joined=joined))
+            found.append(room_run(run.slice(0, n), zone, actuators, data.grid_K))
     for pair, n in zip(pairs, steps[len(runs) :], strict=True):
         if n > 1:
-            found.append(room_pair(pair, zone, actuators, data.grid_K, joined=joined))
+            found.append(room_pair(pair, zone, actuators, data.grid_K))
     return found
