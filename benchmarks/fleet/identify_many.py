@@ -73,6 +73,6 @@ def probed_house(seed: int, index: int) -> Callable[[], ThermalModel]:
     start_s = period.start_s - period.warmup_s - PROBED_DAYS * DAY_S
     if start_s < 0.0:
         start_s = (365.0 - PROBED_DAYS) * DAY_S
-    run = Probing(plant, start_s, seed=scenario.seed, layout=testcase.layout, config=probing, identification=config)
+    run = Probing(plant, start_s, seed=scenario.seed, layout=testcase.layout, config=probing)
     run.go_on(PROBED_DAYS)
     return partial(identify, run.record, config=config, layout=testcase.layout, step_s=testcase.step_s)

@@ -15,7 +15,7 @@ from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.disturbance import Disturbance
-from thermoforce_mpc.identification.estimation.likelihood import Residuals, Split
+from thermoforce_mpc.identification.estimation.likelihood import Residuals
 from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.modulation.misfit import Misfit, TrainingData
@@ -53,7 +53,6 @@ class _Task:
                 RegressionData(target, rows, disturbance, base.step_s, ((1, v),), np.empty((0, len(INPUTS)))),
                 (x,),
                 Residuals(np.zeros(n_steps), np.empty((n_steps, 0)), disturbance),
-                Split(rows - 1, rows[:0]),
             )
             for target, v, x in zip(self.target.numpy(), heat, features, strict=True)
         ]

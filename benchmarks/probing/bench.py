@@ -17,7 +17,7 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, Pair, identify
-from thermoforce_mpc.identification.probing.design import Designer
+from thermoforce_mpc.identification.probing.design import information
 from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
@@ -62,13 +62,13 @@ def _designs(
     for days in (1, 3):
         for design in designs:
             say(f"{days} days, {design}")
-            errors, information, extremes, refused = [], [], [], 0
+            errors, worth, extremes, refused = [], [], [], 0
             for day in _START_DAYS[:2] if quick else _START_DAYS:
                 for seed in (1,) if quick else (1, 2):
                     probing = ProbingConfig(design=design, levels=_LEVELS, warmup_days=3.0)
                     record = probe(plant, day * DAY_S, days, seed=seed, config=probing)
                     extremes += [float(record.T_zone_C.min()), float(record.T_zone_C.max())]
-                    information.append(Designer().information(record))
+                    worth.append(information(record))
                     try:
                         model = identify([record], config=_LINEAR, floor_area_m2=FLOOR_AREA_M2)
                     except DataError:
@@ -78,9 +78,9 @@ def _designs(
             found[days, design] = errors
             rows.append(
                 {
-                    "data": f"{days} days, {len(information)} records",
+                    "data": f"{days} days, {len(worth)} records",
                     "draws": design,
-                    "information_nats": float(np.mean(information)),
+                    "information_nats": float(np.mean(worth)),
                     "mean_rmse_K": float(np.mean(errors)),
                     "worst_rmse_K": float(np.max(errors)),
                     "refused": refused,

@@ -107,9 +107,7 @@ def judged(case: Case) -> list[Judged]:
         testcase = plant.testcase
         probing, config = identification_settings(scenario, testcase, CONTROLLER)
         off, true_K = paired(plant)
-        run = Probing(
-            plant, _PROBING_DAY * DAY_S, seed=_SEED, layout=testcase.layout, config=probing, identification=config
-        )
+        run = Probing(plant, _PROBING_DAY * DAY_S, seed=_SEED, layout=testcase.layout, config=probing)
         records = [(days, run.go_on(days - run.days)) for days in case.days]
         thermostat = _week(plant, THERMOSTAT, None) if case.closed_loop else None
         found = []

@@ -22,10 +22,10 @@ class IdentificationConfig(StrictModel):
     order: Literal["auto", 1, 2, 3] = Field(
         "auto", description="modes of the operator; auto: 3, with method two_stage 1"
     )
-    heat_input: Literal["auto", "identity", "heat"] = Field(
+    heat_input: Literal["auto", "identity"] = Field(
         "auto",
-        description="input of the modes: u, or heat from the heat capacity of (u, T_out); auto: u, or measured heat "
-        "where held-out data prefer it or levels between off and full are held",
+        description="input of the modes; identity: u; auto: u, or measured heat where levels between off and full are "
+        "held",
     )
     machine: Literal["auto", "heat pump", "air conditioner", "direct", "other"] = Field(
         "auto", description="machine type of the heat capacity's prior; auto: chosen by mode and data"
@@ -67,24 +67,10 @@ class IdentificationConfig(StrictModel):
     hidden: int = Field(32, ge=1, le=512, description="hidden units of the modulation")
     optimiser: Literal["lbfgs", "adam"] = Field("lbfgs", description="optimiser of the modulation")
     epochs: int = Field(350, ge=1, le=5000, description="largest number of training epochs")
-    learning_rate: float = Field(0.01, gt=0, description="learning rate of Adam")
-    modulation_sd: float | None = Field(
-        None,
-        gt=0,
-        description="prior standard deviation of m(x) around 1, or around measured heat; default: 0.15 and 0.02",
-    )
     seed: int = Field(1, ge=0, description="seed of the network's initial weights and of splits")
-
-    sensor_sd_K: float = Field(0.01, gt=0, description="noise of the temperature sensor, K")
-    disturbance_sd_K: tuple[float, ...] = Field(
-        (0.02, 0.2, 2.0), description="standard deviation of disturbances, by time constant, K"
-    )
-    disturbance_hours: tuple[float, ...] = Field((0.5, 3.0, 50.0), description="time constants of disturbances, h")
 
     @model_validator(mode="after")
     def _consistent(self) -> IdentificationConfig:
-        if len(self.disturbance_sd_K) != len(self.disturbance_hours):
-            raise ValueError("disturbance_sd_K and disturbance_hours must have the same number of values")
         if self.method == "two_stage" and self.order not in ("auto", 1):
             raise ValueError(f"method two_stage is of order 1, but order is {self.order}")
         return self

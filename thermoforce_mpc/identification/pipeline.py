@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -37,11 +36,11 @@ from thermoforce_mpc.identification.estimation.records import (
     prepared_pairs,
     prepared_runs,
 )
-from thermoforce_mpc.identification.network.folds import ZoneEffects, zone_effects
 from thermoforce_mpc.identification.network.sensor import without_sun
 from thermoforce_mpc.identification.validation.held_out import identified_heat_input, named, power_of_machine
 from thermoforce_mpc.identification.validation.warnings import unexplained
-from thermoforce_mpc.identification.zones.data import ZoneData, ZoneTask
+from thermoforce_mpc.identification.zones.data import ZoneData
+from thermoforce_mpc.identification.zones.effects import ZoneEffects, zone_effects
 from thermoforce_mpc.identification.zones.model import identify_zone
 from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
@@ -151,7 +150,8 @@ def identify(
     data_of = []
     for a, home in enumerate(layout.home):
         order = [a, *others_of(layout, a, config)]
-        task = ZoneTask(
+        zone_data = ZoneData(
+            config,
             [h.part(home, order, [layout.machine_of[a]]) for h in runs],
             [p.part(home, order, [layout.machine_of[a]]) for p in pairs],
             heat_inputs[a],
@@ -166,16 +166,20 @@ def identify(
             sun=sun.get(home),
             area_m2=float(layout.floor_area_m2[home]),
         )
-        data_of.append(ZoneData.of(task, config))
+        data_of.append(zone_data)
     effects = zone_effects(runs, pairs, layout, data_of, config, say)
     zones: list[ZoneModel] = []
     fits: list[JointFit | None] = []
     for a, zone_data in enumerate(data_of):
         prefix, advice = _message_prefix(layout, a), ""
+
+        def tell(text: str, prefix: str = prefix) -> None:
+            say(prefix + text)
+
         if levels_only(heat_inputs[a], layout, a, config):
             zone_data, advice = _with_unknown_heat(zone_data, runs, layout, a, effects[a], config)
         try:
-            zone, fit = identify_zone(zone_data, effects[a], partial(_say, say, prefix))
+            zone, fit = identify_zone(zone_data, effects[a], tell)
         except DataError as error:
             raise DataError("; ".join([f"{prefix}{error}", *doubts])) from error
         zones.append(_barred(_with_advice(zone, advice), a, said))
@@ -204,10 +208,6 @@ def _barred(zone: ZoneModel, a: int, doubts: Sequence[Remark]) -> ZoneModel:
         plainly=_NO_LEVEL,
     )
     return replace(zone, card=replace(zone.card, competence=verdict))
-
-
-def _say(say: Callable[[str], None], prefix: str, text: str) -> None:
-    say(prefix + text)
 
 
 def _message_prefix(layout: Layout, a: int) -> str:
@@ -262,8 +262,7 @@ def _with_unknown_heat(
     highest = max((float(np.max(h.u[0])) for h in data.histories), default=1.0)
     unknown.append(_UNSEEN_LEVEL_SD * max(1.0 - highest, 0.0))
     notes += [advice] if advice else []
-    task = replace(data.task, level_sd=float(np.linalg.norm(unknown)))
-    return replace(data, task=task, notes=[*data.notes, *notes]), advice
+    return replace(data, level_sd=float(np.linalg.norm(unknown)), notes=[*data.notes, *notes]), advice
 
 
 def _with_advice(zone: ZoneModel, advice: str) -> ZoneModel:

@@ -39,7 +39,7 @@ def operated(slope_per_K: float, days: float = DAYS):
 @pytest.mark.slow
 def test_the_temperature_tells_how_heat_goes_with_the_weather():
     found = {}
-    for slope in (0.03, 0.0, -0.02):  # heat pump, boiler, circuit on a heating curve
+    for slope in (0.03, -0.02):  # heat pump, circuit on a heating curve
         zone = identify(operated(slope, 28.0)[1], config=CONFIG).only
         factor = zone.operator.heat_input
         true = slope / (1.0 + slope * factor.reference_C)  # per K of the heat at the mean outdoor temperature
@@ -47,7 +47,7 @@ def test_the_temperature_tells_how_heat_goes_with_the_weather():
         sd = float(re.search(r"± ([\d.]+) %", said).group(1)) / 100.0
         assert abs(factor.per_K - true) < 2.0 * sd + 0.0005, (slope, said)
         found[slope] = factor.per_K
-    assert found[0.03] > 0.02 > 0.01 > found[0.0] > -0.01 > found[-0.02], found
+    assert found[0.03] > 0.02 > -0.01 > found[-0.02], found
 
 
 @pytest.mark.slow
@@ -61,8 +61,8 @@ def test_the_effect_of_a_heat_pump_is_found_from_operation():
     assert error < 0.2 * of
     card = followed.only.card
     assert any(note.startswith("heat was not measured: from the temperatures") for note in card.notes)
-    bare = identify(replace(run), config=CONFIG.model_copy(update={"heat_input": "identity"})).only.card
-    share = [c.uncertainty["step_response_8h_sd_K"] / c.uncertainty["step_response_8h_K"] for c in (card, bare)]
+    cards = (card, ignored.only.card)
+    share = [c.uncertainty["step_response_8h_sd_K"] / c.uncertainty["step_response_8h_K"] for c in cards]
     assert share[0] > share[1], "what is not known of the heat counts in the effect"
 
 

@@ -11,18 +11,16 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import HOUR_S
-from thermoforce_mpc.identification import IdentificationConfig, Pair
+from thermoforce_mpc.identification import Pair
 from thermoforce_mpc.identification.estimation.columns import forced_columns, free_columns, other_columns
-from thermoforce_mpc.identification.estimation.disturbance import Disturbance
+from thermoforce_mpc.identification.estimation.disturbance import ASSUMED_H, ASSUMED_SD_K, SENSOR_SD_K, Disturbance
 from thermoforce_mpc.identification.estimation.joint import fit_joint
 from thermoforce_mpc.identification.estimation.likelihood import residuals
-from thermoforce_mpc.identification.estimation.modes import wide_priors
+from thermoforce_mpc.identification.estimation.modes import centred_priors
 from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression, scaled
 from thermoforce_mpc.identification.estimation.rows import Rows
-from thermoforce_mpc.identification.estimation.triangles import triangle
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
-CONFIG = IdentificationConfig()
 LOG_TAU = np.log([0.6, 3.5, 50.0])
 RNG = np.random.default_rng(0)
 
@@ -31,7 +29,7 @@ RNG = np.random.default_rng(0)
 def regression():
     run = record(House(), 1.2, seed=1, noise_K=0.01)
     gaps = np.isin(np.arange(run.n_steps + 1), [5, 6, 7, 40, *range(60, 90)])
-    return run_regression(replace(run, T_zone_C=np.where(gaps, np.nan, run.T_zone_C)), IDENTITY, CONFIG)
+    return run_regression(replace(run, T_zone_C=np.where(gaps, np.nan, run.T_zone_C)), IDENTITY)
 
 
 @pytest.fixture(scope="module")
@@ -46,12 +44,11 @@ def test_a_disturbance_is_whitened_by_its_covariance(regression):
     at = disturbance.time_s / HOUR_S
     lag = np.abs(at[:, None] - at)
     expected = sum(
-        sd**2 * np.exp(-lag / h) for sd, h in zip(CONFIG.disturbance_sd_K, CONFIG.disturbance_hours, strict=True)
-    ) + CONFIG.sensor_sd_K**2 * np.eye(at.size)
-    np.testing.assert_allclose(disturbance.covariance(), expected, rtol=1e-12)
+        sd**2 * np.exp(-lag / h) for sd, h in zip(ASSUMED_SD_K, ASSUMED_H, strict=True)
+    ) + SENSOR_SD_K**2 * np.eye(at.size)
+    np.testing.assert_allclose(disturbance.covariance, expected, rtol=1e-12)
     L = np.linalg.cholesky(expected)
-    np.testing.assert_allclose(disturbance.factor(), L, atol=1e-10)
-    np.testing.assert_allclose(disturbance.factor(30), L[30:, 30:], atol=1e-10)
+    np.testing.assert_allclose(disturbance.factor, L, atol=1e-10)
     values = RNG.normal(size=(at.size, 3))
     np.testing.assert_allclose(disturbance.whitened(values), solve_triangular(L, values, lower=True), rtol=1e-7)
     np.testing.assert_allclose(
@@ -75,7 +72,7 @@ def test_innovations_of_later_rows_are_the_end_of_those_of_all(regression, scale
         # A covariance with a condition of 10^10 is known to six digits.
         np.testing.assert_allclose(found, white[first:], atol=2e-5)
         np.testing.assert_allclose(factor, L[first:, first:], atol=1e-6)
-    np.testing.assert_allclose(rest.whitener(), np.linalg.inv(L), rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(rest.whitener, np.linalg.inv(L), rtol=1e-4, atol=1e-4)
 
 
 def test_the_likelihoods_of_all_scales_are_those_of_each(regression):
@@ -96,19 +93,24 @@ def plain_rows(regression, log_tau, sign):
     columns = [forced_columns(regression, log_tau, sign), other_columns(regression, log_tau)]
     columns += [] if regression.is_pair else list(free_columns(regression, log_tau))
     values = np.concatenate([*columns, regression.target[:, None]], axis=1)
-    return solve_triangular(np.linalg.cholesky(regression.disturbance.covariance()), values, lower=True)
+    return solve_triangular(np.linalg.cholesky(regression.disturbance.covariance), values, lower=True)
 
 
-def with_other(regression):
+def priors_of(order):
+    return centred_priors(LOG_TAU[:order], np.array([0.5, 1.5, 12.0])[:order], 1.0)
+
+
+def with_other(regression, order):
     """Beside an actuator that cools it."""
-    return replace(regression, others=-RNG.random((1, regression.n_steps)))
+    gains = np.ones((1, 2, order))
+    return replace(regression, others=-RNG.random((1, regression.n_steps)), other_gains=gains)
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_rows_are_those_of_runs_and_pairs_and_of_their_priors(regression, pair, order):
-    priors = wide_priors(order)
-    run = run_regression(record(House(), 1.0, seed=2, noise_K=0.01), IDENTITY, CONFIG)
-    for data in ([regression, pair, run], [with_other(regression), with_other(pair)], [pair]):
+    priors = priors_of(order)
+    run = run_regression(record(House(), 1.0, seed=2, noise_K=0.01), IDENTITY)
+    for data in ([regression, pair, run], [with_other(regression, order), with_other(pair, order)], [pair]):
         data = scaled(data, 0.2)
         system = Rows.of(data, priors, -1)
         begin, p = 0, system.columns.shape[1]
@@ -127,17 +129,9 @@ def test_rows_are_those_of_runs_and_pairs_and_of_their_priors(regression, pair, 
 
 def test_the_fit_is_the_least_sum_of_squares_within_bounds(regression, pair):
     """Moving any parameter within its bounds makes it larger."""
-    priors, data = wide_priors(3), [regression, pair]
+    priors, data = priors_of(3), [regression, pair]
     fit = fit_joint(data, priors, 1, np.zeros((1, 6, 6)))
     system = Rows.of(data, priors, 1)
     expected = lsq_linear(system.columns, system.target, (system.low, np.inf), method="bvls", tol=1e-14).x
     np.testing.assert_allclose(fit.gains, np.maximum(expected[:3], 1e-12), atol=1e-8)
     assert (fit.gains > 0.0).all()
-
-
-def test_a_triangle_has_the_same_sums_of_squares():
-    matrix, x = RNG.normal(size=(40, 6)), RNG.normal(size=6)
-    R = triangle(matrix)
-    assert R.shape == (6, 6)
-    assert np.sum((R @ x) ** 2) == pytest.approx(np.sum((matrix @ x) ** 2))
-    assert triangle(matrix[:4]).shape == (4, 6)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -10,9 +12,9 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.data import HOUR_S
-from thermoforce_mpc.identification import IdentificationConfig, Pair
-from thermoforce_mpc.identification.estimation.likelihood import Split, residuals
-from thermoforce_mpc.identification.estimation.modes import to_operator, wide_priors
+from thermoforce_mpc.identification import Pair
+from thermoforce_mpc.identification.estimation.likelihood import residuals
+from thermoforce_mpc.identification.estimation.modes import bounds_h, centred_priors, to_operator
 from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression
 from thermoforce_mpc.identification.modulation.misfit import Misfit, TrainingData
 from thermoforce_mpc.model.operator.features import feature_matrix
@@ -32,8 +34,9 @@ def by_torch(operator, data, priors):
         for v in drive:
             forced.append(poles * forced[-1] + operator.gains * v)
         left = torch.tensor(e.regression.target - e.residuals.mean) - torch.stack(forced).sum(1)[e.regression.rows]
-        whitened = torch.tensor(e.residuals.whitener()) @ left
-        total, rows = total + (whitened[e.split.train] ** 2).sum(), rows + e.split.train.size
+        whitened = torch.tensor(e.residuals.whitener) @ left
+        n = e.regression.seen
+        total, rows = total + (whitened[:n] ** 2).sum(), rows + n
     tau = -operator.step_s / HOUR_S / torch.log(poles)
     steady = gains / (1.0 - poles)
     known = torch.cat([(steady / tau).sum()[None], steady[1:]])
@@ -52,24 +55,23 @@ def by_torch(operator, data, priors):
 @pytest.mark.parametrize("order", [1, 2, 3])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_value_and_gradient_are_those_of_the_definition(order, sign):
-    config = IdentificationConfig()
-    priors = wide_priors(order)
+    priors = centred_priors(np.log([0.6, 3.5, 50.0])[:order], np.array([0.5, 1.5, 12.0])[:order], 0.7)
     data = []
     for seed, days in ((1, 1.0), (2, 1.25)):
         run = record(House(), days, seed=seed, noise_K=0.01)
-        e = run_regression(run, IDENTITY, config)
+        e = run_regression(run, IDENTITY)
+        e = replace(e, held=e.rows.size - 70)
         x = feature_matrix(run.T_zone_C[0, :-1], run.T_out_C[:-1], run.solar_W_m2[:-1], run.time_s[:-1])
-        rows = np.arange(e.rows.size)
-        data.append(TrainingData(e, (x,), residuals(e, priors.log_tau), Split(rows[:70], rows[70:])))
+        data.append(TrainingData(e, (x,), residuals(e, priors.log_tau)))
     for seed, days in ((3, 0.25), (4, 0.25), (5, 0.5)):
         a = record(House(), days, seed=seed)
         pair = Pair(a, record(House(), days, seed=seed, u=np.zeros(a.n_steps)))
         e = pair_regression(pair, IDENTITY)
-        rows, x = np.arange(e.rows.size), 5.0 * np.random.default_rng(seed).normal(size=(2, a.n_steps, 4))
-        train = rows[:0] if seed == 4 else rows  # the second pair is held out
-        data.append(TrainingData(e, tuple(x), residuals(e, priors.log_tau), Split(train, rows[train.size :])))
+        x = 5.0 * np.random.default_rng(seed).normal(size=(2, a.n_steps, 4))
+        e = replace(e, held=e.rows.size if seed == 4 else 0)  # the second pair is held out
+        data.append(TrainingData(e, tuple(x), residuals(e, priors.log_tau)))
     start = to_operator(
-        priors.log_tau, np.array([0.4, 2.0, 15.0])[:order], step_s=900.0, bounds_h=priors.bounds_h(), sign=sign,
+        priors.log_tau, np.array([0.4, 2.0, 15.0])[:order], step_s=900.0, bounds_h=bounds_h(priors.log_tau), sign=sign,
         gamma=GAMMA, hidden=4, heat_input=IDENTITY, feature_mean=np.array([20.0, 4.0, 60.0, 0.0]),
         feature_scale=np.array([2.0, 4.0, 90.0, 0.7]),
     )  # fmt: skip
@@ -89,15 +91,14 @@ def test_value_and_gradient_are_those_of_the_definition(order, sign):
     value, found = misfit(values.numpy())
     assert value == pytest.approx(float(expected.detach()), rel=1e-10)
     np.testing.assert_allclose(found, gradient, rtol=1e-7, atol=1e-9 * np.abs(gradient).max())
-    assert misfit.held_out_residuals(values.numpy()).size == sum(e.split.judged.size for e in data)
 
 
 @pytest.mark.parametrize("edge", [0.0, 1.0])
 def test_a_pole_on_its_bound_and_no_gain_are_kept(edge):
     start = linear_operator([0.5 + 0.4 * edge], [0.0], step_s=900.0, pole_bounds=np.array([[0.5, 0.9]]))
-    run = run_regression(record(House(), 1.0), IDENTITY, IdentificationConfig(order=1))
-    rows, priors = np.arange(run.rows.size), wide_priors(1)
-    data = TrainingData(run, (np.zeros((run.n_steps, 4)),), residuals(run, priors.log_tau), Split(rows, rows[:0]))
+    run = run_regression(record(House(), 1.0), IDENTITY)
+    priors = centred_priors(np.log([25.0]), np.array([0.2]), 1.0)
+    data = TrainingData(run, (np.zeros((run.n_steps, 4)),), residuals(run, priors.log_tau))
     misfit = Misfit(start, [data], priors, SD)
     kept = misfit.operator(misfit.begin)
     np.testing.assert_allclose(kept.poles, start.poles, atol=1e-8)

@@ -100,16 +100,6 @@ def test_levels_that_are_held_keep_the_heat_map_under_the_network():
     assert said.startswith("heat input: measured heat, since levels between off and full are held")
 
 
-def test_heat_that_held_out_data_prefer_stays_and_is_said():
-    """Heat that bends over T_out more than m(x) within γ can: the map has it, the network has not."""
-    house = replace(HOUSE, machine_W=(0.0, 10000.0), slope_per_K=0.12)
-    run = record(house, 6.0, u=random_levels(576, 1, levels=(0.0, 1.0)), noise_K=0.001)
-    model = found(run, gamma=0.02)
-    assert model.operator.heat_input.kind == "heat"
-    (said,) = [note for note in model.card.notes if note.startswith("heat input")]
-    assert said.startswith("heat input: measured heat, since held-out data are predicted better with it: error ")
-
-
 def test_without_a_meter_the_network_starts_at_one():
     linear = linear_operator([0.9], [0.1], step_s=900.0)
     start = with_network(linear, seed=1)

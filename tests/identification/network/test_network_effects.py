@@ -46,7 +46,7 @@ def of_two(days=1.0) -> Record:
 
 def test_a_run_has_the_weather_the_level_and_the_readings():
     history = record(HOUSE, 1.0, 3600.0)
-    run = room_run(history, 0, acting(SINGLE, IDENTITY), 0.1, joined=False)
+    run = room_run(history, 0, acting(SINGLE, IDENTITY), 0.1)
     weather = weather_inputs(history.time_s, history.T_out_C, history.solar_W_m2)
     np.testing.assert_array_equal(run.inputs[:-1, : len(INPUTS)], weather)
     np.testing.assert_array_equal(run.inputs[:-1, -1], history.u[0])
@@ -60,17 +60,17 @@ def test_measured_heat_drives_where_there_is_some():
     history = record(HOUSE, 1.0, 3600.0)
     heat_W = np.array(history.heat_W)
     heat_W[0, 6:12] = np.nan
-    drive = room_run(replace(history, heat_W=heat_W), 0, acting(SINGLE, METERED), 0.0, joined=False).inputs[:-1, -1]
+    drive = room_run(replace(history, heat_W=heat_W), 0, acting(SINGLE, METERED), 0.0).inputs[:-1, -1]
     known = np.isfinite(heat_W[0])
     np.testing.assert_allclose(drive[known], history.heat_W[0, known] / 10000.0, rtol=1e-9)
     np.testing.assert_allclose(drive[~known], history.u[0, ~known], rtol=1e-9)
-    unmetered = room_run(history, 0, acting(SINGLE, IDENTITY), 0.0, joined=False).inputs[:-1, -1]
+    unmetered = room_run(history, 0, acting(SINGLE, IDENTITY), 0.0).inputs[:-1, -1]
     np.testing.assert_array_equal(unmetered, history.u[0])
 
 
 def test_heat_of_cooling_drives_upwards():
     cooled = HeatInput(metered=METERED.metered)
-    drive = room_run(of_two(), 1, acting(TWO, IDENTITY, cooled), 0.0, joined=False).inputs[:-1, -1]
+    drive = room_run(of_two(), 1, acting(TWO, IDENTITY, cooled), 0.0).inputs[:-1, -1]
     np.testing.assert_allclose(drive, -of_two().heat_W[1] / 10000.0, rtol=1e-9)
     assert drive.min() > 0.0
 
@@ -79,18 +79,19 @@ def test_neighbours_are_means_of_their_readings_with_gaps_bridged():
     history = of_two()
     T_zone_C = np.array(history.T_zone_C)
     T_zone_C[1, 5] = np.nan
-    run = room_run(replace(history, T_zone_C=T_zone_C), 0, acting(TWO, IDENTITY, IDENTITY), 0.0, joined=True)
+    run = room_run(replace(history, T_zone_C=T_zone_C), 0, acting(TWO, IDENTITY, IDENTITY), 0.0)
     neighbour = run.inputs[:-1, len(INPUTS)]
     bridged = T_zone_C[1].copy()
     bridged[5] = 0.5 * (bridged[4] + bridged[6])
     np.testing.assert_allclose(neighbour, 0.5 * (bridged[:-1] + bridged[1:]))
     assert run.inputs.shape[1] == len(INPUTS) + 2
-    assert room_run(history, 0, acting(TWO, IDENTITY, IDENTITY), 0.0, joined=False).inputs.shape[1] == len(INPUTS) + 1
+    apart = replace(acting(TWO, IDENTITY, IDENTITY), across=False)
+    assert room_run(history, 0, apart, 0.0).inputs.shape[1] == len(INPUTS) + 1
 
 
 def test_a_pair_is_the_difference_of_its_runs():
     pair = make_pair(HOUSE, 3)
-    run = room_pair(pair, 0, acting(SINGLE, IDENTITY), 0.0, joined=False)
+    run = room_pair(pair, 0, acting(SINGLE, IDENTITY), 0.0)
     assert run.pair
     assert not np.any(run.inputs[:, : len(INPUTS)])
     np.testing.assert_allclose(run.inputs[:-1, -1], pair.a.u[0] - pair.b.u[0])
@@ -99,8 +100,8 @@ def test_a_pair_is_the_difference_of_its_runs():
 
 @pytest.mark.slow
 def test_rooms_know_their_heat_only_where_it_was_measured():
-    runs = [room_run(of_two(), z, acting(TWO, METERED, IDENTITY), 0.0, joined=True) for z in (0, 1)]
-    fit = building_fit(acting(TWO, METERED, IDENTITY), [[run] for run in runs], joined=True)
+    runs = [room_run(of_two(), z, acting(TWO, METERED, IDENTITY), 0.0) for z in (0, 1)]
+    fit = building_fit(acting(TWO, METERED, IDENTITY), [[run] for run in runs])
     assert fit.rooms[0].room.heat_W_m2[0] == pytest.approx(10000.0 / 20.0)
     assert np.isnan(fit.rooms[1].room.heat_W_m2[0])
     assert [room.room.neighbours for room in fit.rooms] == [1, 1]
@@ -109,9 +110,7 @@ def test_rooms_know_their_heat_only_where_it_was_measured():
 
 def test_a_part_with_few_readings_says_nothing():
     history = record(HOUSE, 1.0, 3600.0)
-    short = room_run(history.slice(0, 5), 0, acting(SINGLE, IDENTITY), 0.0, joined=False)
-    run = room_run(history, 0, acting(SINGLE, IDENTITY), 0.0, joined=False)
-    with_short, without = (
-        building_fit(acting(SINGLE, IDENTITY), [runs], joined=False) for runs in ([run, short], [run])
-    )
+    short = room_run(history.slice(0, 5), 0, acting(SINGLE, IDENTITY), 0.0)
+    run = room_run(history, 0, acting(SINGLE, IDENTITY), 0.0)
+    with_short, without = (building_fit(acting(SINGLE, IDENTITY), [runs]) for runs in ([run, short], [run]))
     np.testing.assert_array_equal(with_short.rooms[0].theta, without.rooms[0].theta)

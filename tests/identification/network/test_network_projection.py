@@ -7,8 +7,9 @@ import pytest
 from thermal_networks import KnownFit, effect_K, random_theta, theta_of
 
 from thermoforce_mpc.data import Layout, Names
+from thermoforce_mpc.identification.estimation.modes import unit_steps
 from thermoforce_mpc.identification.network.building import RESPONSE_H, WEATHER_H, BuildingFit, Responses
-from thermoforce_mpc.identification.network.projection import projected, unit_steps
+from thermoforce_mpc.identification.network.projection import projected
 from thermoforce_mpc.identification.network.room import Room
 
 ONE, SIGNS = Room(), np.array([1])
@@ -31,7 +32,7 @@ def response_at(modes, actuator=0, hours=RESPONSE_H):
 
 @pytest.mark.parametrize("tau_h", [(0.5, 3.0, 50.0), (0.2, 6.0, 200.0)])
 def test_what_has_the_operators_form_is_met_exactly(tau_h):
-    mean = unit_steps(np.log(tau_h)) @ np.array([0.3, 1.5, 12.0])
+    mean = unit_steps(np.log(tau_h), RESPONSE_H) @ np.array([0.3, 1.5, 12.0])
     given = Responses(mean[None], np.ones((2, WEATHER_H.size)))
     modes = projected(given, 0, SIGNS, 3)
     np.testing.assert_allclose(np.exp(modes.log_tau), tau_h, rtol=0.02)
@@ -110,7 +111,9 @@ def test_the_covariance_gives_the_response_its_band(variance):
     modes, of_responses = projected(building.responses[0], 0, SIGNS, 3), building.covariance[0]
     slopes = []
     for step in np.eye(6) * 1e-5:
-        up, down = (unit_steps(modes.log_tau + s * step[:3]) @ (modes.gains[0] + s * step[3:]) for s in (1.0, -1.0))
+        up, down = (
+            unit_steps(modes.log_tau + s * step[:3], RESPONSE_H) @ (modes.gains[0] + s * step[3:]) for s in (1.0, -1.0)
+        )
         slopes.append((up - down) / 2e-5)
     again = np.sqrt(np.einsum("it,ij,jt->t", slopes, modes.covariance(of_responses)[0], slopes))
     expected = np.sqrt(np.diag(of_responses[0]))

@@ -11,8 +11,8 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.probing.design import Designer
-from thermoforce_mpc.identification.probing.excitation import Excitation, Law
+from thermoforce_mpc.identification.probing.design import information
+from thermoforce_mpc.identification.probing.excitation import Excitation
 from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.scenario.settings import validate
@@ -30,9 +30,8 @@ def _probed(plant, design: str, day: int, seed: int = 1, days: float = 1.0) -> R
 
 @pytest.mark.slow
 def test_chosen_draws_tell_more_than_the_first_that_come(plant):
-    designer = Designer()
     worth = {
-        design: [designer.information(_probed(plant, design, day)) for day in (20, 45, 70, 310)]
+        design: [information(_probed(plant, design, day)) for day in (20, 45, 70, 310)]
         for design in ("random", "informative")
     }
     assert np.mean(worth["informative"]) > 1.05 * np.mean(worth["random"]), worth
@@ -48,20 +47,18 @@ def test_comfort_comes_before_information(plant):
     record = _probed(plant, "informative", 20, days=2.0)
     assert record.T_zone_C[0, 24:].min() > 18.5
     assert record.T_zone_C[0].max() < 26.0
-    law = Law((0.0, 1.0), (1,), 0.35, 1.5, 1.5)
-    excitation = Excitation(law, np.random.default_rng(0))
+    excitation = Excitation((0.0, 1.0), (1,), np.random.default_rng(0))
     assert [excitation.next(2.0) for _ in range(5)] == [1.0] * 5, "too cold: always on"
     assert [excitation.next(-2.0) for _ in range(5)] == [0.0] * 5, "too warm: always off"
 
 
 def test_more_is_known_of_what_was_excited():
-    designer = Designer()
     rng = np.random.default_rng(0)
     n = 96
     time_s, flat = np.arange(n + 1) * 900.0, np.zeros(n + 1)
 
     def worth(u) -> float:
-        return designer.information(Record(time_s, flat, flat, flat, u, u, u))
+        return information(Record(time_s, flat, flat, flat, u, u, u))
 
     switched = np.repeat(rng.choice([0.0, 1.0], 12), 8)
     assert worth(np.zeros(n)) == pytest.approx(0.0, abs=1e-9)

@@ -11,7 +11,6 @@ from houses import House, make_pair, record, weather
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.estimation.modes import wide_priors
 from thermoforce_mpc.identification.estimation.regression import run_regression
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
 from thermoforce_mpc.identification.validation.competence import (
@@ -21,8 +20,7 @@ from thermoforce_mpc.identification.validation.competence import (
     is_well_known,
     missed_criteria,
 )
-from thermoforce_mpc.identification.validation.held_out import Case, held_out
-from thermoforce_mpc.identification.validation.held_out_fit import earlier_fold
+from thermoforce_mpc.identification.validation.held_out import before_held_out, held_out, seen_rows
 from thermoforce_mpc.identification.validation.plausible import most_K
 from thermoforce_mpc.model.competence import Competence, HorizonScore
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -73,14 +71,20 @@ def test_held_out_errors_are_those_of_the_predictor():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("days", "step_s"), [(40.0, 3600.0), (23.0, 300.0)], ids=["long", "rows 55 min apart"])
-def test_predictions_an_hour_ahead_are_judged_however_long_the_record(days, step_s):
-    """Rows of long records are thinned; some must remain an hour, or little more, before others."""
-    model = identify(record(HOUSE, days, step_s, noise_K=0.01), config=LINEAR.model_copy(update={"order": 2}))
+def test_predictions_an_hour_ahead_are_judged_however_long_the_record():
+    model = identify(record(HOUSE, 40.0, 3600.0, noise_K=0.01), config=LINEAR.model_copy(update={"order": 2}))
     verdict = model.only.card.competence
     assert verdict.competent, verdict.reasons
-    assert verdict.held_out_h == pytest.approx(6.0 * days, rel=0.02)
-    assert any("960 steps are fitted as 2 runs" in note for note in model.only.card.notes) == (days == 40.0)
+    assert verdict.held_out_h == pytest.approx(240.0, rel=0.02)
+    assert any("960 steps are fitted as 2 runs" in note for note in model.only.card.notes)
+
+
+def test_rows_of_a_thinned_record_are_an_hour_or_little_more_before_others():
+    """Every 55 min, no row would be within an hour and a half before another and an hour or more."""
+    rows = run_regression(record(HOUSE, 26.0, 300.0), HeatInput()).rows
+    assert rows.size < 26 * 288 / 5
+    ahead_h = np.subtract.outer(rows, rows)[20] / 12.0
+    assert ((ahead_h >= 1.0) & (ahead_h <= 1.5)).any()
 
 
 def test_a_lead_time_without_data_is_said_plainly():
@@ -99,17 +103,14 @@ def test_tests_count_an_earlier_part_that_its_fit_has_not_seen():
     one = verdict.horizons[0]
     assert one.blocks == 10  # two parts of 18 h in blocks of 4 h, the last of each shorter
 
-    case = Case(run_regression(run, HeatInput(), LINEAR), (run,), float(run.time_s[0]))
-    regression, priors = case.regression, wide_priors(2)
-    fold = earlier_fold([case], held_out([case], LINEAR), priors, HeatInput(), LINEAR, 1)
-    (split,) = fold.splits
+    (whole,) = held_out([run_regression(run, HeatInput())], LINEAR)
+    (earlier,) = before_held_out([whole], LINEAR)
     # Half of the rows are fitted to, the quarter after them is held out.
-    assert split.train.size == pytest.approx(regression.rows.size / 2, abs=1)
-    assert split.judged.size == pytest.approx(regression.rows.size / 4, abs=1)
-    later = np.arange(regression.rows.size) >= split.judged[0]
-    changed = replace(case, regression=replace(regression, target=regression.target + 3.0 * later))
-    again = earlier_fold([changed], held_out([changed], LINEAR), priors, HeatInput(), LINEAR, 1)
-    assert again.fit.gains == pytest.approx(fold.fit.gains, rel=1e-12)
+    assert (whole.held, earlier.held) == pytest.approx((whole.rows.size / 4, whole.rows.size / 4), abs=1)
+    assert earlier.seen == pytest.approx(whole.rows.size / 2, abs=1)
+    (seen,) = seen_rows([earlier])
+    assert (seen.rows.size, seen.held) == (earlier.seen, 0)
+    np.testing.assert_array_equal(seen.target, whole.target[: earlier.seen])
 
 
 @pytest.mark.slow

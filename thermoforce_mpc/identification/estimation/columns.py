@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cache
-
 import numpy as np
-from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.estimation.modes import (
     TIME_CONSTANTS_H,
-    lags_of_gains,
+    lagged,
     poles,
     unit_responses,
-    wide_priors,
 )
-from thermoforce_mpc.identification.estimation.recursions import filtered
 from thermoforce_mpc.identification.estimation.regression import FREE_PRIOR, RegressionData
 
 # Weak priors of the level of the free response and of each mode's initial state, K.
@@ -24,13 +18,12 @@ _LEVEL_SD_K = 50.0
 _START_SD_K = (3.0, 20.0, 50.0, 50.0)
 # Fixed time constant of soil and neighbouring rooms, h: too slow to identify, but not negligible.
 _GROUND_H = 400.0
-_DEFAULT_FASTEST_LOG_TAU = np.log(TIME_CONSTANTS_H[3][:1])
+_DEFAULT_FASTEST_LOG_TAU = np.log(TIME_CONSTANTS_H[:1])
 # Order of the operator whose slow modes are those of the free part.
 _SHARED = 3
 # Of the gains that the network says: to outdoors, K/K, and to 100 W/m², K, and as a share of them.
 _WEATHER_SD, _WEATHER_SHARE = np.array([0.05, 0.1]), 0.2
-_NEVER = np.array([np.inf])
-_DEFAULT_FREE_LOG_TAU = np.log([*TIME_CONSTANTS_H[3][1:], _GROUND_H])
+_DEFAULT_FREE_LOG_TAU = np.log([*TIME_CONSTANTS_H[1:], _GROUND_H])
 N_FREE = _DEFAULT_FREE_LOG_TAU.size
 """Number of free modes, the ground's last."""
 
@@ -46,82 +39,21 @@ def other_columns(regression: RegressionData, log_tau: Array) -> Array:
     return np.concatenate(columns, axis=1) if columns else np.empty((regression.rows.size, 0))
 
 
-def other_prior(regression: RegressionData, log_tau: Array) -> tuple[Array, Array]:
-    """Return prior mean and standard deviation of the columns of `other_columns`, shape (K r,) each.
-
-    That of `wide_priors` where nothing else is known of their effects.
-    """
-    K, r = regression.others.shape[0], log_tau.size
-    if not K:
-        return np.empty(0), np.empty(0)
-    if regression.other_gains is not None:
-        return regression.other_gains[:, 0].ravel(), regression.other_gains[:, 1].ravel()
-    mean, sd = wide_priors(r).gains_at(log_tau)
-    return np.tile(mean, K), np.tile(sd, K)
+def other_prior(regression: RegressionData) -> tuple[Array, Array]:
+    """Return prior mean and standard deviation of the columns of `other_columns`, shape (K r,) each."""
+    return regression.other_gains[:, 0].ravel(), regression.other_gains[:, 1].ravel()
 
 
 def free_columns(regression: RegressionData, log_tau: Array) -> tuple[Array, Array]:
-    """Return the columns of the shared free gains (rows, 7q + 1) and of the run's initial state (rows, q + 1)."""
-    q = free_time_constants(log_tau).size
-    columns = all_columns(regression, log_tau)[:, -(len(FREE_PRIOR) * q + 1) - (q + 1) :]
-    return columns[:, : -(q + 1)], columns[:, -(q + 1) :]
+    """Return the columns of the shared free gains (rows, 7q + 1) and of the run's initial state (rows, q + 1).
 
-
-def all_columns(regression: RegressionData, log_tau: Array) -> Array:
-    """Return the columns of all parameters (rows, p), signs of the actuators aside.
-
-    Forced response to the own and to the other actuators, r each; of a run then those of `free_columns`.
+    The last shared one is the level; the initial state has the fastest mode of the operator and the free ones.
     """
-    r, K = log_tau.size, regression.others.shape[0]
-    lags = Lags.of(r, K)
-    n = (1 + K) * r if regression.is_pair else lags.mode.size
-    own, lead = np.ones(n), np.zeros(n)
-    for of_all, of_gains in zip((own, lead), lags_of_gains(log_tau), strict=True):
-        of_all[: (1 + K) * r] = np.tile(of_gains, 1 + K)
-    pole = lags.poles(log_tau, regression.step_s)
-    return np.asarray(
-        filtered(
-            regression.signals, lags.signal[:n], pole[:n], lags.start[:n], own, lags.lead[:n], lead, regression.rows
-        )
-    )
-
-
-@dataclass(frozen=True)
-class Lags:
-    """Signal, mode, first lag of its actuator and state at the start of each column of `all_columns`, (p,) each.
-
-    See `recursions.filtered`. Modes are the r of the operator, the fastest of the initial state, the q free
-    ones, and one that never decays.
-    """
-
-    signal: NDArray[np.intp]
-    mode: NDArray[np.intp]
-    lead: NDArray[np.intp]
-    start: Array
-
-    @staticmethod
-    @cache
-    def of(r: int, K: int) -> Lags:
-        """Those of an operator of order r with K other actuators, first those of the actuators, r each."""
-        q = _DEFAULT_FREE_LOG_TAU.size
-        weather, free = len(FREE_PRIOR), r + 1 + np.arange(q)
-        # The level, which stays, and the initial states, which decay, have no signal.
-        alone = [r + 1 + q, r, *free]
-        signal = [
-            np.repeat(np.arange(1 + K), r),
-            np.repeat(1 + K + np.arange(weather), q),
-            np.full(len(alone), 1 + K + weather),
-        ]
-        mode = np.concatenate([np.tile(np.arange(r), 1 + K), np.tile(free, weather), alone])
-        lead, start = np.zeros(mode.size, dtype=np.intp), np.zeros(mode.size)
-        lead[: (1 + K) * r] = np.repeat(np.arange(1 + K) * r, r)
-        start[-len(alone) :] = 1.0
-        return Lags(np.concatenate(signal), mode, lead, start)
-
-    def poles(self, log_tau: Array, step_s: float) -> Array:
-        """The pole per step of each column (p,)."""
-        fastest = log_tau[:1] if log_tau.size > 1 else _DEFAULT_FASTEST_LOG_TAU
-        return poles(np.concatenate([log_tau, fastest, free_time_constants(log_tau), _NEVER]), step_s)[self.mode]
+    free, rows = free_time_constants(log_tau), regression.rows
+    fastest = log_tau[:1] if log_tau.size > 1 else _DEFAULT_FASTEST_LOG_TAU
+    fading = poles(np.concatenate([fastest, free]), regression.step_s)
+    shared = [lagged(signal, pole)[rows] for signal in regression.weather for pole in fading[1:]]
+    return np.stack([*shared, np.ones(rows.size)], axis=1), fading ** rows[:, None]
 
 
 def free_time_constants(log_tau: Array) -> Array:
@@ -131,23 +63,17 @@ def free_time_constants(log_tau: Array) -> Array:
     return np.concatenate([log_tau[1:], _DEFAULT_FREE_LOG_TAU[-1:]])
 
 
-@cache
-def free_prior(n_free: int) -> tuple[Array, Array, Array]:
-    """Return prior mean, standard deviation and lower bound of the shared free columns, shape (7q + 1,) each."""
-    entries = [item[1:] for item in FREE_PRIOR.values() for _ in range(n_free)] + [(0.0, _LEVEL_SD_K, -np.inf)]
-    prior = np.array(entries).T
-    prior.setflags(write=False)  # shared by all callers
-    return prior[0], prior[1], prior[2]
+def free_prior(regression: RegressionData) -> tuple[Array, Array, Array]:
+    """Return prior mean, standard deviation and lower bound of the shared free columns, shape (7q + 1,) each.
 
-
-def free_prior_of(regression: RegressionData, n_free: int) -> tuple[Array, Array, Array]:
-    """`free_prior`, with what the network says of outdoors and sun where it is known."""
-    mean, sd, low = free_prior(n_free)
-    if regression.weather_gains is None:
-        return mean, sd, low
-    mean, sd, n = mean.copy(), sd.copy(), 2 * n_free
-    mean[:n] = regression.weather_gains.ravel()
-    sd[:n] = np.repeat(_WEATHER_SD, n_free) + _WEATHER_SHARE * np.abs(mean[:n])
+    With what the network says of outdoors and sun where it is known.
+    """
+    entries = [item[1:] for item in FREE_PRIOR.values() for _ in range(N_FREE)]
+    mean, sd, low = np.array([*entries, (0.0, _LEVEL_SD_K, -np.inf)]).T
+    if regression.weather_gains is not None:
+        n = 2 * N_FREE
+        mean[:n] = regression.weather_gains.ravel()
+        sd[:n] = np.repeat(_WEATHER_SD, N_FREE) + _WEATHER_SHARE * np.abs(mean[:n])
     return mean, sd, low
 
 

@@ -2,9 +2,6 @@
 
 Unmeasured disturbances (wind, blinds, cooking, moving clouds) act through the building's time constants, so the
 residuals are correlated. Least squares with independent noise would underestimate the uncertainty of the slow gain.
-
-The processes are Markov, so a Kalman filter gives each row's innovation given all rows before (Harvey 1989, section
-3.4): what a solve with the Cholesky factor of the covariance gives, in linear instead of quadratic time.
 """
 
 from __future__ import annotations
@@ -13,15 +10,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.recursions import (
-    covariance,
-    innovation_effects,
-    innovation_form,
-    innovations,
-)
+
+SENSOR_SD_K = 0.01
+"""Noise of a temperature sensor, K."""
+ASSUMED_SD_K, ASSUMED_H = np.array([0.02, 0.2, 2.0]), np.array([0.5, 3.0, 50.0])
+"""Standard deviations of disturbances, K, and their time constants, h."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +33,9 @@ class Disturbance:
     noise_sd_K: float
 
     @classmethod
-    def assumed(cls, time_s: Array, config: IdentificationConfig) -> Disturbance:
-        """What `config` assumes."""
-        processes = np.array([config.disturbance_sd_K, config.disturbance_hours], dtype=np.float64)
-        return cls(time_s, processes[0], processes[1], config.sensor_sd_K)
+    def assumed(cls, time_s: Array, sensor_sd_K: float) -> Disturbance:
+        """What is assumed of a house."""
+        return cls(time_s, ASSUMED_SD_K, ASSUMED_H, sensor_sd_K)
 
     @classmethod
     def independent(cls, time_s: Array, sd_K: float) -> Disturbance:
@@ -55,28 +50,20 @@ class Disturbance:
         """The first `n` rows."""
         return replace(self, time_s=self.time_s[:n])
 
+    @cached_property
     def covariance(self) -> Array:
         """Covariance (rows, rows), K²."""
-        return np.asarray(covariance(self.sd_K**2, self._decay, self.noise_sd_K**2))
+        lag_h = np.abs(self.time_s[:, None] - self.time_s) / HOUR_S
+        total = self.noise_sd_K**2 * np.eye(self.time_s.size)
+        for sd, hours in zip(self.sd_K, self.hours, strict=True):
+            total += sd**2 * np.exp(-lag_h / hours)
+        return np.asarray(total)
 
-    def factor(self, first: int = 0) -> Array:
-        """L of the rows from `first` on (m, m), K: the effect of their innovations on them."""
-        gain, decay, sd = self.innovations
-        return np.asarray(innovation_effects(gain[first:], decay[first:], sd[first:]))
+    @cached_property
+    def factor(self) -> Array:
+        """L (rows, rows), K, with L Lᵀ the covariance: the effect of the rows' innovations on them."""
+        return np.asarray(cholesky(self.covariance, lower=True, check_finite=False))
 
     def whitened(self, values: Array) -> Array:
-        """Innovations of `values` (rows, ...) K in standard deviations: L⁻¹ values, where L Lᵀ is the covariance."""
-        columns = np.ascontiguousarray(values, dtype=np.float64).reshape(values.shape[0], -1)
-        return np.asarray(innovations(columns, *self.innovations)).reshape(values.shape)
-
-    @cached_property
-    def _decay(self) -> Array:
-        """Decay of each process to the next row (rows, k)."""
-        lag_h = np.diff(self.time_s, append=self.time_s[-1:]) / HOUR_S
-        return np.asarray(np.exp(-lag_h[:, None] / self.hours))
-
-    @cached_property
-    def innovations(self) -> tuple[Array, Array, Array]:
-        """Gains and decays (rows, k), standard deviations (rows,) K; see `recursions.innovations`."""
-        gain, sd = innovation_form(self.sd_K**2, self._decay, self.noise_sd_K**2)
-        return gain, self._decay, sd
+        """Innovations L⁻¹ values of `values` (rows, ...) K, in standard deviations, each given the rows before it."""
+        return np.asarray(solve_triangular(self.factor, values, lower=True, check_finite=False))

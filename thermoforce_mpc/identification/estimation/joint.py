@@ -10,22 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import lsq_linear, minimize
+from scipy.optimize import OptimizeResult, lsq_linear, minimize
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.columns import free_time_constants, other_prior
-from thermoforce_mpc.identification.estimation.modes import ModePriors, poles
+from thermoforce_mpc.identification.estimation.disturbance import ASSUMED_H, ASSUMED_SD_K, SENSOR_SD_K
+from thermoforce_mpc.identification.estimation.modes import ModePriors, bounds_h, poles
 from thermoforce_mpc.identification.estimation.regression import (
     FREE_PRIOR,
     REFERENCE_C,
     RegressionData,
 )
 from thermoforce_mpc.identification.estimation.rows import Rows
-from thermoforce_mpc.identification.estimation.triangles import triangle
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 
 # Least gain, K or K/h: an effect that the record denies keeps the sign of its actuator.
@@ -69,12 +67,12 @@ class JointFit(ModeFit):
         """The fit as that of the zone's response to other actuator `k`."""
         return replace(self, gains=self.other_gains[k], covariance=self.other_covariance[k])
 
-    def free_model(self, step_s: float, config: IdentificationConfig) -> RcParameters:
+    def free_model(self, step_s: float, sensor_sd_K: float = SENSOR_SD_K) -> RcParameters:
         """Return the free part as a linear model at `step_s`."""
         a = poles(self.free_log_tau, step_s)
         # Each disturbance enters the mode nearest to its time constant; none enters the ground mode.
         share = np.zeros(a.size)
-        for sd, hours in zip(config.disturbance_sd_K, config.disturbance_hours, strict=True):
+        for sd, hours in zip(ASSUMED_SD_K, ASSUMED_H, strict=True):
             nearest = int(np.argmin(np.abs(self.free_log_tau[:-1] - np.log(hours))))
             share[nearest] = np.hypot(share[nearest], sd * max(self.residual_scale, 0.3))
         return RcParameters(
@@ -82,13 +80,13 @@ class JointFit(ModeFit):
             weights=self.free_gains * (1.0 - a)[:, None],
             step_s=step_s,
             process_sd_K=share * np.sqrt(1.0 - a**2),
-            sensor_sd_K=max(config.sensor_sd_K, 0.01),
+            sensor_sd_K=sensor_sd_K,
         )
 
 
 def fit_modes(regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> ModeFit:
     """Fit as `fit_joint`, without uncertainty and free part: enough to compare models."""
-    return _posterior_maximum(regressions, priors, sign).fit
+    return _posterior_maximum(regressions, priors, sign)[0]
 
 
 def fit_joint(
@@ -116,44 +114,32 @@ def fit_joint(
         ),
         other_gains=values[r : r + K * r].reshape(K, r),
         other_covariance=covariance[1:],
-        other_sd=other_prior(regressions[0], fit.log_tau)[1].reshape(K, r),
+        other_sd=other_prior(regressions[0])[1].reshape(K, r),
     )
 
 
-class _Maximum(NamedTuple):
-    """Maximum of the posterior, and the values of all columns there (p,)."""
-
-    fit: ModeFit
-    values: Array
-
-
-def _posterior_maximum(regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> _Maximum:
+def _posterior_maximum(regressions: Sequence[RegressionData], priors: ModePriors, sign: int) -> tuple[ModeFit, Array]:
+    """The fit, and the values of all columns (p,)."""
     log_tau = priors.log_tau
     if priors.order < _ENOUGH:
 
         def squares(at: Array) -> float:
             away = (at - priors.log_tau) / priors.log_tau_sd
-            return float(_solved(Rows.of(regressions, priors, sign, at)).squares + away @ away)
+            return float(2.0 * _solved(Rows.of(regressions, priors, sign, at)).cost + away @ away)
 
-        bounds = np.log(priors.bounds_h())
+        bounds = np.log(bounds_h(priors.log_tau))
         log_tau = minimize(squares, log_tau, method="Nelder-Mead", bounds=bounds, options=_SEARCH).x
     system = Rows.of(regressions, priors, sign, log_tau)
-    values = _solved(system).values
+    values = np.asarray(_solved(system).x)
     n = sum(regression.rows.size for regression in regressions)
     residual = system.columns[:n] @ values - system.target[:n]
     gains = np.maximum(values[: priors.order], _LEAST_GAIN)
-    return _Maximum(ModeFit(log_tau, gains, float(np.sqrt(np.mean(residual**2)))), values)
+    return ModeFit(log_tau, gains, float(np.sqrt(np.mean(residual**2)))), values
 
 
-class _Solution(NamedTuple):
-    values: Array
-    squares: float
-
-
-def _solved(system: Rows) -> _Solution:
-    R = triangle(np.column_stack([system.columns, system.target]))
-    found = lsq_linear(R[:, :-1], R[:, -1], (system.low, np.inf), method="bvls")
-    return _Solution(found.x, 2.0 * found.cost)
+def _solved(system: Rows) -> OptimizeResult:
+    R = np.asarray(np.linalg.qr(np.column_stack([system.columns, system.target]), mode="r"))
+    return lsq_linear(R[:, :-1], R[:, -1], (system.low, np.inf), method="bvls")
 
 
 def _free_gains(values: Array, n_free: int, *, with_free: bool) -> Array:

@@ -11,23 +11,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.estimation.columns import (
     free_columns,
-    free_prior_of,
-    free_time_constants,
+    free_prior,
     other_columns,
     other_prior,
     start_sd,
 )
 from thermoforce_mpc.identification.estimation.disturbance import Disturbance
 from thermoforce_mpc.identification.estimation.regression import RegressionData
-from thermoforce_mpc.identification.estimation.triangles import triangle
 
 
 @dataclass(frozen=True)
@@ -45,12 +43,11 @@ class Residuals:
     @property
     def covariance(self) -> Array:
         """C (rows, rows), K²."""
-        return np.asarray(self.disturbance.covariance() + self.columns @ self.columns.T)
+        return np.asarray(self.disturbance.covariance + self.columns @ self.columns.T)
 
+    @cached_property
     def whitener(self) -> Array:
         """Return L⁻¹ (rows, rows): row i gives its innovation given all rows before, in standard deviations."""
-        if not self.columns.shape[1]:
-            return self.disturbance.whitened(np.eye(self.mean.size))
         factor = cholesky(self.covariance, lower=True, check_finite=False)
         return np.asarray(solve_triangular(factor, np.eye(self.mean.size), lower=True, check_finite=False))
 
@@ -63,13 +60,11 @@ class Residuals:
         values = self.disturbance.whitened(np.concatenate([self.columns, residual[:, None]], axis=1))
         p = self.columns.shape[1]
         W, later_residual = values[first:, :p], values[first:, p]
-        if p:
-            R = triangle(np.concatenate([values[:first], np.eye(p, p + 1)]))
-            unknown = solve_triangular(R[:p, :p], W.T, trans="T", check_finite=False)
-            M = cholesky(np.eye(later_residual.size) + unknown.T @ unknown, lower=True, check_finite=False)
-            white = solve_triangular(M, later_residual - unknown.T @ R[:p, p], lower=True, check_finite=False)
-            return np.asarray(white), self.disturbance.factor(first) @ M
-        return later_residual, self.disturbance.factor(first)
+        R = np.asarray(np.linalg.qr(np.concatenate([values[:first], np.eye(p, p + 1)]), mode="r"))
+        unknown = solve_triangular(R[:p, :p], W.T, trans="T", check_finite=False)
+        M = cholesky(np.eye(later_residual.size) + unknown.T @ unknown, lower=True, check_finite=False)
+        white = solve_triangular(M, later_residual - unknown.T @ R[:p, p], lower=True, check_finite=False)
+        return np.asarray(white), self.disturbance.factor[first:, first:] @ M
 
     def scaled(self, scale: float) -> Residuals:
         """With `scale` times the disturbance."""
@@ -81,8 +76,8 @@ class Residuals:
         Whitened by the disturbance, the covariance is s² + W Wᵀ with the columns W, so that one singular value
         decomposition gives all scales s.
         """
-        values = np.concatenate([self.columns[:rows], residual[:rows, None]], axis=1)
-        R = triangle(self.disturbance.first(rows).whitened(values))
+        values = np.concatenate([self.columns, residual[:, None]], axis=1)
+        R = np.asarray(np.linalg.qr(self.disturbance.whitened(values)[:rows], mode="r"))
         U, singular_values, _ = np.linalg.svd(R[:, :-1], full_matrices=False)
         projected = U.T @ R[:, -1]
         rest = float(np.sum((R[:, -1] - U @ projected) ** 2))
@@ -95,38 +90,11 @@ class Residuals:
 def residuals(regression: RegressionData, log_tau: Array) -> Residuals:
     """Return the distribution of target − F in `regression` for these time constants."""
     of_others = other_columns(regression, log_tau)
-    other_mean, other_sd = other_prior(regression, log_tau)
+    other_mean, other_sd = other_prior(regression)
     expected, coupled = of_others @ other_mean, of_others * other_sd
     if regression.is_pair:
         return Residuals(expected, coupled, regression.disturbance)
     shared, start = free_columns(regression, log_tau)
-    mean, sd, _ = free_prior_of(regression, free_time_constants(log_tau).size)
+    mean, sd, _ = free_prior(regression)
     columns = np.concatenate([coupled, shared * sd, start * start_sd(start.shape[1])], axis=1)
     return Residuals(expected + shared @ mean, columns, regression.disturbance)
-
-
-@dataclass(frozen=True)
-class Split:
-    """Training rows, and held-out ones, which are judged."""
-
-    train: NDArray[np.intp]
-    judged: NDArray[np.intp]
-
-
-def split_run(regression: RegressionData, share: float) -> Split:
-    """Split a run: train on the first part, hold out the last `share`."""
-    n = regression.rows.size
-    first = max(1, min(n - 1, round(n * (1.0 - share))))
-    return Split(train=np.arange(first), judged=np.arange(first, n))
-
-
-def hold_out_pair(regression: RegressionData) -> Split:
-    """Return a split that holds out the whole pair."""
-    rows = np.arange(regression.rows.size)
-    return Split(train=rows[:0], judged=rows)
-
-
-def whole(regression: RegressionData) -> Split:
-    """Return a split that trains on all rows."""
-    rows = np.arange(regression.rows.size)
-    return Split(train=rows, judged=rows[:0])

@@ -10,22 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.estimation.recursions import filtered
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
-TIME_CONSTANTS_H: dict[int, tuple[float, ...]] = {1: (25.0,), 2: (6.0, 60.0), 3: (0.6, 3.5, 50.0)}
-"""Likely time constants by order, h. Three modes of a heated house: emitter (0.5 to 1 h), room against structure (2 to
-6 h), structure against outdoors (1 to 4 days)."""
+TIME_CONSTANTS_H = (0.6, 3.5, 50.0)
+"""Likely time constants of a heated house, h: emitter (0.5 to 1 h), room against structure (2 to 6 h), structure
+against outdoors (1 to 4 days)."""
 
-# Largest factor between the outermost time constants and their prior means.
+# Largest factor between the outermost time constants and what they are near.
 _REACH = 10.0
-# Prior standard deviations of the initial slope at full level, K/h, of a steady gain, K, of the rate of the slowest
-# mode, K/h, and of ln τ: those of a fan coil on a light room hold those of a slab too.
-_SLOPE_SD_K_PER_H, _GAIN_SD_K, _RATE_SD_K_PER_H = 20.0, 5.0, 0.5
-_LOG_TAU_SD = 0.7
 # Least standard deviation of a gain, K or K/h, also if the fit gives zero.
 _LEAST_GAIN_SD = 1e-3
 
@@ -49,13 +45,6 @@ class ModePriors:
         """Number of modes."""
         return int(self.log_tau.size)
 
-    def bounds_h(self) -> Array:
-        """Return the bounds of each time constant, shape (r, 2), h; neighbours meet at their geometric mean."""
-        tau = np.exp(self.log_tau)
-        inner = np.sqrt(tau[:-1] * tau[1:])
-        edges = np.concatenate([[tau[0] / _REACH], inner, [tau[-1] * _REACH]])
-        return np.stack([edges[:-1], edges[1:]], axis=1)
-
     def gains_at(self, log_tau: Array) -> tuple[Array, Array]:
         """Return prior mean and standard deviation (r,) of [slope, G_2 … G_r] for these time constants."""
         mean, sd = self.gain_mean.copy(), self.gain_sd.copy()
@@ -63,17 +52,6 @@ class ModePriors:
             tau = float(np.exp(log_tau[-1]))
             mean[-1], sd[-1] = self.slowest_rate[0] * tau, self.slowest_rate[1] * tau
         return mean, sd
-
-
-def wide_priors(order: int) -> ModePriors:
-    """Return priors of an actuator of which nothing is known but its sign, from a slab to a fan coil."""
-    return ModePriors(
-        log_tau=np.log(TIME_CONSTANTS_H[order]),
-        log_tau_sd=_LOG_TAU_SD,
-        gain_mean=np.zeros(order),
-        gain_sd=np.array([_SLOPE_SD_K_PER_H, *[_GAIN_SD_K] * (order - 1)]),
-        slowest_rate=(0.0, _RATE_SD_K_PER_H),
-    )
 
 
 def centred_priors(log_tau: Array, gains: Array, relative_sd: float) -> ModePriors:
@@ -89,6 +67,14 @@ def centred_priors(log_tau: Array, gains: Array, relative_sd: float) -> ModePrio
     )
 
 
+def bounds_h(log_tau: Array) -> Array:
+    """Return the bounds of time constants near ln τ (r,), shape (r, 2), h; neighbours meet at their geometric mean."""
+    tau = np.exp(log_tau)
+    inner = np.sqrt(tau[:-1] * tau[1:])
+    edges = np.concatenate([[tau[0] / _REACH], inner, [tau[-1] * _REACH]])
+    return np.stack([edges[:-1], edges[1:]], axis=1)
+
+
 def poles(log_tau: Array, step_s: float) -> Array:
     """Return the poles exp(−step/τ), shape (r,)."""
     return np.asarray(np.exp(-step_s / HOUR_S / np.exp(log_tau)))
@@ -97,13 +83,24 @@ def poles(log_tau: Array, step_s: float) -> Array:
 def unit_responses(log_tau: Array, step_s: float, drive: Array, rows: NDArray[np.intp] | None = None) -> Array:
     """Return the forced response to `drive` (n,) per unit of [slope, G_2 … G_r], shape (n + 1, r), K.
 
-    Row t is the state before step t, starting from zero; only `rows`, increasing, where they are given.
+    Row t is the state before step t, starting from zero; only `rows` where they are given.
     """
-    rows = np.arange(drive.size + 1) if rows is None else rows
-    signals = np.ascontiguousarray(drive, dtype=np.float64)[:, None]
-    first, nothing = np.zeros(log_tau.size, dtype=np.intp), np.zeros(log_tau.size)
+    lags = np.stack([lagged(drive, pole) for pole in poles(log_tau, step_s)], axis=1)
     own, lead = lags_of_gains(log_tau)
-    return np.asarray(filtered(signals, first, poles(log_tau, step_s), nothing, own, first, lead, rows))
+    responses = own * lags + lead * lags[:, :1]
+    return np.asarray(responses if rows is None else responses[rows])
+
+
+def unit_steps(log_tau: Array, hours: Array) -> Array:
+    """Return the response to a step to 1 per unit of [slope, G_2 … G_r] at `hours` (T,) after it, shape (T, r), K."""
+    rising = -np.expm1(-hours[:, None] / np.exp(log_tau))
+    own, lead = lags_of_gains(log_tau)
+    return np.asarray(own * rising + lead * rising[:, :1])
+
+
+def lagged(signal: Array, pole: float) -> Array:
+    """States (n + 1,) of a first-order lag of steady gain 1 of `signal` (n,), from zero."""
+    return np.append(0.0, lfilter([1.0 - pole], [1.0, -pole], signal))
 
 
 def lags_of_gains(log_tau: Array) -> tuple[Array, Array]:

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
-from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.disturbance import Disturbance
+from thermoforce_mpc.identification.estimation.disturbance import SENSOR_SD_K, Disturbance
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH, MOST_ROWS, Pair
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -42,9 +41,10 @@ class RegressionData:
     """Run or pair in regression form.
 
     `target` (rows,) K; `rows` (rows,) indices of the boundaries used; `disturbance` of these rows; `inputs` (n, 8)
-    weather of the steps, empty for a pair; `drives`: sign and drive v (n,) of each run. `others` (K, n): drives of the
-    other actuators, signed by their sign, of a pair their difference; `other_gains` (K, 2, r): mean and standard
-    deviation of their [slope, G_2 … G_r], None where nothing is known of them.
+    weather of the steps, empty for a pair; `drives`: sign and drive v (n,) of each run; `histories`: their records.
+    `others` (K, n): drives of the other actuators, signed by their sign, of a pair their difference; `other_gains`
+    (K, 2, r): mean and standard deviation of their [slope, G_2 … G_r]. `held`: how
+    many of the last rows are held out, so that a fit does not see them.
     """
 
     target: Array
@@ -53,9 +53,21 @@ class RegressionData:
     step_s: float
     drives: tuple[tuple[int, Array], ...]
     inputs: Array
+    histories: tuple[Record, ...] = ()
     others: Array = field(default_factory=lambda: np.empty((0, 0)))
-    other_gains: Array | None = None
+    other_gains: Array = field(default_factory=lambda: np.empty((0, 2, 0)))
     weather_gains: Array | None = None
+    held: int = 0
+
+    @property
+    def seen(self) -> int:
+        """How many of the first rows a fit sees."""
+        return self.rows.size - self.held
+
+    def first(self, n: int) -> RegressionData:
+        """The first `n` rows, of which none is held out."""
+        disturbance = self.disturbance.first(n)
+        return replace(self, target=self.target[:n], rows=self.rows[:n], disturbance=disturbance, held=0)
 
     @property
     def n_steps(self) -> int:
@@ -67,17 +79,10 @@ class RegressionData:
         """Drive of the run, of a pair the difference of its drives, (n,)."""
         return np.asarray(np.sum([sign * drive for sign, drive in self.drives], axis=0))
 
-    @cached_property
-    def signals(self) -> Array:
-        """What drives the columns in each step (n, 1 + K + 7 + 1).
-
-        The own drive, the others', the inputs of `FREE_PRIOR` in their units (zero for a pair), and nothing.
-        """
-        weather = np.zeros((self.n_steps, len(FREE_PRIOR) + 1))
-        if not self.is_pair:
-            for i, (name, (unit, *_)) in enumerate(FREE_PRIOR.items()):
-                weather[:, i] = self.inputs[:, INPUTS.index(name)] * unit
-        return np.concatenate([self.drive[:, None], self.others.reshape(-1, self.n_steps).T, weather], axis=1)
+    @property
+    def weather(self) -> Array:
+        """The inputs of `FREE_PRIOR` in their units (7, n)."""
+        return np.array([self.inputs[:, INPUTS.index(name)] * unit for name, (unit, *_) in FREE_PRIOR.items()])
 
     @property
     def is_pair(self) -> bool:
@@ -96,8 +101,8 @@ class OtherActuator:
 def run_regression(
     history: Record,
     heat_input: HeatInput,
-    config: IdentificationConfig,
     others: Sequence[OtherActuator] = (),
+    sensor_sd_K: float = SENSOR_SD_K,
 ) -> RegressionData:
     """Return a run of one zone as a regression; missing temperatures are omitted.
 
@@ -114,10 +119,11 @@ def run_regression(
     return RegressionData(
         target=history.T_zone_C[0, rows] - REFERENCE_C,
         rows=rows,
-        disturbance=Disturbance.assumed(history.time_s[rows], config),
+        disturbance=Disturbance.assumed(history.time_s[rows], sensor_sd_K),
         step_s=history.step_s,
         drives=((1, heat_input(history.u[0], history.T_out_C[:-1])),),
         inputs=weather_inputs(history.time_s, history.T_out_C, history.solar_W_m2),
+        histories=(history,),
         others=_other_drives(history, others),
     )
 
@@ -153,6 +159,7 @@ def pair_regression(pair: Pair, heat_input: HeatInput, others: Sequence[OtherAct
         step_s=pair.a.step_s,
         drives=drives,
         inputs=np.empty((0, len(INPUTS))),
+        histories=(pair.a, pair.b),
         others=_other_drives(pair.a, others) - _other_drives(pair.b, others),
     )
 

@@ -10,8 +10,10 @@ import numpy as np
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.estimation.columns import (
     N_FREE,
-    all_columns,
-    free_prior_of,
+    forced_columns,
+    free_columns,
+    free_prior,
+    other_columns,
     other_prior,
     start_sd,
 )
@@ -39,21 +41,21 @@ class Rows:
         cooling.
         """
         log_tau = priors.log_tau if log_tau is None else log_tau
-        r, starts = priors.order, N_FREE + 1
+        starts = N_FREE + 1
         runs = [regression for regression in regressions if not regression.is_pair]
-        parts = [priors.gains_at(log_tau), other_prior(regressions[0], log_tau)]
+        parts = [priors.gains_at(log_tau), other_prior(regressions[0])]
         low = [np.zeros(sum(mean.size for mean, _ in parts))]
         acting = low[0].size
         if runs:
-            mean, sd, least = free_prior_of(runs[0], N_FREE)
+            mean, sd, least = free_prior(runs[0])
             parts += [(mean, sd), (np.zeros(starts * len(runs)), np.tile(start_sd(starts), len(runs)))]
             low += [least, np.full(starts * len(runs), -np.inf)]
         mean, sd = (np.concatenate(part) for part in zip(*parts, strict=True))
         blocks, targets, begin = [], [], mean.size - starts * len(runs)
         for regression in regressions:
-            columns = all_columns(regression, log_tau)
-            columns[:, :r] *= sign
-            white = regression.disturbance.whitened(np.column_stack([columns, regression.target]))
+            columns = [forced_columns(regression, log_tau, sign), other_columns(regression, log_tau)]
+            columns += [] if regression.is_pair else free_columns(regression, log_tau)
+            white = regression.disturbance.whitened(np.column_stack([*columns, regression.target]))
             block = np.zeros((white.shape[0], mean.size))
             block[:, :acting] = white[:, :acting]
             if not regression.is_pair:

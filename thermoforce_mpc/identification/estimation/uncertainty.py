@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.estimation.differences import jacobian
 from thermoforce_mpc.identification.estimation.joint import JointFit
-from thermoforce_mpc.identification.estimation.modes import unit_responses
+from thermoforce_mpc.identification.estimation.modes import unit_steps
 
 # Times after a step to full level at which the response and its standard deviation are stored, h.
 STEP_RESPONSE_H: tuple[int, ...] = (1, 2, 4, 8, 12, 24, 48)
@@ -21,8 +21,7 @@ def step_response(fit: JointFit) -> tuple[Array, Array]:
     r, parameters = fit.log_tau.size, np.concatenate([fit.log_tau, fit.gains])
 
     def response(parameters: Array) -> Array:
-        hourly = unit_responses(parameters[:r], HOUR_S, np.ones(STEP_RESPONSE_H[-1])) @ parameters[r:]
-        return np.asarray(hourly[list(STEP_RESPONSE_H)])
+        return np.asarray(unit_steps(parameters[:r], np.array(STEP_RESPONSE_H)) @ parameters[r:])
 
     slopes = jacobian(response, parameters)
     variance = np.einsum("ti,ij,tj->t", slopes, fit.covariance, slopes)

@@ -11,14 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from scipy.special import expit, logit
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.estimation.likelihood import Residuals, Split
+from thermoforce_mpc.identification.estimation.likelihood import Residuals
 from thermoforce_mpc.identification.estimation.modes import ModePriors
-from thermoforce_mpc.identification.estimation.recursions import adjoint, responses
 from thermoforce_mpc.identification.estimation.regression import RegressionData
-from thermoforce_mpc.identification.validation.blocks import block_numbers
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, initial_weight
 
 # Least relative distance of an initial pole to its bounds, which keeps its logit and gradient finite.
@@ -26,49 +25,63 @@ _EDGE = 1e-9
 _SMALLEST_GAIN = 1e-12
 
 
+def responses(drives: Array, poles: Array) -> tuple[Array, Array]:
+    """Modes y(t + 1) = a y(t) + d(t) from zero under each of `drives` (m, n), and their derivatives by `poles` (r,).
+
+    Shape (m, n + 1, r) each.
+    """
+    y, slope = np.zeros((2, drives.shape[0], drives.shape[1] + 1, poles.size))
+    for i, a in enumerate(poles):
+        y[:, 1:, i] = lfilter([1.0], [1.0, -a], drives)
+        slope[:, 1:, i] = lfilter([1.0], [1.0, -a], y[:, :-1, i])
+    return y, slope
+
+
+def adjoint(by_response: Array, poles: Array, gains: Array) -> Array:
+    """Derivatives (m, n) by the drives of what has derivatives `by_response` (m, n + 1) by Σ gains y of `responses`."""
+    backwards = by_response[:, :0:-1]
+    return np.sum([lfilter([g], [1.0, -a], backwards)[:, ::-1] for a, g in zip(poles, gains, strict=True)], axis=0)
+
+
 @dataclass(frozen=True)
 class TrainingData:
-    """Regression with its features x_t (n, 4) of each run, in the order of its drives, residual model and split."""
+    """Regression with its features x_t (n, 4) of each run, in the order of its drives, and residual model."""
 
     regression: RegressionData
     features: tuple[Array, ...]
     residuals: Residuals
-    split: Split
 
 
 @dataclass(frozen=True)
 class _Alike:
     """Regressions of equal shapes, m of them.
 
-    `steps` (m, k, n): places of their k runs in the stack of all steps; `rows` of each; L⁻¹ (m, t, rows) and L⁻¹ target
-    (m, t) of the training rows and of the held-out ones; `blocks` (m, t) of the latter, see `validation.blocks`.
+    `steps` (m, k, n): places of their k runs in the stack of all steps; `rows` of each; `whitener` L⁻¹ (m, t, rows) and
+    `target` L⁻¹ target (m, t) of the training rows.
     """
 
     steps: NDArray[np.intp]
     rows: NDArray[np.intp]
-    train: tuple[Array, Array]
-    held_out: tuple[Array, Array]
-    blocks: NDArray[np.intp]
+    whitener: Array
+    target: Array
 
 
 def _grouped(data: Sequence[TrainingData]) -> list[_Alike]:
     """The regressions by shape: pairs are many and short, so that they are computed together."""
-    groups: dict[tuple[object, ...], list[tuple[TrainingData, NDArray[np.intp], NDArray[np.intp]]]] = {}
+    groups: dict[tuple[object, ...], list[tuple[TrainingData, NDArray[np.intp]]]] = {}
     first = 0
-    for number, e in enumerate(data):
+    for e in data:
         places = first + np.arange(len(e.regression.drives) * e.regression.n_steps)
         first += places.size
-        key = (e.regression.n_steps, *(rows.tobytes() for rows in (e.regression.rows, e.split.train, e.split.judged)))
-        blocks = block_numbers(number, e.regression.rows[e.split.judged], e.regression.step_s)
-        groups.setdefault(key, []).append((e, places.reshape(len(e.regression.drives), -1), blocks))
+        key = (e.regression.n_steps, e.regression.rows.tobytes(), e.regression.held)
+        groups.setdefault(key, []).append((e, places.reshape(len(e.regression.drives), -1)))
     stacks = []
     for members in groups.values():
-        L = np.stack([e.residuals.whitener() for e, *_ in members])
-        residual = np.stack([e.regression.target - e.residuals.mean for e, *_ in members])
-        target, example = (L @ residual[..., None])[..., 0], members[0][0]
-        train, held_out = ((L[:, part], target[:, part]) for part in (example.split.train, example.split.judged))
-        steps, blocks = (np.stack(arrays) for arrays in ([m[1] for m in members], [m[2] for m in members]))
-        stacks.append(_Alike(steps, example.regression.rows, train, held_out, blocks))
+        example = members[0][0].regression
+        L = np.stack([e.residuals.whitener[: example.seen] for e, _ in members])
+        residual = np.stack([e.regression.target - e.residuals.mean for e, _ in members])
+        steps = np.stack([places for _, places in members])
+        stacks.append(_Alike(steps, example.rows, L, (L @ residual[..., None])[..., 0]))
     return stacks
 
 
@@ -111,7 +124,7 @@ class Misfit:
         self._heat = np.concatenate([drive for drive, _ in runs])
         self._x = (np.concatenate([x for _, x in runs]) - start.feature_mean) / start.feature_scale
         self._groups = _grouped(data)
-        self._n = sum(e.split.train.size for e in data)
+        self._n = sum(e.regression.seen for e in data)
         self._is_rate = np.isin(np.arange(start.order), (0, start.order - 1))
         mean, sd = priors.gains_at(priors.log_tau)
         if priors.order > 1:
@@ -135,11 +148,10 @@ class Misfit:
         squares, by_g, by_a, by_drive = 0.0, np.zeros(self._r), np.zeros(self._r), np.empty(drive.size)
         for group in self._groups:
             y, slope = responses(drive[group.steps].sum(axis=1), modes.a)
-            L, target = group.train
-            residual = target - (L @ (y @ modes.g)[:, group.rows, None])[..., 0]
+            residual = group.target - (group.whitener @ (y @ modes.g)[:, group.rows, None])[..., 0]
             squares += float(np.sum(residual**2))
             by_response = np.zeros(y.shape[:2])
-            by_response[:, group.rows] = -2.0 * (residual[:, None] @ L)[:, 0]
+            by_response[:, group.rows] = -2.0 * (residual[:, None] @ group.whitener)[:, 0]
             by_g += np.tensordot(by_response, y)
             by_a += modes.g * np.tensordot(by_response, slope)
             by_drive[group.steps] = adjoint(by_response, modes.a, modes.g)[:, None]
@@ -174,22 +186,6 @@ class Misfit:
             output_weight=network[5 * H : 6 * H],
             output_bias=float(network[6 * H]),
         )
-
-    @property
-    def held_out_blocks(self) -> NDArray[np.intp]:
-        """Block numbers (rows,) of the held-out rows, in the order of `held_out_residuals`."""
-        return np.concatenate([group.blocks.ravel() for group in self._groups])
-
-    def held_out_residuals(self, parameters: Array) -> Array:
-        """Whitened residuals of the held-out rows (rows,), always in the same order."""
-        modes = self._modes(parameters)
-        drive, _ = self._drive(parameters[2 * self._r :])
-        whitened = []
-        for group in self._groups:
-            y, _ = responses(drive[group.steps].sum(axis=1), modes.a)
-            L, target = group.held_out
-            whitened.append((target - (L @ (y @ modes.g)[:, group.rows, None])[..., 0]).ravel())
-        return np.concatenate(whitened)
 
     def _modes(self, parameters: Array) -> _Modes:
         """Eq:pole and eq:gain."""

@@ -1,8 +1,8 @@
-"""Modulation m(x) of an operator: its selection on held-out data, what of it is judged, and the certificate check."""
+"""Modulation m(x) of an operator: whether held-out data keep it, what of it is judged, and the certificate check."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,10 +11,10 @@ from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.joint import ModeFit
-from thermoforce_mpc.identification.modulation.candidates import Candidates, Choice, may_be_level
+from thermoforce_mpc.identification.modulation.candidate import Candidate
 from thermoforce_mpc.identification.validation.competence import Trial
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
-from thermoforce_mpc.identification.validation.held_out import Case
+from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
 from thermoforce_mpc.model.machine.part_load import SWITCH_FROM, part_load
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -35,7 +35,7 @@ class Modulated:
     """An operator with its network: trained on all rows, and as it is judged.
 
     `operator`: what is returned, with held-out `scores` and `notes` in words. `last`: the same procedure without the
-    held-out rows. `before`: that without an earlier part, with nothing chosen; None where there is no earlier part.
+    held-out rows. `before`: that without an earlier part, network kept; None where there is no earlier part.
     """
 
     operator: OperatorParameters
@@ -53,48 +53,45 @@ def modulate(
     config: IdentificationConfig,
     power: PowerModel | None = None,
 ) -> Modulated:
-    """Train m(x) on the training rows, choose its input on the held-out ones, and train it on `everything`.
+    """Train m(x) on the training rows, compare it with m = 1 on the held-out ones, and train it on `everything`.
 
-    With heat input auto, v = u unless held-out data or held levels ask for measured heat. The operator is that with
-    m = 1 where the network is significantly worse than that and is not kept `always`. What is judged on the rows that
-    `last` holds out is chosen on those of `before`: rows may not judge what they chose.
+    Where heat was measured, v = u unless levels are held. The operator is that with m = 1 where the network is
+    significantly worse than that and is not kept `always`. Whether what is judged on the rows that `last` holds out has
+    a network is chosen on those of `before`: rows may not judge what they chose.
     """
-    held_levels = ""
-    if may_be_level(everything.heat_input, config):
-        held_levels = _held_levels(everything.heat_input, everything.cases, power)
-    of_all, of_last = (Candidates(fold, linear, config, held_levels) for fold in (everything, last))
-    of_before = None if before is None else Candidates(before, linear, config, held_levels)
-    choice = of_last.choice
-    if choice.kept:
-        # Without a law of heat in the training rows there was nothing to choose.
-        level = choice.level if may_be_level(last.heat_input, config) else of_all.level
+    by_level, notes = False, []
+    heat = everything.heat_input.heat
+    if heat is not None:
+        held_levels = _held_levels(heat, everything, power)
+        by_level = not held_levels
+        notes.append("heat input: the level, v = u" if by_level else f"heat input: measured heat, since {held_levels}")
+    of_all, of_last = (Candidate(fold, linear, config, by_level) for fold in (everything, last))
+    of_before = None if before is None else Candidate(before, linear, config, by_level)
+    if of_last.kept:
         # With feedback, training uses measured temperatures, so there is no recursion; prediction uses predicted ones.
-        operator = of_all.trained(level).operator
+        operator = of_all.trained
     else:
-        dropped = of_last.trained(choice.level).operator
+        notes.append(f"network not kept: m = 1 instead, since {of_last.worse}")
+        dropped = of_last.trained
         operator = replace(of_all.untrained, hidden_weight=dropped.hidden_weight, hidden_bias=dropped.hidden_bias)
-    judged = Choice(of_last.level, True) if of_before is None else of_before.choice
     return Modulated(
         replace(operator, feedback=config.feedback),
-        dict(choice.scores),
-        list(choice.notes),
-        Trial(last, of_last.effects(judged)),
-        None if of_before is None else Trial(of_before.fold, of_before.effects(Choice(of_before.level, True))),
+        of_last.scores,
+        notes,
+        Trial(last, of_last.effects(kept=of_before is None or of_before.kept)),
+        None if of_before is None else Trial(of_before.fold, of_before.effects(kept=True)),
     )
 
 
-def _held_levels(heat_input: HeatInput, cases: Sequence[Case], power: PowerModel | None) -> str:
+def _held_levels(heat: MachineLoad, everything: Fold, power: PowerModel | None) -> str:
     """Why plans need the heat of levels between off and full, in words; empty where v = u will do.
 
     Where heat is in proportion to the level, or the machine is switched at full level, it will.
     """
-    heat = heat_input.heat
-    if heat is None:
-        return ""
     fixed, per_u = (float(part) for part in heat.parts(0.5 * sum(heat.T_out_range_C)))
     if not heat.levels_seen or fixed <= _PROPORTIONAL * (fixed + per_u):
         return ""
-    u = np.concatenate([h.u[0] for case in cases for h in case.histories])
+    u = np.concatenate([h.u[0] for e in everything.regressions for h in e.histories])
     on = u > LEVEL_EDGE
     held = np.count_nonzero(on & (u < _NEARLY_FULL)) > _OFTEN * np.count_nonzero(on)
     at_part_load = None if power is None else part_load(power, heat)

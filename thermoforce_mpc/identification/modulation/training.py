@@ -8,10 +8,9 @@ that better than a few days of temperatures, also in weather that they did not s
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from thermoforce_mpc.data import Array
@@ -30,35 +29,20 @@ _STRAIGHT = 0.1
 _MOST = 0.99
 # Prior standard deviation of m(x) around its start: smaller where measured heat includes the dependence on T_out.
 _MODULATION_SD, _MODULATION_SD_METERED = 0.15, 0.02
+_LEARNING_RATE = 0.01  # of Adam
 # L-BFGS: history size; convergence tolerances of the gradient's largest element and of the loss's relative change.
 _MEMORY, _FLAT, _SETTLED = 30, 1e-6, 1e-9
 
 
-@dataclass(frozen=True)
-class TrainingResult:
-    """Trained operator, and what it is judged by.
-
-    `residuals_before` and `residuals` (rows,): whitened held-out residuals before and after training; `blocks` (rows,):
-    their block numbers, see `validation.blocks`.
-    """
-
-    operator: OperatorParameters
-    residuals_before: Array
-    residuals: Array
-    blocks: NDArray[np.intp]
-
-
 def train(
     linear: OperatorParameters, regressions: Sequence[TrainingData], priors: ModePriors, config: IdentificationConfig
-) -> TrainingResult:
+) -> OperatorParameters:
     """Train from the `linear` operator for at most the configured number of epochs."""
     metered = linear.heat_input.law is not None
-    modulation_sd = config.modulation_sd or (_MODULATION_SD_METERED if metered else _MODULATION_SD)
     start = with_network(linear, config.seed)
-    misfit = Misfit(start, regressions, priors, modulation_sd)
+    misfit = Misfit(start, regressions, priors, _MODULATION_SD_METERED if metered else _MODULATION_SD)
     end, _ = minimise(misfit, misfit.begin, config)
-    before, after = misfit.held_out_residuals(misfit.begin), misfit.held_out_residuals(end)
-    return TrainingResult(misfit.operator(end), before, after, misfit.held_out_blocks)
+    return misfit.operator(end)
 
 
 def with_network(linear: OperatorParameters, seed: int) -> OperatorParameters:
@@ -93,7 +77,7 @@ def minimise(
         import torch  # slow to load, and for the paper's optimiser only
 
         parameters = torch.nn.Parameter(torch.from_numpy(start.copy()))
-        optimiser = torch.optim.Adam([parameters], lr=config.learning_rate)
+        optimiser = torch.optim.Adam([parameters], lr=_LEARNING_RATE)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.epochs)
         for _ in range(config.epochs):
             parameters.grad = torch.from_numpy(evaluate(parameters.detach().numpy())[1])

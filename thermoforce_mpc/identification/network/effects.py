@@ -22,19 +22,26 @@ _LEAST_READINGS = 8
 
 @dataclass(frozen=True)
 class Actuators:
-    """What acts in a building: `layout`, v of each actuator (A,), and what is not known of it (A,)."""
+    """What acts in a building: `layout`, v of each actuator (A,), what is not known of it (A,), and whether it acts on
+    other zones than its own.
+    """
 
     layout: Layout
     heat_inputs: Sequence[HeatInput]
     laws: Sequence[Sequence[LevelLaw]]
+    across: bool = True
 
-    def room(self, zone: int, neighbours: int) -> Room:
-        """The network of one zone with some measured neighbours."""
+    def neighbours(self, zone: int) -> Sequence[int]:
+        """The measured neighbours of a zone."""
+        return neighbours_of(zone, len(self.layout.floor_area_m2)) if self.across else ()
+
+    def room(self, zone: int) -> Room:
+        """The network of one zone."""
         home, area = self.layout.actuators_of(zone), self.layout.floor_area_m2[zone]
         inputs = [self.heat_inputs[a] for a in home]
         heat = [heat_input.reference_W / area if heat_input.law is not None else np.nan for heat_input in inputs]
         laws = tuple(Law(k, law.name, law.mean, law.sd) for k, a in enumerate(home) for law in self.laws[a])
-        return Room(tuple(self.layout.signs[a] for a in home), tuple(heat), neighbours, laws)
+        return Room(tuple(self.layout.signs[a] for a in home), tuple(heat), len(self.neighbours(zone)), laws)
 
     def drives(self, record: Record, zone: int) -> list[Array]:
         """v of the actuators of a zone, of the heat that was measured, else of the level; then φ of their laws."""
@@ -50,33 +57,33 @@ class Actuators:
 
 
 def building_fit(
-    actuators: Actuators, rooms: Sequence[Sequence[Run]], *, joined: bool, before: BuildingFit | None = None
+    actuators: Actuators, rooms: Sequence[Sequence[Run]], before: BuildingFit | None = None
 ) -> BuildingFit:
     """The network of a building from the runs of each of its zones (Z,), as of `room_run` and `room_pair`.
 
-    `joined`: whether they hold the neighbours' temperatures; `before`: a fit to fewer runs, from which to search.
+    `before`: a fit to fewer runs, from which to search.
     """
-    neighbours, fits = len(rooms) - 1 if joined else 0, []
+    fits = []
     for z, runs in enumerate(rooms):
         read = [run for run in runs if np.isfinite(run.readings).sum() >= _LEAST_READINGS]
-        fits.append(estimate_room(actuators.room(z, neighbours), read, before.rooms[z] if before else None))
+        fits.append(estimate_room(actuators.room(z), read, before.rooms[z] if before else None))
     return BuildingFit(actuators.layout, tuple(fits))
 
 
-def room_run(record: Record, zone: int, actuators: Actuators, grid_K: float, *, joined: bool) -> Run:
+def room_run(record: Record, zone: int, actuators: Actuators, grid_K: float) -> Run:
     """A record of the building as a run of one of its zones, whose sensor reads in steps of `grid_K` K."""
     weather = weather_inputs(record.time_s, record.T_out_C, record.solar_W_m2)
-    others = [_mean_of_step(record.T_zone_C[j]) for j in neighbours_of(zone, len(record.T_zone_C))] if joined else []
+    others = [_mean_of_step(record.T_zone_C[j]) for j in actuators.neighbours(zone)]
     inputs = np.column_stack([weather, *others, *actuators.drives(record, zone)])
     return _run(inputs, record.T_zone_C[zone], record.step_s, grid_K)
 
 
-def room_pair(pair: Pair, zone: int, actuators: Actuators, grid_K: float, *, joined: bool) -> Run:
+def room_pair(pair: Pair, zone: int, actuators: Actuators, grid_K: float) -> Run:
     """The difference of a pair of records, in which the weather cancels, as a run of one zone."""
     a, b = pair.a, pair.b
     weather = np.zeros((a.n_steps, len(INPUTS)))
     difference = a.T_zone_C - b.T_zone_C
-    others = [_mean_of_step(difference[j]) for j in neighbours_of(zone, len(difference))] if joined else []
+    others = [_mean_of_step(difference[j]) for j in actuators.neighbours(zone)]
     drives = [x - y for x, y in zip(actuators.drives(a, zone), actuators.drives(b, zone), strict=True)]
     return _run(np.column_stack([weather, *others, *drives]), difference[zone], a.step_s, grid_K, pair=True)
 

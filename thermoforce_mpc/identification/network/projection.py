@@ -14,7 +14,7 @@ from scipy.optimize import least_squares, nnls
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.estimation.columns import free_time_constants
 from thermoforce_mpc.identification.estimation.differences import jacobian
-from thermoforce_mpc.identification.estimation.modes import lags_of_gains
+from thermoforce_mpc.identification.estimation.modes import unit_steps
 from thermoforce_mpc.identification.network.building import RESPONSE_H, WEATHER_H, Responses
 
 # Time constants, h: shortest, longest, least ratio of neighbours.
@@ -54,13 +54,6 @@ class Modes:
         return np.array([_covariance(self.log_tau, g, c) for g, c in zip(self.gains, of_responses, strict=True)])
 
 
-def unit_steps(log_tau: Array, hours: Array = RESPONSE_H) -> Array:
-    """Step responses (T, r) K per unit of [slope K/h, G_2 … G_r K] at `hours` (T,)."""
-    rising = -np.expm1(-np.asarray(hours)[:, None] / np.exp(log_tau))
-    own, lead = lags_of_gains(log_tau)
-    return np.asarray(own * rising + lead * rising[:, :1])
-
-
 def projected(responses: Responses, own: int, signs: Array, order: int) -> Modes:
     """The responses (A,) of a zone as `order` modes; the time constants are those that suit actuator `own`."""
     means = responses.mean * np.asarray(signs)[:, None]
@@ -71,7 +64,7 @@ def projected(responses: Responses, own: int, signs: Array, order: int) -> Modes
         return np.asarray(np.log(_SHORTEST_H) + np.cumsum(np.exp(x)) + np.log(_APART) * np.arange(order))
 
     def misfit(x: Array) -> Array:
-        units = unit_steps(tau_of(x))
+        units = unit_steps(tau_of(x), RESPONSE_H)
         return np.asarray(units @ nnls(units, target)[0] - target)
 
     found = []
@@ -82,7 +75,7 @@ def projected(responses: Responses, own: int, signs: Array, order: int) -> Modes
     # At the longest, neighbours stay apart: equal poles would be one.
     most = np.log(_LONGEST_H) - np.log(_APART) * np.arange(order)[::-1]
     log_tau = np.minimum(tau_of(min(found, key=lambda result: result.cost).x), most)
-    units = unit_steps(log_tau)
+    units = unit_steps(log_tau, RESPONSE_H)
     gains = np.array([nnls(units, mean)[0] for mean in means])
     errors = np.sqrt(np.mean((gains @ units.T - means) ** 2, axis=1) / np.maximum(np.mean(means**2, axis=1), 1e-12))
     free = -np.expm1(-WEATHER_H[:, None] / np.exp(free_time_constants(log_tau)))
@@ -95,7 +88,7 @@ def _covariance(log_tau: Array, gains: Array, of_response: Array) -> Array:
     r = log_tau.size
 
     def steps(p: Array) -> Array:
-        return np.asarray(unit_steps(p[:r]) @ p[r:])
+        return np.asarray(unit_steps(p[:r], RESPONSE_H) @ p[r:])
 
     p = np.concatenate([log_tau, gains])
     slopes = jacobian(steps, p)

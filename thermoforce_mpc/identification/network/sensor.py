@@ -81,11 +81,10 @@ def sun_on_sensor(
     home = layout.actuators_of(zone)
     if not home or any(heat_inputs[a].lowest < 0.0 for a in home) or (noon_s := _noon_s(runs)) is None:
         return None
-    actuators = Actuators(layout, heat_inputs, [()] * len(heat_inputs))
-    joined = config.cross_effects and len(layout.floor_area_m2) > 1
+    actuators = Actuators(layout, heat_inputs, [()] * len(heat_inputs), config.cross_effects)
     grid_K = resolution_K([run.part(zone, [home[0]], [layout.machine_of[home[0]]]) for run in runs])
-    lit = [_with_windows(room_run(run, zone, actuators, grid_K, joined=joined), run, noon_s) for run in runs]
-    room = replace(actuators.room(zone, len(layout.floor_area_m2) - 1 if joined else 0), facades=len(_WINDOWS_DEG))
+    lit = [_with_windows(room_run(run, zone, actuators, grid_K), run, noon_s) for run in runs]
+    room = replace(actuators.room(zone), facades=len(_WINDOWS_DEG))
     first = searched(room, lit, np.zeros(room.sd.size), _TOLERANCE)
     without, sunlit, start = float(first.fun), replace(room, sensor=True), np.append(first.x, _START)
     explanations = []

@@ -13,8 +13,6 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.probing.design import Designer
 from thermoforce_mpc.identification.probing.hand_planner import HOLDS_H, HandPlanner
 from thermoforce_mpc.identification.probing.operation import Telling, tellings
 from thermoforce_mpc.model.gaps import bridged
@@ -72,7 +70,6 @@ def probe_schedule(
     awake: tuple[int, int] = (7, 22),
     start_s: float | None = None,
     competent: Sequence[bool] | None = None,
-    config: IdentificationConfig | None = None,
     seed: int = 1,
 ) -> ProbeSchedule:
     """The shortest schedule of whole days after which the record is expected to tell the effect of every actuator.
@@ -86,7 +83,6 @@ def probe_schedule(
         start_s: where it starts; default: the first morning after the end of the record.
         competent: of each actuator, whether a model of the record is (`operating.findings`); those of which it is are
             not probed, others for a day at least. Default: what the record is expected to tell decides.
-        config: options of the identification.
         seed: seed of the draws.
 
     Raises:
@@ -100,22 +96,33 @@ def probe_schedule(
         raise DataError(f"{record.names.zones[int(np.argmax(silent))]}: its temperature was not measured of late")
     usual = np.nanmedian(record.T_zone_C, axis=1)
     lower, upper = _band(lower_C, usual - _BAND_K), _band(upper_C, usual + _BAND_K)
-    before = tellings(record, layout, config)
+    before = tellings(record, layout)
     sufficient = [telling.tells for telling in before] if competent is None else list(competent)
     probed = [a for a, enough in enumerate(sufficient) if not enough]
     morning = np.ceil((float(record.time_s[-1]) - awake[0] * HOUR_S) / DAY_S) * DAY_S + awake[0] * HOUR_S
     begin = morning if start_s is None else start_s
-    planner = HandPlanner(filled, layout, Designer(config), begin, levels, awake, usual, lower, upper, seed)
+    planner = HandPlanner(_hourly(filled), layout, begin, tuple(levels), awake, usual, lower, upper, seed)
     after = before
     while probed and planner.days < _MOST_DAYS and not (planner.days and all(after[a].tells for a in probed)):
         planner.add_day(probed)
-        after = tellings(planner.record(), layout, config)
+        after = tellings(planner.record(), layout)
     names = tuple(layout.names.actuators[a] for a in probed)
     time_s = np.asarray(begin + np.arange(planner.u.shape[1] + 1) * HOUR_S)
     return ProbeSchedule(
         record, time_s, planner.u, names, lower, upper, tuple(before), tuple(after),
         planner.discomfort_Kh(), planner.excursion_K(),
     )  # fmt: skip
+
+
+def _hourly(record: Record) -> Record:
+    """The record in hours: the design looks at hourly rows anyway, and people act on the hour."""
+    every = max(1, round(HOUR_S / record.step_s))
+    if abs(every * record.step_s - HOUR_S) > 1.0:
+        raise DataError(
+            f"the record has steps of {record.step_s:g} s: a schedule needs a step that divides an hour, such as "
+            "step: 15min"
+        )
+    return record.resample(every)
 
 
 def _band(band: Array | None, default: Array) -> Array:

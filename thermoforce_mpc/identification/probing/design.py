@@ -9,18 +9,16 @@ far and the hours the candidate adds: twice the information gain, in nats. It ne
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
-from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.likelihood import residuals
 from thermoforce_mpc.identification.estimation.modes import TIME_CONSTANTS_H, ModePriors, unit_responses
 from thermoforce_mpc.identification.estimation.regression import run_regression
-from thermoforce_mpc.identification.probing.excitation import Excitation, Law
+from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 # Step of the derivative with respect to ln τ.
@@ -33,7 +31,7 @@ _KNOWN_FROM = 48
 _ROW_H = 1.0
 # The house that probing expects: one heated through its floor, where effects are the last to show.
 _HOUSE = ModePriors(
-    log_tau=np.log(TIME_CONSTANTS_H[3]),
+    log_tau=np.log(TIME_CONSTANTS_H),
     log_tau_sd=0.25,
     gain_mean=np.array([0.0, 2.0, 0.0]),
     gain_sd=np.array([0.1, 2.0, 0.0]),
@@ -41,136 +39,113 @@ _HOUSE = ModePriors(
 )
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """Candidate excitation: law of the draws, and their seed."""
-
-    law: Law
-    seed: tuple[int, ...]
-
-
-class Designer:
-    """Evaluates candidate excitations by their information gain.
+def choose(
+    history: Record,
+    ahead: Boundary,
+    excitation: Excitation,
+    candidates: list[Draws],
+    *,
+    centre_C: float,
+    sign: float,
+) -> Draws:
+    """Return the best candidate for the hours of `ahead`.
 
     Args:
-        config: options of the identification that will use the record; gives the disturbances.
+        history: the record so far, one instant or more.
+        ahead: weather of the next hours, at the step of the record.
+        excitation: current state of the excitation.
+        candidates: candidates to choose from.
+        centre_C: centre of the excursions, °C.
+        sign: +1 heating, −1 cooling.
     """
+    past, step_s = history.n_steps, ahead.step_s
+    time_s, T_out_C, solar_W_m2 = (
+        np.concatenate([getattr(history, name), getattr(ahead, name)[1:]])
+        for name in ("time_s", "T_out_C", "solar_W_m2")
+    )
+    whitener, rows = _whitener(time_s, T_out_C, solar_W_m2, step_s)
+    holding = float(history.u[0].mean()) if past >= _KNOWN_FROM else _HOLDING_SHARE
+    start_K = sign * (centre_C - float(history.T_zone_C[0, -1]))
+    worth = []
+    for candidate in candidates:
+        levels = _simulated_levels(excitation.resumed(candidate), ahead.n_steps, step_s, start_K, holding)
+        worth.append(_criterion(np.concatenate([history.u[0], levels]), step_s, whitener, rows))
+    return candidates[int(np.argmax(worth))]
 
-    def __init__(self, config: IdentificationConfig | None = None) -> None:
-        self._config = config or IdentificationConfig()
-        self._priors = _HOUSE
 
-    def choose(
-        self,
-        history: Record,
-        ahead: Boundary,
-        excitation: Excitation,
-        candidates: list[Candidate],
-        *,
-        centre_C: float,
-        sign: float,
-    ) -> Candidate:
-        """Return the best candidate for the hours of `ahead`.
+def information(history: Record) -> float:
+    """Return the criterion of a record, nats."""
+    return _criterion(history.u[0], history.step_s, *_whitener_of(history))
 
-        Args:
-            history: the record so far, one instant or more.
-            ahead: weather of the next hours, at the step of the record.
-            excitation: current state of the excitation.
-            candidates: candidates to choose from.
-            centre_C: centre of the excursions, °C.
-            sign: +1 heating, −1 cooling.
-        """
-        past = history.n_steps
-        step_s = ahead.step_s
-        weather = [
-            np.concatenate([getattr(history, name), getattr(ahead, name)[1:]])
-            for name in ("time_s", "T_out_C", "solar_W_m2")
-        ]
-        n = past + ahead.n_steps
-        nothing = np.zeros(n)
-        planned = Record(weather[0], np.zeros(n + 1), weather[1], weather[2], nothing, nothing, nothing)
-        whitener, rows = self._whitener(planned, step_s)
-        holding = float(history.u[0].mean()) if past >= _KNOWN_FROM else _HOLDING_SHARE
-        start_K = sign * (centre_C - float(history.T_zone_C[0, -1]))
-        worth = []
-        for candidate in candidates:
-            going_on = excitation.resumed(candidate.law, candidate.seed)
-            levels = self._simulated_levels(going_on, ahead.n_steps, step_s, start_K, holding)
-            worth.append(self._criterion(np.concatenate([history.u[0], levels]), step_s, whitener, rows))
-        return candidates[int(np.argmax(worth))]
 
-    def information(self, history: Record) -> float:
-        """Return the criterion of a record, nats."""
-        whitener, rows = self._whitener(history, history.step_s)
-        return self._criterion(history.u[0], history.step_s, whitener, rows)
+def expected_sd(history: Record, weights: Sequence[float] = (1.0,)) -> float:
+    """Return the relative standard deviation that is expected of the effect of a day at full level after a record.
 
-    def expected_sd(self, history: Record, weights: Sequence[float] = (1.0,)) -> float:
-        """Return the relative standard deviation that is expected of the effect of a day at full level after a record.
+    It is that of the first actuator, for a building as the priors expect it and disturbances of the assumed size;
+    actual ones are mostly smaller. The effects of the others on the zone are unknown too.
 
-        It is that of the first actuator, for a building as the priors expect it and disturbances of the assumed size;
-        actual ones are mostly smaller. The effects of the others on the zone are unknown too.
+    Args:
+        history: one zone with A actuators or more.
+        weights: standard deviation of each actuator's parameters as a share of the first one's prior (A,); only so many
+            actuators count.
+    """
+    whitener, rows = _whitener_of(history)
+    each = zip(weights, history.u, strict=False)
+    S = np.concatenate([weight * _sensitivities(u, history.step_s)[rows] for weight, u in each], axis=1)
+    S = solve_triangular(whitener, S, lower=True)
+    precision = np.eye(S.shape[1]) + S.T @ S
+    day = np.ones(round(DAY_S / history.step_s))
+    slope = np.zeros(S.shape[1])
+    own = _sensitivities(day, history.step_s)[-1]
+    slope[: own.size] = own
+    effect_K = float(expected_rise_K(day, history.step_s)[-1])
+    return float(np.sqrt(slope @ np.linalg.solve(precision, slope))) / effect_K
 
-        Args:
-            history: one zone with A actuators or more.
-            weights: standard deviation of each actuator's parameters as a share of the first one's prior (A,); only so
-                many actuators count.
-        """
-        whitener, rows = self._whitener(history, history.step_s)
-        each = zip(weights, history.u, strict=False)
-        S = np.concatenate([weight * self._sensitivities(u, history.step_s)[rows] for weight, u in each], axis=1)
-        S = solve_triangular(whitener, S, lower=True)
-        precision = np.eye(S.shape[1]) + S.T @ S
-        day = np.ones(round(DAY_S / history.step_s))
-        slope = np.zeros(S.shape[1])
-        own = self._sensitivities(day, history.step_s)[-1]
-        slope[: own.size] = own
-        p = self._priors
-        effect_K = float((unit_responses(p.log_tau, history.step_s, day) @ p.gains_at(p.log_tau)[0])[-1])
-        return float(np.sqrt(slope @ np.linalg.solve(precision, slope))) / effect_K
 
-    def expected_rise_K(self, levels: Array, step_s: float) -> Array:
-        """Change of the zone that `levels` (n,) make in a building as the priors expect it, shape (n + 1,), K."""
-        p = self._priors
-        return np.asarray(unit_responses(p.log_tau, step_s, levels) @ p.gains_at(p.log_tau)[0])
+def expected_rise_K(levels: Array, step_s: float, log_tau: Array = _HOUSE.log_tau) -> Array:
+    """Change of the zone that `levels` (n,) make in a building as the priors expect it, shape (n + 1,), K."""
+    return np.asarray(unit_responses(log_tau, step_s, levels) @ _HOUSE.gains_at(log_tau)[0])
 
-    def _whitener(self, history: Record, step_s: float) -> tuple[Array, NDArray[np.intp]]:
-        """Return the lower Cholesky factor of C over hourly rows (fewer in more than a month), which the levels do not
-        change, and those rows."""
-        stride = max(1, round(_ROW_H * HOUR_S / step_s))
-        time_s, T_out, solar = (getattr(history, k)[::stride] for k in ("time_s", "T_out_C", "solar_W_m2"))
-        nothing = np.zeros(time_s.size - 1)
-        # All temperatures are assumed to be measured.
-        hourly = Record(time_s, np.zeros(time_s.size), T_out, solar, nothing, nothing, nothing)
-        regression = run_regression(hourly, IDENTITY, self._config)
-        rest = residuals(regression, self._priors.log_tau)
-        return cholesky(rest.covariance, lower=True), regression.rows * stride
 
-    def _criterion(self, u: Array, step_s: float, whitener: Array, rows: NDArray[np.intp]) -> float:
-        sensitivities = solve_triangular(whitener, self._sensitivities(u, step_s)[rows], lower=True)
-        return float(np.linalg.slogdet(np.eye(sensitivities.shape[1]) + sensitivities.T @ sensitivities)[1])
+def _whitener_of(history: Record) -> tuple[Array, NDArray[np.intp]]:
+    return _whitener(history.time_s, history.T_out_C, history.solar_W_m2, history.step_s)
 
-    def _sensitivities(self, u: Array, step_s: float) -> Array:
-        """Return dF/d(gains, ln τ) times the priors' standard deviations, shape (n + 1, 2r), K."""
-        p = self._priors
-        sd = p.gains_at(p.log_tau)[1]
-        gains = unit_responses(p.log_tau, step_s, u) * sd
-        slower = []
-        for i in range(p.order):
-            shift = np.zeros(p.order)
-            shift[i] = _STEP
-            # The prior is on the rate of the slowest mode, so its gain scales with its time constant.
-            up, down = (
-                unit_responses(p.log_tau + d, step_s, u) @ p.gains_at(p.log_tau + d)[0] for d in (shift, -shift)
-            )
-            slower.append((up - down) / (2.0 * _STEP) * p.log_tau_sd)
-        return np.concatenate([gains, np.stack(slower, axis=1)], axis=1)
 
-    def _simulated_levels(self, excitation: Excitation, n: int, step_s: float, start_K: float, holding: float) -> Array:
-        """Return the levels of an excitation simulated on the prior mean with constant weather, shape (n,)."""
-        p = self._priors
-        unit = unit_responses(p.log_tau, step_s, np.eye(1, n)[0]) @ p.gains_at(p.log_tau)[0]
-        levels, rise = np.zeros(n), np.zeros(n + 1)
-        for t in range(n):
-            levels[t] = excitation.next(start_K - rise[t])
-            rise[t + 1 :] += (levels[t] - holding) * unit[1 : n + 1 - t]
-        return levels
+def _whitener(time_s: Array, T_out_C: Array, solar_W_m2: Array, step_s: float) -> tuple[Array, NDArray[np.intp]]:
+    """Return the lower Cholesky factor of C over hourly rows (fewer in more than a month), which the levels do not
+    change, and those rows.
+    """
+    stride = max(1, round(_ROW_H * HOUR_S / step_s))
+    time_s = time_s[::stride]
+    nothing = np.zeros(time_s.size - 1)
+    # All temperatures are assumed to be measured.
+    hourly = Record(time_s, np.zeros(time_s.size), T_out_C[::stride], solar_W_m2[::stride], nothing, nothing, nothing)
+    regression = run_regression(hourly, IDENTITY)
+    return cholesky(residuals(regression, _HOUSE.log_tau).covariance, lower=True), regression.rows * stride
+
+
+def _criterion(u: Array, step_s: float, whitener: Array, rows: NDArray[np.intp]) -> float:
+    sensitivities = solve_triangular(whitener, _sensitivities(u, step_s)[rows], lower=True)
+    return float(np.linalg.slogdet(np.eye(sensitivities.shape[1]) + sensitivities.T @ sensitivities)[1])
+
+
+def _sensitivities(u: Array, step_s: float) -> Array:
+    """Return dF/d(gains, ln τ) times the priors' standard deviations, shape (n + 1, 2r), K."""
+    p = _HOUSE
+    gains = unit_responses(p.log_tau, step_s, u) * p.gains_at(p.log_tau)[1]
+    slower = []
+    for shift in _STEP * np.eye(p.order):
+        # The prior is on the rate of the slowest mode, so its gain scales with its time constant.
+        up, down = (expected_rise_K(u, step_s, p.log_tau + d) for d in (shift, -shift))
+        slower.append((up - down) / (2.0 * _STEP) * p.log_tau_sd)
+    return np.concatenate([gains, np.stack(slower, axis=1)], axis=1)
+
+
+def _simulated_levels(excitation: Excitation, n: int, step_s: float, start_K: float, holding: float) -> Array:
+    """Return the levels of an excitation simulated on the prior mean with constant weather, shape (n,)."""
+    unit = expected_rise_K(np.eye(1, n)[0], step_s)
+    levels, rise = np.zeros(n), np.zeros(n + 1)
+    for t in range(n):
+        levels[t] = excitation.next(start_K - rise[t])
+        rise[t + 1 :] += (levels[t] - holding) * unit[1 : n + 1 - t]
+    return levels

@@ -2,57 +2,55 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-# Least probability of on (and of off) inside the temperature limits.
-_LEAST_SHARE = 0.05
+EXCURSION_K = 1.5
+"""Distance from the centre of the excursions at which the machine is on, or off, K."""
+# Change of the probability of on per K from the centre, 1/K, and least probability of on (and of off).
+_LEAN_PER_K, _LEAST_SHARE = 0.35, 0.05
 
 
-@dataclass(frozen=True)
-class Law:
-    """Parameters of the draws. Fields as in `ProbingConfig`; `hold_steps` are the holding times to draw from."""
+class Draws(NamedTuple):
+    """Holding times to draw from, steps, and the seed."""
 
-    levels: tuple[float, ...]
     hold_steps: tuple[int, ...]
-    lean_per_K: float
-    below_K: float
-    above_K: float
+    seed: tuple[int, ...]
 
 
 @dataclass
 class Excitation:
     """Generator of levels; equal seeds and temperatures give equal levels.
 
-    `level` is held for `left` more steps; `resumed` passes both on to the next excitation.
+    `level`, one of `levels`, off first, is held for `left` more steps; `resumed` passes both on to the next excitation.
     """
 
-    law: Law
+    levels: tuple[float, ...]
+    hold_steps: tuple[int, ...]
     rng: np.random.Generator
+    excursion_K: float = EXCURSION_K
     level: float = 0.0
-    left: int = field(default=0)
+    left: int = 0
 
     def next(self, need_K: float) -> float:
         """Return the level of the next step; `need_K` is centre − T for heating, T − centre for cooling, K.
 
-        Beyond `below_K` the level is the highest, beyond `above_K` on the other side it is 0.
+        Beyond `excursion_K` the level is the highest, as far on the other side it is 0.
         """
-        law = self.law
-        if need_K > law.below_K:
-            self.level, self.left = max(law.levels), 1
-        elif need_K < -law.above_K:
-            self.level, self.left = 0.0, 1
+        if abs(need_K) > self.excursion_K:
+            self.level, self.left = (max(self.levels) if need_K > 0 else 0.0), 1
         elif self.left == 0:
-            on = self.rng.random() < np.clip(0.5 + law.lean_per_K * need_K, _LEAST_SHARE, 1.0 - _LEAST_SHARE)
-            self.level = float(self.rng.choice(law.levels[1:])) if on else 0.0
-            self.left = int(self.rng.choice(law.hold_steps))
+            on = self.rng.random() < np.clip(0.5 + _LEAN_PER_K * need_K, _LEAST_SHARE, 1.0 - _LEAST_SHARE)
+            self.level = float(self.rng.choice(self.levels[1:])) if on else 0.0
+            self.left = int(self.rng.choice(self.hold_steps))
         self.left -= 1
         return self.level
 
-    def resumed(self, law: Law, seed: tuple[int, ...]) -> Excitation:
-        """Return an excitation with another law and seed that continues the current level."""
-        return Excitation(law, np.random.default_rng(seed), self.level, self.left)
+    def resumed(self, draws: Draws) -> Excitation:
+        """Return an excitation with other draws that continues the current level."""
+        return replace(self, hold_steps=draws.hold_steps, rng=np.random.default_rng(draws.seed))
 
 
 @dataclass
@@ -66,8 +64,8 @@ class LevelTrial:
 
     levels: tuple[float, ...]
     steps: int
-    left: int = field(default=0)
-    done: int = field(default=0)
+    left: int = 0
+    done: int = 0
 
     def applied(self, drawn: float, before: float, highest: float) -> float:
         """Return the level to apply for the `drawn` one, `before` being the level applied in the last step."""

@@ -8,53 +8,54 @@ the zone.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
-from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.probing.design import Designer
-from thermoforce_mpc.identification.probing.excitation import Excitation, Law
+from thermoforce_mpc.identification.probing.design import expected_rise_K, information
+from thermoforce_mpc.identification.probing.excitation import Excitation
 
 # Holding times by hand, h, and draws that are compared a day.
 HOLDS_H = (1, 2, 3, 4, 6)
 _CANDIDATES = 24
-# As the automatic probing leans and turns back, see `ProbingConfig`.
-_LEAN_PER_K, _TURN_K = 0.35, 1.5
 # Price of discomfort when draws are compared, nats per K·h.
 _DISCOMFORT = 0.02
 
 
+@dataclass
 class HandPlanner:
-    """Adds days of levels, hour by hour, to the record of operation as it may go on."""
+    """Adds days of levels, hour by hour, to a record of operation in hours as it may go on.
 
-    def __init__(
-        self,
-        record: Record,
-        layout: Layout,
-        designer: Designer,
-        begin_s: float,
-        levels: Sequence[float],
-        awake: tuple[int, int],
-        usual: Array,
-        lower: Array,
-        upper: Array,
-        seed: int,
-    ) -> None:
-        # In hours: the design looks at hourly rows anyway, and people act on the hour.
-        every = max(1, round(HOUR_S / record.step_s))
-        self._record = record.resample(every) if abs(every * record.step_s - HOUR_S) < 1.0 else record
-        if abs(self._record.step_s - HOUR_S) > 1.0:
-            raise DataError(
-                f"the record has steps of {record.step_s:g} s: a schedule needs a step that divides an hour, such as "
-                "step: 15min"
-            )
-        self._layout, self._designer, self._begin_s = layout, designer, begin_s
-        self._levels, self._awake, self._seed = tuple(levels), awake, seed
-        self._usual, self._lower, self._upper = usual, lower, upper
-        self._holding = np.nanmean(self._record.u, axis=1)
-        self.u = np.empty((len(layout.home), 0))
+    Attributes:
+        operation: the record.
+        layout: what acts where.
+        begin_s: when the first day begins, s.
+        levels, awake, seed: as of `by_hand.probe_schedule`.
+        usual, lower, upper: usual temperature and comfort band of each zone (Z,), °C.
+        u: levels of the days so far (A, n), NaN where the building's own control acts.
+    """
+
+    operation: Record
+    layout: Layout
+    begin_s: float
+    levels: tuple[float, ...]
+    awake: tuple[int, int]
+    usual: Array
+    lower: Array
+    upper: Array
+    seed: int
+    u: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.u = np.empty((len(self.layout.home), 0))
+
+    @cached_property
+    def holding(self) -> Array:
+        """Mean level of operation (A,)."""
+        return np.asarray(np.nanmean(self.operation.u, axis=1))
 
     @property
     def days(self) -> int:
@@ -69,7 +70,7 @@ class HandPlanner:
         """Append 24 h: for each of `probed` the best draw, one after the other."""
         day = np.full((self.u.shape[0], 24), np.nan)
         for a in probed:
-            draws = [self._draw(a, (self._seed, a, self.days, k)) for k in range(_CANDIDATES)]
+            draws = [self._draw(a, (self.seed, a, self.days, k)) for k in range(_CANDIDATES)]
             day[a] = max(draws, key=lambda draw, a=a: self._worth(a, draw))  # type: ignore[misc]
         self.u = np.concatenate([self.u, day], axis=1)
 
@@ -77,46 +78,45 @@ class HandPlanner:
         day = np.full((self.u.shape[0], 24), np.nan)
         day[a] = draw
         u = np.concatenate([self.u, day], axis=1)
-        home = self._layout.home[a]
-        nats = self._designer.information(self._extended(u).part(home, [a]))
+        home = self.layout.home[a]
+        nats = information(self._extended(u).part(home, [a]))
         return nats - _DISCOMFORT * float(self._outside_K(u)[home].sum())
 
     def _draw(self, a: int, seed: tuple[int, ...]) -> Array:
         """Levels of a day from the first hour, NaN at night; they lean towards comfort as the design imagines it."""
-        law = Law(self._levels, HOLDS_H, _LEAN_PER_K, _TURN_K, _TURN_K)
-        excitation = Excitation(law, np.random.default_rng(seed))
+        excitation = Excitation(self.levels, HOLDS_H, np.random.default_rng(seed))
         awake = self._is_awake(24 * self.days + np.arange(24))
         levels = np.full(24, np.nan)
-        sign, home = self._layout.signs[a], self._layout.home[a]
-        unit = self._designer.expected_rise_K(np.eye(1, 25)[0], HOUR_S)
+        sign, home = self.layout.signs[a], self.layout.home[a]
+        unit = expected_rise_K(np.eye(1, 25)[0], HOUR_S)
         rise = float(self._rise_K(self.u)[home, -1]) * np.ones(25)
-        centre = 0.5 * (self._lower[home] + self._upper[home])
+        centre = 0.5 * (self.lower[home] + self.upper[home])
         for t in range(24):
             if awake[t]:
-                levels[t] = excitation.next(sign * (centre - self._usual[home] - rise[t]))
-                rise[t + 1 :] += sign * (levels[t] - self._holding[a]) * unit[1 : 25 - t]
+                levels[t] = excitation.next(sign * (centre - self.usual[home] - rise[t]))
+                rise[t + 1 :] += sign * (levels[t] - self.holding[a]) * unit[1 : 25 - t]
             else:
                 excitation.left = 0
         return levels
 
     def _is_awake(self, hours: NDArray[np.intp]) -> NDArray[np.bool_]:
-        of_day = ((self._begin_s + hours * HOUR_S) % DAY_S) / HOUR_S
-        return np.asarray((of_day >= self._awake[0]) & (of_day < self._awake[1]))
+        of_day = ((self.begin_s + hours * HOUR_S) % DAY_S) / HOUR_S
+        return np.asarray((of_day >= self.awake[0]) & (of_day < self.awake[1]))
 
     def _extended(self, u: Array) -> Record:
-        r, n = self._record, u.shape[1]
+        r, n = self.operation, u.shape[1]
         if not n:
             return r
-        levels = np.where(np.isfinite(u), u, self._holding[:, None])
+        levels = np.where(np.isfinite(u), u, self.holding[:, None])
         # The rest of the day before; a schedule of later days may as well begin on the next one.
-        gap = round((self._begin_s - float(r.time_s[-1])) / HOUR_S) % 24
-        levels = np.concatenate([np.repeat(self._holding[:, None], gap, axis=1), levels], axis=1)
+        gap = round((self.begin_s - float(r.time_s[-1])) / HOUR_S) % 24
+        levels = np.concatenate([np.repeat(self.holding[:, None], gap, axis=1), levels], axis=1)
         n += gap
         back = np.arange(n) % min(7 * 24, r.n_steps) - min(7 * 24, r.n_steps)
         unknown = np.full((len(r.names.machines), r.n_steps + n), np.nan)
         return Record(
             np.concatenate([r.time_s, r.time_s[-1] + np.arange(1, n + 1) * HOUR_S]),
-            np.concatenate([r.T_zone_C, np.repeat(self._usual[:, None], n, axis=1)], axis=1),
+            np.concatenate([r.T_zone_C, np.repeat(self.usual[:, None], n, axis=1)], axis=1),
             np.concatenate([r.T_out_C, r.T_out_C[back]]),
             np.concatenate([r.solar_W_m2, r.solar_W_m2[back]]),
             np.concatenate([r.u, levels], axis=1),
@@ -128,16 +128,16 @@ class HandPlanner:
 
     def _rise_K(self, u: Array) -> Array:
         """Expected change of the zones against usual operation, (Z, n + 1), K."""
-        rise = np.zeros((len(self._usual), u.shape[1] + 1))
-        for a, home in enumerate(self._layout.home):
-            extra = np.where(np.isfinite(u[a]), u[a] - self._holding[a], 0.0)
-            rise[home] += self._layout.signs[a] * self._designer.expected_rise_K(extra, HOUR_S)
+        rise = np.zeros((len(self.usual), u.shape[1] + 1))
+        for a, home in enumerate(self.layout.home):
+            extra = np.where(np.isfinite(u[a]), u[a] - self.holding[a], 0.0)
+            rise[home] += self.layout.signs[a] * expected_rise_K(extra, HOUR_S)
         return rise
 
     def _outside_K(self, u: Array) -> Array:
         """Expected distance outside the comfort band (Z, n + 1), K."""
-        T = self._usual[:, None] + self._rise_K(u)
-        return np.asarray(np.maximum(self._lower[:, None] - T, 0.0) + np.maximum(T - self._upper[:, None], 0.0))
+        T = self.usual[:, None] + self._rise_K(u)
+        return np.asarray(np.maximum(self.lower[:, None] - T, 0.0) + np.maximum(T - self.upper[:, None], 0.0))
 
     def discomfort_Kh(self) -> Array:
         """Expected discomfort of the schedule (Z,), K·h."""

@@ -1,7 +1,7 @@
 """Records of ordinary operation: the part that tells most, and what it cannot tell about the effect of acting.
 
 A controller acts when the weather asks for it, so a record of operation may hold weeks in which the two never part.
-What is expected to be known (`tellings`) is that of the probing design (`Designer.expected_sd`): from levels and
+What is expected to be known (`tellings`) is that of the probing design (`design.expected_sd`): from levels and
 weather alone, for a building as the priors expect it and disturbances of the assumed size, which are mostly smaller.
 What the temperatures tell (`findings`) is the verdict on a linear model of them (`model.competence`); it counts.
 """
@@ -17,7 +17,7 @@ from thermoforce_mpc.data import DAY_S, Layout, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.pipeline import identify
-from thermoforce_mpc.identification.probing.design import Designer
+from thermoforce_mpc.identification.probing.design import expected_sd, information
 from thermoforce_mpc.identification.validation.competence import MOST_RELATIVE_SD
 from thermoforce_mpc.model.gaps import bridged
 
@@ -88,9 +88,9 @@ def telling_part(record: Record, layout: Layout, days: float = MOST_DAYS) -> tup
     n = round(days * DAY_S / record.step_s)
     if record.n_steps <= n:
         return record, ""
-    designer, every = Designer(), round(_EVERY_DAYS * DAY_S / record.step_s)
+    every = round(_EVERY_DAYS * DAY_S / record.step_s)
     starts = [*range(0, record.n_steps - n, every), record.n_steps - n]
-    worth = [_worth(record.slice(start, start + n), layout, designer) for start in starts]
+    worth = [_worth(record.slice(start, start + n), layout) for start in starts]
     if not np.isfinite(worth).any():
         raise DataError(
             f"record: no {days:g} days in which levels, weather and zone temperatures are known for half of the time; "
@@ -104,16 +104,14 @@ def telling_part(record: Record, layout: Layout, days: float = MOST_DAYS) -> tup
     return part, f"of {whole:.0f} days, the {days:g} that tell most about acting were used: {at[0]} to {at[-1]}"
 
 
-def _worth(part: Record, layout: Layout, designer: Designer) -> float:
+def _worth(part: Record, layout: Layout) -> float:
     """Information of a part about all actuators, nats; −inf where too little is known."""
     rows = (np.isfinite(part.u).all(axis=0), np.isfinite(part.T_out_C), np.isfinite(part.solar_W_m2))
     measured_shares = [*(row.mean() for row in rows), *np.isfinite(part.T_zone_C).mean(axis=1)]
     if min(measured_shares) < _LEAST_KNOWN:
         return -np.inf
     part, _ = bridged(part)
-    return float(
-        sum(designer.information(part.part(home, [a])) for a, home in enumerate(layout.home)) * min(measured_shares)
-    )
+    return float(sum(information(part.part(home, [a])) for a, home in enumerate(layout.home)) * min(measured_shares))
 
 
 def findings(record: Record, layout: Layout) -> list[Finding]:
@@ -130,24 +128,23 @@ def findings(record: Record, layout: Layout) -> list[Finding]:
     ]
 
 
-def tellings(record: Record, layout: Layout, config: IdentificationConfig | None = None) -> list[Telling]:
+def tellings(record: Record, layout: Layout) -> list[Telling]:
     """What a record (a month or so) is expected to tell about each actuator; gaps are bridged.
 
     Raises:
         DataError: the weather was never measured.
     """
-    designer = Designer(config)
     filled, _ = bridged(record)
-    return [_telling(filled, layout, designer, a) for a in range(len(layout.home))]
+    return [_telling(filled, layout, a) for a in range(len(layout.home))]
 
 
-def _telling(record: Record, layout: Layout, designer: Designer, a: int) -> Telling:
+def _telling(record: Record, layout: Layout, a: int) -> Telling:
     home, names = layout.home[a], layout.names
     others = [b for b in range(len(layout.home)) if b != a]
     weights = [_SAME_ZONE if layout.home[b] == home else _NEIGHBOUR for b in others]
 
     def sd(among: Sequence[int], weighted: Sequence[float]) -> float:
-        return designer.expected_sd(record.part(home, [a, *among]), (1.0, *weighted))
+        return expected_sd(record.part(home, [a, *among]), (1.0, *weighted))
 
     alone, together = sd([], []), sd(others, weights)
     blurred = tuple(

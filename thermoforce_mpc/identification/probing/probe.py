@@ -2,7 +2,7 @@
 
 Levels are drawn at random and held for random times, 15 min to 4 h, to excite fast and slow parts of the response. The
 draws depend on the temperature, so that the zone stays near its comfort band (paper sec:identification: one to three
-probe days). Every `block_h` hours the most informative of several seeded candidates is chosen
+probe days). Every 12 h the most informative of several seeded candidates is chosen
 (`identification.probing.design`). In a light zone, which a full step can bring more than `margin_K` outside the comfort
 band, levels are changed so that the temperature keeps the limits until the step ends (`politeness`).
 """
@@ -16,9 +16,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Boundary, Layout, Record
-from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.probing.design import Candidate, Designer
-from thermoforce_mpc.identification.probing.excitation import Excitation, Law, LevelTrial
+from thermoforce_mpc.identification.probing.design import choose
+from thermoforce_mpc.identification.probing.excitation import EXCURSION_K, Draws, Excitation, LevelTrial
 from thermoforce_mpc.identification.probing.politeness import Foresight
 from thermoforce_mpc.identification.probing.room_setpoints import RoomExcitation
 from thermoforce_mpc.protocols import Plant, RoomSetpointPlant
@@ -28,6 +27,8 @@ from thermoforce_mpc.scenario.settings import StrictModel
 _BAND_AHEAD_S = DAY_S
 # Share of the steps between two choices of draws below which an actuator was hardly used.
 _IDLE_SHARE = 0.1
+# Time between two choices of draws, h, and centre of the excursions inside the tightest bound ahead, K.
+_BLOCK_H, _INSIDE_K = 12.0, 0.5
 
 
 class ProbingConfig(StrictModel):
@@ -42,10 +43,11 @@ class ProbingConfig(StrictModel):
         4, ge=2, description="number of those steps at each, half after off and half after full level"
     )
     hold_steps: tuple[int, ...] = Field((1, 2, 4, 8, 16), min_length=1, description="holding times to draw from, steps")
-    lean_per_K: float = Field(0.35, gt=0, description="change of the probability of on per K from the centre, 1/K")
-    above_lower_K: float = Field(0.5, description="centre of the excursions inside the tightest bound ahead, K")
-    below_K: float = Field(1.5, gt=0, description="distance below the centre at which the machine is on, K")
-    above_K: float = Field(1.5, gt=0, description="distance above the centre at which it is off, K")
+    excursion_K: float = Field(
+        EXCURSION_K,
+        gt=0,
+        description="distance from the centre at which the machine is on, or off, K",
+    )
     margin_K: float = Field(
         1.0,
         gt=0,
@@ -56,7 +58,6 @@ class ProbingConfig(StrictModel):
         "informative", description="informative: choose the most informative draws; random: take the first"
     )
     candidates: int = Field(32, ge=2, le=1000, description="number of candidates")
-    block_h: float = Field(12.0, gt=0, le=48, description="time between two choices, h")
     warmup_days: float = Field(5.0, ge=0, le=14, description="native control before the first probing day, days")
 
     @model_validator(mode="after")
@@ -74,7 +75,7 @@ class ProbingConfig(StrictModel):
     @property
     def block_steps(self) -> int:
         """Steps between two choices of the draws."""
-        return max(1, round(self.block_h * HOUR_S / self.step_s))
+        return max(1, round(_BLOCK_H * HOUR_S / self.step_s))
 
 
 def probe(
@@ -118,7 +119,6 @@ class Probing:
         seed: int,
         layout: Layout | None = None,
         config: ProbingConfig | None = None,
-        identification: IdentificationConfig | None = None,
     ) -> None:
         """Reset `plant` with native warm-up to `start_s`; arguments as for `probe`.
 
@@ -126,7 +126,6 @@ class Probing:
             PlantError: the plant or service failed.
         """
         self.config = c = config or ProbingConfig()
-        self.designer = Designer(identification)
         self._plant, self._layout = plant, layout or Layout.single()
         now = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
         self.record = Record.beginning(now)
@@ -139,7 +138,7 @@ class Probing:
                 self._excites.append(_Rooms(c, draws, lowest))
             else:
                 own = past.part(zone, [a])
-                self._excites.append(_Levels(c, self.designer, draws, self._layout.signs[a], own))
+                self._excites.append(_Levels(c, draws, self._layout.signs[a], own))
 
     @property
     def days(self) -> float:
@@ -228,11 +227,11 @@ class _Rooms:
 class _Levels:
     """Excites a zone by the levels of an actuator; `past`: its record before the probing."""
 
-    def __init__(self, c: ProbingConfig, designer: Designer, seed: tuple[int, ...], sign: int, past: Record) -> None:
-        self._config, self._designer, self._seed = c, designer, seed
+    def __init__(self, c: ProbingConfig, seed: tuple[int, ...], sign: int, past: Record) -> None:
+        self._config, self._seed = c, seed
         self._sign = float(sign)
         self._foresight = Foresight(past, self._sign, c.step_s)
-        self._excitation = Excitation(_law(c, c.hold_steps), np.random.default_rng(_seed(seed)))
+        self._excitation = Excitation(c.levels, c.hold_steps, np.random.default_rng(_seed(seed)), c.excursion_K)
         self._trial = LevelTrial(c.trial_levels, c.trial_steps)
         self._applied = 0.0
         self._stays_C = float("nan")
@@ -252,10 +251,8 @@ class _Levels:
         centre = self._centre_C(band)
         if ahead is not None:
             candidates = _candidates(c, self._seed, record.n_steps)
-            chosen = self._designer.choose(
-                record, ahead, self._excitation, candidates, centre_C=centre, sign=self._sign
-            )
-            self._excitation = self._excitation.resumed(chosen.law, chosen.seed)
+            chosen = choose(record, ahead, self._excitation, candidates, centre_C=centre, sign=self._sign)
+            self._excitation = self._excitation.resumed(chosen)
         # Positive if the zone is too cold (heating) or too warm (cooling).
         level = self._excitation.next(self._sign * (centre - float(record.T_zone_C[0, -1])))
         if c.trial_levels:
@@ -273,11 +270,10 @@ class _Levels:
 
         The excursions then still end inside the other bound.
         """
-        c = self._config
-        if self._sign > 0:
-            tight, most = float(band.lower_C.max()) + c.above_lower_K, float(band.upper_C.min()) - c.above_K
-        else:
-            tight, most = float(band.upper_C.min()) - c.above_lower_K, float(band.lower_C.max()) + c.above_K
+        lower, upper, excursion = float(band.lower_C.max()), float(band.upper_C.min()), self._config.excursion_K
+        tight, most = lower + _INSIDE_K, upper - excursion
+        if self._sign < 0:
+            tight, most = upper - _INSIDE_K, lower + excursion
         if not np.isfinite(self._stays_C):
             return tight
         low, high = sorted((tight, most))
@@ -295,14 +291,13 @@ class _Levels:
         """The level to apply, where `level` was drawn: another one only in a light zone."""
         c = self._config
         highest = max(c.levels)
-        below, above = (c.below_K, c.above_K) if self._sign > 0 else (c.above_K, c.below_K)
         low, high = float(band.lower_C.max()) - c.margin_K, float(band.upper_C.min()) + c.margin_K
         # Levels are drawn up to the limit of the excursions: from there a full step must stay in the band.
-        room_K = high - (centre + above) if self._sign > 0 else (centre - below) - low
+        room_K = high - (centre + c.excursion_K) if self._sign > 0 else (centre - c.excursion_K) - low
         if not highest * self._foresight.effect_K > max(room_K, c.margin_K):
             return level
         # Inside the limits of the excursions, so that levels can be held, and never beyond the margin.
-        low, high = max(centre - below, low), min(centre + above, high)
+        low, high = max(centre - c.excursion_K, low), min(centre + c.excursion_K, high)
         T_zone, T_out, solar = (float(s[-1]) for s in (record.T_zone_C[0], record.T_out_C, record.solar_W_m2))
         return self._foresight.polite(level, highest, T_zone, T_out, solar, low, high)
 
@@ -311,13 +306,9 @@ def _seed(seed: tuple[int, ...]) -> int | tuple[int, ...]:
     return seed[0] if len(seed) == 1 else seed
 
 
-def _law(c: ProbingConfig, hold_steps: tuple[int, ...]) -> Law:
-    return Law(c.levels, hold_steps, c.lean_per_K, c.below_K, c.above_K)
-
-
-def _candidates(c: ProbingConfig, seed: tuple[int, ...], done: int) -> list[Candidate]:
+def _candidates(c: ProbingConfig, seed: tuple[int, ...], done: int) -> list[Draws]:
     """Return candidates with, in turn, all holding times, the shorter half and the longer half of them."""
     holds = sorted(c.hold_steps)
     middle = max(1, len(holds) // 2)
     kinds = (tuple(holds), tuple(holds[:middle]), tuple(holds[-middle:]))
-    return [Candidate(_law(c, kinds[k % len(kinds)]), (*seed, done, k)) for k in range(c.candidates)]
+    return [Draws(kinds[k % len(kinds)], (*seed, done, k)) for k in range(c.candidates)]

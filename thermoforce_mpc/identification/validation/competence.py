@@ -58,7 +58,7 @@ SETTLED_SD = 0.3
 class Trial:
     """A fold, and what the actions did to it by the model that was fitted to its training rows.
 
-    `effects`: K at the rows of each case, network included.
+    `effects`: K at the rows of each regression, network included.
     """
 
     fold: Fold
@@ -109,7 +109,7 @@ def judge(
         verdict,
         competent=not missed,
         reasons=tuple(one.reason() for one in missed),
-        advice=advice(missed, errors, [fold.cases[i].histories[0] for i in fold.judged]),
+        advice=advice(missed, errors, [fold.regressions[i].histories[0] for i in fold.judged]),
         plainly=plainly(missed),
     )
 

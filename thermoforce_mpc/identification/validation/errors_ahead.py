@@ -1,8 +1,8 @@
 """Errors of predictions of held-out rows from every row some hours before them, with known weather.
 
 The free part is predicted as in `likelihood`: given the temperatures until the start, its gains and initial state are
-conditioned on them. The same is done without the actuator, with disturbances and time constants chosen anew on the
-training rows, so that the comparison is fair. All innovations of all starts come from one Cholesky factor: with
+conditioned on them. The same is done without the actuator, with disturbances chosen anew on the training rows, so that
+the comparison is fair. All innovations of all starts come from one Cholesky factor: with
 C = L Lᵀ and w = L⁻¹ r, the part of r_j that the rows before i do not predict is Σ_{k=i…j} L_jk w_k.
 """
 
@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.estimation.columns import forced_columns
 from thermoforce_mpc.identification.estimation.joint import ModeFit
-from thermoforce_mpc.identification.estimation.likelihood import Split, residuals
+from thermoforce_mpc.identification.estimation.likelihood import residuals
 from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH
+from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.validation.blocks import PER_REGRESSION
-from thermoforce_mpc.identification.validation.held_out import Case
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # Sizes of the disturbances tried, as a share of the assumed ones.
@@ -30,41 +30,36 @@ _SCALES = tuple(np.geomspace(0.03, 2.0, 6).tolist())
 
 @dataclass(frozen=True)
 class Fold:
-    """A linear fit, the priors that it began from, and what it has not seen: the held-out rows of `cases`.
+    """A linear fit, the priors that it began from, and what it has not seen: the held-out rows of `regressions`.
 
     `heat_input`: what its actuator delivers, by the rows that it has seen.
     """
 
-    cases: Sequence[Case]
-    splits: Sequence[Split]
+    regressions: Sequence[RegressionData]
     fit: ModeFit
     priors: ModePriors
     heat_input: HeatInput
 
     @property
     def judged(self) -> list[int]:
-        """Which cases are judged: the runs with held-out rows; where there are none, the pairs."""
-        held = [i for i, split in enumerate(self.splits) if split.judged.size]
-        return [i for i in held if not self.cases[i].regression.is_pair] or held
+        """Which regressions are judged: the runs with held-out rows; where there are none, the pairs."""
+        held = [i for i, e in enumerate(self.regressions) if e.held]
+        return [i for i in held if not self.regressions[i].is_pair] or held
 
     def linear_effects(self, sign: int) -> list[Array]:
-        """What the actions did by the linear fit, K, at the rows of each case."""
-        regressions = [case.regression for case in self.cases]
-        return [forced_columns(e, self.fit.log_tau, sign) @ self.fit.gains for e in regressions]
+        """What the actions did by the linear fit, K, at the rows of each regression."""
+        return [forced_columns(e, self.fit.log_tau, sign) @ self.fit.gains for e in self.regressions]
 
     @property
     def held_out_h(self) -> float:
         """The held-out hours that are judged."""
-        hours = 0.0
-        for i in self.judged:
-            regression, first = self.cases[i].regression, int(self.splits[i].judged[0])
-            hours += float(regression.rows[-1] - regression.rows[first]) * regression.step_s / HOUR_S
-        return hours
+        judged = [self.regressions[i] for i in self.judged]
+        return sum(float(e.rows[-1] - e.rows[e.seen]) * e.step_s / HOUR_S for e in judged)
 
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """Held-out errors of one lead time, case by case: of model, weather alone and persistence, (n,) each, K.
+    """Held-out errors of one lead time, run by run: of model, weather alone and persistence, (n,) each, K.
 
     `blocks` (n,): block numbers; `solar` (n,): mean irradiance over the lead time, W/m².
     """
@@ -84,18 +79,17 @@ class HeldOutErrors:
 def errors_of(
     fold: Fold, effects: Sequence[Array], leads_h: Sequence[float], block_h: float, number: int = 0
 ) -> dict[float, HeldOutErrors]:
-    """Held-out errors by lead time of predictions with these `effects` of the actions, K, at the rows of each case.
+    """Held-out errors by lead time of predictions with these `effects` of the actions, K, at the rows of each run.
 
-    Blocks of its cases are numbered from case `number` on.
+    Blocks of the regressions are numbered from `number` on.
     """
-    judged = fold.judged
-    cases, first = [fold.cases[i] for i in judged], [int(fold.splits[i].judged[0]) for i in judged]
-    none = [np.zeros(case.regression.rows.size) for case in cases]
-    model = _innovations(cases, first, [effects[i] for i in judged], [fold.fit.log_tau], leads_h)
-    weather = _innovations(cases, first, none, [fold.fit.log_tau, fold.priors.log_tau], leads_h)
+    judged = [fold.regressions[i] for i in fold.judged]
+    none = [np.zeros(e.rows.size) for e in judged]
+    model = _innovations(judged, [effects[i] for i in fold.judged], fold.fit.log_tau, leads_h)
+    weather = _innovations(judged, none, fold.fit.log_tau, leads_h)
     return {
         hours: HeldOutErrors.joined(
-            [_errors(number + i, case, model[i], weather[i], first[i], hours, block_h) for i, case in enumerate(cases)]
+            [_errors(number + i, e, model[i], weather[i], hours, block_h) for i, e in enumerate(judged)]
         )
         for hours in leads_h
     }
@@ -116,65 +110,44 @@ class _Innovations:
 
 
 def _innovations(
-    cases: Sequence[Case],
-    first: Sequence[int],
-    effects: Sequence[Array],
-    choices: Sequence[Array],
-    leads_h: Sequence[float],
+    regressions: Sequence[RegressionData], effects: Sequence[Array], log_tau: Array, leads_h: Sequence[float]
 ) -> list[_Innovations]:
-    """Return what predictions of these lead times need of every case, with the likeliest disturbances and modes.
+    """Return what predictions of these lead times need of each regression, with the likeliest size of disturbances.
 
-    Likeliest on the rows before the `first` held-out ones; `effects` (rows,) K are what the actions did. The size of
-    the disturbances is chosen with the first of the time constants `choices`, which then compete at that size.
+    Likeliest on the rows before the held-out ones; `effects` (rows,) K are what the actions did.
     """
-    regressions = [case.regression for case in cases]
-    rests = [[residuals(e, log_tau) for e in regressions] for log_tau in choices]
-    left = [
-        [e.target - effect - rest.mean for e, effect, rest in zip(regressions, effects, of_choice, strict=True)]
-        for of_choice in rests
-    ]
-
-    def likelihoods(choice: int, scales: Sequence[float]) -> Array:
-        of_cases = zip(rests[choice], left[choice], first, strict=True)
-        return np.asarray(np.sum([rest.log_likelihoods(values, n, scales) for rest, values, n in of_cases], axis=0))
-
-    scale, likeliest = 1.0, 0
-    if all(first) and not any(e.is_pair for e in regressions):  # that of pairs is the error of a model, which is known
-        scale = _SCALES[int(np.argmax(likelihoods(0, _SCALES)))]
-        likeliest = int(np.argmax([likelihoods(choice, [scale])[0] for choice in range(len(choices))]))
+    rests = [residuals(e, log_tau) for e in regressions]
+    left = [e.target - effect - rest.mean for e, effect, rest in zip(regressions, effects, rests, strict=True)]
+    scale, each = 1.0, list(zip(regressions, rests, left, strict=True))
+    if all(e.seen and not e.is_pair for e in regressions):  # that of pairs is the error of a model, which is known
+        likelihoods = [rest.log_likelihoods(values, e.seen, _SCALES) for e, rest, values in each]
+        scale = _SCALES[int(np.argmax(np.sum(likelihoods, axis=0)))]
     innovations = []
-    for case, n, rest, values in zip(cases, first, rests[likeliest], left[likeliest], strict=True):
-        begin = 1 + min(int(np.min(_held_out(case, n, hours)[0], initial=max(n - 1, 0))) for hours in leads_h)
+    for e, rest, values in each:
+        begin = 1 + min(int(np.min(_held_out(e, hours)[0], initial=max(e.seen - 1, 0))) for hours in leads_h)
         innovations.append(_Innovations(begin, *rest.scaled(scale).later(values, begin)))
     return innovations
 
 
 def _errors(
-    number: int,
-    case: Case,
-    model: _Innovations,
-    weather: _Innovations,
-    first: int,
-    hours: float,
-    block_h: float,
+    number: int, e: RegressionData, model: _Innovations, weather: _Innovations, hours: float, block_h: float
 ) -> HeldOutErrors:
     """Errors at held-out rows, each predicted from the last row `hours` or more before it."""
-    regression, solar = case.regression, case.histories[0].solar_W_m2
-    starts, targets = _held_out(case, first, hours)
-    rows = regression.rows
-    at = rows * regression.step_s / HOUR_S
+    solar, rows = e.histories[0].solar_W_m2, e.rows
+    starts, targets = _held_out(e, hours)
+    at = rows * e.step_s / HOUR_S
     sun = np.array([solar[rows[i] : rows[j] + 1].mean() for i, j in zip(starts, targets, strict=True)])
-    blocks = number * PER_REGRESSION + ((at[targets] - at[first]) // block_h).astype(np.intp)
-    persistence = regression.target[targets] - regression.target[starts]
+    blocks = number * PER_REGRESSION + ((at[targets] - at[e.seen]) // block_h).astype(np.intp)
+    persistence = e.target[targets] - e.target[starts]
     predicted, alone = model.ahead(starts, targets), weather.ahead(starts, targets)
     return HeldOutErrors(predicted, alone, persistence, np.asarray(blocks, dtype=np.intp), sun)
 
 
-def _held_out(case: Case, first: int, hours: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Starts and targets (n,) of the predictions `hours` ahead of the rows from `first` on."""
-    at = case.regression.rows * case.regression.step_s / HOUR_S
-    starts = np.searchsorted(at, at[first:] - hours + 1e-9, side="right") - 1
-    targets = np.arange(first, at.size)
+def _held_out(e: RegressionData, hours: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Starts and targets (n,) of the predictions `hours` ahead of the held-out rows."""
+    at = e.rows * e.step_s / HOUR_S
+    starts = np.searchsorted(at, at[e.seen :] - hours + 1e-9, side="right") - 1
+    targets = np.arange(e.seen, at.size)
     # Where the sensor was silent there may be no row that far before: such a target is left out.
     near = (starts >= 0) & (at[targets] - at[np.maximum(starts, 0)] <= LEAD_REACH * hours + 1e-9)
     return starts[near], targets[near]

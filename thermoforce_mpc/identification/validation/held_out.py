@@ -1,16 +1,15 @@
-"""Cases of an identification: held-out rows, feature normalisation, and heat and power models from records."""
+"""Data of an identification: held-out rows, feature normalisation, and heat and power models from records."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.likelihood import Split, hold_out_pair, split_run, whole
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.model.machine.heat_capacity import KINDS, HeatFit, fit_heat, kinds_for
@@ -22,6 +21,8 @@ from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
 HELD_OUT_SHARE = 0.25
 """Share of the rows of a run, or of the start times of pairs, that is held out."""
+# Share of the rows before these that is as many.
+_SHARE_BEFORE = HELD_OUT_SHARE / (1.0 - HELD_OUT_SHARE)
 # Least share of steps with measured heat or power.
 _MEASURED = 0.5
 # Level from which full actuation counts as excited.
@@ -32,25 +33,16 @@ _CYCLES_BELOW = (0.02, *np.linspace(0.1, 0.6, 11).round(2).tolist(), 1.0)
 LEAST_SCALE = np.array([5.0, 8.0, 150.0, 0.5])
 
 
-@dataclass(frozen=True)
-class Case:
-    """Run or pair: its regression and its records, in the order of the regression's drives."""
-
-    regression: RegressionData
-    histories: tuple[Record, ...]
-    start_s: float
-
-
 def identified_heat_input(
     histories: Sequence[Record], config: IdentificationConfig, sign: int, lowest: float = 0.0, alone: bool = True
 ) -> tuple[HeatInput, list[str]]:
-    """Return the heat input of the modes (measured heat if configured and available, else u) and notes on it.
+    """Return the heat input of the modes (measured heat where available, else u) and notes on it.
 
     Signed levels, `lowest` below 0, are heat themselves. `alone`: whether the building has no other actuator; of
     several, one that was hardly on must not refuse the rest.
 
     Raises:
-        DataError: heat is configured but was not measured, is that of the other mode, or cannot be fitted.
+        DataError: heat is that of the other mode, or cannot be fitted.
     """
     if lowest < 0.0:
         return HeatInput(lowest=lowest), ["heat input: identity, the level is heat over full heat"]
@@ -59,15 +51,10 @@ def identified_heat_input(
     heat = np.concatenate([h.heat_W[0] for h in histories]) * sign
     measured = float(np.isfinite(heat).mean())
     if measured < _MEASURED:
-        if config.heat_input == "heat":
-            raise DataError(
-                f"heat_input: heat is configured, but heat was measured in only {100 * measured:.0f} % of the steps; "
-                "name the heat points in the test case, or use heat_input: identity"
-            )
         return IDENTITY, [f"heat input: identity, heat was measured in {100 * measured:.0f} % of the steps"]
     u = np.concatenate([h.u[0] for h in histories])
     on = int((np.isfinite(heat) & (u > LEVEL_EDGE)).sum())
-    if on < LEAST_RUNNING and not alone and config.heat_input == "auto":
+    if on < LEAST_RUNNING and not alone:
         return IDENTITY, [f"heat input: identity, the actuator was on in {on} steps with measured heat"]
     if float(np.nansum(heat)) < 0.0:
         metered, mode = ("cooling", "heating") if sign > 0 else ("heating", "cooling")
@@ -145,24 +132,48 @@ def machine_record(record: Record, layout: Layout, machine: int) -> Record:
     return replace(part, u=level, heat_W=record.heat_W[fed].sum(axis=0))
 
 
-def held_out(cases: Sequence[Case], config: IdentificationConfig) -> list[Split]:
-    """Return the splits: the last part of every run, and all pairs of some start times, are held out.
+def held_out(regressions: Sequence[RegressionData], config: IdentificationConfig) -> list[RegressionData]:
+    """Hold out the last part of every run, and all pairs of some start times.
 
     Pairs with the same start share their weather, so they are held out together.
     """
-    starts = sorted({c.start_s for c in cases if c.regression.is_pair})
+    starts = sorted({_start_s(e) for e in regressions if e.is_pair})
     held: set[float] = set()
     if len(starts) > 1:
         rng = np.random.default_rng(config.seed)
         count = max(1, min(len(starts) - 1, round(HELD_OUT_SHARE * len(starts))))
         held = {starts[i] for i in rng.permutation(len(starts))[:count]}
-    splits = []
-    for case in cases:
-        if not case.regression.is_pair or len(starts) == 1:
-            splits.append(split_run(case.regression, HELD_OUT_SHARE))
+    found = []
+    for e in regressions:
+        if e.is_pair and len(starts) > 1:
+            found.append(replace(e, held=e.rows.size if _start_s(e) in held else 0))
         else:
-            splits.append(hold_out_pair(case.regression) if case.start_s in held else whole(case.regression))
-    return splits
+            found.append(_last_held(e, HELD_OUT_SHARE))
+    return found
+
+
+def before_held_out(regressions: Sequence[RegressionData], config: IdentificationConfig) -> list[RegressionData]:
+    """The regressions as they were before their held-out rows, with as many of the last rows held out anew.
+
+    Of runs, those with held-out rows; where there are none, of pairs: those that are not held out are divided as
+    `held_out` divides all. Empty where nothing can be held out anew.
+    """
+    runs = [_last_held(e.first(e.seen), _SHARE_BEFORE) for e in regressions if e.seen and e.held and not e.is_pair]
+    return runs or held_out(seen_rows(regressions), config)
+
+
+def seen_rows(regressions: Sequence[RegressionData]) -> list[RegressionData]:
+    """The rows that are not held out."""
+    return [e.first(e.seen) for e in regressions if e.seen]
+
+
+def _start_s(regression: RegressionData) -> float:
+    return float(regression.histories[0].time_s[0])
+
+
+def _last_held(regression: RegressionData, share: float) -> RegressionData:
+    n = regression.rows.size
+    return replace(regression, held=n - max(1, min(n - 1, round(n * (1.0 - share)))))
 
 
 def normalisation(histories: Sequence[Record]) -> tuple[Array, Array]:

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from thermoforce_mpc.data import Record
+from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.likelihood import Split
+from thermoforce_mpc.identification.estimation.disturbance import SENSOR_SD_K
 from thermoforce_mpc.identification.estimation.modes import ModePriors, centred_priors
 from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
-from thermoforce_mpc.identification.estimation.regression import OtherActuator, pair_regression, run_regression
-from thermoforce_mpc.identification.network.folds import Effects
-from thermoforce_mpc.identification.validation.held_out import Case, held_out, identified_heat_input
-from thermoforce_mpc.identification.validation.held_out_fit import split_before
+from thermoforce_mpc.identification.estimation.regression import (
+    OtherActuator,
+    RegressionData,
+    pair_regression,
+    run_regression,
+)
+from thermoforce_mpc.identification.network.projection import Modes
+from thermoforce_mpc.identification.validation.errors_ahead import Fold
+from thermoforce_mpc.identification.validation.held_out import before_held_out, held_out, identified_heat_input
+from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 
 HELD = 0.5
@@ -28,10 +36,19 @@ _LEAST_GAIN = 1e-3
 
 
 @dataclass(frozen=True)
-class ZoneTask:
+class Effects:
+    """What the network says of the actuators of a zone (1 + K,), its own first: their effects, and v of each."""
+
+    modes: Modes
+    heat_inputs: tuple[HeatInput, ...]
+
+
+@dataclass(frozen=True)
+class ZoneData:
     """What one zone is identified from.
 
     Attributes:
+        config: options.
         runs, pairs: records of the zone, prepared (`identification.records`); the first level is that of its own
             actuator, the rest are those of `others`.
         heat_input: what the own actuator delivers.
@@ -47,6 +64,7 @@ class ZoneTask:
         area_m2: floor area of the zone, m², NaN where it is not known.
     """
 
+    config: IdentificationConfig
     runs: Sequence[Record]
     pairs: Sequence[Pair]
     heat_input: HeatInput
@@ -67,92 +85,101 @@ class ZoneTask:
         """Metered heat of full level per m² of floor; NaN where it or the area is not known."""
         return self.heat_input.reference_W / self.area_m2 if self.heat_input.law is not None else float("nan")
 
+    @cached_property
+    def grid_K(self) -> float:
+        """Resolution of the sensor, K; 0 where it has none."""
+        return resolution_K(self.runs)
 
-@dataclass(frozen=True)
-class ZoneData:
-    """A task with its records as regressions: `cases`, which rows of each are held out, and the resolution of the
-    sensor, K.
-    """
+    @property
+    def sensor_sd_K(self) -> float:
+        """Noise of the sensor, K: the rounding errors of one that reads in steps are uniform."""
+        return float(np.hypot(SENSOR_SD_K, self.grid_K / np.sqrt(12.0)))
 
-    task: ZoneTask
-    config: IdentificationConfig
-    cases: Sequence[Case]
-    splits: Sequence[Split]
-    grid_K: float
-    notes: Sequence[str]
+    @property
+    def said(self) -> list[str]:
+        """The notes, and what is assumed of the sensor."""
+        if not self.grid_K:
+            return list(self.notes)
+        steps = f"the zone sensor reads in steps of {self.grid_K:.2g} K: noise of {self.sensor_sd_K:.2g} K assumed"
+        return [*self.notes, steps]
 
-    @classmethod
-    def of(cls, task: ZoneTask, config: IdentificationConfig) -> ZoneData:
-        """The data of a task; of a sensor that reads in steps, their rounding counts as its noise."""
-        grid_K, notes = resolution_K(task.runs), list(task.notes)
-        if grid_K:
-            # Rounding errors are uniform: their standard deviation is a twelfth's root of the resolution.
-            sensor_sd_K = float(np.hypot(config.sensor_sd_K, grid_K / np.sqrt(12.0)))
-            config = config.model_copy(update={"sensor_sd_K": sensor_sd_K})
-            notes.append(f"the zone sensor reads in steps of {grid_K:.2g} K: noise of {sensor_sd_K:.2g} K assumed")
-        cases = cases_of(task, config)
-        return cls(task, config, cases, held_out(cases, config), grid_K, notes)
+    @cached_property
+    def regressions(self) -> list[RegressionData]:
+        """The records as regressions, the last rows held out."""
+        runs = [run_regression(run, self.heat_input, self.others, self.sensor_sd_K) for run in self.runs]
+        pairs = [pair_regression(pair, self.heat_input, self.others) for pair in self.pairs]
+        return held_out([*runs, *pairs], self.config)
 
-    def knowing(self, effects: Effects) -> tuple[list[Case], ModePriors]:
-        """The cases with what the network says of levels and, as their prior, of the effects of the other actuators;
-        and the prior of that of the own one.
+    def knowing(self, effects: Effects) -> tuple[list[RegressionData], ModePriors]:
+        """The regressions with what the network says of levels and, as their prior, of the effects of the other
+        actuators; and the prior of that of the own one.
         """
         own, *others = effects.heat_inputs
-        acting = [replace(other, heat_input=v) for other, v in zip(self.task.others, others, strict=True)]
-        cases = cases_of(replace(self.task, heat_input=own, others=acting), self.config)
+        acting = [replace(other, heat_input=v) for other, v in zip(self.others, others, strict=True)]
         modes = effects.modes
         sd = np.maximum(HELD * modes.gains[1:], _LEAST_GAIN)
         prior = np.stack([modes.gains[1:], sd], axis=1)
-        known = [
-            replace(case, regression=replace(case.regression, other_gains=prior, weather_gains=modes.weather))
-            for case in cases
-        ]
+        regressions = replace(self, heat_input=own, others=acting).regressions
+        known = [replace(e, other_gains=prior, weather_gains=modes.weather) for e in regressions]
         return known, centred_priors(modes.log_tau, modes.gains[0], HELD)
 
     @property
     def histories(self) -> list[Record]:
-        """The records of all cases."""
-        return [h for case in self.cases for h in case.histories]
+        """The records of all regressions."""
+        return [h for e in self.regressions for h in e.histories]
 
     def last_steps(self, fold: str) -> list[int]:
-        """How many steps of each case a fold may see, 0 for none: all of the `whole`, those before the held-out rows of
-        `training`, and of these, runs only, those before as many held out again of `earlier`.
+        """How many steps of each regression a fold may see, 0 for none: `whole` all, `training` those before the
+        held-out rows, `earlier` of these, runs only, those before as many held out anew.
         """
-        seen = []
-        for case, split in zip(self.cases, self.splits, strict=True):
-            rows, n = case.regression.rows, case.regression.n_steps
-            if fold == "whole":
-                seen.append(n)
-                continue
-            train = split.train
-            if fold == "earlier" and train.size:
-                train = (
-                    train[:0]
-                    if case.regression.is_pair or not split.judged.size
-                    else train[: split_before(case, split, self.config).train.size]
-                )
-            seen.append(int(rows[train[-1]]) if train.size else 0)
-        return seen
+        if fold == "whole":
+            return [e.n_steps for e in self.regressions]
+        steps = []
+        for e in self.regressions:
+            n = e.seen
+            if fold == "earlier":
+                n = 0 if e.is_pair else sum(before.seen for before in before_held_out([e], self.config))
+            steps.append(int(e.rows[n - 1]) if n else 0)
+        return steps
 
-    def heat_input(self, fold: str) -> HeatInput:
+    def heat_input_of(self, fold: str) -> HeatInput:
         """What the own actuator delivers, as a fold may know it: by a heat meter's readings until its last steps.
 
         The level where these are too few.
         """
-        task = self.task
-        if fold == "whole" or task.heat_input.law is None:
-            return task.heat_input
-        ends = [n for case, n in zip(self.cases, self.last_steps(fold), strict=True) for _ in case.histories]
+        if fold == "whole" or self.heat_input.law is None:
+            return self.heat_input
+        ends = [n for e, n in zip(self.regressions, self.last_steps(fold), strict=True) for _ in e.histories]
         seen = [history.slice(0, n) for history, n in zip(self.histories, ends, strict=True) if n > 1]
         try:
-            return identified_heat_input(seen, self.config, task.sign, alone=task.alone)[0] if seen else IDENTITY
+            return identified_heat_input(seen, self.config, self.sign, alone=self.alone)[0] if seen else IDENTITY
         except DataError:
             return IDENTITY
 
 
-def cases_of(task: ZoneTask, config: IdentificationConfig) -> list[Case]:
-    """The records of a task as regressions."""
-    heat_input, others = task.heat_input, task.others
-    runs = [Case(run_regression(h, heat_input, config, others), (h,), float(h.time_s[0])) for h in task.runs]
-    pairs = [Case(pair_regression(p, heat_input, others), (p.a, p.b), float(p.a.time_s[0])) for p in task.pairs]
-    return [*runs, *pairs]
+@dataclass(frozen=True)
+class Estimate:
+    """A linear estimate of a zone, from which its model is made and judged.
+
+    Attributes:
+        everything: the fit to all rows.
+        last, before: the fits without the held-out rows and without an earlier part, None where there is none.
+        bounds_h: bounds of the time constants (r, 2), h, while a network is trained, by ln τ (r,).
+        gamma: bound of the modulation.
+        trains: whether a network is trained.
+        free: linear free part, None without runs.
+        scores: for the model card; `acts_log_odds` that the actuator acts.
+        certainty: estimates and their standard deviations by name, by the operator that was made of it.
+        unjudged: why the model cannot be judged, empty where it can.
+    """
+
+    everything: Fold
+    last: Fold
+    before: Fold | None
+    bounds_h: Callable[[Array], Array]
+    gamma: float
+    trains: bool
+    free: RcParameters | None
+    scores: Mapping[str, float]
+    certainty: Callable[[OperatorParameters], dict[str, float]]
+    unjudged: str = ""

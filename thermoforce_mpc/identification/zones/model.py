@@ -7,7 +7,7 @@ or whose sign is not proven, whatever the method. The zone's own actuator is the
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,24 +16,18 @@ from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.effects.level_laws import level_shape
 from thermoforce_mpc.identification.estimation.joint import JointFit, ModeFit, fit_joint, fit_modes
-from thermoforce_mpc.identification.estimation.likelihood import whole
-from thermoforce_mpc.identification.estimation.modes import centred_priors, to_operator
+from thermoforce_mpc.identification.estimation.modes import ModePriors, bounds_h, to_operator
+from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
-from thermoforce_mpc.identification.network.folds import ZoneEffects
 from thermoforce_mpc.identification.validation.competence import Trial, judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
-from thermoforce_mpc.identification.validation.held_out import (
-    normalisation,
-    ranges,
-)
-from thermoforce_mpc.identification.validation.held_out_fit import (
-    earlier_fold,
-    training_data,
-)
+from thermoforce_mpc.identification.validation.held_out import before_held_out, normalisation, ranges, seen_rows
+from thermoforce_mpc.identification.validation.reasons import UNJUDGED
 from thermoforce_mpc.identification.validation.warnings import uncertain
-from thermoforce_mpc.identification.zones.data import HELD, ZoneData
-from thermoforce_mpc.identification.zones.two_stage_model import two_stage_model
+from thermoforce_mpc.identification.zones.data import Effects, Estimate, ZoneData
+from thermoforce_mpc.identification.zones.effects import ZoneEffects
+from thermoforce_mpc.identification.zones.two_stage_estimate import two_stage_estimate
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -57,16 +51,14 @@ def identify_zone(
     Raises:
         DataError: nothing shows that the actuator acts (where it is alone), or its effect has no proven sign.
     """
-    task = data.task
     days = sum(h.n_steps * h.step_s for h in data.histories) / DAY_S
     say(f"fitting the forced response to {days:.3g} days at {data.histories[0].step_s:g} s")
     fit = None
     if effects is None:
-        model = two_stage_model(data)
+        estimate = two_stage_estimate(data)
     else:
-        model, fit = _joint_model(data, effects, say)
-    model = _accepted(model, data)
-    model = replace(model, card=replace(model.card, sun_on_sensor=task.sun))
+        fit, estimate = _joint_estimate(data, effects)
+    model = _accepted(_modelled(data, estimate, effects, say), data)
     say(f"identified an operator of order {model.operator.order}")
     return model, fit
 
@@ -78,7 +70,7 @@ def _accepted(model: ZoneModel, data: ZoneData) -> ZoneModel:
         DataError: it does not and the actuator is alone in the building, or its effect has no proven sign.
     """
     missing = _without_effect(model.card.scores["acts_log_odds"], data)
-    if missing and data.task.alone:
+    if missing and data.alone:
         raise DataError(missing)
     prove(model.operator)
     if not missing:
@@ -95,74 +87,90 @@ def _without_effect(log_odds: float, data: ZoneData) -> str:
         return ""
     dark = not any(np.any(h.solar_W_m2) for h in data.histories)
     return (
-        f"no effect of the actuator with the sign of {'heating' if data.task.sign > 0 else 'cooling'} was found in the "
+        f"no effect of the actuator with the sign of {'heating' if data.sign > 0 else 'cooling'} was found in the "
         f"data: the log odds that it acts are {log_odds:.1f}, need {_LEAST_LOG_ODDS:g}; check the sign of u, whether "
         "the actuator reached the zone, and that the zone sensor is in the room that it serves, or probe "
         f"harder{'; the record has no irradiance: name a signal for the sun' if dark else ''}"
     )
 
 
-def _joint_model(data: ZoneData, effects: ZoneEffects, say: Callable[[str], None]) -> tuple[ZoneModel, JointFit]:
-    """The joint estimator as a zone's model, and its fit: effects from the network, input of the modulation by
-    held-out data.
-    """
-    task, config, splits = data.task, data.config, data.splits
-    sign, heat_input, power = task.sign, effects.whole.heat_inputs[0], task.power
-    cases, priors = data.knowing(effects.whole)
-    seen_cases, seen_priors = data.knowing(effects.training)
-    seen = fit_modes(training_data(seen_cases, splits), seen_priors, sign)
-    final = fit_joint([c.regression for c in cases], priors, sign, effects.covariance)
-    histories, step_s = data.histories, task.step_s
-    base_step = histories[0].step_s
+def _joint_estimate(data: ZoneData, effects: ZoneEffects) -> tuple[JointFit, Estimate]:
+    """The joint fit, with the effects of the network, and its folds."""
+    config, sign = data.config, data.sign
+    regressions, priors = data.knowing(effects.whole)
+    fit = fit_joint(regressions, priors, sign, effects.covariance)
+    earlier, before_priors = data.knowing(effects.earlier)
+    earlier = before_held_out(earlier, config)
+    estimate = Estimate(
+        everything=Fold([replace(e, held=0) for e in regressions], fit, priors, effects.whole.heat_inputs[0]),
+        last=_fold(*data.knowing(effects.training), effects.training, sign),
+        before=_fold(earlier, before_priors, effects.earlier, sign) if earlier else None,
+        bounds_h=bounds_h,
+        gamma=config.gamma,
+        trains=config.modulation != "linear",
+        free=fit.free_model(data.step_s or data.histories[0].step_s, data.sensor_sd_K) if data.runs else None,
+        scores={"residual_scale": fit.residual_scale, "acts_log_odds": effects.log_odds},
+        certainty=lambda operator: uncertainty(fit, data.level_sd) | {"sensor_resolution_K": data.grid_K},
+    )
+    return fit, estimate
+
+
+def _fold(regressions: Sequence[RegressionData], priors: ModePriors, effects: Effects, sign: int) -> Fold:
+    """The fit to the rows that are not held out."""
+    return Fold(regressions, fit_modes(seen_rows(regressions), priors, sign), priors, effects.heat_inputs[0])
+
+
+def _modelled(data: ZoneData, estimate: Estimate, effects: ZoneEffects | None, say: Callable[[str], None]) -> ZoneModel:
+    """The zone's model of an estimate, with its network and its verdict."""
+    config, everything, last, before = data.config, estimate.everything, estimate.last, estimate.before
+    histories, sign = data.histories, data.sign
     mean, scale = normalisation(histories)
 
     def linear(fit: ModeFit, heat_input: HeatInput) -> OperatorParameters:
         return to_operator(
             fit.log_tau,
             fit.gains,
-            step_s=base_step,
-            bounds_h=centred_priors(fit.log_tau, fit.gains, HELD).bounds_h(),
+            step_s=histories[0].step_s,
+            bounds_h=estimate.bounds_h(fit.log_tau),
             sign=sign,
-            gamma=config.gamma,
+            gamma=estimate.gamma,
             hidden=config.hidden,
             heat_input=heat_input,
             feature_mean=mean,
             feature_scale=scale,
         )
 
-    operator, notes = replace(linear(final, heat_input), feedback=config.feedback), list(data.notes)
-    scores = {"residual_scale": final.residual_scale, "acts_log_odds": effects.log_odds}
-    last = Fold(seen_cases, splits, seen, seen_priors, effects.training.heat_inputs[0])
-    before_cases, before_priors = data.knowing(effects.earlier)
-    before = earlier_fold(before_cases, splits, before_priors, effects.earlier.heat_inputs[0], config, sign)
-    if heat_input.law is not None and last.heat_input.law is None:
+    operator = replace(linear(everything.fit, everything.heat_input), feedback=config.feedback)
+    scores, notes = dict(estimate.scores), list(data.said)
+    if everything.heat_input.law is not None and last.heat_input.law is None:
         notes.append(_LEVEL_FOR_HEAT)
-    if config.modulation == "linear":
-        trials = Trial.linear(last, sign), None if before is None else Trial.linear(before, sign)
-    else:
+    trials = Trial.linear(last, sign), None if before is None else Trial.linear(before, sign)
+    if estimate.trains:
         say("training the modulation of the gain")
-        everything = Fold(cases, [whole(case.regression) for case in cases], final, priors, heat_input)
-        modulated = modulate(everything, last, before, linear, config, power)
+        modulated = modulate(everything, last, before, linear, config, data.power)
         operator, trials = modulated.operator, (modulated.last, modulated.before)
         scores, notes = scores | modulated.scores, [*notes, *modulated.notes]
-    operator = operator.resampled(step_s or base_step)
-    certainty = uncertainty(final, task.level_sd) | {"sensor_resolution_K": data.grid_K}
-    shape, shape_notes = level_shape(effects.laws, histories, config, power, heat_input)
-    notes = [*notes, *shape_notes]
-    verdict = judge(*trials, operator, certainty, effects.log_odds, task.heat_W_m2)
-    model = ZoneModel(
+    certainty, shape = estimate.certainty(operator), dict[str, float]()
+    operator = operator.resampled(data.step_s or histories[0].step_s)
+    if effects is not None:
+        shape, shape_notes = level_shape(effects.laws, histories, config, data.power, everything.heat_input)
+        notes += shape_notes
+    verdict = judge(*trials, operator, certainty, scores["acts_log_odds"], data.heat_W_m2)
+    if estimate.unjudged:
+        verdict = Competence(False, (estimate.unjudged,), plainly=UNJUDGED)
+    return ZoneModel(
         operator=operator,
-        power=power,
-        free=final.free_model(step_s or base_step, config) if task.runs else None,
+        power=data.power,
+        free=estimate.free,
         card=ModelCard(
-            source=task.source,
-            data=task.data,
+            source=data.source,
+            data=data.data,
             ranges=ranges(histories),
             scores=scores,
             uncertainty=certainty | shape,
             config=config.model_dump(mode="json"),
             notes=(*notes, *uncertain(certainty)),
             competence=verdict,
+            sun_on_sensor=data.sun,
         ),
     )
-    return model, final

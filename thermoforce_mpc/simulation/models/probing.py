@@ -77,7 +77,7 @@ class ProbingProgress:
     """Where a probing stands.
 
     `days` probed of `planned_days`; `expected_sd`: relative standard deviation of the effect of a day at full level
-    that the design expects from the record, see `Designer.expected_sd`, of the actuator of which least is known.
+    that the design expects from the record, see `probing.design.expected_sd`, of the actuator of which least is known.
     """
 
     days: float
@@ -167,14 +167,7 @@ def probe_until_known(
     start_s, end_s, ahead = before.start_s - before.warmup_s - days * DAY_S, before.start_s, "the scored window"
     if start_s < 0:
         start_s, end_s, ahead = YEAR_S - days * DAY_S, YEAR_S, "the new year"
-    run = Probing(
-        plant,
-        start_s,
-        seed=seed,
-        layout=identifying.testcase.layout,
-        config=probing,
-        identification=identifying.config,
-    )
+    run = Probing(plant, start_s, seed=seed, layout=identifying.testcase.layout, config=probing)
     progress = _Progress(run, identifying.testcase.layout.home, days, on_progress)
 
     def enough(record: Record) -> bool:
@@ -204,8 +197,10 @@ class _Progress:
         self._run, self._home, self._on_progress = run, home, on_progress
 
     def __call__(self, share: float) -> None:
+        from thermoforce_mpc.identification.probing.design import expected_sd
+
         run = self._run
         hourly = max(1, round(HOUR_S / run.config.step_s))
         if self._on_progress and run.record.n_steps % hourly == 0:
-            expected_sd = max(run.designer.expected_sd(run.record.part(z, [a])) for a, z in enumerate(self._home))
-            self._on_progress(ProbingProgress(run.days, self.planned_days, expected_sd))
+            sd = max(expected_sd(run.record.part(z, [a])) for a, z in enumerate(self._home))
+            self._on_progress(ProbingProgress(run.days, self.planned_days, sd))

@@ -10,9 +10,9 @@ from houses import House, make_pair, record
 
 from thermoforce_mpc.data import DAY_S, Layout
 from thermoforce_mpc.identification import IdentificationConfig, Pair
-from thermoforce_mpc.identification.network.folds import zone_effects
 from thermoforce_mpc.identification.validation.held_out import identified_heat_input
-from thermoforce_mpc.identification.zones.data import ZoneData, ZoneTask
+from thermoforce_mpc.identification.zones.data import ZoneData
+from thermoforce_mpc.identification.zones.effects import zone_effects
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 LAYOUT, CONFIG = Layout.single(floor_area_m2=190.0), IdentificationConfig(modulation="linear")
@@ -20,7 +20,7 @@ LAYOUT, CONFIG = Layout.single(floor_area_m2=190.0), IdentificationConfig(modula
 
 def folds_of(run, pairs=(), config=CONFIG):
     """What the network says of a house from a run and pairs, fold by fold."""
-    data = ZoneData.of(ZoneTask([run], pairs, IDENTITY, 1), config)
+    data = ZoneData(config, [run], pairs, IDENTITY, 1)
     (effects,) = zone_effects([run], pairs, LAYOUT, [data], config, lambda said: None)
     return data, effects
 
@@ -64,7 +64,7 @@ def test_held_out_rows_are_not_seen():
 
 def test_held_out_pairs_are_not_seen():
     pairs = [later(make_pair(House(), seed, 1.0), seed) for seed in range(4)]
-    data = ZoneData.of(ZoneTask([], pairs, IDENTITY, 1), CONFIG)
+    data = ZoneData(CONFIG, [], pairs, IDENTITY, 1)
     assert data.last_steps("whole") == [24] * 4
     assert sorted(data.last_steps("training")) == [0, 24, 24, 24]
     assert data.last_steps("earlier") == [0] * 4
@@ -73,7 +73,7 @@ def test_held_out_pairs_are_not_seen():
 def test_the_two_stages_need_no_network():
     config = CONFIG.model_copy(update={"method": "two_stage", "order": 1})
     run = record(House(), 2.0, 3600.0)
-    data = ZoneData.of(ZoneTask([run], [], IDENTITY, 1), config)
+    data = ZoneData(config, [run], [], IDENTITY, 1)
     assert zone_effects([run], [], LAYOUT, [data], config, lambda said: None) == [None]
 
 
@@ -86,11 +86,11 @@ def test_the_law_of_a_heat_meter_is_that_of_the_rows_that_are_seen():
         heat_W[:, round(0.76 * run.n_steps) :] *= factor
         one = replace(run, heat_W=heat_W)
         whole = identified_heat_input([one], CONFIG, 1)[0]
-        data[factor] = ZoneData.of(ZoneTask([one], [], whole, 1), CONFIG)
+        data[factor] = ZoneData(CONFIG, [one], [], whole, 1)
     for fold in ("training", "earlier"):
-        assert data[1.0].heat_input(fold) == data[2.0].heat_input(fold)
-        assert data[1.0].heat_input(fold).law is not None
-    assert data[1.0].heat_input("whole").law != data[2.0].heat_input("whole").law
+        assert data[1.0].heat_input_of(fold) == data[2.0].heat_input_of(fold)
+        assert data[1.0].heat_input_of(fold).law is not None
+    assert data[1.0].heat_input_of("whole").law != data[2.0].heat_input_of("whole").law
     few = replace(run, heat_W=np.where(np.arange(run.n_steps) > 0.6 * run.n_steps, run.heat_W, np.nan))
-    little = ZoneData.of(ZoneTask([few], [], data[1.0].heat_input("whole"), 1), CONFIG)
-    assert little.heat_input("earlier") == IDENTITY
+    little = ZoneData(CONFIG, [few], [], data[1.0].heat_input, 1)
+    assert little.heat_input_of("earlier") == IDENTITY

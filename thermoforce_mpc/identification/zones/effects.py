@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -16,29 +15,9 @@ from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.network.building import BuildingFit, Responses
 from thermoforce_mpc.identification.network.effects import Actuators, building_fit, room_pair, room_run
 from thermoforce_mpc.identification.network.estimate import RoomFit, Run
-from thermoforce_mpc.identification.network.projection import Modes, projected
+from thermoforce_mpc.identification.network.projection import projected
+from thermoforce_mpc.identification.zones.data import Effects, ZoneData
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-
-
-class ZoneRows(Protocol):
-    """Which rows of a zone a fold may see (`zones.data.ZoneData`), what it then knows of the heat of the own actuator,
-    and the resolution `grid_K` of the zone's sensor, K.
-    """
-
-    @property
-    def grid_K(self) -> float: ...  # noqa: D102
-
-    def last_steps(self, fold: str) -> list[int]: ...  # noqa: D102
-
-    def heat_input(self, fold: str) -> HeatInput: ...  # noqa: D102
-
-
-@dataclass(frozen=True)
-class Effects:
-    """What the network says of the actuators of a zone (1 + K,), its own first: their effects, and v of each."""
-
-    modes: Modes
-    heat_inputs: tuple[HeatInput, ...]
 
 
 @dataclass(frozen=True)
@@ -62,7 +41,7 @@ def zone_effects(
     runs: Sequence[Record],
     pairs: Sequence[Pair],
     layout: Layout,
-    data: Sequence[ZoneRows],
+    data: Sequence[ZoneData],
     config: IdentificationConfig,
     say: Callable[[str], None],
 ) -> list[ZoneEffects | None]:
@@ -73,7 +52,6 @@ def zone_effects(
     if config.method == "two_stage":
         return [None] * len(data)
     say("fitting the building as a network of heat capacities and conductances")
-    joined = config.cross_effects and len(layout.floor_area_m2) > 1
     by_fold: dict[str, BuildingFit] = {}
     inputs: dict[str, list[HeatInput]] = {}
     fit: BuildingFit | None = None
@@ -81,13 +59,13 @@ def zone_effects(
     for fold in ("earlier", "training", "whole") if runs else ("training", "whole"):
         # Weather and levels of held-out rows are not seen either.
         seen = [run.slice(0, n) for run, n in zip(runs, data[0].last_steps(fold), strict=False) if n > 1]
-        heat_inputs = [of_zone.heat_input(fold) for of_zone in data]
+        heat_inputs = [of_zone.heat_input_of(fold) for of_zone in data]
         laws = [laws_of(seen, layout, a, heat_input, config) for a, heat_input in enumerate(heat_inputs)]
-        actuators, rooms = Actuators(layout, heat_inputs, laws), []
+        actuators, rooms = Actuators(layout, heat_inputs, laws, config.cross_effects), []
         for zone in range(len(layout.floor_area_m2)):
             first = layout.actuators_of(zone)[:1]
-            rooms.append(_seen(runs, pairs, zone, actuators, data[first[0]] if first else data[0], fold, joined))
-        by_fold[fold] = fit = building_fit(actuators, rooms, joined=joined, before=fit)
+            rooms.append(_seen(runs, pairs, zone, actuators, data[first[0]] if first else data[0], fold))
+        by_fold[fold] = fit = building_fit(actuators, rooms, fit)
         inputs[fold] = [
             with_outdoors(v, _found(fit, a, laws[a]), weather_of(seen, a)) for a, v in enumerate(heat_inputs)
         ]
@@ -139,16 +117,15 @@ def _seen(
     pairs: Sequence[Pair],
     zone: int,
     actuators: Actuators,
-    data: ZoneRows,
+    data: ZoneData,
     fold: str,
-    joined: bool,
 ) -> list[Run]:
     """What a fold may see of a zone."""
     found, steps = [], data.last_steps(fold)
     for run, n in zip(runs, steps, strict=False):
         if n > 1:
-            found.append(room_run(run.slice(0, n), zone, actuators, data.grid_K, joined=joined))
+            found.append(room_run(run.slice(0, n), zone, actuators, data.grid_K))
     for pair, n in zip(pairs, steps[len(runs) :], strict=True):
         if n > 1:
-            found.append(room_pair(pair, zone, actuators, data.grid_K, joined=joined))
+            found.append(room_pair(pair, zone, actuators, data.grid_K))
     return found

@@ -1,0 +1,158 @@
+"""The modulation m(x) of a fold's gain: trained on the rows that the fold sees, compared with m = 1 on the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from thermoforce_mpc.data import Array, Record
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.estimation.joint import ModeFit
+from thermoforce_mpc.identification.estimation.likelihood import residuals
+from thermoforce_mpc.identification.estimation.modes import centred_priors
+from thermoforce_mpc.identification.estimation.regression import RegressionData, calibrated
+from thermoforce_mpc.identification.modulation.misfit import TrainingData, responses
+from thermoforce_mpc.identification.modulation.training import train
+from thermoforce_mpc.identification.validation.blocks import block_numbers, is_significant, standard_errors_saved
+from thermoforce_mpc.identification.validation.errors_ahead import Fold
+from thermoforce_mpc.identification.validation.held_out import LEAST_SCALE
+from thermoforce_mpc.model.forced_history import forced_history
+from thermoforce_mpc.model.operator.building import single
+from thermoforce_mpc.model.operator.features import feature_matrix
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
+
+# A held-out comparison decides at this probability (Student's t, one-sided), if the RMS is below this share.
+_SIGNIFICANT, _RELEVANT = 0.95, 0.98
+# Relative prior standard deviation of gains and time constants while the network is trained on runs.
+_LINEAR_HELD_SD = 0.02
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """The network of a fold, trained when it is asked for; `by_level`: whether v = u where heat was measured."""
+
+    fold: Fold
+    linear: Callable[[ModeFit, HeatInput], OperatorParameters]
+    config: IdentificationConfig
+    by_level: bool
+
+    @cached_property
+    def features(self) -> list[tuple[Array, ...]]:
+        """x_t (n, 4) of each record; control-free temperatures are those of the linear fit."""
+        base = self.linear(self.fold.fit, self.fold.heat_input)
+        return [tuple(_features(base, h, self.config.feedback) for h in e.histories) for e in self.fold.regressions]
+
+    @cached_property
+    def untrained(self) -> OperatorParameters:
+        """The linear operator; its features are normalised by the rows that the fold sees."""
+        pairs = [(e, x) for e, xs in zip(self.fold.regressions, self.features, strict=True) for x in xs if e.seen]
+        stacked = np.concatenate([x[: int(e.rows[e.seen - 1])] for e, x in pairs])
+        scale = np.maximum(stacked.std(axis=0), LEAST_SCALE)
+        return replace(
+            self.linear(self.fold.fit, self.fold.heat_input), feature_mean=stacked.mean(axis=0), feature_scale=scale
+        )
+
+    @cached_property
+    def driven(self) -> list[RegressionData]:
+        """The regressions with what drives the network.
+
+        A level that was held counts as the share of time at full level that gives its heat, as levels of a plan do.
+        """
+        if not self._is_level:
+            return list(self.fold.regressions)
+        heat_input, found = self.untrained.heat_input, []
+        for e in self.fold.regressions:
+            full = [heat_input(np.asarray(1.0), history.T_out_C[:-1]) for history in e.histories]
+            drives = tuple((sign, drive / most) for (sign, drive), most in zip(e.drives, full, strict=True))
+            found.append(replace(e, drives=drives))
+        return found
+
+    @cached_property
+    def data(self) -> list[TrainingData]:
+        """What the network is trained on, and compared with m = 1."""
+        driven = calibrated(self.driven, self.fold.fit.residual_scale)
+        log_tau = self.fold.fit.log_tau
+        return [TrainingData(e, x, residuals(e, log_tau)) for e, x in zip(driven, self.features, strict=True)]
+
+    @cached_property
+    def trained(self) -> OperatorParameters:
+        """The operator with the network trained on the rows that the fold sees."""
+        fold, heat_input = self.fold, self.untrained.heat_input
+        # The linear fit assumed larger disturbances; training must not change its slow gain.
+        pairs_only = all(e.is_pair for e in fold.regressions)
+        priors = fold.priors if pairs_only else centred_priors(fold.fit.log_tau, fold.fit.gains, _LINEAR_HELD_SD)
+        start = replace(self.untrained, heat_input=heat_input.by_level if self._is_level else heat_input)
+        return train(start, self.data, priors, self.config)
+
+    @cached_property
+    def scores(self) -> dict[str, float]:
+        """Held-out errors without and with the network, standard deviations, and whether it is kept."""
+        linear, neural = (_rms(self._left(kept=kept)) for kept in (False, True))
+        kept = self.config.modulation == "always" or not self.worse
+        return {"held_out_linear": linear, "held_out_neural": neural, "modulation_kept": float(kept)}
+
+    @property
+    def kept(self) -> bool:
+        """Whether the network is kept in the place of m = 1."""
+        return bool(self.scores["modulation_kept"])
+
+    @cached_property
+    def worse(self) -> str:
+        """In what m = 1 predicts the held-out rows better, in words; empty unless by 2 % and significantly, block by
+        block.
+        """
+        linear, neural = (self._left(kept=kept) for kept in (False, True))
+        blocks = [block_numbers(i, e.rows[e.seen :], e.step_s) for i, e in enumerate(self.fold.regressions)]
+        statistic = standard_errors_saved(neural, linear, np.concatenate(blocks))
+        if _rms(linear) >= _RELEVANT * _rms(neural) or not is_significant(*statistic, _SIGNIFICANT):
+            return ""
+        return (
+            f"held-out data are predicted better with it: error {_rms(linear):.3g} instead of {_rms(neural):.3g} "
+            "standard deviations"
+        )
+
+    def _left(self, *, kept: bool) -> Array:
+        """Held-out residuals (rows,), standard deviations, each given the rows before it."""
+        return np.concatenate(
+            [
+                data.residuals.whitener[data.regression.seen :]
+                @ (data.regression.target - data.residuals.mean - effect)
+                for data, effect in zip(self.data, self.effects(kept=kept), strict=True)
+            ]
+        )
+
+    def effects(self, *, kept: bool) -> list[Array]:
+        """What the actions did, K, at the rows of each regression, by the network where it is `kept`, else m = 1."""
+        if not kept:
+            return self.fold.linear_effects(self.untrained.sign)
+        operator, effects = self.trained, []
+        for e, xs in zip(self.driven, self.features, strict=True):
+            drive = np.sum(
+                [sign * v * operator.modulation(x) for (sign, v), x in zip(e.drives, xs, strict=True)], axis=0
+            )
+            modes, _ = responses(drive[None], operator.poles)
+            effects.append((modes[0] @ operator.gains)[e.rows])
+        return effects
+
+    @property
+    def _is_level(self) -> bool:
+        return self.by_level and self.untrained.heat_input.heat is not None
+
+
+def _features(operator: OperatorParameters, history: Record, feedback: bool) -> Array:
+    """Return the features x_t (n, 4) of a run, with T − F (no gradient through F) or, with feedback, measured T."""
+    # Of a zone's own actuator, summed over modes.
+    forced = 0.0 if feedback else forced_history(single(operator), history.part(0, [0])).sum(axis=(0, 1, 3))
+    free = history.T_zone_C[0] - forced
+    steps = np.arange(free.size)
+    finite = np.isfinite(free)
+    free = np.interp(steps, steps[finite], free[finite])
+    return feature_matrix(free[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
+
+
+def _rms(residuals: Array) -> float:
+    return float(np.sqrt(np.mean(residuals**2))) if residuals.size else float("nan")
