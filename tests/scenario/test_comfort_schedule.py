@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from simple_house import SimpleHouse
 
+from controllers.registry import controller_config
 from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError
@@ -16,6 +17,7 @@ from thermoforce_mpc.protocols import OutlivingPlant, Plant, RoomSetpointPlant
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.schedule.comfort import Comfort
 from thermoforce_mpc.scenario.settings import validate
+from thermoforce_mpc.simulation.composition import controller_options
 
 WEEKDAYS = "weekdays 6:00–22:00 21–24, else 17–26"
 TUESDAY, SATURDAY, SUNDAY = 0, 4, 5  # days of BOPTEST's year
@@ -59,9 +61,9 @@ def test_a_holiday_is_a_sunday_or_what_its_rule_says():
 def test_zones_have_their_own_or_what_holds_for_others():
     schedule = {"bath": "6-9 23-26, else 18-28", "others": WEEKDAYS}
     assert bounds(schedule, TUESDAY, 7, zones=("living", "bath")) == [(21, 24), (23, 26)]
-    with pytest.raises(ValueError, match="no zone 'bath', did you mean 'bathroom'"):
+    with pytest.raises(ConfigError, match="no zone 'bath', did you mean 'bathroom'"):
         bounds(schedule, TUESDAY, 7, zones=("bathroom",))
-    with pytest.raises(ValueError, match="nothing for living"):
+    with pytest.raises(ConfigError, match="nothing for living"):
         bounds({"bath": "else 18-28"}, TUESDAY, 7, zones=("living", "bath"))
 
 
@@ -88,6 +90,24 @@ def test_what_is_no_schedule_is_refused_with_the_part(schedule, said):
 def test_a_scenario_takes_a_text_or_the_whole():
     options = {"testcase": "bestest_hydronic_heat_pump", "assignments": [f"comfort={WEEKDAYS}"]}
     assert scenario_from(options).comfort == Comfort(schedule=WEEKDAYS)
+
+
+@pytest.mark.parametrize(
+    ("testcase", "schedule", "set_points", "cooling_C"),
+    [
+        ("bestest_hydronic_heat_pump", "weekdays 6:00-22:00 22-24, else 17-26", {"actuator": 22.3}, 23.7),
+        ("bestest_air", "9:00-17:00 23-25, else 17-22", {"actuator": 23.3}, 23.3),
+        ("energyplus:cooling_phoenix", "9:00-17:00 21-24, else 17-26", {"actuator": 23.7}, 23.7),
+    ],
+)
+def test_a_thermostat_keeps_the_strictest_bounds_of_a_schedule(testcase, schedule, set_points, cooling_C):
+    scenario = validate(Scenario, {"testcase": testcase, "comfort": schedule}, "test")
+    options = controller_options(scenario, "thermostat")
+    assert options == {"setpoints_C": set_points, "cooling_setpoint_C": cooling_C}
+    assert controller_config("thermostat", options, load_testcase(testcase)).setpoints_C == set_points
+    of_its_own = {"name": "thermostat", "options": {"setpoint_C": 20.0}}
+    scenario = validate(Scenario, {"testcase": testcase, "comfort": schedule, "controller": of_its_own}, "test")
+    assert controller_options(scenario, "thermostat") == {"setpoint_C": 20.0}
 
 
 def test_plans_and_kpis_have_the_bounds_of_the_schedule():

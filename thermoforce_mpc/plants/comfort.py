@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Boundary, Measurement
-from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.kpis import excess
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.schedule.comfort import Comfort
@@ -31,10 +30,7 @@ class WithComfort:
         # The engine's year begins on a Monday, BOPTEST's and that of drawn houses on a Tuesday.
         self._first = "monday" if testcase.energyplus or testcase.plant == "small_office" else "tuesday"
         self._start_s = 0.0
-        try:
-            self._comfort.bounds_C(np.zeros(1), self._zones, self._first)
-        except ValueError as error:
-            raise ConfigError(str(error)) from error
+        self._comfort.bounds_C(np.zeros(1), self._zones, self._first)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._plant, name)

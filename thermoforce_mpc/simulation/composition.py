@@ -13,12 +13,14 @@ import numpy as np
 
 from controllers.registry import find_entry
 from thermoforce_mpc.boundary.tariffs import tariff_from_file
-from thermoforce_mpc.data import DAY_S, Period
+from thermoforce_mpc.data import DAY_S, Layout, Period
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import DoubtfulInput
 from thermoforce_mpc.plants.registry import boptest_plant, build_plant, windows_of, with_comfort
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
+from thermoforce_mpc.scenario.schedule.comfort import Comfort
 from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase
 
@@ -32,6 +34,8 @@ _NAMED_PERIODS = (
     "peak_heat_day", "typical_heat_day", "peak_cool_day", "typical_cool_day", "mix_day", "cold_day", "cold_week",
     "sunny_week",
 )  # fmt: skip
+# Distance of a thermostat's set-point from the bound, K: that of its defaults from BOPTEST's bounds.
+_INSIDE_K = 0.3
 # Distance of the instants at which prices must be known, s.
 _PRICE_STEP_S = 900.0
 
@@ -48,11 +52,26 @@ def attached_plant(scenario: Scenario, testcase: TestCase, testid: str) -> Plant
 
 
 def controller_options(scenario: Scenario, name: str) -> dict[str, Any]:
-    """Options of the controller `name` in this scenario: its own, then the scenario's control step."""
+    """Options of the controller `name` in this scenario: its own, then the scenario's control step.
+
+    A thermostat without set-points of its own keeps those of the scenario's comfort bounds, where it has any.
+    """
     options = scenario.controller.options if name == scenario.controller.name else {}
+    if name == "thermostat" and scenario.comfort and not options.keys() & {"setpoint_C", "setpoints_C"}:
+        return merge(_set_points(scenario.comfort, load_testcase(scenario.testcase).layout), options)
     if scenario.step_s is None or not find_entry(name).needs_model:
         return dict(options)
     return merge({"step_s": scenario.step_s}, options)
+
+
+def _set_points(comfort: Comfort, layout: Layout) -> dict[str, Any]:
+    """Set-points inside the strictest bounds of each zone: a thermostat cannot heat ahead of a bound that rises."""
+    bounds_C = comfort.strictest_C(layout.names.zones)
+    heating = [round(lower + _INSIDE_K, 2) for lower, _ in bounds_C]
+    cooling = [round(upper - _INSIDE_K, 2) for _, upper in bounds_C]
+    acting = zip(layout.names.actuators, layout.home, layout.signs, strict=True)
+    set_points = {name: (heating if sign > 0 else cooling)[home] for name, home, sign in acting}
+    return {"setpoints_C": set_points, "cooling_setpoint_C": max(*heating, min(cooling))}
 
 
 def scored_period(plant: Plant, name: str, days: float) -> Period:

@@ -1,6 +1,8 @@
 """The engine: what a run records, that it can be repeated and branched, and that nothing vanishes."""
 
 import json
+import signal
+import sys
 
 import numpy as np
 import pytest
@@ -92,6 +94,24 @@ def test_an_exception_in_a_callback_is_raised():
         run_engine(
             json.dumps(zone_model(HEATED, 30, 1)), weather_file("Chicago-OHare"), Recorder(one, policy), ZONE_WIRING
         )
+
+
+def test_a_signal_ends_a_run_although_the_engine_holds_the_process():
+    """Its handler runs at the edge of a callback, whose exceptions ctypes drops."""
+
+    def policy(step, T_zone_C):
+        if step == 10:
+            signal.setitimer(signal.ITIMER_REAL, 0.02)
+        return 0.5
+
+    one, model = job(HEATED, 21.0, steps=96 * 30), json.dumps(zone_model(HEATED, 30, 30))
+    handler_before = signal.signal(signal.SIGALRM, lambda *_: sys.exit(143))
+    try:
+        with pytest.raises(SystemExit, match="143"):
+            run_engine(model, weather_file("Chicago-OHare"), Recorder(one, policy), ZONE_WIRING)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, handler_before)
 
 
 def test_a_model_the_engine_refuses_names_the_reason():

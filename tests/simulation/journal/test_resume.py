@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import shutil
 import signal
@@ -19,7 +20,9 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.simulation import report
 from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.journal import journal as journal_module
-from thermoforce_mpc.simulation.journal.journal import Journal, JournalError, JournalText, read_journal
+from thermoforce_mpc.simulation.journal import parts as parts_module
+from thermoforce_mpc.simulation.journal.journal import Journal, JournalError, JournalTail, JournalText, read_journal
+from thermoforce_mpc.simulation.journal.parts import pack, unpack
 
 TESTCASE = "bestest_hydronic_heat_pump"
 
@@ -162,6 +165,32 @@ def test_a_journal_goes_on_in_parts_of_bounded_size(tmp_path, monkeypatch):
                 later.unlink()
 
 
+def test_a_packed_journal_says_the_same_and_is_refused_where_it_was_edited_or_cut(tmp_path, monkeypatch):
+    monkeypatch.setattr(journal_module, "PART_BYTES", 500)
+    monkeypatch.setattr(parts_module, "PACKED_BYTES", 300)
+    path = tmp_path / "journal.jsonl"
+    written(path, 12)
+    contents = [entry.content for entry in read_journal(path).entries]
+    plain = {part.name: part.read_bytes() for part in tmp_path.iterdir()}
+    pack(path)
+    names = {part.name for part in tmp_path.iterdir()}
+    assert names == {"journal.jsonl.gz", "journal.0002.jsonl.gz", "journal.0003.jsonl"}  # the last is a short one
+    assert [entry.content for entry in read_journal(path).entries] == contents
+    assert [entry.content for entry in JournalTail(path).more()] == [{"n": n} | c for n, c in enumerate(contents)]
+    second = journal_module.part_of(path, 2)
+    packed = second.read_bytes()
+    second.write_bytes(gzip.compress(gzip.decompress(packed).replace(b'"value":', b'"value": ', 1)))
+    with pytest.raises(JournalError, match=r"journal\.0002\.jsonl\.gz, line 1: the record is damaged"):
+        read_journal(path)
+    for broken in (packed[:-20], packed[:40] + b"?" + packed[41:]):
+        second.write_bytes(broken)
+        with pytest.raises(JournalError, match=r"journal\.0002\.jsonl\.gz: cannot be read"):
+            read_journal(path)
+    second.write_bytes(packed)
+    unpack(path)
+    assert {part.name: part.read_bytes() for part in tmp_path.iterdir()} == plain
+
+
 @pytest.mark.parametrize("harm", ["torn", "changed", "missing", "exchanged"])
 def test_damage_in_a_part_that_is_not_the_last_is_refused(tmp_path, monkeypatch, harm):
     monkeypatch.setattr(journal_module, "PART_BYTES", 500)
@@ -206,9 +235,14 @@ def test_a_run_killed_in_a_later_part_goes_on_to_the_same_bytes(whole, tmp_path,
     last.write_bytes(last.read_bytes()[:-100])
     for name in ("kpis.json", "manifest.json", "report.html"):
         (folder / name).unlink()
+    # A run that ends packs its journal: one that was killed after that goes on from there.
+    monkeypatch.setattr(parts_module, "PACKED_BYTES", 0)
+    pack(folder / "journal.jsonl")
     again = call("resume", folder)
     assert again.exit_code == 0, again.output
     assert results(folder) == results(whole)
+    assert {path.suffix for path in folder.glob("journal.*")} == {".gz"}
+    assert call("explain", folder).output == call("explain", whole).output
 
 
 @pytest.mark.slow

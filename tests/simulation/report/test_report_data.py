@@ -21,6 +21,7 @@ from thermoforce_mpc.simulation.report.decisions import decisions_json
 from thermoforce_mpc.simulation.report.other_levels import other_levels_json
 from thermoforce_mpc.simulation.report.packing import packed, smooth
 from thermoforce_mpc.simulation.report.plans import plans_json
+from thermoforce_mpc.simulation.report.tables import kpi_rows
 
 AREA_M2 = 100.0
 
@@ -105,6 +106,11 @@ def test_the_page_says_where_cost_so_far_does_not_end_at_the_kpi(tmp_path):
     assert "cost of thermostat" not in told
     # A generated house counts discomfort by its temperature, its sensor is late: the blocks alone are not the reason.
     assert "which a sensor with noise, a lag or sun on it misreads" in told
+
+
+def test_figures_are_rounded_to_what_is_meant():
+    rows = kpi_rows({"a": {"cost_tot": 0.6, "tdis_tot": 0.00172}, "b": {"cost_tot": 0.91034, "tdis_tot": 11.24}}, "EUR")
+    assert [row["texts"] for row in rows] == [["0.600", "0.910"], ["0.00", "11.24"]]
 
 
 def test_a_peak_is_that_of_its_carrier(result, tmp_path):

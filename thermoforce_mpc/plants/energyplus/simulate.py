@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -281,6 +282,14 @@ def run_engine(model: str, weather: Path, recorder: Driver[R], wiring: Wiring[R]
 
         return callback
 
+    def dropped(unraisable: Any) -> None:
+        """Keep what a signal raises at the edge of a callback, where ctypes would drop it."""
+        if isinstance(unraisable.exc_value, Exception):
+            sys.__unraisablehook__(unraisable)
+            return
+        failure.append(unraisable.exc_value)
+        api.runtime.stop_simulation(state)
+
     def find(state: Any) -> None:
         for name, (variable, key) in variables.items():
             handles[name] = api.exchange.get_variable_handle(state, variable, key)
@@ -321,6 +330,7 @@ def run_engine(model: str, weather: Path, recorder: Driver[R], wiring: Wiring[R]
         if recorder.end(bool(api.exchange.warmup_flag(state)), read):
             api.runtime.stop_simulation(state)
 
+    hook_before, sys.unraisablehook = sys.unraisablehook, dropped
     try:
         api.runtime.set_console_output_status(state, False)
         for variable, key in variables.values():
@@ -340,6 +350,7 @@ def run_engine(model: str, weather: Path, recorder: Driver[R], wiring: Wiring[R]
                 text = said.read_text(errors="replace") if said.is_file() else "no error file"
                 raise PlantError(f"EnergyPlus ended with status {status}: {_complaints(text)}")
     finally:
+        sys.unraisablehook = hook_before
         api.state_manager.delete_state(state)
 
 

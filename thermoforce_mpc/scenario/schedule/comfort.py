@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
-from thermoforce_mpc.errors import suggestion
+from thermoforce_mpc.errors import ConfigError, suggestion
 from thermoforce_mpc.scenario.schedule.dates import day_of_year
 from thermoforce_mpc.scenario.strict_model import StrictModel
 
@@ -135,7 +135,7 @@ class Comfort(StrictModel):
             first_weekday: day of the week of 1 January.
 
         Raises:
-            ValueError: a zone that there is not, or one without a schedule.
+            ConfigError: a zone that there is not, or one without a schedule.
         """
         texts = self._of_zones(zones)
         whole = np.floor(np.asarray(time_s) / DAY_S)
@@ -145,17 +145,22 @@ class Comfort(StrictModel):
         bounds = np.array([_bounds(rules_from(text), day, hour, holiday) for text in texts])
         return bounds[:, 0], bounds[:, 1]
 
+    def strictest_C(self, zones: Sequence[str]) -> list[tuple[float, float]]:
+        """The highest lower and the lowest upper bound of each of `zones`, °C; raises as `bounds_C`."""
+        rules = [rules_from(text) for text in self._of_zones(zones)]
+        return [(max(rule.lower_C for rule in of), min(rule.upper_C for rule in of)) for of in rules]
+
     def _of_zones(self, zones: Sequence[str]) -> list[str]:
         if isinstance(self.schedule, str):
             return [self.schedule] * len(zones)
         unknown = [name for name in self.schedule if name not in (*zones, "others")]
         if unknown:
-            raise ValueError(
+            raise ConfigError(
                 f"comfort.schedule: no zone '{unknown[0]}'{suggestion(unknown[0], zones)}; zones: {', '.join(zones)}"
             )
         missing = [zone for zone in zones if zone not in self.schedule and "others" not in self.schedule]
         if missing:
-            raise ValueError(f"comfort.schedule: nothing for {', '.join(missing)}; name them, or give `others`")
+            raise ConfigError(f"comfort.schedule: nothing for {', '.join(missing)}; name them, or give `others`")
         return [self.schedule.get(zone, self.schedule.get("others", "")) for zone in zones]
 
 

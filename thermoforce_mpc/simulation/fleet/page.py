@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import io
+import re
 import shlex
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 import yaml
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import counted
@@ -26,11 +28,16 @@ from thermoforce_mpc.simulation.fleet.summary import (
 )
 from thermoforce_mpc.simulation.report.page import rendered
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 _SHOWN = 20
-_WIDE, _HIGH, _LEFT, _BELOW = 720.0, 300.0, 60.0, 46.0
 # Points beyond these percentiles are drawn at the edge.
 _EDGE = (0.5, 99.5)
 _MOST_POINTS = 4000
+# Marker and colour of a run by what it lost.
+_MARKS = {"": ("o", "#2a78b8"), "dearer": ("^", "#d29a1c"), "less comfortable": ("x", "#c4422b")}
 
 
 def fleet_page(runs: pd.DataFrame, reference: str, title: str, command: str, scenarios: Mapping[str, Scenario]) -> str:
@@ -107,50 +114,25 @@ def run_command(scenario: Scenario) -> str:
     return shlex.join(words)
 
 
-class _Axes:
-    """Linear scales of a drawing."""
+def _drawing(x_label: str, y_label: str) -> tuple[Figure, Axes]:
+    from matplotlib.figure import Figure  # takes time to import
 
-    def __init__(self, x: tuple[float, float], y: tuple[float, float]) -> None:
-        self.x_range, self.y_range = x, y
-
-    def x(self, value: float) -> float:
-        low, high = self.x_range
-        return _LEFT + (min(max(value, low), high) - low) / (high - low) * (_WIDE - _LEFT - 10.0)
-
-    def y(self, value: float) -> float:
-        low, high = self.y_range
-        return 10.0 + (high - min(max(value, low), high)) / (high - low) * (_HIGH - _BELOW - 10.0)
-
-    def drawn(self, marks: str, x_label: str, y_label: str, lines: str = "") -> Markup:
-        """The drawing with its axes."""
-        left, bottom = _LEFT, _HIGH - _BELOW
-        ticks = []
-        for value in _ticks(*self.x_range):
-            x = self.x(value)
-            ticks.append(
-                f'<path d="M{x:.1f} 10V{bottom:.1f}" stroke="currentColor" opacity="0.12"/>'
-                f'<text x="{x:.1f}" y="{bottom + 16:.1f}" text-anchor="middle">{value:g}</text>'
-            )
-        for value in _ticks(*self.y_range):
-            y = self.y(value)
-            ticks.append(
-                f'<path d="M{left} {y:.1f}H{_WIDE - 10}" stroke="currentColor" opacity="0.12"/>'
-                f'<text x="{left - 6}" y="{y + 4:.1f}" text-anchor="end">{value:g}</text>'
-            )
-        labels = (
-            f'<text x="{(left + _WIDE) / 2}" y="{_HIGH - 8}" text-anchor="middle">{escape(x_label)}</text>'
-            f'<text transform="translate(14 {bottom / 2}) rotate(-90)" text-anchor="middle">{escape(y_label)}</text>'
-        )
-        return Markup(
-            f'<svg viewBox="0 0 {_WIDE:g} {_HIGH:g}" role="img" aria-label="{escape(y_label)} over {escape(x_label)}" '
-            f'font-size="12" fill="currentColor" width="100%">{"".join(ticks)}{lines}{marks}{labels}</svg>'
-        )
+    figure = Figure(figsize=(7.2, 3.2), layout="constrained")
+    axes = figure.subplots()
+    axes.set(xlabel=x_label, ylabel=y_label)
+    axes.grid(alpha=0.2)
+    axes.axvline(0.0, color="black", linewidth=1.0)
+    return figure, axes
 
 
-def _ticks(low: float, high: float) -> list[float]:
-    step = 10.0 ** np.floor(np.log10((high - low) / 3.0))
-    step *= next(factor for factor in (1.0, 2.0, 5.0, 10.0) if (high - low) / (step * factor) <= 8.0)
-    return [round(float(value), 10) for value in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step]
+def _svg(figure: Figure) -> Markup:
+    from matplotlib import rc_context
+
+    text = io.StringIO()
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "fleet"}):
+        figure.savefig(text, format="svg", metadata={"Date": None})
+    svg = text.getvalue()
+    return Markup(re.sub(r'width="[^"]*" height="[^"]*"', 'width="100%"', svg[svg.index("<svg") :], count=1))
 
 
 def _range(values: Array, *more: float) -> tuple[float, float]:
@@ -161,41 +143,26 @@ def _range(values: Array, *more: float) -> tuple[float, float]:
 
 
 def _scatter(pairs: pd.DataFrame) -> Markup:
+    figure, axes = _drawing("saving, %", "discomfort above, K·h a week")
     saving, more = 100.0 * pairs["saving"].to_numpy(), pairs["more_Kh"].to_numpy()
-    axes = _Axes(_range(saving, 0.0), _range(more, 0.0, 2 * MORE_DISCOMFORT_KH))
+    axes.set(xlim=_range(saving, 0.0), ylim=_range(more, 0.0, 2 * MORE_DISCOMFORT_KH))
+    axes.axhline(MORE_DISCOMFORT_KH, color="black", linewidth=1.0, linestyle="--")
+    what = pairs["why"].str.partition(":")[0].to_numpy()
     every = max(1, -(-len(pairs) // _MOST_POINTS))
-    marks = "".join(
-        f'<circle cx="{axes.x(s):.1f}" cy="{axes.y(m):.1f}" r="3" opacity="0.55"{_colour(why)}>'
-        f"<title>{escape(building)}, {escape(window)}, {escape(price)}: {s:+.1f} %, {m:+.2f} K·h a week"
-        f"{escape(': ' + why if why else '')}</title></circle>"
-        for s, m, building, window, price, why in list(
-            zip(saving, more, pairs["building"], pairs["window"], pairs["price"], pairs["why"], strict=True)
-        )[::every]
-    )
-    zero, allowed = axes.x(0.0), axes.y(MORE_DISCOMFORT_KH)
-    lines = (
-        f'<path d="M{zero:.1f} 10V{_HIGH - _BELOW}" stroke="currentColor"/>'
-        f'<path d="M{_LEFT} {allowed:.1f}H{_WIDE - 10}" stroke="currentColor" stroke-dasharray="5 4"/>'
-    )
-    return axes.drawn(marks, "saving, %", "discomfort above, K·h a week", lines)
-
-
-def _colour(why: str) -> str:
-    if not why:
-        return ' fill="#2a78b8"'
-    return ' fill="#c4422b"' if why.startswith("less comfortable") else ' fill="#d29a1c"'
+    for kind, (marker, colour) in _MARKS.items():
+        x, y = (
+            np.clip(of[what == kind][::every], *ends)
+            for of, ends in ((saving, axes.get_xlim()), (more, axes.get_ylim()))
+        )
+        axes.scatter(x, y, s=14, marker=marker, color=colour, alpha=0.6, linewidths=0.8)
+    return _svg(figure)
 
 
 def _cumulative(pairs: pd.DataFrame) -> Markup:
-    savings = 100.0 * pairs["saving"].to_numpy()
-    axes = _Axes(_range(savings, 0.0), (0.0, 100.0))
-    lines = [f'<path d="M{axes.x(0.0):.1f} 10V{_HIGH - _BELOW}" stroke="currentColor"/>']
-    for place, price in enumerate(sorted(pairs["price"].unique())):
+    figure, axes = _drawing("saving of at least, %", "share of runs, %")
+    axes.set(xlim=_range(100.0 * pairs["saving"].to_numpy(), 0.0), ylim=(0.0, 100.0))
+    for price, style in zip(sorted(pairs["price"].unique()), ("-", "--", ":"), strict=False):
         values = np.sort(100.0 * pairs.loc[pairs["price"] == price, "saving"].to_numpy())
-        share = 100.0 * (1.0 - np.arange(values.size) / values.size)
-        points = " ".join(f"{axes.x(v):.1f},{axes.y(s):.1f}" for v, s in zip(values, share, strict=True))
-        colour = ("#2a78b8", "#d29a1c", "#3c9a5f")[place % 3]
-        lines.append(f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="2"/>')
-        at = f'x="{_WIDE - 16}" y="{26 + 16 * place}" text-anchor="end" style="fill:{colour}"'
-        lines.append(f"<text {at}>{escape(price)}</text>")
-    return axes.drawn("", "saving of at least, %", "share of runs, %", "".join(lines))
+        axes.plot(values, 100.0 * (1.0 - np.arange(values.size) / values.size), linestyle=style, label=price)
+    axes.legend(frameon=False)
+    return _svg(figure)

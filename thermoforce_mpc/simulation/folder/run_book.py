@@ -28,6 +28,7 @@ from thermoforce_mpc.simulation.journal.journal import (
     set_aside,
 )
 from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
+from thermoforce_mpc.simulation.journal.parts import unpack
 from thermoforce_mpc.version import VERSION
 
 # It becomes a part of addresses.
@@ -83,6 +84,7 @@ class RunBook:
             StorageError: it cannot be written.
         """
         path = folder / NAME
+        unpack(path)
         text = read_run(path) if since is None else _until(path, since)
         head = text.entries[0]
         with making_sense(head.where):

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shlex
 import zlib
 from collections.abc import Iterator, Mapping
@@ -24,20 +23,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
-from thermoforce_mpc.files import read_pieces, storage_errors, written
-from thermoforce_mpc.simulation.folder.plain_files import open_plain
+from thermoforce_mpc.errors import DataError, StorageError, counted
+from thermoforce_mpc.files import storage_errors, written
+from thermoforce_mpc.simulation.journal.parts import PART_BYTES, JournalError, later_parts, opened, part_of, text_of
 
 NAME = "journal.jsonl"
 FORMAT = 3
-PART_BYTES = 32_000_000
-# A part ends with the record that makes it too long; that of the longest plant's past is some 10 MB.
-_MOST_BYTES = 2 * PART_BYTES + 50_000_000
 _CRC = ',"crc":"'
-
-
-class JournalError(InputError):
-    """A journal is missing, damaged, of another version, or not that of the run it is resumed with."""
 
 
 class DamagedJournal(JournalError):
@@ -67,11 +59,9 @@ class Entry:
         if isinstance(self.told, Mapping):
             return self.told
         try:
-            with os.fdopen(open_plain(self.path, os.O_RDONLY), "rb") as file:
-                file.seek(self.told.start)
-                content: dict[str, Any] = json.loads(file.read(len(self.told)))
-                del content["kind"], content["crc"]
-        except (OSError, ValueError, KeyError) as error:
+            content: dict[str, Any] = json.loads(text_of(self.path, self.told.start, len(self.told)))
+            del content["kind"], content["crc"]
+        except (JournalError, ValueError, KeyError) as error:
             raise JournalError(f"{self.where}: cannot be read any more ({error}); was it changed meanwhile?") from error
         return content
 
@@ -106,11 +96,6 @@ class JournalText(NamedTuple):
     torn: bool
 
 
-def part_of(path: Path, number: int) -> Path:
-    """File of a part of the journal that begins at `path`; the first is 1."""
-    return path if number == 1 else path.with_name(f"{path.stem}.{number:04d}{path.suffix}")
-
-
 class Journal:
     """Appends records to a journal, part by part."""
 
@@ -128,7 +113,7 @@ class Journal:
         self._n, self._part, self._size, self._crc = len(after.entries), after.part, after.size, after.crc
         self.path = part_of(path, self._part)
         """File of the present part."""
-        self._file = _opened(self.path, self._size)
+        self._file = opened(self.path, self._size)
 
     @property
     def records(self) -> int:
@@ -167,7 +152,7 @@ class Journal:
         path = part_of(self._first, self._part + 1)
         with storage_errors(self.path):
             os.fsync(self._file)
-        file = _opened(path, 0)
+        file = opened(path, 0)
         os.close(self._file)
         self._file, self.path, self._part, self._size = file, path, self._part + 1, 0
 
@@ -225,7 +210,7 @@ def read_journal(path: Path, most: int | None = None) -> JournalText:
             line = entries[-1].line + 1 if entries and entries[-1].path == part else 1
             raise _damaged(f"{part}, line {line}: the record is damaged, its checksum does not hold", path, journal)
         if last:
-            if _later_parts(path, number):
+            if later_parts(path, number):
                 raise _damaged(f"{part_of(path, number + 1)}: is not there, but later parts are", path, journal)
             return journal
         number += 1
@@ -239,18 +224,11 @@ def _damaged(what: str, path: Path, good: JournalText) -> DamagedJournal:
     return DamagedJournal(f"{what}; {lost}", good)
 
 
-def _later_parts(path: Path, number: int) -> list[Path]:
-    """The parts after number `number`, in order; there may be gaps."""
-    found = re.compile(rf"{re.escape(path.stem)}\.(\d{{4,}}){re.escape(path.suffix)}")
-    names = [(int(match[1]), part) for part in path.parent.iterdir() if (match := found.fullmatch(part.name))]
-    return [part for n, part in sorted(names) if n > number]
-
-
 def rest_of(path: Path, good: JournalText) -> Iterator[bytes]:
     """What comes after the records of `good` in the journal at `path`, part by part."""
-    yield _content(part_of(path, good.part), good.size)
-    for part in _later_parts(path, good.part):
-        yield _content(part)
+    yield text_of(part_of(path, good.part), good.size)
+    for part in later_parts(path, good.part):
+        yield text_of(part)
 
 
 def set_aside(path: Path, good: JournalText) -> Path:
@@ -263,9 +241,9 @@ def set_aside(path: Path, good: JournalText) -> Path:
     with written(aside, follow=False) as there, there.open("wb") as file:
         file.writelines(rest_of(path, good))
     with storage_errors(path):
-        for part in reversed(_later_parts(path, good.part)):
+        for part in reversed(later_parts(path, good.part)):
             part.unlink()
-        os.close(_opened(part_of(path, good.part), good.size))
+        os.close(opened(part_of(path, good.part), good.size))
     return aside
 
 
@@ -306,25 +284,12 @@ class JournalTail:
 
     def _lines(self, path: Path) -> list[bytes]:
         """The new lines of a part that have an end."""
-        return _content(path, self._at).split(b"\n")[:-1]
-
-
-def _content(path: Path, at: int = 0) -> bytes:
-    """What a part holds from byte `at` on; raises `JournalError` where it cannot be read."""
-    try:
-        with os.fdopen(open_plain(path, os.O_RDONLY), "rb") as file:
-            file.seek(at)
-            content = read_pieces(file, _MOST_BYTES)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise JournalError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
-    if len(content) > _MOST_BYTES:
-        raise JournalError(f"{path}: more than {_MOST_BYTES:,} bytes, longer than any part of a journal")
-    return content
+        return text_of(path, self._at).split(b"\n")[:-1]
 
 
 def _read_part(path: Path, entries: list[Entry], crc: int, most: int | None) -> tuple[int, int, bytes]:
     """Append the records of a part to `entries` until there are `most`; size and checksum at the last, and the rest."""
-    raw, size, line = _content(path), 0, 0
+    raw, size, line = text_of(path), 0, 0
     while len(entries) != most and (end := raw.find(b"\n", size)) >= 0:
         record = _checked_record(raw[size:end], crc, len(entries))
         if record is None:
@@ -333,19 +298,6 @@ def _read_part(path: Path, entries: list[Entry], crc: int, most: int | None) -> 
         entries.append(Entry(line + 1, str(content["kind"]), range(size, end), path))
         size, line = end + 1, line + 1
     return size, crc, raw[size:]
-
-
-def _opened(path: Path, size: int) -> int:
-    """Descriptor of a file to append to, cut to `size` bytes; made where it is not there, in a folder that knows it."""
-    with storage_errors(path):
-        file = open_plain(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-        os.ftruncate(file, size)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-    return file
 
 
 def _checked_record(line: bytes, crc_before: int, n: int) -> tuple[dict[str, Any], int] | None:

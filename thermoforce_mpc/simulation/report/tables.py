@@ -12,6 +12,7 @@ from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.simulation.own_kpis import own_of
 from thermoforce_mpc.simulation.report.courses import Course
+from thermoforce_mpc.simulation.views.whole_tables import figure
 
 KPI_LABELS = {
     "cost_tot": ("Cost", "{currency}/m²"),
@@ -38,14 +39,15 @@ def kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> list
         values = [kpis.get(key) for kpis in everyone.values()]
         if all(value is None for value in values):
             continue
-        rows.append(_row(label, unit.format(currency=currency), values, best=key != "time_rat", bars=key in _BARS))
+        unit = unit.format(currency=currency)
+        rows.append(_row(key, label, unit, values, best=key != "time_rat", bars=key in _BARS))
         if key == "tdis_tot":
             by_zone = {name: zone_kpis(kpis) for name, kpis in everyone.items()}
             for zone in dict.fromkeys(zone for of in by_zone.values() for zone in of):
-                rows.append(_row(f"· {zone}", unit, [by_zone[name].get(zone) for name in everyone]))
+                rows.append(_row(key, f"· {zone}", unit, [by_zone[name].get(zone) for name in everyone]))
     for key in dict.fromkeys(key for kpis in everyone.values() for key in own_of(kpis)):
         label, _, unit = key.rpartition(", ")
-        rows.append(_row(label, unit, [kpis.get(key) for kpis in everyone.values()], best=False))
+        rows.append(_row(key, label, unit, [kpis.get(key) for kpis in everyone.values()], best=False))
     return rows
 
 
@@ -61,13 +63,16 @@ def apart(courses: Mapping[str, Course], kpis: Mapping[str, Mapping[str, float]]
     return differences
 
 
-def _row(label: str, unit: str, values: list[float | None], *, best: bool = True, bars: bool = False) -> dict[str, Any]:
+def _row(
+    key: str, label: str, unit: str, values: list[float | None], *, best: bool = True, bars: bool = False
+) -> dict[str, Any]:
     values = [value if value is not None and np.isfinite(value) else None for value in values]
     numbers = [value for value in values if value is not None]
     return {
         "label": label,
         "unit": unit,
         "values": values,
+        "texts": ["–" if value is None else figure(key, value) for value in values],
         "best": min(numbers) if numbers and best else None,
         "most": max(numbers) if bars and numbers and min(numbers) >= 0 < max(numbers) else None,
     }

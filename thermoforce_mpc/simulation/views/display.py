@@ -19,7 +19,7 @@ from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import Sample, StepRecord
 from thermoforce_mpc.simulation.models.probing import ProbingProgress
 from thermoforce_mpc.simulation.own_kpis import own_of
-from thermoforce_mpc.simulation.views.whole_tables import print_whole
+from thermoforce_mpc.simulation.views.whole_tables import figure, print_whole
 
 Kpis = Callable[[], Mapping[str, float]]
 # Loops that end sooner say nothing of it.
@@ -241,7 +241,7 @@ class RunDisplay:
             table.add_row(
                 f"{name} (gate)" if held and name in held else name,
                 *(
-                    "–" if v is None else _cell(key, v) + ("*" if v == best.get(key) else " ")
+                    "–" if v is None else figure(key, v) + ("*" if v == best.get(key) else " ")
                     for key, v in values.items()
                 ),
             )
@@ -263,8 +263,3 @@ def zone_table(zones: Mapping[str, Mapping[str, float]]) -> Table:
     for controller, of in zones.items():
         table.add_row(controller, *(f"{of[zone]:.2f}" if zone in of else "–" for zone in names))
     return table
-
-
-def _cell(key: str, value: float) -> str:
-    """`value` as text: discomfort to 0.01 K·h, else three digits."""
-    return f"{value:.2f}" if key == "tdis_tot" else f"{value:#.3g}".rstrip(".")

@@ -19,3 +19,8 @@ def print_whole(table: Table, console: Console, *, folded: bool = False) -> None
     """Print a table, wider than a narrow terminal rather than with figures cut off; `folded`: see `width_of`."""
     wide = max(console.width, width_of(table, console, folded=folded))
     Console(file=console.file, highlight=False, markup=False, width=wide).print(table)
+
+
+def figure(key: str, value: float) -> str:
+    """A KPI as text: discomfort to 0.01 K·h, else three digits."""
+    return f"{value:.2f}" if key == "tdis_tot" else f"{value:#.3g}".rstrip(".")
