@@ -142,7 +142,7 @@ def test_everything_that_learning_is_given_is_in_its_key(field, monkeypatch, tmp
     (before,) = expand(BASE, variant, ["44"], ["constant"])
     value = getattr(before.task, field)
     if isinstance(value, BaseModel):
-        name = {"testcase": "floor_area_m2", "plant": "url", "probing": "above_K", "identification": "gamma"}[field]
+        name = {"testcase": "floor_area_m2", "plant": "url", "probing": "excursion_K", "identification": "gamma"}[field]
         changed = value.model_copy(update={name: "http://elsewhere" if name == "url" else 0.9 * getattr(value, name)})
     elif field == "probed":
         (tmp_path / "probing").mkdir()

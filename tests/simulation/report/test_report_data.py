@@ -308,3 +308,13 @@ def test_the_library_goes_with_its_licence(result, tmp_path):
     assert "Leon Sorokin" in licence
     assert "Leon Sorokin" in page
     assert "default-src 'none'" in page
+
+
+def test_what_is_cheap_because_it_is_cold_is_not_marked_as_best():
+    everyone = {
+        "planner": {"cost_tot": 0.6, "tdis_tot": 0.1, "pele_tot": 0.02},
+        "asleep": {"cost_tot": 0.1, "tdis_tot": 141.0, "pele_tot": 0.001},
+        "thermostat": {"cost_tot": 0.7, "tdis_tot": 0.0},
+    }
+    best = {row["label"]: row["best"] for row in kpi_rows(everyone, "EUR")}
+    assert best == {"Cost": 0.6, "Discomfort": 0.0, "Peak of electricity (15 min)": 0.02}

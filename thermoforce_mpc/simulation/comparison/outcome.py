@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -48,6 +49,18 @@ def outcome_rows(records: Iterable[Mapping[str, Any]]) -> list[Row]:
 
 def _most_comparable(least_Kh: float) -> float:
     return max(_COMPARABLE * least_Kh, least_Kh + _COMPARABLE_KH)
+
+
+def best_values(everyone: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """Least of each KPI among the controllers whose discomfort is comparable to the least; of discomfort, of all."""
+    least = min((kpis[DISCOMFORT] for kpis in everyone.values() if DISCOMFORT in kpis), default=math.inf)
+    warm = [kpis for kpis in everyone.values() if kpis.get(DISCOMFORT, least) <= _most_comparable(least)]
+    best: dict[str, float] = {}
+    for kpis in warm:
+        for key, value in kpis.items():
+            if math.isfinite(value):
+                best[key] = min(value, best.get(key, math.inf))
+    return best
 
 
 def ranked(rows: Iterable[Row]) -> list[Row]:

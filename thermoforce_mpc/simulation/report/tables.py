@@ -10,6 +10,7 @@ import numpy as np
 from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
+from thermoforce_mpc.simulation.comparison.outcome import best_values
 from thermoforce_mpc.simulation.own_kpis import own_of
 from thermoforce_mpc.simulation.report.courses import Course
 from thermoforce_mpc.simulation.views.whole_tables import figure
@@ -33,21 +34,25 @@ _NOTABLE = tuple(status for status in PlanStatus if status.fallen_back or status
 
 
 def kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> list[dict[str, Any]]:
-    """One row per KPI, with the best value of the row, and the largest where it is shown as bars."""
-    rows = []
+    """One row per KPI, with the best value of the row (`best_values`), and the largest where it is shown as bars."""
+    rows, best = [], {key: value for key, value in best_values(everyone).items() if key != "time_rat"}
     for key, (label, unit) in KPI_LABELS.items():
         values = [kpis.get(key) for kpis in everyone.values()]
         if all(value is None for value in values):
             continue
         unit = unit.format(currency=currency)
-        rows.append(_row(key, label, unit, values, best=key != "time_rat", bars=key in _BARS))
+        rows.append(
+            _row(key, label, unit, values, best=best.get(key) if key != "time_rat" else None, bars=key in _BARS)
+        )
         if key == "tdis_tot":
             by_zone = {name: zone_kpis(kpis) for name, kpis in everyone.items()}
             for zone in dict.fromkeys(zone for of in by_zone.values() for zone in of):
-                rows.append(_row(key, f"· {zone}", unit, [by_zone[name].get(zone) for name in everyone]))
+                of_zone = [by_zone[name].get(zone) for name in everyone]
+                least = min((v for v in of_zone if v is not None and np.isfinite(v)), default=None)
+                rows.append(_row(key, f"· {zone}", unit, of_zone, best=least))
     for key in dict.fromkeys(key for kpis in everyone.values() for key in own_of(kpis)):
         label, _, unit = key.rpartition(", ")
-        rows.append(_row(key, label, unit, [kpis.get(key) for kpis in everyone.values()], best=False))
+        rows.append(_row(key, label, unit, [kpis.get(key) for kpis in everyone.values()]))
     return rows
 
 
@@ -64,7 +69,7 @@ def apart(courses: Mapping[str, Course], kpis: Mapping[str, Mapping[str, float]]
 
 
 def _row(
-    key: str, label: str, unit: str, values: list[float | None], *, best: bool = True, bars: bool = False
+    key: str, label: str, unit: str, values: list[float | None], *, best: float | None = None, bars: bool = False
 ) -> dict[str, Any]:
     values = [value if value is not None and np.isfinite(value) else None for value in values]
     numbers = [value for value in values if value is not None]
@@ -73,7 +78,7 @@ def _row(
         "unit": unit,
         "values": values,
         "texts": ["–" if value is None else figure(key, value) for value in values],
-        "best": min(numbers) if numbers and best else None,
+        "best": best,
         "most": max(numbers) if bars and numbers and min(numbers) >= 0 < max(numbers) else None,
     }
 

@@ -17,6 +17,7 @@ from boptest_client import safe_text
 from thermoforce_mpc.data import DAY_S, Period, PlanStatus
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import Sample, StepRecord
+from thermoforce_mpc.simulation.comparison.outcome import best_values
 from thermoforce_mpc.simulation.models.probing import ProbingProgress
 from thermoforce_mpc.simulation.own_kpis import own_of
 from thermoforce_mpc.simulation.views.whole_tables import figure, print_whole
@@ -221,18 +222,16 @@ class RunDisplay:
         currency: str,
         held: Mapping[str, str] | None = None,
     ) -> None:
-        """Print one row of KPIs per controller; an asterisk marks the best of each column.
+        """Print one row of KPIs per controller; an asterisk marks the best of each column, of cost and the
+        like among those as comfortable.
 
         `held` says by controller that the competence gate held, and why: such a row is marked `gate`.
         """
         table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
         table.add_column("controller", no_wrap=True)
-        best: dict[str, float] = {}
-        for key, label in KPI_COLUMNS.items():
+        best = best_values(everyone)
+        for label in KPI_COLUMNS.values():
             table.add_column(label.format(currency=currency), justify="right")
-            finite = [kpis[key] for kpis in everyone.values() if np.isfinite(kpis.get(key, np.nan))]
-            if finite:
-                best[key] = min(finite)
         own = list(dict.fromkeys(key for kpis in everyone.values() for key in own_of(kpis)))
         for key in own:
             table.add_column(key.replace(", ", "\n"), justify="right")
@@ -241,7 +240,7 @@ class RunDisplay:
             table.add_row(
                 f"{name} (gate)" if held and name in held else name,
                 *(
-                    "–" if v is None else figure(key, v) + ("*" if v == best.get(key) else " ")
+                    "–" if v is None else figure(key, v) + ("*" if key in KPI_COLUMNS and v == best.get(key) else " ")
                     for key, v in values.items()
                 ),
             )
