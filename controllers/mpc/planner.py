@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -24,6 +25,7 @@ from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
+_LOG = logging.getLogger(__name__)
 # Zones up to which Ipopt solves a step well within 50 ms.
 _ZONES_FOR_IPOPT = 2
 
@@ -64,7 +66,11 @@ def build_solver(config: MPCConfig, operator: BuildingOperator, shape: ProblemSh
         "sqp": lambda: SQPSolver(operator, shape, config.sqp, config.qp, ipopt),
         "milp": lambda: MilpSolver(operator, shape, config.milp, config.qp),
     }
-    return build[chosen_solver(config, operator, shape)]()
+    name = chosen_solver(config, operator, shape)
+    if config.solver == "auto":
+        choices = "with" if shape.needs_choices else "without"
+        _LOG.info("solver %s, by auto for %d zone(s) %s choices between levels", name, len(operator.zones), choices)
+    return build[name]()
 
 
 def chosen_solver(config: MPCConfig, operator: BuildingOperator, shape: ProblemShape) -> str:

@@ -107,7 +107,8 @@ def test_it_starts_from_the_relaxation_rounded_within_exclusion():
     assert (on[:, 0].max(), on[:, 1].max()) == (1.0, 1.0)
 
 
-def test_auto_chooses_it_for_actuators_that_exclude_one_another():
+def test_auto_chooses_it_for_actuators_that_exclude_one_another_and_logs_what_it_chose(caplog):
+    caplog.set_level("INFO", "controllers")
     rng = np.random.default_rng(8)
     config, (operator, problem) = MPCConfig(step_s=3600.0, horizon_h=12.0), either(rng)
     built = build_solver(config, operator, plan_shape(config, operator, problem.machinery))
@@ -119,5 +120,10 @@ def test_auto_chooses_it_for_actuators_that_exclude_one_another():
     three = random_building(rng, 3, (1, 1, 1))
     shape = ProblemShape(every_step(N), machinery_of(three, (0, 1, 2), lowest_level=np.array([0.3, 1.0, 0.4])))
     assert isinstance(build_solver(config, three, shape), QPSolver)
+    assert caplog.messages == [
+        "solver milp, by auto for 2 zone(s) with choices between levels",
+        "solver ipopt, by auto for 1 zone(s) without choices between levels",
+        "solver qp, by auto for 3 zone(s) without choices between levels",
+    ]
     with pytest.raises(ControllerConfigError, match=r"known for a lowest level of 0\.3, not 0\.5"):
         build_solver(config, stepped, plan_shape(config, stepped, EquipmentLayout.one(lowest_level=0.5)))
