@@ -111,21 +111,21 @@ def _trained_on_pairs(
                     "seconds": seconds,
                 }
             )
-    chosen, first = worst["heat", "auto", "auto"], worst["heat", "1", "auto"]
+    chosen, first = worst["auto", "auto", "auto"], worst["auto", "1", "auto"]
     targets = [
         Target("pairs: effect RMSE of the selected operator, K", chosen.rmse_K, _PAIRS_GOAL_K),
         Target("pairs: sign accuracy of the selected operator", chosen.sign_accuracy, _SIGN_GOAL, "at least"),
         Target("pairs: RMSE against first order on the same input", chosen.rmse_K / first.rmse_K, _AGAINST_FIRST_ORDER),
     ]
-    for heat_input in ("heat", "identity"):
+    for heat_input in ("auto", "identity"):
         neural, linear = (worst[heat_input, "auto", gain].rmse_K for gain in ("auto", "linear"))
         name = f"pairs: neural against linear gain on {INPUT_NAMES[heat_input]}"
         targets.append(Target(name, neural / linear, NEURAL_PENALTY))
     return rows, targets
 
 
-def _variants() -> Iterator[tuple[Literal["identity", "heat"], Literal["auto", 1], Literal["auto", "linear"]]]:
-    for heat_input in ("identity", "heat"):
+def _variants() -> Iterator[tuple[Literal["identity", "auto"], Literal["auto", 1], Literal["auto", "linear"]]]:
+    for heat_input in ("identity", "auto"):
         for order in (1, "auto"):
             for modulation in ("linear", "auto"):
                 yield heat_input, order, modulation

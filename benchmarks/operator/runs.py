@@ -21,7 +21,7 @@ from thermoforce_mpc.simulation.comparison.results_json import Target
 # Targets, K unless stated otherwise.
 _FEW_SHOT_GOALS_K = {1: 0.12, 3: 0.08}
 NEURAL_PENALTY = 1.02
-INPUT_NAMES = {"heat": "heat", "identity": "u"}
+INPUT_NAMES = {"auto": "auto", "identity": "u"}
 
 _DAYS = (1, 3, 7, 27)
 # Number of days from which the neural gain shall be better than the linear one, and the required ratio.
@@ -41,8 +41,8 @@ def few_shot(
     rows: list[Row] = []
     targets: list[Target] = []
     for days in _DAYS:
-        # Input heat always; input u (as in the paper) only with enough days to train a network.
-        inputs = ("heat", "identity") if days >= _MANY_DAYS else ("heat",)
+        # The input of the default always; input u (as in the paper) only with enough days to train a network.
+        inputs = ("auto", "identity") if days >= _MANY_DAYS else ("auto",)
         found: dict[tuple[str, str], list[PairScores]] = {(i, g): [] for i in inputs for g in ("linear", "auto")}
         found["identity", "two-stage, order 1"] = []
         refused = 0
@@ -66,10 +66,10 @@ def few_shot(
             if paper is not None:
                 found["identity", "two-stage, order 1"].append(paper)
         rows += [_summary(days, given, gain, scores, refused) for (given, gain), scores in found.items() if scores]
-        if not found["heat", "auto"]:
+        if not found["auto", "auto"]:
             continue
         if days in _FEW_SHOT_GOALS_K:
-            errors = np.array([s.rmse_K for s in found["heat", "auto"]])
+            errors = np.array([s.rmse_K for s in found["auto", "auto"]])
             goal = _FEW_SHOT_GOALS_K[days]
             targets += [
                 Target(f"{days} days of one run: median effect RMSE, K", float(np.median(errors)), goal),
@@ -88,7 +88,7 @@ def few_shot(
 def under_feedback(
     runs: dict[str, Record], pairs: Sequence[ReferencePair], quick: bool, say: Callable[[str], None]
 ) -> tuple[list[Row], list[Target]]:
-    """Rows and targets for K days of a run under the native controller (feedback); input heat, linear gain."""
+    """Rows and targets for K days of a run under the native controller (feedback); linear gain."""
     rows: list[Row] = []
     for days in _DAYS:
         scores, refused = [], 0
@@ -104,7 +104,7 @@ def under_feedback(
                 continue
             scores.append(score_pairs(model.only.operator, pairs))
         if scores:
-            rows.append(_summary(days, "heat", "linear", scores, refused) | {"part": "under feedback"})
+            rows.append(_summary(days, "auto", "linear", scores, refused) | {"part": "under feedback"})
     return rows, []
 
 

@@ -78,7 +78,7 @@ def test_bench_tells_rows_and_targets(reference):
     rows = {
         (r.get("input"), r.get("gain"), r.get("order")): r for r in result["rows"] if r["part"] == "trained on pairs"
     }
-    third, first = rows["heat", "linear", 3], rows["heat", "linear", 1]
+    third, first = rows["auto", "linear", 3], rows["auto", "linear", 1]
     # The house is of third order and its heat is measured exactly.
     assert third["rmse_K"] < 0.3 * first["rmse_K"]
     assert {r["part"] for r in result["rows"]} >= {"trained on pairs", "one run", "speed"}

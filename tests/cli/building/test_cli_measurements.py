@@ -240,9 +240,9 @@ def test_a_plan_refuses_what_does_not_belong_together(folder, model):
 
 @pytest.mark.slow
 def test_a_band_that_held_nothing_is_a_warning(folder, model, tmp_path):
-    """A room that is 5 K warmer than it was from the start of the forecast on."""
+    """A room that is 5 K warmer than it was from an hour after the start of the forecast on."""
     table = pd.read_csv(folder / "probed.csv")
-    table.loc[table["when"] > "2025-01-22 12:00", "room_K"] += 5.0
+    table.loc[table["when"] > "2025-01-22 13:00", "room_K"] += 5.0
     table.to_csv(tmp_path / "warm.csv", index=False)
     said = {}
     for name, file in (("as it was", folder / "probed.csv"), ("warmer", tmp_path / "warm.csv")):
