@@ -132,6 +132,12 @@ def test_cells_beside_thermostats_are_searched_once(tmp_path, monkeypatch):
     assert search.beside(cells, records)[1]["equal_comfort"] == found
 
 
+def test_a_thermostat_that_was_not_moved_is_at_its_set_point():
+    moved, still = (AsComfortable(K, {"cost_tot": 0.5, "tdis_tot": 0.1}, True) for K in (-0.1, 0.0))
+    assert moved.in_words(0.4, "EUR").startswith("20.0% less than a thermostat -0.10 K from its set-point (0.5000 EUR")
+    assert still.in_words(0.4, "EUR").startswith("20.0% less than a thermostat at its set-point (0.5000 EUR")
+
+
 @pytest.mark.slow
 def test_a_run_says_what_it_saves_at_equal_comfort(tmp_path):
     words = ["--testcase", TESTCASE, "--days", "0.5", "--set", "identification.days=1.5", "--out", str(tmp_path / "r")]
@@ -139,7 +145,7 @@ def test_a_run_says_what_it_saves_at_equal_comfort(tmp_path):
     assert done.exit_code == 0, done.output
     said = json.loads((tmp_path / "r" / "kpis.json").read_text())["equal_comfort"]
     assert re.match(
-        r"thermoforce_mpc costs [\d.]+% (less|more) than a thermostat [+-]\d\.\d\d K from its set-point", said
+        r"thermoforce_mpc costs [\d.]+% (less|more) than a thermostat ([+-]\d\.\d\d K from|at) its set-point", said
     )
     assert said in done.output
     assert said in (tmp_path / "r" / "report.html").read_text()

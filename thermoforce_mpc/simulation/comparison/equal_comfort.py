@@ -47,7 +47,8 @@ class AsComfortable:
     def in_words(self, cost: float, currency: str) -> str:
         """What it is beside a controller of this `cost`."""
         kpis = self.kpis
-        what = f"a thermostat {self.shift_K:+.2f} K from its set-point ({kpis[COST]:.4f} {currency}/m², "
+        at = f"{self.shift_K:+.2f} K from" if self.shift_K else "at"
+        what = f"a thermostat {at} its set-point ({kpis[COST]:.4f} {currency}/m², "
         what += f"{kpis[DISCOMFORT]:.2f} K·h)"
         saving = self.saving(cost)
         less = f"{abs(saving):.1%} {'less' if saving >= 0.0 else 'more'} than {what}"

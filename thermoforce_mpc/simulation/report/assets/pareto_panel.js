@@ -69,9 +69,11 @@ const ParetoPanel = (() => {
     }
 
     axes(svg, width, xs, ys, x, y) {
-      const marks = this.view.logarithmic ? ROUND : ticks(Math.max(0, xs[0]), xs[1]);
+      const seen = (value) => this.warped(value) >= xs[0] && this.warped(value) <= xs[1];
+      const [least, most] = this.view.logarithmic ? xs.map((at) => STRAIGHT * Math.sinh(at)) : xs, round = ROUND.filter(seen);
+      const marks = this.view.logarithmic && round.length > 2 ? round : ticks(Math.max(0, least), most).filter(seen);
       let before = -Infinity;
-      for (const at of marks.filter((value) => this.warped(value) >= xs[0] && this.warped(value) <= xs[1])) {
+      for (const at of marks) {
         if (x(at) - before < 34) continue;
         before = x(at);
         svg.append(drawn("line", { class: "grid", x1: before, x2: before, y1: TOP, y2: HEIGHT - BOTTOM }));
