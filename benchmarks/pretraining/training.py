@@ -20,6 +20,7 @@ from benchmarks.pretraining.groups import attend_within_groups
 from benchmarks.pretraining.model import CONTEXT, HORIZON, PATCH, build_model, build_weather_model
 from benchmarks.pretraining.series import Batch, courses, draw_batch
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.model.free_response.backbones.base import COVARIATES
 
 # Targets further than this many standard deviations of the context away are masked: they would dominate the loss.
@@ -178,7 +179,7 @@ def weights_sha256(checkpoint: Path) -> str:
     path = checkpoint / "model.safetensors"
     if not path.is_file():
         raise ConfigError(f"{checkpoint} holds no model.safetensors to start from")
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return file_sha256(path)
 
 
 def _start_from(model: Any, checkpoint: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -104,7 +105,7 @@ class Answer:
     gap: float = 0.0
 
 
-class StatementSolver:
+class StatementSolver(ABC):
     """Solves the statement of one operator and shape; a subclass says how.
 
     Args:
@@ -143,9 +144,9 @@ class StatementSolver:
         if self._fallback is not None:
             yield self._fallback().solve(problem, guess)
 
+    @abstractmethod
     def _answers(self, p: Array, guess: Array | None) -> Iterator[Answer]:
         """What the method answers at parameters `p`; a further answer is asked for where one is not the optimum."""
-        raise NotImplementedError
 
 
 def first_of(solutions: Iterable[Solution]) -> Solution:

@@ -116,8 +116,6 @@ def _build_programme(s: Structure) -> tuple[dict[str, Any], list[ca.Function]]:
 
 def _stated(s: Structure) -> tuple[Stated, Algebra, ca.SX]:
     """The statement, its variables and its parameters."""
-    q, alg = (
-        {name: ca.SX.sym(name, *size) for name, size in parameter_sizes(s).items()},
-        Algebra(ca.SX.sym("u", s.A, s.N)),
-    )
+    q = {name: ca.SX.sym(name, *size) for name, size in parameter_sizes(s).items()}
+    alg = Algebra(ca.SX.sym("u", s.A, s.N))
     return state(alg, q, s), alg, ca.veccat(*q.values())

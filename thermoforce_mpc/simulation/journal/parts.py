@@ -52,8 +52,7 @@ def pack(path: Path) -> None:
         StorageError: it cannot be written.
     """
     for part in (part_of(path, 1), *later_parts(path, 1)):
-        content = text_of(part)
-        if part.suffix != _PACKED and len(content) > PACKED_BYTES:
+        if part.suffix != _PACKED and len(content := text_of(part)) > PACKED_BYTES:
             write_plain(part.with_name(part.name + _PACKED), gzip.compress(content))
             _remove(part)
 

@@ -41,9 +41,7 @@ def kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> list
         if all(value is None for value in values):
             continue
         unit = unit.format(currency=currency)
-        rows.append(
-            _row(key, label, unit, values, best=best.get(key) if key != "time_rat" else None, bars=key in _BARS)
-        )
+        rows.append(_row(key, label, unit, values, best=best.get(key), bars=key in _BARS))
         if key == "tdis_tot":
             by_zone = {name: zone_kpis(kpis) for name, kpis in everyone.items()}
             for zone in dict.fromkeys(zone for of in by_zone.values() for zone in of):
