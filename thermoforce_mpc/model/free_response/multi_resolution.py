@@ -51,12 +51,14 @@ def resolutions_of(
     """
     n = len(ahead_weather)
     stride = max(1, int((HOUR_S + 1e-6) // step_s))
-    hourly = _at_resolution(free_C, past_weather, ahead_weather, stride=stride, longest=longest, ahead=n)
-    if stride == 1 or np.isfinite(hourly.context.free_C).sum() < FEWEST_VALUES:
-        return [own_resolution(free_C, past_weather, ahead_weather, longest)]
-    # Steps beyond one output patch are left to the hourly one.
-    ahead = min(n, _AT_ONCE)
-    return [_at_resolution(free_C, past_weather, ahead_weather, stride=1, longest=longest, ahead=ahead), hourly]
+    if stride > 1:
+        hourly = _at_resolution(free_C, past_weather, ahead_weather, stride=stride, longest=longest, ahead=n)
+        if np.isfinite(hourly.context.free_C).sum() >= FEWEST_VALUES:
+            # Steps beyond one output patch are left to the hourly one.
+            ahead = min(n, _AT_ONCE)
+            own = _at_resolution(free_C, past_weather, ahead_weather, stride=1, longest=longest, ahead=ahead)
+            return [own, hourly]
+    return [own_resolution(free_C, past_weather, ahead_weather, longest)]
 
 
 def _at_resolution(
