@@ -128,8 +128,10 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
             by_stationary = share * stationary * slopes.P0[room.disturbances]
             gradient = gradient + room.noise_slopes(Q, share * slopes.Q, by_stationary, reading * slopes.R)
         # The derivative of an exponential is a block of one twice as large (Van Loan 1978).
-        none = np.zeros_like(whole)
-        by_matrix = expm(np.block([[whole.T, by_transition * step_h], [none, whole.T]]))[:n, size:]
+        twice = np.zeros((2 * size, 2 * size))
+        twice[:size, :size] = twice[size:, size:] = whole.T
+        twice[:size, size:] = by_transition * step_h
+        by_matrix = expm(twice)[:n, size:]
         gradient = gradient + room.slopes(theta, equations, by_matrix)
     return value, gradient
 
