@@ -21,13 +21,11 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.confounding import confounding, shared_sd
 from thermoforce_mpc.identification.effects.couplings import (
     assembled,
-    other_actuators,
     others_of,
     with_metered_shares,
 )
 from thermoforce_mpc.identification.effects.level_laws import OUTDOORS, levels_only, outdoors_in_words, weather_of
 from thermoforce_mpc.identification.effects.own_power import foreign_loads, without_foreign
-from thermoforce_mpc.identification.estimation.joint import JointFit
 from thermoforce_mpc.identification.estimation.records import (
     Pair,
     check_pairs,
@@ -156,7 +154,7 @@ def identify(
             [p.part(home, order, [layout.machine_of[a]]) for p in pairs],
             heat_inputs[a],
             layout.signs[a],
-            other_actuators(layout, heat_inputs, a, config),
+            [layout.signs[b] for b in order[1:]],
             step_s,
             source,
             data,
@@ -169,7 +167,6 @@ def identify(
         data_of.append(zone_data)
     effects = zone_effects(runs, pairs, layout, data_of, config, say)
     zones: list[ZoneModel] = []
-    fits: list[JointFit | None] = []
     for a, zone_data in enumerate(data_of):
         prefix, advice = _message_prefix(layout, a), ""
 
@@ -179,12 +176,12 @@ def identify(
         if levels_only(heat_inputs[a], layout, a, config):
             zone_data, advice = _with_unknown_heat(zone_data, runs, layout, a, effects[a], config)
         try:
-            zone, fit = identify_zone(zone_data, effects[a], tell)
+            zone = identify_zone(zone_data, effects[a], tell)
         except DataError as error:
             raise DataError("; ".join([f"{prefix}{error}", *doubts])) from error
         zones.append(_barred(_with_advice(zone, advice), a, said))
-        fits.append(fit)
-    return assembled(layout, zones, fits, power, config)
+    others = [of_zone.known[1:] if of_zone else [] for of_zone in effects]
+    return assembled(layout, zones, others, power, config)
 
 
 def _doubts(runs: Sequence[Record], layout: Layout) -> list[Remark]:
