@@ -62,9 +62,9 @@ def _covariance(regression: RegressionData, free: RcParameters) -> Array:
     fading = a ** rows[:, None]
     # Covariance of each mode with the temperature, both at the earlier of two rows.
     now = fading * (fading @ (free.start_K2 - stationary)) + stationary.sum(axis=0)
-    apart = np.abs(rows[:, None] - rows)
+    apart, lags = np.abs(rows[:, None] - rows), np.arange(rows[-1] - rows[0] + 1)
     earlier = np.minimum(np.arange(rows.size)[:, None], np.arange(rows.size))
     total = free.sensor_sd_K**2 * np.eye(rows.size)
     for mode, pole in enumerate(a):
-        total += pole**apart * now[earlier, mode]
+        total += (pole**lags)[apart] * now[:, mode][earlier]
     return np.asarray(total)

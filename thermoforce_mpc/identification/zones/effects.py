@@ -85,12 +85,12 @@ def zone_effects(
         order, k = [a, *others_of(layout, a, config)], layout.actuators_of(home).index(a)
         signs, folds = np.array([layout.signs[b] for b in order]), {}
         for fold, fit in by_fold.items():
-            room = fit.rooms[home]
             modes = projected(fit.responses[home, order], 0, signs, config.modes)
-            without = room.without(k)
-            folds[fold] = Effects(modes, tuple(inputs[fold][b] for b in order), free_part(room), free_part(without))
+            without = fit.without(home, k)
+            free, alone = free_part(fit, home), free_part(without, home)
+            folds[fold] = Effects(modes, tuple(inputs[fold][b] for b in order), free, alone)
         of_responses = whole.covariance[home, order]
-        log_odds = without.value - room.value
+        log_odds = without.rooms[home].value - whole.rooms[home].value
         training, earlier = folds["training"], folds.get("earlier", folds["training"])
         effects.append(ZoneEffects(folds["whole"], training, earlier, of_responses, estimates[a], log_odds))
     return effects

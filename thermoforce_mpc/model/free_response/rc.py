@@ -69,7 +69,7 @@ class RcParameters:
                 raise DataError(f"free model: {name} is {array.tolist()}, expected finite numbers of shape {shape}")
             array.setflags(write=False)
             object.__setattr__(self, name, array)
-            if shape == (q, q) and np.linalg.eigvalsh(array)[0] < -_ROUNDING * np.abs(array).max():
+            if name.endswith("_K2") and np.linalg.eigvalsh(array)[0] < -_ROUNDING * np.abs(array).max():
                 raise DataError(f"free model: {name} is {array.tolist()}, which is no covariance")
         if not ((self.poles > 0) & (self.poles < 1)).all():
             raise DataError(f"free model: poles {self.poles.tolist()} leave (0, 1)")
