@@ -14,14 +14,12 @@ from benchmarks.operator.speed import Comparison, median_s, must_agree, random_o
 from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.disturbance import Disturbance
-from thermoforce_mpc.identification.estimation.likelihood import Residuals
 from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.estimation.regression import RegressionData
+from thermoforce_mpc.identification.estimation.rest import Rest
 from thermoforce_mpc.identification.modulation.misfit import Misfit, TrainingData
 from thermoforce_mpc.identification.modulation.training import minimise
 from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
-from thermoforce_mpc.model.free_response.rc import INPUTS
 from thermoforce_mpc.model.operator import OperatorParameters
 
 # Noise of the synthetic targets, K, so that the final loss is not zero.
@@ -47,12 +45,9 @@ class _Task:
             clean = torch.stack(self._states(ForcedResponseOperator(random_operator(3, 7))), dim=1)
         self.target = clean + _NOISE_K * torch.tensor(rng.normal(size=(rollouts, n_steps)))
         rows = np.arange(1, n_steps + 1)
-        disturbance = Disturbance.independent(np.asarray(rows * base.step_s), 1.0)
         data = [
             TrainingData(
-                RegressionData(target, rows, disturbance, base.step_s, ((1, v),), np.empty((0, len(INPUTS)))),
-                (x,),
-                Residuals(np.zeros(n_steps), np.empty((n_steps, 0)), disturbance),
+                RegressionData(target, rows, base.step_s, ((1, v),)), (x,), Rest(np.zeros(n_steps), np.eye(n_steps))
             )
             for target, v, x in zip(self.target.numpy(), heat, features, strict=True)
         ]

@@ -50,7 +50,7 @@ def check_kept(state, tmp_path):
 
 def model():
     """The exact model of the house, with a linear free part."""
-    rc = RcParameters(np.array([0.99]), np.full((1, 8), 0.01), HOUR_S, np.array([0.05]), 0.02)
+    rc = RcParameters(np.array([0.99]), np.full((1, 8), 0.01), HOUR_S, np.array([[0.0025]]), np.eye(1), 0.02)
     return replace(simple_model(), free=(rc,))
 
 

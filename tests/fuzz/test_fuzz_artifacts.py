@@ -34,7 +34,7 @@ def folder(tmp_path_factory):
         notes=("one",),
         competence=Competence(True, ("x",), (), (HorizonScore(1.0, 0.1, 0.2, 0.3, 2.0, 9),), 1.0, 0.1, 1.0, 0.5, 24.0),
     )
-    free = RcParameters(np.array([0.5, 0.98]), np.ones((2, 8)), 3600.0, np.array([0.05, 0.01]))
+    free = RcParameters(np.array([0.5, 0.98]), np.ones((2, 8)), 3600.0, np.diag([0.0025, 1e-4]), np.eye(2))
     assert HEAT_MAP.heat is not None
     power = PowerModel(HEAT_MAP.heat, 12.0, 0.99, "fitted", ReturnWater(0.01, 30.0, (20.0, 45.0), 8.0), HEAT_MAP.heat)
     model = ThermalModel.single(random_operator(1, 3, heat_input=HEAT_MAP), power, free, card)

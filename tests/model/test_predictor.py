@@ -245,7 +245,8 @@ RC = RcParameters(
     poles=np.array([0.6, 0.985]),
     weights=np.array([[0.05, 5e-4, 1.0, 1e-4, -1e-4, 0.02, 0.01, 1e-4], [0.006, 1e-4, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]]),
     step_s=STEP,
-    process_sd_K=np.array([0.02, 0.01]),
+    process_K2=np.diag([4e-4, 1e-4]),
+    start_K2=100.0 * np.eye(2),
 )
 
 

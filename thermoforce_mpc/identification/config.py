@@ -17,7 +17,7 @@ class IdentificationConfig(StrictModel):
 
     method: Literal["joint", "two_stage"] = Field(
         "joint",
-        description="joint fit of free and forced part, or the paper's two stages (order 1; pairs train it further)",
+        description="effects and free part by one network, or the paper's two stages (order 1; pairs train it)",
     )
     order: Literal["auto", 1, 2, 3] = Field(
         "auto", description="modes of the operator; auto: 3, with method two_stage 1"

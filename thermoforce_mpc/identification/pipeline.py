@@ -7,8 +7,9 @@ operator of the building. All steps are deterministic for a given seed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -21,13 +22,11 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.confounding import confounding, shared_sd
 from thermoforce_mpc.identification.effects.couplings import (
     assembled,
-    other_actuators,
     others_of,
     with_metered_shares,
 )
 from thermoforce_mpc.identification.effects.level_laws import OUTDOORS, levels_only, outdoors_in_words, weather_of
 from thermoforce_mpc.identification.effects.own_power import foreign_loads, without_foreign
-from thermoforce_mpc.identification.estimation.joint import JointFit
 from thermoforce_mpc.identification.estimation.records import (
     Pair,
     check_pairs,
@@ -102,89 +101,117 @@ def identify(
     if not runs and not pairs:
         raise DataError("nothing to identify from: give at least one run or pair")
     if layout is None:
-        names = (runs[0] if runs else pairs[0].a).names
-        if not names.single:
-            raise DataError(f"the records have {names}: say what acts where (layout)")
-        layout = replace(Layout.single(mode, lowest, floor_area_m2), names=names)
-    _check_names(layout, [*runs, *(h for p in pairs for h in (p.a, p.b))])
-    labels = [f"run {i}" if len(runs) > 1 else "run" for i in range(len(runs))]
-    data = {name: data_hash(h) for name, h in named(labels, runs, pairs)}
-    area_m2 = float(np.sum(layout.floor_area_m2))
-    allowed = Limits.of(None, area_m2 if np.isfinite(area_m2) else None, min(layout.lowest))
-    runs, gaps = prepared_runs(runs, allowed)
-    said = _doubts(runs, layout)
-    doubts = [remark.in_words() for remark in said]
-    pairs, pair_gaps = prepared_pairs(pairs, allowed)
-    if pairs:
-        check_pairs(pairs)
-    histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
-    check_steps(histories)
-    foreign = foreign_loads(histories, layout)
-    histories = [without_foreign(h, foreign) for h in histories]
-    runs = histories[: len(runs)]
-
-    heat_inputs: list[HeatInput] = []
-    notes: list[list[str]] = []
-    for a, (sign, home) in enumerate(zip(layout.signs, layout.home, strict=True)):
-        parts = [h.part(home, [a], [layout.machine_of[a]]) for h in histories]
-        try:
-            heat_input, heat_notes = identified_heat_input(
-                parts, config, sign, layout.lowest[a], alone=len(layout.home) == 1
-            )
-        except DataError as error:
-            raise DataError("; ".join([f"{_message_prefix(layout, a)}{error}", *doubts])) from error
-        heat_inputs.append(heat_input)
-        notes.append([*doubts, *gaps, *pair_gaps, *heat_notes])
-    layout = with_metered_shares(layout, heat_inputs, histories)
-    runs, sun = without_sun(runs, layout, heat_inputs, config)
-    power, unfitted = _powers(histories, config, layout, foreign)
-    for a, m in enumerate(layout.machine_of):
-        law = power[m]
-        other = foreign[m]
-        notes[a] += [] if other is None else [f"power of {layout.names.machines[m]}: {other.in_words()}"]
-        if m in unfitted:
-            notes[a].append(unfitted[m])
-        notes[a] += unexplained(law, layout.names.machines[m])
-        if law is not None and law.cooling is not None and len(layout.fed_by(m)) > 1:
-            notes[a].append(f"power of {layout.names.machines[m]}: {law.source}")
+        layout = _one_zone(runs, pairs, Layout.single(mode, lowest, floor_area_m2))
+    records = _prepared(runs, pairs, layout)
+    inputs = [_heat_input(records, layout, a, config) for a in range(len(layout.home))]
+    heat_inputs, notes = [v for v, _ in inputs], [[*records.notes, *said] for _, said in inputs]
+    layout = with_metered_shares(layout, heat_inputs, records.histories)
+    runs, sun = without_sun(records.runs, layout, heat_inputs, config)
+    power, of_power = _powers(records, config, layout)
     data_of = []
     for a, home in enumerate(layout.home):
-        order = [a, *others_of(layout, a, config)]
+        m, order = layout.machine_of[a], [a, *others_of(layout, a, config)]
         zone_data = ZoneData(
             config,
-            [h.part(home, order, [layout.machine_of[a]]) for h in runs],
-            [p.part(home, order, [layout.machine_of[a]]) for p in pairs],
+            [h.part(home, order, [m]) for h in runs],
+            [p.part(home, order, [m]) for p in records.pairs],
             heat_inputs[a],
             layout.signs[a],
-            other_actuators(layout, heat_inputs, a, config),
+            [layout.signs[b] for b in order[1:]],
             step_s,
             source,
-            data,
-            [*notes[a], *([sun[home].in_words()] if home in sun else [])],
-            power[layout.machine_of[a]] if len(layout.fed_by(layout.machine_of[a])) == 1 else None,
+            records.hashes,
+            [*notes[a], *of_power[m], *([sun[home].in_words()] if home in sun else [])],
+            power[m] if len(layout.fed_by(m)) == 1 else None,
             alone=len(layout.home) == 1,
             sun=sun.get(home),
             area_m2=float(layout.floor_area_m2[home]),
         )
         data_of.append(zone_data)
-    effects = zone_effects(runs, pairs, layout, data_of, config, say)
-    zones: list[ZoneModel] = []
-    fits: list[JointFit | None] = []
+    effects = zone_effects(runs, records.pairs, layout, data_of, config, say)
+    zones = []
     for a, zone_data in enumerate(data_of):
-        prefix, advice = _message_prefix(layout, a), ""
-
-        def tell(text: str, prefix: str = prefix) -> None:
-            say(prefix + text)
-
+        advice = ""
         if levels_only(heat_inputs[a], layout, a, config):
             zone_data, advice = _with_unknown_heat(zone_data, runs, layout, a, effects[a], config)
-        try:
-            zone, fit = identify_zone(zone_data, effects[a], tell)
-        except DataError as error:
-            raise DataError("; ".join([f"{prefix}{error}", *doubts])) from error
-        zones.append(_barred(_with_advice(zone, advice), a, said))
-        fits.append(fit)
-    return assembled(layout, zones, fits, power, config)
+        with _told(records, layout, a) as prefix:
+            zone = identify_zone(zone_data, effects[a], lambda text, prefix=prefix: say(prefix + text))
+        zones.append(_barred(_with_advice(zone, advice), a, records.doubts))
+    others = [of_zone.known[1:] if of_zone else [] for of_zone in effects]
+    return assembled(layout, zones, others, power, config)
+
+
+@dataclass(frozen=True)
+class _Records:
+    """Records that can be used: gaps bridged, other loads taken off the meters.
+
+    `histories`: the runs, then those of the pairs; `foreign`: other loads of each machine (M,); `doubts`: what the runs
+    say against themselves; `notes` on it and on gaps; `hashes` of the records as they came, by name.
+    """
+
+    runs: Sequence[Record]
+    pairs: Sequence[Pair]
+    histories: Sequence[Record]
+    foreign: Sequence[ForeignLoad | None]
+    doubts: Sequence[Remark]
+    notes: Sequence[str]
+    hashes: Mapping[str, str]
+
+
+def _one_zone(runs: Sequence[Record], pairs: Sequence[Pair], layout: Layout) -> Layout:
+    """`layout`, of one zone and actuator, with the names of the records."""
+    names = (runs[0] if runs else pairs[0].a).names
+    if not names.single:
+        raise DataError(f"the records have {names}: say what acts where (layout)")
+    return replace(layout, names=names)
+
+
+def _prepared(runs: Sequence[Record], pairs: Sequence[Pair], layout: Layout) -> _Records:
+    """The records, checked.
+
+    Raises:
+        DataError: they do not fit the layout, or nothing usable is left of them.
+    """
+    labels = [f"run {i}" if len(runs) > 1 else "run" for i in range(len(runs))]
+    given = named(labels, runs, pairs)
+    for _, record in given:
+        check_same_building("the record", record.names, "the layout", layout.names)
+    area_m2 = float(np.sum(layout.floor_area_m2))
+    allowed = Limits.of(None, area_m2 if np.isfinite(area_m2) else None, min(layout.lowest))
+    usable, gaps = prepared_runs(runs, allowed)
+    doubts = _doubts(usable, layout)
+    pairs, pair_gaps = prepared_pairs(pairs, allowed)
+    if pairs:
+        check_pairs(pairs)
+    histories = [*usable, *(h for p in pairs for h in (p.a, p.b))]
+    check_steps(histories)
+    foreign = foreign_loads(histories, layout)
+    own = [without_foreign(h, foreign) for h in histories]
+    notes = [*(remark.in_words() for remark in doubts), *gaps, *pair_gaps]
+    hashes = {name: data_hash(record) for name, record in given}
+    return _Records(own[: len(usable)], pairs, own, foreign, doubts, notes, hashes)
+
+
+def _heat_input(records: _Records, layout: Layout, a: int, config: IdentificationConfig) -> tuple[HeatInput, list[str]]:
+    """What actuator `a` delivers, and notes on it."""
+    parts = [h.part(layout.home[a], [a], [layout.machine_of[a]]) for h in records.histories]
+    with _told(records, layout, a):
+        return identified_heat_input(parts, config, layout.signs[a], layout.lowest[a], alone=len(layout.home) == 1)
+
+
+@contextmanager
+def _told(records: _Records, layout: Layout, a: int) -> Iterator[str]:
+    """Errors name actuator `a` and its zone, where there are several, and what the records say against themselves.
+
+    Gives the beginning of messages about them.
+    """
+    names = layout.names
+    prefix = "" if names.single else f"{names.actuators[a]} on {names.zones[layout.home[a]]}: "
+    try:
+        yield prefix
+    except DataError as error:
+        doubts = [remark.in_words() for remark in records.doubts]
+        raise DataError("; ".join([f"{prefix}{error}", *doubts])) from error
 
 
 def _doubts(runs: Sequence[Record], layout: Layout) -> list[Remark]:
@@ -210,19 +237,10 @@ def _barred(zone: ZoneModel, a: int, doubts: Sequence[Remark]) -> ZoneModel:
     return replace(zone, card=replace(zone.card, competence=verdict))
 
 
-def _message_prefix(layout: Layout, a: int) -> str:
-    """Actuator `a` and its zone, as messages begin; empty where there is one of each."""
-    names = layout.names
-    return "" if names.single else f"{names.actuators[a]} on {names.zones[layout.home[a]]}: "
-
-
 def _powers(
-    histories: Sequence[Record],
-    config: IdentificationConfig,
-    layout: Layout,
-    foreign: Sequence[ForeignLoad | None],
-) -> tuple[list[PowerModel | None], dict[int, str]]:
-    """Power of each machine (M,), and by machine why it is None though measured.
+    records: _Records, config: IdentificationConfig, layout: Layout
+) -> tuple[list[PowerModel | None], list[list[str]]]:
+    """Power of each machine (M,), and notes on it.
 
     The temperatures do not need it: of several machines, one that was hardly on or whose meter is dead is left out.
 
@@ -231,17 +249,22 @@ def _powers(
     """
     machines = layout.names.machines
     powers: list[PowerModel | None] = []
-    unfitted: dict[int, str] = {}
-    for m, name in enumerate(machines):
+    notes: list[list[str]] = []
+    for m, (name, other) in enumerate(zip(machines, records.foreign, strict=True)):
+        said = [] if other is None else [f"power of {name}: {other.in_words()}"]
         try:
-            power = power_of_machine(histories, config, layout, m)
-            powers.append(power and replace(power, foreign=foreign[m]))
+            power = power_of_machine(records.histories, config, layout, m)
         except DataError as error:
             if len(machines) == 1:
                 raise
-            powers.append(None)
-            unfitted[m] = f"{name}: {error}; its power is left out"
-    return powers, unfitted
+            power = None
+            said.append(f"{name}: {error}; its power is left out")
+        said += unexplained(power, name)
+        if power is not None and power.cooling is not None and len(layout.fed_by(m)) > 1:
+            said.append(f"power of {name}: {power.source}")
+        powers.append(power and replace(power, foreign=other))
+        notes.append(said)
+    return powers, notes
 
 
 def _with_unknown_heat(
@@ -271,11 +294,6 @@ def _with_advice(zone: ZoneModel, advice: str) -> ZoneModel:
     if not advice or verdict is None or verdict.competent:
         return zone
     return replace(zone, card=replace(zone.card, competence=replace(verdict, advice=(advice, *verdict.advice))))
-
-
-def _check_names(layout: Layout, records: Sequence[Record]) -> None:
-    for record in records:
-        check_same_building("the record", record.names, "the layout", layout.names)
 
 
 def _times_of(records: Sequence[Record]) -> str:

@@ -9,7 +9,7 @@ the drive, and the gain clipped to its physical sign. The model is of order 1; t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -25,6 +25,8 @@ MIN_OFF_STEPS = 24
 MIN_ON_STEPS = 6
 # Scaling of the first stage's four columns to equal size.
 SCALE = np.array([1.0, 1.0, 1e-3, 1.0])
+# Of the temperature before the first reading, K.
+_START_SD_K = 10.0
 # Bound of e, the constant gains from ground and people, K/h.
 _CONSTANT_K_PER_H = 3.0
 
@@ -69,7 +71,8 @@ class TwoStageFit:
             poles=np.array([self.a]),
             weights=weights,
             step_s=self.step_s,
-            process_sd_K=np.array([max(self.rmse_K, 1e-4)]),
+            process_K2=np.array([[max(self.rmse_K, 1e-4) ** 2]]),
+            start_K2=np.array([[_START_SD_K**2]]),
         )
 
 
@@ -93,47 +96,51 @@ def fit_two_stage(
     Raises:
         DataError: too few off or on steps, or different step lengths; gives numbers and what to do.
     """
-    steps = {run.step_s for run in runs}
-    if len(steps) != 1:
-        raise DataError(f"two-stage: the runs have steps of {sorted(steps)} s; resample them to one step")
-    step_s = steps.pop()
-    T, rise, T_out, solar, u = (np.concatenate(parts) for parts in zip(*(_columns(run) for run in runs), strict=True))
-    off = u <= u_off
-    on = ~off
-    if off.sum() < MIN_OFF_STEPS or on.sum() < MIN_ON_STEPS:
+    T, rise, T_out, solar, u = _columns(runs)
+    on = u > u_off
+    n_off = int((~on).sum())
+    if n_off < MIN_OFF_STEPS or on.sum() < MIN_ON_STEPS:
         raise DataError(
-            f"two-stage: {int(off.sum())} steps with the actuator off (u ≤ {u_off:g}; need {MIN_OFF_STEPS}) and "
+            f"two-stage: {n_off} steps with the actuator off (u ≤ {u_off:g}; need {MIN_OFF_STEPS}) and "
             f"{int(on.sum())} on (need {MIN_ON_STEPS}): record periods of both, or use the joint estimator"
         )
-
-    design = np.stack([-T[off], T_out[off], solar[off], np.ones(int(off.sum()))], axis=1)
-    low, high = first_stage_bounds(step_s, time_constant_h)
-    solution = lsq_linear(design * SCALE, rise[off], bounds=(low / SCALE, high / SCALE)).x * SCALE
-    loss, c, d, e = (float(value) for value in solution)
-    noise = float(np.sum((design @ solution - rise[off]) ** 2) / max(1, off.sum() - 4))
-    a_sd = float(np.sqrt(noise * np.linalg.pinv(design.T @ design)[0, 0]))
-
-    residual = rise - (-loss * T + c * T_out + d * solar + e)
+    passive = fit_passive(runs, u_off=u_off, time_constant_h=time_constant_h)
+    residual = rise - (-(1.0 - passive.a) * T + passive.c * T_out + passive.d * solar + passive.e)
     drive = heat_input(u, T_out)
     power = float(drive[on] @ drive[on])
     gain = float(drive[on] @ residual[on]) / power
     spread = float(np.var(residual[on] - gain * drive[on]))
     clipped = sign * max(sign * gain, 0.0)
-    return TwoStageFit(
-        a=1.0 - loss,
-        c=c,
-        d=d,
-        e=e,
+    return replace(
+        passive,
         g=clipped,
-        a_sd=a_sd,
         g_sd=float(np.sqrt(spread / power)),
-        n_off=int(off.sum()),
         n_on=int(on.sum()),
         rmse_K=float(np.sqrt(np.mean((residual - clipped * drive) ** 2))),
-        step_s=step_s,
         sign=sign,
         heat_input=heat_input,
     )
+
+
+def fit_passive(
+    runs: Sequence[Record], *, u_off: float = np.inf, time_constant_h: tuple[float, float] = (1.0, 240.0)
+) -> TwoStageFit:
+    """The first stage alone, on the steps with a level up to `u_off`: by default as if the actuator did nothing.
+
+    Raises:
+        DataError: different step lengths.
+    """
+    T, rise, T_out, solar, u = _columns(runs)
+    step_s = runs[0].step_s
+    off = u <= u_off
+    design = np.stack([-T[off], T_out[off], solar[off], np.ones(int(off.sum()))], axis=1)
+    low, high = first_stage_bounds(step_s, time_constant_h)
+    solution = lsq_linear(design * SCALE, rise[off], bounds=(low / SCALE, high / SCALE)).x * SCALE
+    loss, c, d, e = (float(value) for value in solution)
+    squares = float(np.sum((design @ solution - rise[off]) ** 2))
+    a_sd = float(np.sqrt(squares / max(1, off.sum() - 4) * np.linalg.pinv(design.T @ design)[0, 0]))
+    rmse_K = float(np.sqrt(squares / max(1, off.sum())))
+    return TwoStageFit(1.0 - loss, c, d, e, 0.0, a_sd, 0.0, int(off.sum()), 0, rmse_K, step_s, 1, IDENTITY)
 
 
 def first_stage_bounds(step_s: float, time_constant_h: tuple[float, float]) -> tuple[Array, Array]:
@@ -143,9 +150,15 @@ def first_stage_bounds(step_s: float, time_constant_h: tuple[float, float]) -> t
     return np.array([low_loss, 0.0, 0.0, -constant]), np.array([high_loss, high_loss, np.inf, constant])
 
 
-def _columns(run: Record) -> tuple[Array, Array, Array, Array, Array]:
+def _columns(runs: Sequence[Record]) -> tuple[Array, Array, Array, Array, Array]:
     """Return T, its rise, mean T_out, mean solar and u of each step with both ends measured, (steps,) each."""
-    T = run.T_zone_C[0]
-    kept = np.isfinite(T[:-1]) & np.isfinite(T[1:])
-    T_out, solar = (0.5 * (x[:-1] + x[1:]) for x in (run.T_out_C, run.solar_W_m2))
-    return T[:-1][kept], np.diff(T)[kept], T_out[kept], solar[kept], run.u[0, kept]
+    if len(steps := {run.step_s for run in runs}) != 1:
+        raise DataError(f"two-stage: the runs have steps of {sorted(steps)} s; resample them to one step")
+    parts = []
+    for run in runs:
+        T = run.T_zone_C[0]
+        kept = np.isfinite(T[:-1]) & np.isfinite(T[1:])
+        T_out, solar = (0.5 * (x[:-1] + x[1:]) for x in (run.T_out_C, run.solar_W_m2))
+        parts.append((T[:-1][kept], np.diff(T)[kept], T_out[kept], solar[kept], run.u[0, kept]))
+    T, rise, T_out, solar, u = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return T, rise, T_out, solar, u

@@ -13,15 +13,19 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification import Pair
-from thermoforce_mpc.identification.estimation.likelihood import residuals
 from thermoforce_mpc.identification.estimation.modes import bounds_h, centred_priors, to_operator
 from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression
+from thermoforce_mpc.identification.estimation.rest import rest_of
 from thermoforce_mpc.identification.modulation.misfit import Misfit, TrainingData
+from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 from thermoforce_mpc.model.operator.parameters import linear_operator
 
 SD, GAMMA = 0.15, 0.6
+FREE = RcParameters(
+    np.array([0.93, 0.995]), np.full((2, len(INPUTS)), 1e-3), 900.0, np.diag([0.01, 0.001]), 25.0 * np.eye(2)
+)
 
 
 def by_torch(operator, data, priors):
@@ -33,8 +37,8 @@ def by_torch(operator, data, priors):
         forced = [torch.zeros_like(poles)]
         for v in drive:
             forced.append(poles * forced[-1] + operator.gains * v)
-        left = torch.tensor(e.regression.target - e.residuals.mean) - torch.stack(forced).sum(1)[e.regression.rows]
-        whitened = torch.tensor(e.residuals.whitener) @ left
+        left = torch.tensor(e.regression.target - e.rest.mean) - torch.stack(forced).sum(1)[e.regression.rows]
+        whitened = torch.tensor(e.rest.whitener) @ left
         n = e.regression.seen
         total, rows = total + (whitened[:n] ** 2).sum(), rows + n
     tau = -operator.step_s / HOUR_S / torch.log(poles)
@@ -62,14 +66,14 @@ def test_value_and_gradient_are_those_of_the_definition(order, sign):
         e = run_regression(run, IDENTITY)
         e = replace(e, held=e.rows.size - 70)
         x = feature_matrix(run.T_zone_C[0, :-1], run.T_out_C[:-1], run.solar_W_m2[:-1], run.time_s[:-1])
-        data.append(TrainingData(e, (x,), residuals(e, priors.log_tau)))
+        data.append(TrainingData(e, (x,), rest_of(e, FREE)))
     for seed, days in ((3, 0.25), (4, 0.25), (5, 0.5)):
         a = record(House(), days, seed=seed)
         pair = Pair(a, record(House(), days, seed=seed, u=np.zeros(a.n_steps)))
         e = pair_regression(pair, IDENTITY)
         x = 5.0 * np.random.default_rng(seed).normal(size=(2, a.n_steps, 4))
         e = replace(e, held=e.rows.size if seed == 4 else 0)  # the second pair is held out
-        data.append(TrainingData(e, tuple(x), residuals(e, priors.log_tau)))
+        data.append(TrainingData(e, tuple(x), rest_of(e, FREE)))
     start = to_operator(
         priors.log_tau, np.array([0.4, 2.0, 15.0])[:order], step_s=900.0, bounds_h=bounds_h(priors.log_tau), sign=sign,
         gamma=GAMMA, hidden=4, heat_input=IDENTITY, feature_mean=np.array([20.0, 4.0, 60.0, 0.0]),
@@ -98,7 +102,7 @@ def test_a_pole_on_its_bound_and_no_gain_are_kept(edge):
     start = linear_operator([0.5 + 0.4 * edge], [0.0], step_s=900.0, pole_bounds=np.array([[0.5, 0.9]]))
     run = run_regression(record(House(), 1.0), IDENTITY)
     priors = centred_priors(np.log([25.0]), np.array([0.2]), 1.0)
-    data = TrainingData(run, (np.zeros((run.n_steps, 4)),), residuals(run, priors.log_tau))
+    data = TrainingData(run, (np.zeros((run.n_steps, 4)),), rest_of(run, FREE))
     misfit = Misfit(start, [data], priors, SD)
     kept = misfit.operator(misfit.begin)
     np.testing.assert_allclose(kept.poles, start.poles, atol=1e-8)

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 from thermal_networks import KnownFit, effect_K, theta_of
 
 from thermoforce_mpc.data import Layout, Names
-from thermoforce_mpc.identification.network.building import RESPONSE_H, SUN_W_M2, WEATHER_H, BuildingFit
+from thermoforce_mpc.identification.network.building import RESPONSE_H, BuildingFit
 from thermoforce_mpc.identification.network.room import Room
 from thermoforce_mpc.model.free_response.rc import INPUTS
 
@@ -39,7 +39,7 @@ def fit_of(thetas=THETAS, variances=(1e-4, 1e-4), rooms=ROOMS, layout=LAYOUT):
 def joined():
     """Both rooms' equations with each other's temperature in the place of the input, (n, n) 1/h, and their inputs."""
     sizes = [room.disturbances.start for room in ROOMS]
-    F, drives = np.zeros((sum(sizes),) * 2), np.zeros((sum(sizes), 5))
+    F, drives = np.zeros((sum(sizes),) * 2), np.zeros((sum(sizes), 3))
     begins = [0, sizes[0]]
     for z, (room, theta) in enumerate(zip(ROOMS, THETAS, strict=True)):
         matrix, here = room.equations(theta).matrix, slice(begins[z], begins[z] + sizes[z])
@@ -48,37 +48,30 @@ def joined():
         F[here, begins[1 - z]] = inputs[:, len(INPUTS)]
         for k, a in enumerate(LAYOUT.actuators_of(z)):
             drives[here, a] = inputs[:, room.drive(k)]
-        drives[here, 3] = inputs[:, INPUTS.index("outdoor")]
-        drives[here, 4] = SUN_W_M2 * inputs[:, INPUTS.index("solar")]
     return F, drives, begins
 
 
 def test_responses_are_those_of_the_joined_equations():
     F, drives, begins = joined()
     responses = fit_of().responses
-    whole = np.vstack([np.hstack([F, drives]), np.zeros((5, F.shape[0] + 5))])
-    for hours in WEATHER_H:
-        expected = expm(hours * whole)[begins, F.shape[0] :]
-        for z in (0, 1):
-            if hours in RESPONSE_H:
-                np.testing.assert_allclose(responses[z].mean[:, hours == RESPONSE_H][:, 0], expected[z, :3], rtol=1e-6)
-            found = responses[z].weather[:, hours == WEATHER_H][:, 0]
-            np.testing.assert_allclose(found, expected[z, 3:], rtol=1e-6)
+    whole = np.vstack([np.hstack([F, drives]), np.zeros((3, F.shape[0] + 3))])
+    for t, hours in enumerate(RESPONSE_H):
+        np.testing.assert_allclose(responses[..., t], expm(hours * whole)[begins, F.shape[0] :], rtol=1e-6)
 
 
 def test_a_room_alone_answers_as_its_equations():
     room = Room()
     (responses,) = fit_of([room.mean], (1e-4,), (room,), Layout.single()).responses
-    np.testing.assert_allclose(responses.mean[0], [effect_K(room, room.mean, h) for h in RESPONSE_H], rtol=1e-8)
+    np.testing.assert_allclose(responses[0], [effect_K(room, room.mean, h) for h in RESPONSE_H], rtol=1e-8)
 
 
 def test_heat_of_one_room_reaches_the_other_later_and_less():
     responses = fit_of().responses
-    own, across = responses[0].mean[0], responses[1].mean[0]
+    own, across = responses[0][0], responses[1][0]
     assert (across > 0.0).all()
     assert (across < own).all()
     assert across[0] / across[-1] < 0.1 * own[0] / own[-1]
-    assert (responses[0].mean[2] < 0.0).all(), "cooling"
+    assert (responses[0][2] < 0.0).all(), "cooling"
 
 
 def test_a_wall_is_the_one_that_the_surer_room_saw():
@@ -87,7 +80,7 @@ def test_a_wall_is_the_one_that_the_surer_room_saw():
     other[0][ROOMS[0].place["wall_0"]] += np.log(4.0)
 
     def across(thetas, variances):
-        return float(fit_of(thetas, variances).responses[1].mean[0, -1])
+        return float(fit_of(thetas, variances).responses[1][0, -1])
 
     low, high = across(THETAS, (1e-4, 1e-4)), across(other, (1e-6, 1.0))
     middle = across(other, (1e-4, 1e-4))
@@ -107,9 +100,9 @@ def test_bands_are_those_of_the_parameters():
     found, covariance = building.responses, building.covariance
     drawn = [fit_of([t + sd * rng.normal(size=t.size) for t in THETAS]) for _ in range(150)]
     for z in (0, 1):
-        sample = np.array([one.responses[z].mean for one in drawn])
+        sample = np.array([one.responses[z] for one in drawn])
         for a in range(3):
-            expected = np.hypot(sample[:, a].std(axis=0), 0.05 * np.abs(found[z].mean[a]))
+            expected = np.hypot(sample[:, a].std(axis=0), 0.05 * np.abs(found[z][a]))
             np.testing.assert_allclose(np.sqrt(np.diag(covariance[z, a])), expected, rtol=0.25)
 
 
@@ -117,7 +110,7 @@ def test_less_certain_parameters_make_wider_bands():
     sds = [np.sqrt(np.diag(fit_of(variances=(v, v)).covariance[0, 0])) for v in (0.0025, 0.01, 0.04)]
     assert (sds[0] < sds[1]).all()
     assert (sds[1] < sds[2]).all()
-    least = np.abs(fit_of(variances=(1e-12, 1e-12)).responses[0].mean[0]) * 0.05
+    least = np.abs(fit_of(variances=(1e-12, 1e-12)).responses[0][0]) * 0.05
     np.testing.assert_allclose(np.sqrt(np.diag(fit_of(variances=(1e-12,) * 2).covariance[0, 0])), least, rtol=1e-3)
 
 
@@ -125,9 +118,9 @@ def test_rooms_that_were_not_joined_do_nothing_to_each_other():
     """Without cross effects their networks know no neighbours."""
     rooms = (Room(), Room((1, -1), (float("nan"),) * 2))
     responses = fit_of([room.mean for room in rooms], rooms=rooms).responses
-    assert not np.any(responses[0].mean[1:])
-    assert not np.any(responses[1].mean[0])
-    np.testing.assert_allclose(responses[0].mean[0], [effect_K(rooms[0], rooms[0].mean, h) for h in RESPONSE_H])
+    assert not np.any(responses[0][1:])
+    assert not np.any(responses[1][0])
+    np.testing.assert_allclose(responses[0][0], [effect_K(rooms[0], rooms[0].mean, h) for h in RESPONSE_H])
 
 
 def test_a_building_without_floor_areas_answers_the_same():
@@ -136,4 +129,4 @@ def test_a_building_without_floor_areas_answers_the_same():
     found = [
         fit_of([room.mean], (0.01,), (room,), Layout.single(floor_area_m2=area)).responses[0] for area in (None, 80.0)
     ]
-    np.testing.assert_allclose(found[0].mean, found[1].mean, rtol=1e-9)
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)

@@ -8,7 +8,7 @@ from thermal_networks import KnownFit, effect_K, random_theta, theta_of
 
 from thermoforce_mpc.data import Layout, Names
 from thermoforce_mpc.identification.estimation.modes import unit_steps
-from thermoforce_mpc.identification.network.building import RESPONSE_H, WEATHER_H, BuildingFit, Responses
+from thermoforce_mpc.identification.network.building import RESPONSE_H, BuildingFit
 from thermoforce_mpc.identification.network.projection import projected
 from thermoforce_mpc.identification.network.room import Room
 
@@ -33,8 +33,7 @@ def response_at(modes, actuator=0, hours=RESPONSE_H):
 @pytest.mark.parametrize("tau_h", [(0.5, 3.0, 50.0), (0.2, 6.0, 200.0)])
 def test_what_has_the_operators_form_is_met_exactly(tau_h):
     mean = unit_steps(np.log(tau_h), RESPONSE_H) @ np.array([0.3, 1.5, 12.0])
-    given = Responses(mean[None], np.ones((2, WEATHER_H.size)))
-    modes = projected(given, 0, SIGNS, 3)
+    modes = projected(mean[None], 0, SIGNS, 3)
     np.testing.assert_allclose(np.exp(modes.log_tau), tau_h, rtol=0.02)
     np.testing.assert_allclose(modes.gains[0], [0.3, 1.5, 12.0], rtol=0.02, atol=1e-3)
     assert modes.misfit[0] < 1e-4
@@ -55,14 +54,13 @@ def test_modes_rise_and_gains_are_not_negative(order):
         assert modes.log_tau.shape == (order,)
         assert (np.diff(modes.log_tau) >= 0.0).all()
         assert (modes.gains >= 0.0).all()
-        assert (modes.weather >= 0.0).all()
         assert (np.diff(response_at(modes)) > 0.0).all()
 
 
 def test_modes_beyond_the_longest_stay_apart():
     """A response that rises ever on: its poles would meet at the bound."""
     mean = 0.2 * RESPONSE_H
-    modes = projected(Responses(mean[None], np.ones((2, WEATHER_H.size))), 0, SIGNS, 3)
+    modes = projected(mean[None], 0, SIGNS, 3)
     assert (np.diff(modes.log_tau) >= np.log(1.5) - 1e-9).all()
     assert np.exp(modes.log_tau[-1]) <= 1000.0 + 1e-6
 
@@ -96,13 +94,7 @@ def test_another_actuator_shares_the_time_constants():
     assert modes.gains.shape == (2, 3)
     assert modes.misfit[0] < 0.01
     late = RESPONSE_H >= 2.0
-    np.testing.assert_allclose(response_at(modes, 1)[late], -found.mean[1][late], rtol=0.1)
-
-
-def test_steady_gains_to_the_weather_are_those_of_the_network():
-    found = responses_of(ONE.mean)
-    modes = projected(found, 0, SIGNS, 3)
-    np.testing.assert_allclose(modes.weather.sum(axis=1), found.weather[:, -1], rtol=0.05)
+    np.testing.assert_allclose(response_at(modes, 1)[late], -found[1][late], rtol=0.1)
 
 
 @pytest.mark.parametrize("variance", [0.005, 0.02])

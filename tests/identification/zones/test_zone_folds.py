@@ -41,8 +41,9 @@ def later(pair, days):
 
 def same(a, b):
     """Whether two folds say the same, bit for bit."""
-    names = ("log_tau", "gains", "misfit", "weather")
-    return all(np.array_equal(getattr(a.modes, name), getattr(b.modes, name)) for name in names)
+    modes = [(getattr(a.modes, name), getattr(b.modes, name)) for name in ("log_tau", "gains", "misfit")]
+    free = [(getattr(a.free, name), getattr(b.free, name)) for name in ("poles", "weights", "process_K2")]
+    return all(np.array_equal(*pair) for pair in modes + free)
 
 
 @pytest.mark.slow

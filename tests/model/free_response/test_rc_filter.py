@@ -21,7 +21,8 @@ def two_modes(process_sd_K: float = 1e-6, sensor_sd_K: float = 1e-4) -> RcParame
         poles=np.array([0.85, 0.98]),
         weights=WEIGHTS,
         step_s=3600.0,
-        process_sd_K=np.full(2, process_sd_K),
+        process_K2=process_sd_K**2 * np.eye(2),
+        start_K2=100.0 * np.eye(2),
         sensor_sd_K=sensor_sd_K,
     )
 
@@ -40,7 +41,7 @@ def simulated(params: RcParameters, rng: np.random.Generator) -> tuple[np.ndarra
     z = np.empty((outdoor.size, 2))
     z[0] = 11.0, 3.0
     for t in range(outdoor.size - 1):
-        z[t + 1] = params.poles * z[t] + drive[t] + params.process_sd_K * rng.standard_normal(2)
+        z[t + 1] = params.poles * z[t] + drive[t] + np.sqrt(np.diag(params.process_K2)) * rng.standard_normal(2)
     return z.sum(axis=1), outdoor, solar
 
 
@@ -121,7 +122,8 @@ def test_a_single_instant_is_enough() -> None:
     [
         ("poles", np.array([0.5, 1.0]), "leave"),
         ("weights", np.zeros((2, 3)), "weights"),
-        ("process_sd_K", np.array([0.1, -0.1]), "nonnegative"),
+        ("process_K2", np.array([[1.0, 2.0], [2.0, 1.0]]), "no covariance"),
+        ("start_K2", np.ones(2), "start_K2"),
         ("sensor_sd_K", 0.0, "positive"),
         ("poles", np.array([0.5, np.nan]), "poles"),
     ],

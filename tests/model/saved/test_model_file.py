@@ -24,7 +24,8 @@ def model() -> ThermalModel:
         poles=np.array([0.5, 0.98]),
         weights=np.arange(16.0).reshape(2, 8) / 100,
         step_s=3600.0,
-        process_sd_K=np.array([0.05, 0.01]),
+        process_K2=np.array([[0.0025, 1e-4], [1e-4, 1e-4]]),
+        start_K2=100.0 * np.eye(2),
     )
     card = ModelCard(
         source="test",
@@ -58,7 +59,7 @@ def test_a_model_comes_back_bit_for_bit(tmp_path, model):
     assert back.power == model.power
     assert back.only.free is not None
     assert model.only.free is not None
-    for name in ("poles", "weights", "process_sd_K"):
+    for name in ("poles", "weights", "process_K2", "start_K2"):
         np.testing.assert_array_equal(getattr(back.only.free, name), getattr(model.only.free, name))
     assert back.only.card.ranges == model.only.card.ranges
     assert back.only.card.scores["rmse_K"] == 0.02

@@ -24,7 +24,6 @@ _CERTIFIED_H = 48
 # Meaning of the scores of a model card, in printing order.
 _MEANING = {
     "acts_log_odds": "log odds that the actuator acts on the zone at all",
-    "residual_scale": "residual, as a share of the assumed disturbances",
     "held_out_linear": "held-out error with a constant gain, in standard deviations",
     "held_out_neural": "the same with a network as gain",
     "modulation_kept": "network kept (1) or not (0)",

@@ -9,9 +9,7 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.joint import JointFit
-from thermoforce_mpc.identification.estimation.regression import OtherActuator
-from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H, step_response
+from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H, Effect, step_response
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -21,8 +19,8 @@ from thermoforce_mpc.model.zone_model import ZoneModel
 
 # A neighbour's effect below this after a day at full level, K, is none.
 _LEAST_EFFECT_K = 0.02
-# Share of the prior standard deviation that must be left for a pair to count as unknown from the record.
-_UNINFORMATIVE = 0.9
+# Relative standard deviation of the effect of a day from which a record does not tell it.
+_UNKNOWN = 0.5
 
 
 def others_of(layout: Layout, a: int, config: IdentificationConfig) -> list[int]:
@@ -31,44 +29,38 @@ def others_of(layout: Layout, a: int, config: IdentificationConfig) -> list[int]
     return [b for b in range(len(home)) if b != a and (config.cross_effects or home[b] == home[a])]
 
 
-def other_actuators(
-    layout: Layout, heat_inputs: Sequence[HeatInput], a: int, config: IdentificationConfig
-) -> list[OtherActuator]:
-    """What `others_of` actuator `a` deliver."""
-    return [OtherActuator(heat_inputs[b], layout.signs[b]) for b in others_of(layout, a, config)]
-
-
 def assembled(
     layout: Layout,
     zones: Sequence[ZoneModel],
-    fits: Sequence[JointFit | None],
+    effects: Sequence[Sequence[Effect]],
     power: Sequence[PowerModel | None],
     config: IdentificationConfig,
 ) -> ThermalModel:
-    """The building from each actuator's model on its home zone (A,), its fit (A,), and the power of machines (M,)."""
+    """The building from each actuator's model on its home zone (A,), the power of machines (M,), and `effects` (A,): of
+    `others_of` each actuator on its home zone, none where these are not known.
+    """
     Z, A = len(layout.names.zones), len(layout.names.actuators)
     pairs: list[list[OperatorParameters | None]] = [[None] * A for _ in range(Z)]
     free = [zones[(layout.actuators_of(z) or [0])[0]].free for z in range(Z)]
     cards = [zone.card for zone in zones]
-    for a, (home, fit) in enumerate(zip(layout.home, fits, strict=True)):
+    for a, home in enumerate(layout.home):
         pairs[home][a] = zones[a].operator
-        if fit is None or layout.actuators_of(home)[0] != a:
-            continue  # effects of the others on a zone are those of the fit of its first actuator
+        if not effects[a] or layout.actuators_of(home)[0] != a:
+            continue  # effects of the others on a zone are those beside its first actuator
         uncertainty = dict(cards[a].uncertainty)
         notes = list(cards[a].notes)
-        for k, b in enumerate(others_of(layout, a, config)):
+        for b, effect in zip(others_of(layout, a, config), effects[a], strict=True):
             if layout.home[b] == home:
                 continue
-            name, effects_K = layout.names.actuators[b], {}
-            for hours, mean_K, sd_K in zip(STEP_RESPONSE_H, *step_response(fit.of_other(k)), strict=True):
-                effects_K[hours] = float(mean_K)
+            name, of_day = layout.names.actuators[b], STEP_RESPONSE_H.index(24)
+            means_K, sds_K = step_response(effect)
+            for hours, mean_K, sd_K in zip(STEP_RESPONSE_H, means_K, sds_K, strict=True):
                 uncertainty[f"step_response_{hours}h_K[{name}]"] = layout.signs[b] * float(mean_K)
                 uncertainty[f"step_response_{hours}h_sd_K[{name}]"] = float(sd_K)
-            sd = np.sqrt(np.diagonal(fit.other_covariance[k]))[fit.log_tau.size :]
-            if (sd[1:] > _UNINFORMATIVE * fit.other_sd[k][1:]).all() and sd.size > 1:
+            if sds_K[of_day] > _UNKNOWN * means_K[of_day]:
                 notes.append(f"the record does not tell what {name} does to {layout.names.zones[home]}")
-            if effects_K[24] >= _LEAST_EFFECT_K:
-                pairs[home][b] = _pair(fit, k, zones[a].operator, zones[b].operator, layout.signs[b])
+            if means_K[of_day] >= _LEAST_EFFECT_K:
+                pairs[home][b] = _pair(effect.gains, zones[a].operator, zones[b].operator, layout.signs[b])
         cards[a] = replace(cards[a], uncertainty=uncertainty, notes=tuple(notes))
     operator = BuildingOperator(
         layout.names.zones, layout.names.actuators, tuple(tuple(row) for row in pairs), layout.home
@@ -86,9 +78,9 @@ def assembled(
     )
 
 
-def _pair(fit: JointFit, k: int, own: OperatorParameters, head: OperatorParameters, sign: int) -> OperatorParameters:
-    """The operator of other actuator `k`, that delivers as `head`, on the zone of `fit`, with the modes of `own`."""
-    tau, gains = own.time_constants_h, fit.other_gains[k]
+def _pair(gains: Array, own: OperatorParameters, head: OperatorParameters, sign: int) -> OperatorParameters:
+    """The operator of another actuator, that delivers as `head`, on a zone, with `gains` (r,) at the modes of `own`."""
+    tau = own.time_constants_h
     steady = np.concatenate([[tau[0] * (gains[0] - (gains[1:] / tau[1:]).sum())], gains[1:]])
     return replace(head, poles=own.poles, gains=sign * steady * (1.0 - own.poles), pole_bounds=own.pole_bounds)
 

@@ -1,1 +1,1 @@
-"""Estimators: from records to modes, gains and their uncertainty, at once or online."""
+"""Records as regressions, modes and their uncertainty, and what is left of a record without effects."""

@@ -10,10 +10,9 @@ import numpy as np
 
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.joint import ModeFit
-from thermoforce_mpc.identification.estimation.likelihood import residuals
 from thermoforce_mpc.identification.estimation.modes import centred_priors
-from thermoforce_mpc.identification.estimation.regression import RegressionData, calibrated
+from thermoforce_mpc.identification.estimation.regression import RegressionData
+from thermoforce_mpc.identification.estimation.rest import rest_of
 from thermoforce_mpc.identification.modulation.misfit import TrainingData, responses
 from thermoforce_mpc.identification.modulation.training import train
 from thermoforce_mpc.identification.validation.blocks import block_numbers, is_significant, standard_errors_saved
@@ -22,7 +21,6 @@ from thermoforce_mpc.identification.validation.held_out import LEAST_SCALE
 from thermoforce_mpc.model.forced_history import forced_history
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.features import feature_matrix
-from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 # A held-out comparison decides at this probability (Student's t, one-sided), if the RMS is below this share.
@@ -36,14 +34,14 @@ class Candidate:
     """The network of a fold, trained when it is asked for; `by_level`: whether v = u where heat was measured."""
 
     fold: Fold
-    linear: Callable[[ModeFit, HeatInput], OperatorParameters]
+    linear: Callable[[Fold], OperatorParameters]
     config: IdentificationConfig
     by_level: bool
 
     @cached_property
     def features(self) -> list[tuple[Array, ...]]:
         """x_t (n, 4) of each record; control-free temperatures are those of the linear fit."""
-        base = self.linear(self.fold.fit, self.fold.heat_input)
+        base = self.linear(self.fold)
         return [tuple(_features(base, h, self.config.feedback) for h in e.histories) for e in self.fold.regressions]
 
     @cached_property
@@ -52,9 +50,7 @@ class Candidate:
         pairs = [(e, x) for e, xs in zip(self.fold.regressions, self.features, strict=True) for x in xs if e.seen]
         stacked = np.concatenate([x[: int(e.rows[e.seen - 1])] for e, x in pairs])
         scale = np.maximum(stacked.std(axis=0), LEAST_SCALE)
-        return replace(
-            self.linear(self.fold.fit, self.fold.heat_input), feature_mean=stacked.mean(axis=0), feature_scale=scale
-        )
+        return replace(self.linear(self.fold), feature_mean=stacked.mean(axis=0), feature_scale=scale)
 
     @cached_property
     def driven(self) -> list[RegressionData]:
@@ -74,9 +70,8 @@ class Candidate:
     @cached_property
     def data(self) -> list[TrainingData]:
         """What the network is trained on, and compared with m = 1."""
-        driven = calibrated(self.driven, self.fold.fit.residual_scale)
-        log_tau = self.fold.fit.log_tau
-        return [TrainingData(e, x, residuals(e, log_tau)) for e, x in zip(driven, self.features, strict=True)]
+        pairs = zip(self.driven, self.features, strict=True)
+        return [TrainingData(e, x, rest_of(e, self.fold.free)) for e, x in pairs]
 
     @cached_property
     def trained(self) -> OperatorParameters:
@@ -84,7 +79,7 @@ class Candidate:
         fold, heat_input = self.fold, self.untrained.heat_input
         # The linear fit assumed larger disturbances; training must not change its slow gain.
         pairs_only = all(e.is_pair for e in fold.regressions)
-        priors = fold.priors if pairs_only else centred_priors(fold.fit.log_tau, fold.fit.gains, _LINEAR_HELD_SD)
+        priors = fold.priors if pairs_only else centred_priors(fold.log_tau, fold.gains, _LINEAR_HELD_SD)
         start = replace(self.untrained, heat_input=heat_input.by_level if self._is_level else heat_input)
         return train(start, self.data, priors, self.config)
 
@@ -119,8 +114,7 @@ class Candidate:
         """Held-out residuals (rows,), standard deviations, each given the rows before it."""
         return np.concatenate(
             [
-                data.residuals.whitener[data.regression.seen :]
-                @ (data.regression.target - data.residuals.mean - effect)
+                data.rest.whitener[data.regression.seen :] @ (data.regression.target - data.rest.mean - effect)
                 for data, effect in zip(self.data, self.effects(kept=kept), strict=True)
             ]
         )

@@ -15,9 +15,9 @@ from scipy.signal import lfilter
 from scipy.special import expit, logit
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.estimation.likelihood import Residuals
 from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.estimation.regression import RegressionData
+from thermoforce_mpc.identification.estimation.rest import Rest
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, initial_weight
 
 # Least relative distance of an initial pole to its bounds, which keeps its logit and gradient finite.
@@ -45,11 +45,11 @@ def adjoint(by_response: Array, poles: Array, gains: Array) -> Array:
 
 @dataclass(frozen=True)
 class TrainingData:
-    """Regression with its features x_t (n, 4) of each run, in the order of its drives, and residual model."""
+    """Regression with its features x_t (n, 4) of each run, in the order of its drives, and what is left of it."""
 
     regression: RegressionData
     features: tuple[Array, ...]
-    residuals: Residuals
+    rest: Rest
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ def _grouped(data: Sequence[TrainingData]) -> list[_Alike]:
     stacks = []
     for members in groups.values():
         example = members[0][0].regression
-        L = np.stack([e.residuals.whitener[: example.seen] for e, _ in members])
-        residual = np.stack([e.regression.target - e.residuals.mean for e, _ in members])
+        L = np.stack([e.rest.whitener[: example.seen] for e, _ in members])
+        residual = np.stack([e.regression.target - e.rest.mean for e, _ in members])
         steps = np.stack([places for _, places in members])
         stacks.append(_Alike(steps, example.rows, L, (L @ residual[..., None])[..., 0]))
     return stacks

@@ -10,7 +10,6 @@ import numpy as np
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.joint import ModeFit
 from thermoforce_mpc.identification.modulation.candidate import Candidate
 from thermoforce_mpc.identification.validation.competence import Trial
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
@@ -19,7 +18,6 @@ from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
 from thermoforce_mpc.model.machine.part_load import SWITCH_FROM, part_load
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.certificate import certificate
-from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 # Fixed share of heat up to which it counts as in proportion to the level.
@@ -49,7 +47,7 @@ def modulate(
     everything: Fold,
     last: Fold,
     before: Fold | None,
-    linear: Callable[[ModeFit, HeatInput], OperatorParameters],
+    linear: Callable[[Fold], OperatorParameters],
     config: IdentificationConfig,
     power: PowerModel | None = None,
 ) -> Modulated:

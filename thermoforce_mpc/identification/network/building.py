@@ -12,31 +12,37 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array, Layout
 from thermoforce_mpc.identification.estimation.differences import jacobian
 from thermoforce_mpc.identification.network.estimate import RoomFit
-from thermoforce_mpc.identification.network.room import OUTDOOR, SUN, neighbours_of
+from thermoforce_mpc.identification.network.room import neighbours_of
 from thermoforce_mpc.model.free_response.rc import INPUTS
 
 RESPONSE_H = np.array([0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 36.0, 48.0, 72.0, 96.0])
 """Times after a step to full level at which responses are compared, h."""
-WEATHER_H = np.append(RESPONSE_H, [192.0, 384.0])
-"""The same of responses to the weather, whose steady part counts, h."""
-# Irradiance whose response is meant, W/m².
-SUN_W_M2 = 100.0
 # Relative standard deviation of any effect by what a few nodes are not: surfaces, layers, a lag of the sensor, water.
 _STRUCTURE_SD = 0.05
 
 
 @dataclass(frozen=True)
-class Responses:
-    """Step responses of one zone to full level (v = 1) of each actuator: `mean` (A, T) K at `RESPONSE_H`; `weather`
-    (2, T') K at `WEATHER_H`: to 1 K outdoors and to `SUN_W_M2`.
+class Network:
+    """Nodes of all rooms: capacities `C` (s,) Wh/K, conductances `L` (s, s) W/K, `heat` (s, A + 8) W of full level of
+    each actuator and of a unit of each of `INPUTS`, and which nodes the `rooms` are (Z,).
     """
 
-    mean: Array
-    weather: Array
+    C: Array
+    L: Array
+    heat: Array
+    rooms: NDArray[np.intp]
+
+    @cached_property
+    def modes(self) -> tuple[Array, Array]:
+        """Rates λ (s,), 1/h, and Φ (s, s), K: with T = Φ y and heat q, dy/dt = −λ y + Φᵀ q."""
+        root = 1.0 / np.sqrt(self.C)
+        rates, modes = np.linalg.eigh(self.L * np.outer(root, root))
+        return np.maximum(rates, 1e-9), modes * root[:, None]
 
 
 @dataclass(frozen=True)
@@ -47,47 +53,54 @@ class BuildingFit:
     rooms: tuple[RoomFit, ...]
 
     @cached_property
-    def responses(self) -> tuple[Responses, ...]:
-        """What the actuators do to each zone (Z,)."""
-        steps = self._steps([fit.theta for fit in self.rooms], WEATHER_H)
-        return tuple(Responses(of_zone[:-2, : RESPONSE_H.size], of_zone[-2:]) for of_zone in steps)
+    def responses(self) -> Array:
+        """Step responses of each zone to full level (v = 1) of each actuator at `RESPONSE_H`, (Z, A, T) K."""
+        return self._steps([fit.theta for fit in self.rooms])
 
     @cached_property
     def covariance(self) -> Array:
         """Covariance of what each actuator does to each zone, (Z, A, T, T) K²."""
-        thetas, mean = [fit.theta for fit in self.rooms], np.array([response.mean for response in self.responses])
+        thetas, mean = [fit.theta for fit in self.rooms], self.responses
         covariance = np.einsum("zat,zas->zats", mean, mean) * _STRUCTURE_SD**2
         for z, fit in enumerate(self.rooms):
             known = len(fit.room.names)
 
             def steps(theta: Array, z: int = z) -> Array:
-                return self._steps([*thetas[:z], theta, *thetas[z + 1 :]], RESPONSE_H)[:, :-2]
+                return self._steps([*thetas[:z], theta, *thetas[z + 1 :]])
 
             by_theta = jacobian(steps, fit.theta, known)
             covariance += np.einsum("zati,ij,zasj->zats", by_theta, fit.covariance[:known, :known], by_theta)
         return np.asarray(covariance)
 
-    def _steps(self, thetas: Sequence[Array], hours: Array) -> Array:
-        """Step responses (Z, A + 2, T) K at `hours` (T,), at θ of each room; the last two to outdoors and sun."""
-        C, L, heat, places = self._network(thetas)
-        root = 1.0 / np.sqrt(C)
-        rates, modes = np.linalg.eigh(L * np.outer(root, root))
-        rates = np.maximum(rates, 1e-9)
-        weights = (modes.T @ (heat * root[:, None])) / rates[:, None]
-        rising = -np.expm1(-np.outer(rates, hours))
-        at = modes[places] * root[places, None]
-        return np.asarray(np.einsum("zm,ma,mt->zat", at, weights, rising))
+    def without(self, zone: int, actuator: int) -> BuildingFit:
+        """The building with the best fit of a room as if one of its actuators did nothing."""
+        rooms = list(self.rooms)
+        rooms[zone] = rooms[zone].without(actuator)
+        return BuildingFit(self.layout, tuple(rooms))
 
-    def _network(self, thetas: Sequence[Array]) -> tuple[Array, Array, Array, list[int]]:
-        """Capacities (s,) Wh/K, conductances (s, s) W/K, heat (s, A + 2) W, and the rooms' states.
+    @property
+    def network(self) -> Network:
+        """The joined network at the rooms' most likely parameters."""
+        return self._network([fit.theta for fit in self.rooms])
 
-        Heat is that of each actuator, of 1 K outdoors and of `SUN_W_M2`.
-        """
-        A = len(self.layout.home)
+    @property
+    def area_m2(self) -> Array:
+        """Floor area of each zone (Z,), m²; where one is not known, the mean of the others or 1."""
         area = np.asarray(self.layout.floor_area_m2, dtype=np.float64)
-        area = np.where(np.isfinite(area), area, np.nanmean(area) if np.isfinite(area).any() else 1.0)
+        return np.where(np.isfinite(area), area, np.nanmean(area) if np.isfinite(area).any() else 1.0)
+
+    def _steps(self, thetas: Sequence[Array]) -> Array:
+        """`responses` at θ of each room."""
+        network = self._network(thetas)
+        rates, modes = network.modes
+        weights = (modes.T @ network.heat[:, : len(self.layout.home)]) / rates[:, None]
+        rising = -np.expm1(-np.outer(rates, RESPONSE_H))
+        return np.asarray(np.einsum("zm,ma,mt->zat", modes[network.rooms], weights, rising))
+
+    def _network(self, thetas: Sequence[Array]) -> Network:
+        A, area = len(self.layout.home), self.area_m2
         begins = np.concatenate([[0], np.cumsum([len(fit.room.nodes) for fit in self.rooms])]).astype(int)
-        C, L, heat = np.zeros(begins[-1]), np.zeros((begins[-1], begins[-1])), np.zeros((begins[-1], A + 2))
+        C, L, heat = np.zeros(begins[-1]), np.zeros((begins[-1], begins[-1])), np.zeros((begins[-1], A + len(INPUTS)))
 
         def joined(i: int, j: int, conductance: float) -> None:
             L[i, i] += conductance
@@ -99,24 +112,25 @@ class BuildingFit:
             room, first = fit.room, begins[z]
             value = {name: room.value(theta, name) for name in room.names}
             C[first : begins[z + 1]] = [area[z] * value[name] for name in room.nodes]
+            # Columns of the room's inputs: the weather and its own actuators.
+            columns = {i: A + i for i in range(len(INPUTS))}
+            columns |= {room.drive(k): a for k, a in enumerate(self.layout.actuators_of(z))}
             for link in room.links:
                 node, conductance = first + link.node, area[z] * value[link.conductance]
                 if link.other >= 0:
                     joined(node, first + link.other, conductance)
-                elif link.from_input < len(INPUTS):
+                elif link.from_input in columns:
                     L[node, node] += conductance
-                    heat[node, A] += conductance * (link.from_input == OUTDOOR)
-            columns = {room.drive(k): (a, 1.0) for k, a in enumerate(self.layout.actuators_of(z))}
-            columns[SUN] = A + 1, SUN_W_M2
+                    heat[node, columns[link.from_input]] += conductance * link.factor
             for source in room.sources:
                 if source.from_input in columns:
-                    column, size = columns[source.from_input]
-                    product = float(np.prod([value[name] for name in source.names]))
-                    heat[first + source.node, column] += area[z] * size * source.factor * product
+                    size = area[z] * source.factor * float(np.prod([value[name] for name in source.names]))
+                    size *= float(theta[room.place[source.signed]]) if source.signed else 1.0
+                    heat[first + source.node, columns[source.from_input]] += size
         for z, fit in enumerate(self.rooms):
             for other in range(z if fit.room.neighbours else 0):
                 joined(begins[z], begins[other], self._wall(z, other, thetas, area))
-        return C, L, heat, begins[:-1].tolist()
+        return Network(C, L, heat, begins[:-1])
 
     def _wall(self, z: int, other: int, thetas: Sequence[Array], area: Array) -> float:
         """Conductance between two rooms, W/K: the mean of the logarithms that both saw, weighted by their precision."""

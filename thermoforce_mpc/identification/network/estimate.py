@@ -82,15 +82,28 @@ class RoomFit:
         sizes, directions = np.linalg.eigh(0.5 * (curvature + curvature.T))
         return np.asarray((directions / np.maximum(sizes, 1.0)) @ directions.T * np.outer(scale, scale))
 
-    def gained(self, actuator: int) -> float:
-        """Log posterior odds that `actuator` acts on the room: that of this fit over that of the best without it."""
-        without = [replace(run, inputs=_without(run.inputs, self.room.drives(actuator))) for run in self.runs]
-        return float(searched(self.room, without, self._scaled).fun - self.value)
+    def without(self, actuator: int) -> RoomFit:
+        """The best fit as if `actuator` did nothing; its `value` less that of this one: the log odds that it acts."""
+        runs = [replace(run, inputs=_without(run.inputs, self.room.drives(actuator))) for run in self.runs]
+        best = searched(self.room, runs, self._scaled)
+        return RoomFit(self.room, self.room.mean + self.room.sd * best.x, float(best.fun), runs)
+
+    @property
+    def reading_K2(self) -> float:
+        """Variance of a reading."""
+        _, _, reading = self.room.noise(self.theta, self.runs[0].step_h)
+        return reading + self.runs[0].rounding_K2 + _MODEL_SD_K**2
 
     @property
     def _scaled(self) -> Array:
         """θ in prior standard deviations from its mean (p,)."""
         return np.asarray((self.theta - self.room.mean) / self.room.sd)
+
+
+def start_K2(room: Room, stationary: Array) -> Array:
+    """Variances of the states (n,) before the first reading; those of the disturbances are `stationary`."""
+    nodes = [_START_SD_K.get(state, _EMITTER_START_SD_K) ** 2 for state in range(room.disturbances.start)]
+    return np.concatenate([nodes, stationary])
 
 
 def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Array]:
@@ -108,13 +121,11 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
             Q, stationary, reading = room.noise(theta, step_h)
             share = _PAIR_SHARE**2 if run.pair else 1.0
             first = float(run.readings[np.isfinite(run.readings)][0])
-            x0, P0 = np.zeros(n), np.zeros(n)
-            if not run.pair:
+            x0, P0 = np.zeros(n), start_K2(room, share * stationary)
+            if run.pair:
+                P0[: room.disturbances.start] = 0.0
+            else:
                 x0[: room.disturbances.start] = first
-                P0[: room.disturbances.start] = _EMITTER_START_SD_K**2
-                for state, sd in _START_SD_K.items():
-                    P0[state] = sd**2
-            P0[room.disturbances] = share * stationary
             R = reading + run.rounding_K2 + _MODEL_SD_K**2
             readings = run.readings.copy()  # one that may be written to: others would be compiled for once more
             if run.on_sensor is not None:

@@ -12,10 +12,9 @@ import numpy as np
 from scipy.optimize import least_squares, nnls
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.identification.estimation.columns import free_time_constants
 from thermoforce_mpc.identification.estimation.differences import jacobian
 from thermoforce_mpc.identification.estimation.modes import unit_steps
-from thermoforce_mpc.identification.network.building import RESPONSE_H, WEATHER_H, Responses
+from thermoforce_mpc.identification.network.building import RESPONSE_H
 
 # Time constants, h: shortest, longest, least ratio of neighbours.
 _SHORTEST_H, _LONGEST_H, _APART = 0.05, 1000.0, 1.5
@@ -38,14 +37,12 @@ class Modes:
     """Responses of a zone to its actuators as r modes of common time constants.
 
     `log_tau` (r,): ln(τ/h), rising; `gains` (A, r): [slope K/h, G_2 … G_r K] of each actuator in the direction of its
-    sign; `misfit` (A,): root mean square error over that of the response. `weather` (2, q): steady gains of the free
-    modes to 1 K outdoors and to `SUN_W_M2`, K.
+    sign; `misfit` (A,): root mean square error over that of the response.
     """
 
     log_tau: Array
     gains: Array
     misfit: Array
-    weather: Array
 
     def covariance(self, of_responses: Array) -> Array:
         """Covariance (A, 2r, 2r) of [ln τ, gains] of each actuator that gives its response that of the network,
@@ -54,9 +51,11 @@ class Modes:
         return np.array([_covariance(self.log_tau, g, c) for g, c in zip(self.gains, of_responses, strict=True)])
 
 
-def projected(responses: Responses, own: int, signs: Array, order: int) -> Modes:
-    """The responses (A,) of a zone as `order` modes; the time constants are those that suit actuator `own`."""
-    means = responses.mean * np.asarray(signs)[:, None]
+def projected(responses: Array, own: int, signs: Array, order: int) -> Modes:
+    """The step responses (A, T) K of a zone at `RESPONSE_H` as `order` modes; the time constants are those that suit
+    actuator `own`.
+    """
+    means = responses * np.asarray(signs)[:, None]
     target = means[own] / np.abs(means[own]).max()
 
     def tau_of(x: Array) -> Array:
@@ -78,9 +77,7 @@ def projected(responses: Responses, own: int, signs: Array, order: int) -> Modes
     units = unit_steps(log_tau, RESPONSE_H)
     gains = np.array([nnls(units, mean)[0] for mean in means])
     errors = np.sqrt(np.mean((gains @ units.T - means) ** 2, axis=1) / np.maximum(np.mean(means**2, axis=1), 1e-12))
-    free = -np.expm1(-WEATHER_H[:, None] / np.exp(free_time_constants(log_tau)))
-    weather = np.array([nnls(free, response)[0] for response in responses.weather])
-    return Modes(log_tau, gains, errors, weather)
+    return Modes(log_tau, gains, errors)
 
 
 def _covariance(log_tau: Array, gains: Array, of_response: Array) -> Array:

@@ -1,7 +1,7 @@
 """Design of the excitation: choice of the most informative candidate (D-optimal, Fedorov 1972).
 
 The parameters are time constants and gains of the forced response; weather response, drift and initial state are
-marginalised, as in the joint estimator. With the sensitivities S of the temperature to the parameters, the covariance C
+marginalised. With the sensitivities S of the temperature to the parameters, the covariance C
 of the rest and the parameters' prior covariance P, the criterion is log det(I + P^½ Sᵀ C⁻¹ S P^½) over the record so
 far and the hours the candidate adds: twice the information gain, in nats. It needs priors only, no building data.
 """
@@ -15,11 +15,15 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
-from thermoforce_mpc.identification.estimation.likelihood import residuals
-from thermoforce_mpc.identification.estimation.modes import TIME_CONSTANTS_H, ModePriors, unit_responses
-from thermoforce_mpc.identification.estimation.regression import run_regression
+from thermoforce_mpc.identification.estimation.modes import (
+    TIME_CONSTANTS_H,
+    ModePriors,
+    lagged,
+    poles,
+    unit_responses,
+)
 from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
-from thermoforce_mpc.model.operator.heat_input import IDENTITY
+from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 
 # Step of the derivative with respect to ln τ.
 _STEP = 0.02
@@ -37,6 +41,13 @@ _HOUSE = ModePriors(
     gain_sd=np.array([0.1, 2.0, 0.0]),
     slowest_rate=(0.5, 0.5),
 )
+# Time constants of the free part, h: the house's and that of soil and neighbours; standard deviations of what its modes
+# gain from each input (per K, 100 W/m² and unit of the daily waves), of its level and of its modes at the start, K.
+_FREE_H = (*TIME_CONSTANTS_H[1:], 400.0)
+_FREE_SD = dict(zip(INPUTS, (0.3, 0.01, 50.0, 0.01, 0.01, 0.3, 0.3, 0.01), strict=True))
+_START_SD_K = (3.0, 20.0, 50.0, 50.0)
+# Disturbances: standard deviations, K, and time constants, h; noise of a reading, K.
+_DISTURBANCES, _READING_SD_K = ((0.02, 0.5), (0.2, 3.0), (2.0, 50.0)), 0.01
 
 
 def choose(
@@ -116,12 +127,19 @@ def _whitener(time_s: Array, T_out_C: Array, solar_W_m2: Array, step_s: float) -
     change, and those rows.
     """
     stride = max(1, round(_ROW_H * HOUR_S / step_s))
-    time_s = time_s[::stride]
-    nothing = np.zeros(time_s.size - 1)
+    time_s, rows = time_s[::stride], np.arange(time_s[::stride].size)
     # All temperatures are assumed to be measured.
-    hourly = Record(time_s, np.zeros(time_s.size), T_out_C[::stride], solar_W_m2[::stride], nothing, nothing, nothing)
-    regression = run_regression(hourly, IDENTITY)
-    return cholesky(residuals(regression, _HOUSE.log_tau).covariance, lower=True), regression.rows * stride
+    weather = dict(zip(INPUTS, weather_inputs(time_s, T_out_C[::stride], solar_W_m2[::stride]).T, strict=True))
+    hourly_s = stride * step_s
+    del weather["constant"]
+    slow = poles(np.log(_FREE_H), hourly_s)
+    columns = [_FREE_SD[name] * lagged(values, pole) for name, values in weather.items() for pole in slow]
+    fading = np.append(poles(np.log(TIME_CONSTANTS_H[:1]), hourly_s), slow) ** rows[:, None]
+    unknown = np.column_stack([*columns, np.full(rows.size, _FREE_SD["constant"]), fading * _START_SD_K])
+    apart_h = np.abs(time_s[:, None] - time_s) / HOUR_S
+    disturbed = sum(sd**2 * np.exp(-apart_h / hours) for sd, hours in _DISTURBANCES)
+    C = unknown @ unknown.T + disturbed + _READING_SD_K**2 * np.eye(rows.size)
+    return cholesky(C, lower=True), rows * stride
 
 
 def _criterion(u: Array, step_s: float, whitener: Array, rows: NDArray[np.intp]) -> float:

@@ -1,9 +1,9 @@
 """Errors of predictions of held-out rows from every row some hours before them, with known weather.
 
-The free part is predicted as in `likelihood`: given the temperatures until the start, its gains and initial state are
-conditioned on them. The same is done without the actuator, with disturbances chosen anew on the training rows, so that
-the comparison is fair. All innovations of all starts come from one Cholesky factor: with
-C = L Lᵀ and w = L⁻¹ r, the part of r_j that the rows before i do not predict is Σ_{k=i…j} L_jk w_k.
+The free part is predicted as its Kalman filter does, given the temperatures until the start (`estimation.rest`). The
+weather alone is the same with the free part that was fitted as if the actuator did nothing, so that the comparison is
+fair. All starts share one Cholesky factor: with C = L Lᵀ and w = L⁻¹ r, the part of r_j that the rows before i do not
+predict is Σ_{k=i…j} L_jk w_k.
 """
 
 from __future__ import annotations
@@ -13,32 +13,36 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.estimation.columns import forced_columns
-from thermoforce_mpc.identification.estimation.joint import ModeFit
-from thermoforce_mpc.identification.estimation.likelihood import residuals
 from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH
 from thermoforce_mpc.identification.estimation.regression import RegressionData
+from thermoforce_mpc.identification.estimation.rest import rest_of
 from thermoforce_mpc.identification.validation.blocks import PER_REGRESSION
+from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-
-# Sizes of the disturbances tried, as a share of the assumed ones.
-_SCALES = tuple(np.geomspace(0.03, 2.0, 6).tolist())
 
 
 @dataclass(frozen=True)
 class Fold:
-    """A linear fit, the priors that it began from, and what it has not seen: the held-out rows of `regressions`.
+    """A linear fit, and what it has not seen: the held-out rows of `regressions`.
 
-    `heat_input`: what its actuator delivers, by the rows that it has seen.
+    Attributes:
+        log_tau, gains: of the own actuator (r,): ln(τ/h), and [slope K/h, G_2 … G_r K], positive.
+        priors: of these, while a network is trained on pairs.
+        heat_input: what the actuator delivers, by the rows that the fit has seen.
+        free: free part of the zone, None without runs; `alone`: that of a fit as if the actuator did nothing.
     """
 
     regressions: Sequence[RegressionData]
-    fit: ModeFit
+    log_tau: Array
+    gains: Array
     priors: ModePriors
     heat_input: HeatInput
+    free: RcParameters | None
+    alone: RcParameters | None
 
     @property
     def judged(self) -> list[int]:
@@ -48,7 +52,7 @@ class Fold:
 
     def linear_effects(self, sign: int) -> list[Array]:
         """What the actions did by the linear fit, K, at the rows of each regression."""
-        return [forced_columns(e, self.fit.log_tau, sign) @ self.fit.gains for e in self.regressions]
+        return [e.effect(self.log_tau, self.gains, sign) for e in self.regressions]
 
     @property
     def held_out_h(self) -> float:
@@ -84,9 +88,8 @@ def errors_of(
     Blocks of the regressions are numbered from `number` on.
     """
     judged = [fold.regressions[i] for i in fold.judged]
-    none = [np.zeros(e.rows.size) for e in judged]
-    model = _innovations(judged, [effects[i] for i in fold.judged], fold.fit.log_tau, leads_h)
-    weather = _innovations(judged, none, fold.fit.log_tau, leads_h)
+    model = [_innovations(e, fold.free, effects[i]) for i, e in zip(fold.judged, judged, strict=True)]
+    weather = [_innovations(e, fold.alone, np.zeros(e.rows.size)) for e in judged]
     return {
         hours: HeldOutErrors.joined(
             [_errors(number + i, e, model[i], weather[i], hours, block_h) for i, e in enumerate(judged)]
@@ -97,36 +100,22 @@ def errors_of(
 
 @dataclass(frozen=True)
 class _Innovations:
-    """w (m,) and L (m, m) of the rows from `begin` on, in standard deviations and K."""
+    """w (rows,) and L (rows, rows), in standard deviations and K."""
 
-    begin: int
     white: Array
     factor: Array
 
     def ahead(self, starts: NDArray[np.intp], targets: NDArray[np.intp]) -> Array:
-        """Errors (n,) of the predictions from `starts`, `begin` - 1 or later, to `targets`, K."""
-        rows = zip(starts + 1 - self.begin, targets - self.begin, strict=True)
+        """Errors (n,) of the predictions from `starts` to `targets`, K."""
+        rows = zip(starts + 1, targets, strict=True)
         return np.array([self.factor[j, i : j + 1] @ self.white[i : j + 1] for i, j in rows])
 
 
-def _innovations(
-    regressions: Sequence[RegressionData], effects: Sequence[Array], log_tau: Array, leads_h: Sequence[float]
-) -> list[_Innovations]:
-    """Return what predictions of these lead times need of each regression, with the likeliest size of disturbances.
-
-    Likeliest on the rows before the held-out ones; `effects` (rows,) K are what the actions did.
-    """
-    rests = [residuals(e, log_tau) for e in regressions]
-    left = [e.target - effect - rest.mean for e, effect, rest in zip(regressions, effects, rests, strict=True)]
-    scale, each = 1.0, list(zip(regressions, rests, left, strict=True))
-    if all(e.seen and not e.is_pair for e in regressions):  # that of pairs is the error of a model, which is known
-        likelihoods = [rest.log_likelihoods(values, e.seen, _SCALES) for e, rest, values in each]
-        scale = _SCALES[int(np.argmax(np.sum(likelihoods, axis=0)))]
-    innovations = []
-    for e, rest, values in each:
-        begin = 1 + min(int(np.min(_held_out(e, hours)[0], initial=max(e.seen - 1, 0))) for hours in leads_h)
-        innovations.append(_Innovations(begin, *rest.scaled(scale).later(values, begin)))
-    return innovations
+def _innovations(e: RegressionData, free: RcParameters | None, effect: Array) -> _Innovations:
+    """What predictions of a regression need where the actions did `effect` (rows,), K."""
+    rest = rest_of(e, free)
+    left = e.target - effect - rest.mean
+    return _Innovations(solve_triangular(rest.factor, left, lower=True, check_finite=False), rest.factor)
 
 
 def _errors(

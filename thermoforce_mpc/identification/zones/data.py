@@ -11,14 +11,12 @@ import numpy as np
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.disturbance import SENSOR_SD_K
-from thermoforce_mpc.identification.estimation.modes import ModePriors, centred_priors
 from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
 from thermoforce_mpc.identification.estimation.regression import (
-    OtherActuator,
     RegressionData,
     pair_regression,
     run_regression,
+    without_others,
 )
 from thermoforce_mpc.identification.network.projection import Modes
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
@@ -29,18 +27,20 @@ from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 
-HELD = 0.5
-"""Relative standard deviation of what the network says of effects while the free part is fitted beside them."""
-# Least standard deviation of a gain, K or K/h.
-_LEAST_GAIN = 1e-3
+# Noise of a sensor without a resolution, K.
+_SENSOR_SD_K = 0.01
 
 
 @dataclass(frozen=True)
 class Effects:
-    """What the network says of the actuators of a zone (1 + K,), its own first: their effects, and v of each."""
+    """What the network says of a zone: the effects of its actuators (1 + K,), its own first, and v of each; its free
+    part, and that of a fit as if its own actuator did nothing, None without runs.
+    """
 
     modes: Modes
     heat_inputs: tuple[HeatInput, ...]
+    free: RcParameters | None
+    alone: RcParameters | None
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,10 @@ class ZoneData:
     Attributes:
         config: options.
         runs, pairs: records of the zone, prepared (`identification.records`); the first level is that of its own
-            actuator, the rest are those of `others`.
+            actuator, the rest are those of the others.
         heat_input: what the own actuator delivers.
         sign: +1 if it heats, −1 if it cools.
-        others: the other actuators of the building.
+        other_signs: signs of the other actuators of the building.
         step_s: step of the operator, s; None: that of the data.
         source, data, notes: for the model card.
         power: of the machine, where it feeds this actuator alone.
@@ -69,7 +69,7 @@ class ZoneData:
     pairs: Sequence[Pair]
     heat_input: HeatInput
     sign: int
-    others: Sequence[OtherActuator] = ()
+    other_signs: Sequence[int] = ()
     step_s: float | None = None
     source: str = "identified"
     data: Mapping[str, str] = field(default_factory=dict)
@@ -93,7 +93,7 @@ class ZoneData:
     @property
     def sensor_sd_K(self) -> float:
         """Noise of the sensor, K: the rounding errors of one that reads in steps are uniform."""
-        return float(np.hypot(SENSOR_SD_K, self.grid_K / np.sqrt(12.0)))
+        return float(np.hypot(_SENSOR_SD_K, self.grid_K / np.sqrt(12.0)))
 
     @property
     def said(self) -> list[str]:
@@ -106,22 +106,16 @@ class ZoneData:
     @cached_property
     def regressions(self) -> list[RegressionData]:
         """The records as regressions, the last rows held out."""
-        runs = [run_regression(run, self.heat_input, self.others, self.sensor_sd_K) for run in self.runs]
-        pairs = [pair_regression(pair, self.heat_input, self.others) for pair in self.pairs]
+        runs = [run_regression(run, self.heat_input) for run in self.runs]
+        pairs = [pair_regression(pair, self.heat_input) for pair in self.pairs]
         return held_out([*runs, *pairs], self.config)
 
-    def knowing(self, effects: Effects) -> tuple[list[RegressionData], ModePriors]:
-        """The regressions with what the network says of levels and, as their prior, of the effects of the other
-        actuators; and the prior of that of the own one.
-        """
+    def knowing(self, effects: Effects) -> list[RegressionData]:
+        """The regressions with what the network says of levels, without what it says that the other actuators did."""
         own, *others = effects.heat_inputs
-        acting = [replace(other, heat_input=v) for other, v in zip(self.others, others, strict=True)]
-        modes = effects.modes
-        sd = np.maximum(HELD * modes.gains[1:], _LEAST_GAIN)
-        prior = np.stack([modes.gains[1:], sd], axis=1)
-        regressions = replace(self, heat_input=own, others=acting).regressions
-        known = [replace(e, other_gains=prior, weather_gains=modes.weather) for e in regressions]
-        return known, centred_priors(modes.log_tau, modes.gains[0], HELD)
+        log_tau, gains = effects.modes.log_tau, effects.modes.gains[1:]
+        regressions = replace(self, heat_input=own).regressions
+        return [without_others(e, others, self.other_signs, log_tau, gains) for e in regressions]
 
     @property
     def histories(self) -> list[Record]:

@@ -12,9 +12,11 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.couplings import others_of
 from thermoforce_mpc.identification.effects.level_laws import Estimates, LevelLaw, laws_of, weather_of, with_outdoors
 from thermoforce_mpc.identification.estimation.records import Pair
-from thermoforce_mpc.identification.network.building import BuildingFit, Responses
+from thermoforce_mpc.identification.estimation.uncertainty import Effect
+from thermoforce_mpc.identification.network.building import BuildingFit
 from thermoforce_mpc.identification.network.effects import Actuators, building_fit, room_pair, room_run
 from thermoforce_mpc.identification.network.estimate import RoomFit, Run
+from thermoforce_mpc.identification.network.free_part import free_part
 from thermoforce_mpc.identification.network.projection import projected
 from thermoforce_mpc.identification.zones.data import Effects, ZoneData
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -25,16 +27,23 @@ class ZoneEffects:
     """What the network of the building says of a zone's actuators, from all rows, from those before the held-out ones,
     and from those before an earlier part.
 
-    `covariance` (1 + K, 2r, 2r): of the effects of the `whole`; `laws`: what was found of the level of its own
-    actuator; `log_odds` that this acts on it at all.
+    `of_responses` (1 + K, T, T) K²: covariance of the step responses of the `whole`; `laws`: what was found of the
+    level of its own actuator; `log_odds` that this acts on it at all.
     """
 
     whole: Effects
     training: Effects
     earlier: Effects
-    covariance: Array
+    of_responses: Array
     laws: Estimates
     log_odds: float
+
+    @property
+    def known(self) -> list[Effect]:
+        """The effects of the `whole` (1 + K,) with their covariance."""
+        modes = self.whole.modes
+        covariances = modes.covariance(self.of_responses)
+        return [Effect(modes.log_tau, gains, c) for gains, c in zip(modes.gains, covariances, strict=True)]
 
 
 def zone_effects(
@@ -73,23 +82,17 @@ def zone_effects(
     estimates = [_estimates(whole, a, laws[a]) for a in range(len(heat_inputs))]
     effects: list[ZoneEffects | None] = []
     for a, home in enumerate(layout.home):
-        order = [a, *others_of(layout, a, config)]
-        signs = np.array([layout.signs[b] for b in order])
-        folds = {}
+        order, k = [a, *others_of(layout, a, config)], layout.actuators_of(home).index(a)
+        signs, folds = np.array([layout.signs[b] for b in order]), {}
         for fold, fit in by_fold.items():
-            found = fit.responses[home]
-            modes = projected(Responses(found.mean[order], found.weather), 0, signs, config.modes)
-            folds[fold] = Effects(modes, tuple(inputs[fold][b] for b in order))
-        effects.append(
-            ZoneEffects(
-                folds["whole"],
-                folds["training"],
-                folds.get("earlier", folds["training"]),
-                folds["whole"].modes.covariance(whole.covariance[home, order]),
-                estimates[a],
-                whole.rooms[home].gained(layout.actuators_of(home).index(a)),
-            )
-        )
+            modes = projected(fit.responses[home, order], 0, signs, config.modes)
+            without = fit.without(home, k)
+            free, alone = free_part(fit, home), free_part(without, home)
+            folds[fold] = Effects(modes, tuple(inputs[fold][b] for b in order), free, alone)
+        of_responses = whole.covariance[home, order]
+        log_odds = without.rooms[home].value - whole.rooms[home].value
+        training, earlier = folds["training"], folds.get("earlier", folds["training"])
+        effects.append(ZoneEffects(folds["whole"], training, earlier, of_responses, estimates[a], log_odds))
     return effects
 
 

@@ -1,8 +1,8 @@
-"""Model of one zone from its records: free part beside the network's effects, monotone-neural gain, verdict.
+"""Model of one zone from its records: effects and free part of the network, monotone-neural gain, verdict.
 
-Fit with the effects that the network has of the first part of the data, for the verdict; fit with those of everything;
-train the modulation the same way, and keep it unless it is worse; refuse an operator whose actuator is not shown to act
-or whose sign is not proven, whatever the method. The zone's own actuator is the first of its records.
+The network of the first part of the data gives the verdict, that of everything the model; the modulation is trained the
+same way, and kept unless it is worse; an operator whose actuator is not shown to act or whose sign is not proven is
+refused, whatever the method. The zone's own actuator is the first of its records.
 """
 
 from __future__ import annotations
@@ -15,14 +15,13 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.effects.level_laws import level_shape
-from thermoforce_mpc.identification.estimation.joint import JointFit, ModeFit, fit_joint, fit_modes
-from thermoforce_mpc.identification.estimation.modes import ModePriors, bounds_h, to_operator
+from thermoforce_mpc.identification.estimation.modes import bounds_h, centred_priors, to_operator
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
 from thermoforce_mpc.identification.validation.competence import Trial, judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
-from thermoforce_mpc.identification.validation.held_out import before_held_out, normalisation, ranges, seen_rows
+from thermoforce_mpc.identification.validation.held_out import before_held_out, normalisation, ranges
 from thermoforce_mpc.identification.validation.reasons import UNJUDGED
 from thermoforce_mpc.identification.validation.warnings import uncertain
 from thermoforce_mpc.identification.zones.data import Effects, Estimate, ZoneData
@@ -30,37 +29,34 @@ from thermoforce_mpc.identification.zones.effects import ZoneEffects
 from thermoforce_mpc.identification.zones.two_stage_estimate import two_stage_estimate
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
-from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.zone_model import ZoneModel
 
 # Least log odds that the actuator acts: of 84 random houses with the levels of another one, 2 had more
 # (`python -m benchmarks.zones.placebo` for houses of rooms).
 _LEAST_LOG_ODDS = 5.0
+# Relative standard deviation of gains and time constants while a network is trained on pairs alone.
+_PAIRS_SD = 0.5
+# Least gain, K or K/h: an effect that the record denies keeps the sign of its actuator.
+_LEAST_GAIN = 1e-12
 _ACTS_NOT = "nothing in the record shows that the actuator does anything to the room"
 _LEVEL_FOR_HEAT = (
     "without the held-out rows too little heat was metered for a law of it: the verdict takes the level for heat there"
 )
 
 
-def identify_zone(
-    data: ZoneData, effects: ZoneEffects | None, say: Callable[[str], None]
-) -> tuple[ZoneModel, JointFit | None]:
-    """Return the zone's model and its linear fit, None with method two_stage, which needs no `effects`.
+def identify_zone(data: ZoneData, effects: ZoneEffects | None, say: Callable[[str], None]) -> ZoneModel:
+    """Return the zone's model; method two_stage needs no `effects`.
 
     Raises:
         DataError: nothing shows that the actuator acts (where it is alone), or its effect has no proven sign.
     """
     days = sum(h.n_steps * h.step_s for h in data.histories) / DAY_S
     say(f"fitting the forced response to {days:.3g} days at {data.histories[0].step_s:g} s")
-    fit = None
-    if effects is None:
-        estimate = two_stage_estimate(data)
-    else:
-        fit, estimate = _joint_estimate(data, effects)
+    estimate = two_stage_estimate(data) if effects is None else _network_estimate(data, effects)
     model = _accepted(_modelled(data, estimate, effects, say), data)
     say(f"identified an operator of order {model.operator.order}")
-    return model, fit
+    return model
 
 
 def _accepted(model: ZoneModel, data: ZoneData) -> ZoneModel:
@@ -94,30 +90,28 @@ def _without_effect(log_odds: float, data: ZoneData) -> str:
     )
 
 
-def _joint_estimate(data: ZoneData, effects: ZoneEffects) -> tuple[JointFit, Estimate]:
-    """The joint fit, with the effects of the network, and its folds."""
-    config, sign = data.config, data.sign
-    regressions, priors = data.knowing(effects.whole)
-    fit = fit_joint(regressions, priors, sign, effects.covariance)
-    earlier, before_priors = data.knowing(effects.earlier)
-    earlier = before_held_out(earlier, config)
-    estimate = Estimate(
-        everything=Fold([replace(e, held=0) for e in regressions], fit, priors, effects.whole.heat_inputs[0]),
-        last=_fold(*data.knowing(effects.training), effects.training, sign),
-        before=_fold(earlier, before_priors, effects.earlier, sign) if earlier else None,
+def _network_estimate(data: ZoneData, effects: ZoneEffects) -> Estimate:
+    """What the network says of the zone, and its folds."""
+    config = data.config
+    earlier = before_held_out(data.knowing(effects.earlier), config)
+    free = effects.whole.free
+    return Estimate(
+        everything=_fold([replace(e, held=0) for e in data.knowing(effects.whole)], effects.whole),
+        last=_fold(data.knowing(effects.training), effects.training),
+        before=_fold(earlier, effects.earlier) if earlier else None,
         bounds_h=bounds_h,
         gamma=config.gamma,
         trains=config.modulation != "linear",
-        free=fit.free_model(data.step_s or data.histories[0].step_s, data.sensor_sd_K) if data.runs else None,
-        scores={"residual_scale": fit.residual_scale, "acts_log_odds": effects.log_odds},
-        certainty=lambda operator: uncertainty(fit, data.level_sd) | {"sensor_resolution_K": data.grid_K},
+        free=None if free is None else free.resampled(data.step_s or data.histories[0].step_s),
+        scores={"acts_log_odds": effects.log_odds},
+        certainty=lambda operator: uncertainty(effects.known[0], data.level_sd) | {"sensor_resolution_K": data.grid_K},
     )
-    return fit, estimate
 
 
-def _fold(regressions: Sequence[RegressionData], priors: ModePriors, effects: Effects, sign: int) -> Fold:
-    """The fit to the rows that are not held out."""
-    return Fold(regressions, fit_modes(seen_rows(regressions), priors, sign), priors, effects.heat_inputs[0])
+def _fold(regressions: Sequence[RegressionData], effects: Effects) -> Fold:
+    log_tau, gains = effects.modes.log_tau, np.maximum(effects.modes.gains[0], _LEAST_GAIN)
+    priors = centred_priors(log_tau, gains, _PAIRS_SD)
+    return Fold(regressions, log_tau, gains, priors, effects.heat_inputs[0], effects.free, effects.alone)
 
 
 def _modelled(data: ZoneData, estimate: Estimate, effects: ZoneEffects | None, say: Callable[[str], None]) -> ZoneModel:
@@ -126,21 +120,21 @@ def _modelled(data: ZoneData, estimate: Estimate, effects: ZoneEffects | None, s
     histories, sign = data.histories, data.sign
     mean, scale = normalisation(histories)
 
-    def linear(fit: ModeFit, heat_input: HeatInput) -> OperatorParameters:
+    def linear(fold: Fold) -> OperatorParameters:
         return to_operator(
-            fit.log_tau,
-            fit.gains,
+            fold.log_tau,
+            fold.gains,
             step_s=histories[0].step_s,
-            bounds_h=estimate.bounds_h(fit.log_tau),
+            bounds_h=estimate.bounds_h(fold.log_tau),
             sign=sign,
             gamma=estimate.gamma,
             hidden=config.hidden,
-            heat_input=heat_input,
+            heat_input=fold.heat_input,
             feature_mean=mean,
             feature_scale=scale,
         )
 
-    operator = replace(linear(everything.fit, everything.heat_input), feedback=config.feedback)
+    operator = replace(linear(everything), feedback=config.feedback)
     scores, notes = dict(estimate.scores), list(data.said)
     if everything.heat_input.law is not None and last.heat_input.law is None:
         notes.append(_LEVEL_FOR_HEAT)

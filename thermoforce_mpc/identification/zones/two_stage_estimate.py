@@ -8,13 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.data import HOUR_S, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.estimation.joint import ModeFit
 from thermoforce_mpc.identification.estimation.modes import centred_priors
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
-from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
+from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_passive, fit_two_stage
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.validation.held_out import before_held_out
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
@@ -40,13 +39,13 @@ def two_stage_estimate(data: ZoneData) -> Estimate:
     try:
         last = _fold(data, "training", fit)
     except DataError as error:
-        last, unjudged = _of_fit(regressions, fit), f"it cannot be judged without its held-out rows: {error}"
+        last, unjudged = _of_fit(regressions, fit, runs), f"it cannot be judged without its held-out rows: {error}"
     before = None
     if not unjudged:
         with suppress(DataError):  # there is no earlier part then
             before = _fold(data, "earlier", fit)
     return Estimate(
-        everything=_of_fit([replace(e, held=0) for e in regressions], fit),
+        everything=_of_fit([replace(e, held=0) for e in regressions], fit, runs),
         last=last,
         before=before,
         bounds_h=lambda log_tau: _POLE_BOUNDS_H,
@@ -67,7 +66,7 @@ def two_stage_estimate(data: ZoneData) -> Estimate:
 
 def _regressions(data: ZoneData, heat_input: HeatInput) -> list[RegressionData]:
     """What the network is trained and everything judged on: the pairs if there are any, else the runs."""
-    return replace(data, heat_input=heat_input, others=(), runs=() if data.pairs else data.runs).regressions
+    return replace(data, heat_input=heat_input, runs=() if data.pairs else data.runs).regressions
 
 
 def _fold(data: ZoneData, fold: str, fit: TwoStageFit) -> Fold:
@@ -83,19 +82,15 @@ def _fold(data: ZoneData, fold: str, fit: TwoStageFit) -> Fold:
     seen = [e.histories[0].slice(0, int(e.rows[e.seen - 1])) for e in regressions if not e.is_pair and e.seen]
     if seen:
         fit = fit_two_stage(seen, heat_input=heat_input, sign=fit.sign)
-    return _of_fit(regressions, fit)
+    return _of_fit(regressions, fit, seen or data.runs)
 
 
-def _of_fit(regressions: Sequence[RegressionData], fit: TwoStageFit) -> Fold:
-    modes = _as_modes(fit)
-    priors = centred_priors(modes.log_tau, modes.gains, _TWO_STAGE_SD)
-    return Fold(regressions, modes, priors, fit.heat_input)
-
-
-def _as_modes(fit: TwoStageFit) -> ModeFit:
+def _of_fit(regressions: Sequence[RegressionData], fit: TwoStageFit, runs: Sequence[Record]) -> Fold:
     operator = fit.operator()
-    slope = np.abs(operator.steady_gains_K) / operator.time_constants_h
-    return ModeFit(np.log(operator.time_constants_h), slope, residual_scale=1.0)
+    log_tau = np.log(operator.time_constants_h)
+    gains = np.abs(operator.steady_gains_K) / operator.time_constants_h
+    priors = centred_priors(log_tau, gains, _TWO_STAGE_SD)
+    return Fold(regressions, log_tau, gains, priors, fit.heat_input, fit.free_model(), fit_passive(runs).free_model())
 
 
 def _step_response(fit: TwoStageFit, operator: OperatorParameters) -> dict[str, float]:

@@ -8,7 +8,7 @@ estimates the modes from the control-free history, skipping missing values; its 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtri
@@ -32,8 +32,8 @@ irradiance²/300 W/m²: the beam share, and so the transmission of windows, rise
 
 _SQUARE_W_M2 = 300.0
 
-# Prior standard deviation of the modes before the first measurement, K.
-_PRIOR_SD_K = 10.0
+# Least eigenvalue of a covariance, as a share of its largest element: rounding.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,9 @@ class RcParameters:
         poles: a_i, shape (q,), in (0, 1) per step.
         weights: shape (q, 8), K per step and unit of each of `INPUTS`; the first three columns are c, d, e.
         step_s: length of a step, s.
-        process_sd_K: standard deviation of the process noise per mode and step, shape (q,), K.
+        process_K2: covariance of what disturbs the modes in a step, shape (q, q), K².
+        start_K2: covariance of the modes before the first measurement, about the steady state in the weather of the
+            first day, shape (q, q), K².
         sensor_sd_K: noise of the temperature sensor, K.
 
     Raises:
@@ -54,26 +56,25 @@ class RcParameters:
     poles: Array
     weights: Array
     step_s: float
-    process_sd_K: Array
+    process_K2: Array
+    start_K2: Array
     sensor_sd_K: float = 0.02
 
     def __post_init__(self) -> None:
         q = np.size(self.poles)
-        for item in fields(self):
-            if item.name in ("step_s", "sensor_sd_K"):
-                continue
-            array = np.array(getattr(self, item.name), dtype=np.float64)
-            shape = (q, len(INPUTS)) if item.name == "weights" else (q,)
+        shapes = {"poles": (q,), "weights": (q, len(INPUTS)), "process_K2": (q, q), "start_K2": (q, q)}
+        for name, shape in shapes.items():
+            array = np.array(getattr(self, name), dtype=np.float64)
             if array.shape != shape or q == 0 or not np.isfinite(array).all():
-                raise DataError(
-                    f"free model: {item.name} is {array.tolist()}, expected finite numbers of shape {shape}"
-                )
+                raise DataError(f"free model: {name} is {array.tolist()}, expected finite numbers of shape {shape}")
             array.setflags(write=False)
-            object.__setattr__(self, item.name, array)
+            object.__setattr__(self, name, array)
+            if name.endswith("_K2") and np.linalg.eigvalsh(array)[0] < -_ROUNDING * np.abs(array).max():
+                raise DataError(f"free model: {name} is {array.tolist()}, which is no covariance")
         if not ((self.poles > 0) & (self.poles < 1)).all():
             raise DataError(f"free model: poles {self.poles.tolist()} leave (0, 1)")
-        if not (self.step_s > 0 and self.sensor_sd_K > 0 and (self.process_sd_K >= 0).all()):
-            raise DataError("free model: step_s and sensor_sd_K must be positive, process_sd_K nonnegative")
+        if not (self.step_s > 0 and self.sensor_sd_K > 0):
+            raise DataError("free model: step_s and sensor_sd_K must be positive")
 
     @property
     def order(self) -> int:
@@ -92,19 +93,25 @@ class RcParameters:
             return self
         poles = self.poles**ratio
         scale = (1.0 - poles) / (1.0 - self.poles)
-        # The process noise is scaled to keep the stationary variance of each mode.
-        spread = np.sqrt((1.0 - poles**2) / (1.0 - self.poles**2))
+        # The process noise is scaled to keep the stationary covariance of the modes.
+        spread = (1.0 - np.outer(poles, poles)) / (1.0 - np.outer(self.poles, self.poles))
         return RcParameters(
             poles=poles,
             weights=self.weights * scale[:, None],
             step_s=step_s,
-            process_sd_K=self.process_sd_K * spread,
+            process_K2=self.process_K2 * spread,
+            start_K2=self.start_K2,
             sensor_sd_K=self.sensor_sd_K,
         )
 
     def drive(self, time_s: Array, T_out_C: Array, solar_W_m2: Array) -> Array:
         """Return the input of each mode in each of n steps, shape (n, q), K; weather is sampled at n + 1 boundaries."""
         return weather_inputs(time_s, T_out_C, solar_W_m2) @ self.weights.T
+
+    def beginning(self, drive: Array) -> Array:
+        """Steady state (q,), K, under the mean of the first day of `drive` (n, q)."""
+        day = max(1, round(DAY_S / self.step_s))
+        return np.asarray(drive[:day].mean(axis=0) / (1.0 - self.poles))
 
 
 def weather_inputs(time_s: Array, T_out_C: Array, solar_W_m2: Array) -> Array:
@@ -151,21 +158,16 @@ class RcFreeResponse:
 
 def _predict(params: RcParameters, mean: Array, covariance: Array, drive: Array) -> tuple[Array, Array]:
     a = params.poles
-    return a * mean + drive, a[:, None] * covariance * a[None, :] + np.diag(params.process_sd_K**2)
+    return a * mean + drive, a[:, None] * covariance * a[None, :] + params.process_K2
 
 
 def _filter(params: RcParameters, free_C: Array, history: Record) -> tuple[Array, Array]:
     """Return mean (q,) and covariance (q, q) of the modes now, given the control-free history."""
-    q = params.order
-    first = free_C[np.isfinite(free_C)][0]
     drive = params.drive(history.time_s, history.T_out_C, history.solar_W_m2)
     if not np.isfinite(drive).all():
         raise DataError("weather of the history has values that are not finite")
-    # Start from the steady state under the first day's weather, shifted so that the modes sum to the measurement.
-    day = max(1, min(len(drive), round(24 * HOUR_S / params.step_s)))
-    mean = drive[:day].mean(axis=0) / (1.0 - params.poles) if len(drive) else np.full(q, first / q)
-    mean = mean + (first - mean.sum()) / q
-    covariance = np.eye(q) * _PRIOR_SD_K**2
+    mean = params.beginning(drive) if len(drive) else np.zeros(params.order)
+    covariance = params.start_K2
     for t, value in enumerate(free_C):
         if np.isfinite(value):
             gain = covariance.sum(axis=1) / (covariance.sum() + params.sensor_sd_K**2)

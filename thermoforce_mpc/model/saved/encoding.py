@@ -24,7 +24,7 @@ _OPERATOR_ARRAYS = (
     "feature_scale",
     "pole_bounds",
 )
-_FREE_ARRAYS = ("poles", "weights", "process_sd_K")
+_FREE_ARRAYS = ("poles", "weights", "process_K2", "start_K2")
 
 
 def encode(

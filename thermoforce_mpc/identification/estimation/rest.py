@@ -1,0 +1,70 @@
+"""What is left of the temperature without the effects of actions: its distribution by a linear free model.
+
+The modes of the free part (`RcParameters`) are Gaussian at every instant, so the temperatures of a run are, too. With
+their covariance C = L Lᵀ, row i of L⁻¹ is what a reading says beyond those before it, as in a Kalman filter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from thermoforce_mpc.data import Array, Record
+from thermoforce_mpc.identification.estimation.modes import lagged
+from thermoforce_mpc.identification.estimation.regression import RegressionData
+from thermoforce_mpc.model.free_response.rc import RcParameters
+
+# Pairs cancel all drift; the rest is the model error of a few hundredths of a K. It is correlated over about an hour,
+# so the standard deviation per row is ten times as large.
+_PAIR_SD_K = 0.3
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Distribution of the target without effects: `mean` (rows,) K and `covariance` (rows, rows) K²."""
+
+    mean: Array
+    covariance: Array
+
+    @cached_property
+    def factor(self) -> Array:
+        """L (rows, rows), K."""
+        return np.asarray(cholesky(self.covariance, lower=True, check_finite=False))
+
+    @cached_property
+    def whitener(self) -> Array:
+        """L⁻¹ (rows, rows)."""
+        return np.asarray(solve_triangular(self.factor, np.eye(self.mean.size), lower=True, check_finite=False))
+
+
+def rest_of(regression: RegressionData, free: RcParameters | None) -> Rest:
+    """The rest of a run by the `free` part of its zone, at the step of the run; that of a pair needs none."""
+    n = regression.rows.size
+    if regression.is_pair or free is None:
+        return Rest(np.zeros(n), _PAIR_SD_K**2 * np.eye(n))
+    return Rest(_mean(regression.histories[0], free)[regression.rows], _covariance(regression, free))
+
+
+def _mean(history: Record, free: RcParameters) -> Array:
+    """Free response (n + 1,), °C, from the steady state in the weather of the first day."""
+    drive = free.drive(history.time_s, history.T_out_C, history.solar_W_m2)
+    steps = np.arange(history.n_steps + 1)
+    fading = free.poles ** steps[:, None] @ free.beginning(drive)
+    return np.asarray(fading + sum(lagged(d / (1.0 - a), a) for a, d in zip(free.poles, drive.T, strict=True)))
+
+
+def _covariance(regression: RegressionData, free: RcParameters) -> Array:
+    rows, a = regression.rows, free.poles
+    stationary = free.process_K2 / (1.0 - np.outer(a, a))
+    fading = a ** rows[:, None]
+    # Covariance of each mode with the temperature, both at the earlier of two rows.
+    now = fading * (fading @ (free.start_K2 - stationary)) + stationary.sum(axis=0)
+    apart, lags = np.abs(rows[:, None] - rows), np.arange(rows[-1] - rows[0] + 1)
+    earlier = np.minimum(np.arange(rows.size)[:, None], np.arange(rows.size))
+    total = free.sensor_sd_K**2 * np.eye(rows.size)
+    for mode, pole in enumerate(a):
+        total += (pole**lags)[apart] * now[:, mode][earlier]
+    return np.asarray(total)
