@@ -26,7 +26,7 @@ from thermoforce_mpc.identification.effects.couplings import (
     with_metered_shares,
 )
 from thermoforce_mpc.identification.effects.level_laws import OUTDOORS, levels_only, outdoors_in_words, weather_of
-from thermoforce_mpc.identification.effects.own_power import foreign_loads, without_foreign
+from thermoforce_mpc.identification.effects.own_meters import foreign_loads
 from thermoforce_mpc.identification.estimation.joint import JointFit
 from thermoforce_mpc.identification.estimation.records import (
     Pair,
@@ -120,8 +120,9 @@ def identify(
     histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
     check_steps(histories)
     foreign = foreign_loads(histories, layout)
-    histories = [without_foreign(h, foreign) for h in histories]
-    runs = histories[: len(runs)]
+    runs = [foreign.taken_off(run) for run in runs]
+    pairs = [replace(p, a=foreign.taken_off(p.a), b=foreign.taken_off(p.b)) for p in pairs]
+    histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
 
     heat_inputs: list[HeatInput] = []
     notes: list[list[str]] = []
@@ -137,11 +138,10 @@ def identify(
         notes.append([*doubts, *gaps, *pair_gaps, *heat_notes])
     layout = with_metered_shares(layout, heat_inputs, histories)
     runs, sun = without_sun(runs, layout, heat_inputs, config)
-    power, unfitted = _powers(histories, config, layout, foreign)
+    power, unfitted = _powers(histories, config, layout, foreign.power)
     for a, m in enumerate(layout.machine_of):
         law = power[m]
-        other = foreign[m]
-        notes[a] += [] if other is None else [f"power of {layout.names.machines[m]}: {other.in_words()}"]
+        notes[a] += foreign.notes(a)
         if m in unfitted:
             notes[a].append(unfitted[m])
         notes[a] += unexplained(law, layout.names.machines[m])
@@ -182,6 +182,7 @@ def identify(
             zone, fit = identify_zone(zone_data, effects[a], tell)
         except DataError as error:
             raise DataError("; ".join([f"{prefix}{error}", *doubts])) from error
+        zone = replace(zone, card=replace(zone.card, foreign_heat=foreign.heat[a]))
         zones.append(_barred(_with_advice(zone, advice), a, said))
         fits.append(fit)
     return assembled(layout, zones, fits, power, config)
