@@ -285,7 +285,8 @@ class ThermoForceMPC(ActuatedController):
             return forecast
         operator, context = forecast.planner.operator, forecast.context
         try:
-            return self._formulation.instance(operator, context, readings.history, state.margins, state.peak_W)
+            blocked = [watch.blocked for watch in state.watch]
+            return self._formulation.instance(operator, context, readings.history, state.margins, state.peak_W, blocked)
         except Exception as error:  # of a forecast that lacks what the problem needs
             return Failure(f"no prediction ({message_of(error)})", state)
 
