@@ -146,7 +146,7 @@ def counterfactual(
                 f"{record.names.label('u', a)} was not measured in {unknown.sum()} of the {n} steps from {start} on: "
                 "there is nothing to compare with; choose a stretch in which it was"
             )
-    whole, _ = bridged(record.slice(0, first + n))
+    whole, _ = bridged(model.own_heat(record.slice(0, first + n)))
     past, stretch = whole.slice(0, first), whole.slice(first, first + n)
     forced_K = Predictor(model.operator, [_Recorded(np.empty(0))] * len(record.names.zones)).forced_history(whole)
     free_C = control_free(whole.T_zone_C, forced_K.sum(axis=(1, 3)))
