@@ -14,7 +14,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.comparison.cells import expand
-from thermoforce_mpc.simulation.comparison.store import Store
+from thermoforce_mpc.simulation.comparison.store import Ran, Store
 from thermoforce_mpc.simulation.comparison.tasks import failure
 from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant
 
@@ -74,17 +74,17 @@ def test_only_whole_and_finished_files_count_as_done(tmp_path):
     store = Store(tmp_path)
     store.create()
     assert store.finished(cell) is None
-    store.write(cell, failure(cell, "because"))
+    store.write(cell, Ran(failure(cell, "because")))
     assert store.finished(cell) is None
-    store.cell_path(cell).write_text('{"format": 1, "key": "', encoding="utf-8")
+    store.record_path(cell.key).write_text('{"format": 1, "key": "', encoding="utf-8")
     assert store.finished(cell) is None
-    store.write(cell, failure(cell, "") | {"status": "done"})
+    store.write(cell, Ran(failure(cell, "") | {"status": "done"}))
     assert store.finished(cell) is not None
     (renamed,) = expand(Scenario(testcase=TESTCASE), {"m": Variant(controller="native")}, ["44"], ["constant"])
     found = store.finished(renamed)
     assert found is not None
     assert found["variant"] == "m", "the same run under another name is the same run"
-    assert not [path for path in (tmp_path / "cells").iterdir() if path.name.startswith(".")]
+    assert not [path for path in (tmp_path / "runs").rglob("*") if path.name.startswith(".")]
 
 
 @pytest.mark.parametrize(

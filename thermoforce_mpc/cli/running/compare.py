@@ -10,7 +10,6 @@ from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.cli.running.comparing import (
     axes_from,
     comparison_options,
-    exit_with,
     run_comparison,
     scenario_options_from,
 )
@@ -50,6 +49,4 @@ def command(**options: Any) -> None:
     variants = variants_by_name(names, file)
     base = scenario_from(scenario_options_from(options), file.scenario if file else None)
     axes = axes_from(options, base, file)
-    exit_with(
-        run_comparison(base, variants, axes, options, name="compare", title=f"Controllers compared on {base.testcase}")
-    )
+    run_comparison(base, variants, axes, options, name="compare", title=f"Controllers compared on {base.testcase}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,13 +21,13 @@ from thermoforce_mpc.cli.options import (
     execution_options,
     learned_options,
 )
+from thermoforce_mpc.cli.running.executing import FAILED, run_cells, sayer
 from thermoforce_mpc.errors import ConfigError, counted
-from thermoforce_mpc.execution import Outcome, TaskProgress, execute, source_fingerprint
-from thermoforce_mpc.execution.progress import summary
+from thermoforce_mpc.execution import source_fingerprint
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.schedule.dates import window_name
-from thermoforce_mpc.simulation.comparison.cells import Cell, Inputs, expand
+from thermoforce_mpc.simulation.comparison.cells import Inputs, expand
 from thermoforce_mpc.simulation.comparison.equal_comfort import searches_equal_comfort
 from thermoforce_mpc.simulation.comparison.files import (
     FORMS,
@@ -38,17 +38,16 @@ from thermoforce_mpc.simulation.comparison.files import (
     shown_figures,
     write_outcome,
 )
-from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT, group_title, grouped, verdicts
+from thermoforce_mpc.simulation.comparison.outcome import group_title, grouped, verdicts
 from thermoforce_mpc.simulation.comparison.searching import EqualComfort
 from thermoforce_mpc.simulation.comparison.store import DONE, Store
-from thermoforce_mpc.simulation.comparison.tasks import failure, tasks_of
+from thermoforce_mpc.simulation.comparison.tasks import tasks_of
 from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant, comma_list, price_names
 from thermoforce_mpc.simulation.composition import check_window
 from thermoforce_mpc.simulation.views.display import zone_table
 from thermoforce_mpc.simulation.views.whole_tables import print_whole
 
 UNCERTAINTIES = tuple(PlantSpec.model_fields["forecast_uncertainty"].annotation.__args__)  # type: ignore[union-attr]
-CELLS_FAILED = 3
 # KPIs that fit 80 columns; the files have all.
 _ON_CONSOLE = ("cost_tot", "tdis_tot", "saving", "ener_tot", "plan_ms", "fallbacks")
 
@@ -171,11 +170,8 @@ def run_comparison(
     name: str,
     title: str,
     swept: Mapping[str, str] | None = None,
-) -> int:
-    """Run the cells that have no stored result, then write and print the outcome.
-
-    Returns:
-        The exit code: 0, or 3 where a cell has no result.
+) -> None:
+    """Run the cells that have no stored result, then write and print the outcome; exits with 3 where a cell has none.
 
     Raises:
         ConfigError: an option is wrong; no cell has been run.
@@ -187,7 +183,7 @@ def run_comparison(
     store = Store(options["out"] or Path("runs") / f"{name}-{testcase.name}")
     console = Console(highlight=False, markup=False)
     quiet = options["quiet"] or options["form"] is not None
-    say: Callable[[str], None] = (lambda text: None) if quiet else _sayer(console)
+    say = sayer(console, quiet)
     stored = {cell.key: record for cell in cells if (record := store.finished(cell)) is not None}
     todo = [cell for cell in cells if cell.key not in stored]
     say(f"{counted(len(cells), 'cell')}: {len(cells) - len(todo)} already done, {len(todo)} to run; {store.folder}")
@@ -198,58 +194,28 @@ def run_comparison(
             "all"
         )
     try:
-        ran = _run(todo, store, console, options, say) if todo else {}
+        if todo:
+            run_cells(tasks_of(todo), store, console, options["engine"], quiet, stored)
     except KeyboardInterrupt:
         n_stored = sum(store.finished(cell) is not None for cell in cells)
         click.echo(
             f"{n_stored} of {len(cells)} cells are stored in {store.folder}; repeat the command to resume", err=True
         )
         raise
-    records = [_with_variant(cell, {**stored, **ran}[cell.key]) for cell in cells]
+    # With the names of this comparison: two may refer to the same run.
+    records: list[dict[str, Any]] = [{**stored[cell.key], "variant": cell.variant} for cell in cells]
     if searches_equal_comfort(base):
         search = EqualComfort(store, inputs, testcase, lambda text: say(f"searching a thermostat: {text}"))
         records = search.beside(cells, records)
     result = write_outcome(store.folder, records, name=name, title=title, currency=testcase.currency, swept=swept)
     if options["form"] is not None:
         click.echo(formatted(result["rows"], options["form"], title, testcase.currency), nl=False)
-        return CELLS_FAILED if any(record["status"] != DONE for record in records) else 0
-    show_outcome(console, result["rows"], testcase.currency)
-    page = shlex.quote(str(store.folder / "comparison.html"))
-    console.print(f"Table, CSV, JSON and page: {page}", soft_wrap=True, markup=False)
-    return CELLS_FAILED if any(record["status"] != DONE for record in records) else 0
-
-
-def _run(
-    cells: Sequence[Cell], store: Store, console: Console, options: Mapping[str, Any], say: Callable[[str], None]
-) -> dict[str, dict[str, Any]]:
-    """Run cells; returns the record of each by key: its result, or the reason of its failure."""
-    records: dict[str, dict[str, Any]] = {}
-    with (
-        TaskProgress(console, quiet=options["quiet"] or options["form"] is not None, line=_line) as progress,
-        options["engine"](say) as engine,
-    ):
-        store.create()  # not before: a cluster that cannot be used leaves no folder
-        for outcome in execute(tasks_of(cells), engine, store, progress):
-            cell = outcome.task.inputs
-            if not isinstance(cell, Cell):
-                continue
-            if outcome.reason:
-                store.write(cell, failure(cell, outcome.reason))
-            records[cell.key] = failure(cell, outcome.reason) if outcome.reason else outcome.value
-    return records
-
-
-def _line(outcome: Outcome) -> str:
-    if not isinstance(outcome.task.inputs, Cell):
-        return summary(outcome)
-    kpis = outcome.value["kpis"]
-    return f"{outcome.task.title}: {kpis[COST]:.4f} / {kpis[DISCOMFORT]:.2f} K·h ({outcome.seconds:.0f} s)"
-
-
-def exit_with(code: int) -> None:
-    """Exit with `code` unless it is 0."""
-    if code:
-        sys.exit(code)
+    else:
+        show_outcome(console, result["rows"], testcase.currency)
+        page = shlex.quote(str(store.folder / "comparison.html"))
+        console.print(f"Table, CSV, JSON and page: {page}", soft_wrap=True, markup=False)
+    if any(record["status"] != DONE for record in records):
+        sys.exit(FAILED)
 
 
 def show_outcome(console: Console, rows: Sequence[dict[str, Any]], currency: str) -> None:
@@ -278,12 +244,3 @@ def show_outcome(console: Console, rows: Sequence[dict[str, Any]], currency: str
         if row["status"] != DONE:
             where = f"{row['controller']}, {row['window']}, {row['price']}"
             console.print(f"FAILED {where}: {row['reason']}", soft_wrap=True, markup=False)
-
-
-def _sayer(console: Console) -> Callable[[str], None]:
-    return lambda text: console.print(text, soft_wrap=True, markup=False)
-
-
-def _with_variant(cell: Cell, record: Mapping[str, Any]) -> dict[str, Any]:
-    """The record with the variant name of this comparison; two names may refer to the same run."""
-    return {**record, "variant": cell.variant}

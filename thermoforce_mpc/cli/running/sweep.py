@@ -10,7 +10,6 @@ from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.cli.running.comparing import (
     axes_from,
     comparison_options,
-    exit_with,
     run_comparison,
     scenario_options_from,
 )
@@ -64,9 +63,7 @@ def command(**options: Any) -> None:
     beside = variants_by_name(comma_list(options["beside"], "--beside"), None) if options["beside"].strip() else {}
     title = f"{controller} over {key} on {base.testcase}"
     variants = {**swept, **beside}
-    exit_with(
-        run_comparison(base, variants, axes_from(options, base), options, name="sweep", title=title, swept=labels)
-    )
+    run_comparison(base, variants, axes_from(options, base), options, name="sweep", title=title, swept=labels)
 
 
 def _number(word: str) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import statistics
 import tempfile
 from collections.abc import Iterable, Sequence
@@ -33,8 +34,9 @@ from thermoforce_mpc.simulation.comparison.input_files import (
     paths_of_task,
     task_of,
 )
-from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Identified
+from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Identified, Ran
 from thermoforce_mpc.simulation.composition import build_plant, check_prices, controller_options, scored_period
+from thermoforce_mpc.simulation.folder.run_folder import trajectory_frame
 from thermoforce_mpc.simulation.models.identifying import IdentificationTask, model_for, run_identification
 from thermoforce_mpc.simulation.own_kpis import own_kpis, with_own_kpis
 from thermoforce_mpc.version import VERSION
@@ -61,7 +63,7 @@ def tasks_of(cells: Iterable[Cell]) -> list[Task]:
         if cell.task is not None and cell.identification_key is not None:
             read = file_tasks(paths_of_task(cell.task))
             needs += (Task(cell.identification_key, cell.identification_title, identified, cell.task, read),)
-        tasks.append(Task(cell.key, cell.title, record_of, cell, needs))
+        tasks.append(Task(cell.key, cell.title, follow, cell, needs))
     return tasks
 
 
@@ -86,13 +88,8 @@ def identified(task: IdentificationTask, files: SentFiles = NO_FILES) -> Identif
     return Identified.of(model)
 
 
-def record_of(cell: Cell, *needs: SentFiles | Identified) -> dict[str, Any]:
-    """Run the closed loop of `cell`, with the files and the model it needs, and return its record; as `followed`."""
-    return run_record(cell, *followed(cell, *needs))
-
-
-def followed(cell: Cell, *needs: SentFiles | Identified) -> tuple[RunResult, PlantInfo]:
-    """Run the closed loop of `cell`, with the files and the model it needs; also what the plant is.
+def follow(cell: Cell, *needs: SentFiles | Identified) -> Ran:
+    """Run the closed loop of `cell`, with the files and the model it needs.
 
     Raises:
         DataError: the data of the identification could not be fitted, and the controller has no gate.
@@ -117,7 +114,18 @@ def followed(cell: Cell, *needs: SentFiles | Identified) -> tuple[RunResult, Pla
             lowest = testcase.layout.lowest
             allowed = limits_of(controller, testcase.area_m2, min(lowest))
             result = run_closed_loop(plant, controller, period, scenario.price, on_step, allowed, lowest)
-            return with_own_kpis(result, own_kpis(scenario.kpis)), plant.info
+            record = _record(cell, with_own_kpis(result, own_kpis(scenario.kpis)), plant.info)
+            return Ran(record, _parquet(cell, result.steps) if cell.trajectory else b"")
+
+
+def _parquet(cell: Cell, steps: Sequence[StepRecord]) -> bytes:
+    frame = trajectory_frame(steps)
+    # No names of this run: another of the same inputs, called otherwise, has the same course.
+    for place, name in enumerate(("window", "price", "key")):
+        frame.insert(place, name, getattr(cell, name))
+    content = io.BytesIO()
+    frame.to_parquet(content, index=False)
+    return content.getvalue()
 
 
 def _model(scenario: Scenario, testcase: TestCase, plant: Plant, model: Identified | None) -> ThermalModel | str:
@@ -153,7 +161,7 @@ def _head(cell: Cell) -> dict[str, Any]:
     }
 
 
-def run_record(cell: Cell, result: RunResult, plant: PlantInfo) -> dict[str, Any]:
+def _record(cell: Cell, result: RunResult, plant: PlantInfo) -> dict[str, Any]:
     """Record of a finished cell: what it is, its KPIs, plans by status and computing times."""
     kpis = {name: value for name, value in result.kpis.items() if name != "time_rat"}
     return _head(cell) | {
