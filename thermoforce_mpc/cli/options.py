@@ -190,15 +190,20 @@ def course_options(level: str) -> Callable[[Function], Function]:
     `--out` (.csv or .json) and `--plot`.
     """
 
-    file = click.Path(path_type=Path, dir_okay=False)
     return added(
         click.option("--level", type=float, help=level),
         click.option(
             "--schedule", type=click.Path(path_type=Path), help="CSV with columns time and u (or one per actuator)."
         ),
-        click.option("--out", type=file, callback=_csv_or_json, help="Write the course: .csv or .json."),
+        out_option("the course"),
         plot_option(),
     )
+
+
+def out_option(what: str) -> Callable[[Function], Function]:
+    """Option `--out`, refused before the work where the name says no format that we write."""
+    file = click.Path(path_type=Path, dir_okay=False)
+    return click.option("--out", type=file, callback=_csv_or_json, help=f"Write {what}: .csv or .json.")
 
 
 def plot_option(default: Path | None = None, of: str = "") -> Callable[[Function], Function]:

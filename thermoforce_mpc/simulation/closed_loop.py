@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Protocol, cast
 
@@ -130,29 +130,6 @@ class RunResult:
             counts[step.plan.status.value] += 1
         counts["refused"] = sum(bool(step.refused) for step in self.steps)
         return counts
-
-
-@dataclass(frozen=True)
-class GateHeld:
-    """Steps of a run in which the competence gate held: `steps` of `total`, and why, of the first."""
-
-    steps: int
-    total: int
-    why: str
-
-    def in_words(self) -> str:
-        """One sentence for people."""
-        return f"the gate held in {self.steps} of {self.total} steps: {self.why.removeprefix('gate: ')}"
-
-
-def gates_held(result: RunResult, others: Mapping[str, RunResult]) -> dict[str, GateHeld]:
-    """Return the runs in which the gate held, by controller."""
-    gates = {}
-    for name, run in {result.controller: result, **others}.items():
-        why = [step.plan.why for step in run.steps if step.plan.status is PlanStatus.GATE]
-        if why:
-            gates[name] = GateHeld(len(why), len(run.steps), why[0])
-    return gates
 
 
 class StepKeeper(Protocol):

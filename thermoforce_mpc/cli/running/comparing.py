@@ -10,9 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from thermoforce_mpc.cli.options import (
     added,
@@ -45,7 +43,7 @@ from thermoforce_mpc.simulation.comparison.tasks import tasks_of
 from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant, comma_list, price_names
 from thermoforce_mpc.simulation.composition import check_window
 from thermoforce_mpc.simulation.views.display import zone_table
-from thermoforce_mpc.simulation.views.whole_tables import print_whole
+from thermoforce_mpc.simulation.views.whole_tables import plain_table, print_whole
 
 UNCERTAINTIES = tuple(PlantSpec.model_fields["forecast_uncertainty"].annotation.__args__)  # type: ignore[union-attr]
 # KPIs that fit 80 columns; the files have all.
@@ -221,15 +219,12 @@ def run_comparison(
 def show_outcome(console: Console, rows: Sequence[dict[str, Any]], currency: str) -> None:
     """Print the tables, the findings and the failed cells."""
     for group, members in grouped(rows).items():
-        table = Table(title=group_title(group), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
-        table.add_column("controller", overflow="fold", min_width=12)
         own = own_columns(members)
-        for key, heading in zip(HEADINGS, headings(currency), strict=True):
-            if key in _ON_CONSOLE:
-                heading = heading.replace("discomfort", "discomf.").replace("saving at equal comfort", "saved")
-                table.add_column(heading.replace(", ", "\n"), justify="right")
-        for key in own:
-            table.add_column(key.replace(", ", "\n"), justify="right")
+        of_key = dict(zip((*HEADINGS, *own), headings(currency, members), strict=True))
+        shown = [of_key[key].replace(", ", "\n") for key in (*_ON_CONSOLE, *own)]
+        shown = [text.replace("discomfort", "discomf.").replace("saving at equal comfort", "saved") for text in shown]
+        table = plain_table(["controller", *shown], group_title(group), folded=True)
+        table.columns[0].min_width = 12
         for row in members:
             figures = dict(zip((*HEADINGS, *own), shown_figures(row, own), strict=True))
             style = "bold" if row["pareto"] else None

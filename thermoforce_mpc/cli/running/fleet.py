@@ -11,9 +11,7 @@ from typing import Any
 
 import click
 import pandas as pd
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from thermoforce_mpc.cli.options import Opening, execution_options
 from thermoforce_mpc.cli.running.executing import FAILED, outcomes_of, run_cells
@@ -36,7 +34,7 @@ from thermoforce_mpc.simulation.fleet.models import Measured, tasks_of_records, 
 from thermoforce_mpc.simulation.fleet.page import fleet_page, headline
 from thermoforce_mpc.simulation.fleet.runs import Run, models_again, place_trajectories, runs_of, tasks_of
 from thermoforce_mpc.simulation.fleet.summary import Group, causes, groups, lost, paired
-from thermoforce_mpc.simulation.views.whole_tables import print_whole
+from thermoforce_mpc.simulation.views.whole_tables import plain_table, print_whole
 
 _SHOWN_FAILURES = 10
 
@@ -199,10 +197,8 @@ def _show(console: Console, rows: pd.DataFrame, reference: str) -> None:
             continue
         distributions = groups(pairs)
         console.print(headline(distributions[0], variant, reference), soft_wrap=True)
-        table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
-        table.add_column(f"{variant}", overflow="fold")
-        for heading in ("runs", "saving\nmedian %", "10 to 90 %", "cheaper\n%", "> 0.5 K·h\nworse %"):
-            table.add_column(heading, justify="right")
+        headings = (variant, "runs", "saving\nmedian %", "10 to 90 %", "cheaper\n%", "> 0.5 K·h\nworse %")
+        table = plain_table(headings, folded=True)
         for group in distributions:
             table.add_row(
                 f"{group.by} {group.value}".strip(),

@@ -16,13 +16,12 @@ from thermoforce_mpc.data import DAY_S, PlantInfo
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Task, source_fingerprint, tell
 from thermoforce_mpc.files import write_folder
-from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
-from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_closed_loop
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
 from thermoforce_mpc.simulation.comparison.input_files import (
     NO_FILES,
@@ -35,7 +34,13 @@ from thermoforce_mpc.simulation.comparison.input_files import (
     task_of,
 )
 from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Identified, Ran
-from thermoforce_mpc.simulation.composition import build_plant, check_prices, controller_options, scored_period
+from thermoforce_mpc.simulation.composition import (
+    build_plant,
+    check_prices,
+    controller_options,
+    run_in_scenario,
+    scored_period,
+)
 from thermoforce_mpc.simulation.folder.run_folder import trajectory_frame
 from thermoforce_mpc.simulation.models.identifying import IdentificationTask, model_for, run_identification
 from thermoforce_mpc.simulation.own_kpis import own_kpis, with_own_kpis
@@ -106,14 +111,11 @@ def follow(cell: Cell, *needs: SentFiles | Identified) -> Ran:
             check_prices(scenario, period)
             acts_on = _model(scenario, testcase, plant, model) if find_entry(name).needs_model else None
             controller = build_controller(name, controller_options(scenario, name), testcase, acts_on)
-            check_prices(scenario, period, max(controller.horizon_s - controller.step_s, 0.0))
 
             def on_step(record: StepRecord) -> None:
                 tell((record.time_s - period.start_s) / period.scored_s)
 
-            lowest = testcase.layout.lowest
-            allowed = limits_of(controller, testcase.area_m2, min(lowest))
-            result = run_closed_loop(plant, controller, period, scenario.price, on_step, allowed, lowest)
+            result = run_in_scenario(plant, controller, period, scenario, testcase, on_step)
             record = _record(cell, with_own_kpis(result, own_kpis(scenario.kpis)), plant.info)
             return Ran(record, _parquet(cell, result.steps) if cell.trajectory else b"")
 

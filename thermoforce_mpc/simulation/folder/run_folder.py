@@ -11,23 +11,25 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 import yaml
 from filelock import FileLock, Timeout
 
-from thermoforce_mpc.data import DAY_S, Names, Plan, PlantInfo
+from thermoforce_mpc.data import DAY_S, Names, Plan
 from thermoforce_mpc.errors import ArtifactError, ConfigError, StorageError
 from thermoforce_mpc.files import file_sha256, storage_errors, write_whole
 from thermoforce_mpc.registry import plugins
-from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held
+from thermoforce_mpc.simulation.closed_loop import StepRecord
 from thermoforce_mpc.simulation.folder.capped import capped_figures
 from thermoforce_mpc.simulation.folder.plain_files import check_plain, write_plain
-from thermoforce_mpc.simulation.folder.planning import Planning
+from thermoforce_mpc.simulation.views.watching import gates_held
 from thermoforce_mpc.version import VERSION
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.simulation.scenario_result import ScenarioResult
 
 _LOCK = ".lock"
 _PACKAGES = ("casadi", "torch", "chronos-forecasting", "numpy", "pandas", "requests", "numba", "scipy", "pydantic")
@@ -171,26 +173,13 @@ def environment() -> dict[str, str]:
     return versions | {f"plugin {name}": plugin_version for name, plugin_version in plugins().items()}
 
 
-def write_results(
-    folder: Path,
-    *,
-    scenario: Scenario,
-    plant: PlantInfo,
-    result: RunResult,
-    baselines: Mapping[str, RunResult],
-    identification: Mapping[str, Any],
-    planning: Mapping[str, Planning],
-    command: Sequence[str],
-    forecaster: Mapping[str, Any],
-    equal: str = "",
-) -> dict[str, Any]:
+def write_results(folder: Path, outcome: ScenarioResult, command: Sequence[str], currency: str) -> dict[str, Any]:
     """Write resolved configuration, trajectories, step log, KPIs and the manifest with hashes of the other files.
-
-    `equal`: the controller beside a thermostat that is as comfortable, in words.
 
     Returns:
         The content of `kpis.json`.
     """
+    scenario, plant, result, baselines = outcome.scenario, outcome.plant, outcome.result, outcome.baselines
     resolved = yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False)
     write_plain(folder / "scenario.yaml", resolved)
     write_plain(folder / "trajectory.csv", trajectory_frame(result.steps).to_csv(index=False))
@@ -208,12 +197,12 @@ def write_results(
         "controller": result.controller,
         "kpis": result.kpis,
         "baselines": {name: baseline.kpis for name, baseline in baselines.items()},
-        "equal_comfort": equal,
+        "equal_comfort": outcome.equal_in_words(currency),
         "gate": {name: asdict(gate) for name, gate in gates_held(result, baselines).items()},
         "power_cap": capped_figures(scenario, result, baselines),
     }
     write_json(folder / "kpis.json", kpis)
-    table = pd.DataFrame.from_dict({run.controller: run.kpis for run in (result, *baselines.values())}, orient="index")
+    table = pd.DataFrame.from_dict(outcome.kpis, orient="index")
     write_plain(folder / "kpis.csv", table.to_csv(index_label="controller"))
     manifest = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -221,14 +210,12 @@ def write_results(
         "seed": scenario.seed,
         "environment": environment(),
         "plant": asdict(plant),
-        "identification": dict(identification),
-        "planning": {name: counts.to_json() for name, counts in planning.items()},
-        "forecaster": dict(forecaster),
-        "fallbacks": {
-            "controller": result.fallback_levels(),
-            **{name: b.fallback_levels() for name, b in baselines.items()},
-        },
-        "seconds": {result.controller: result.seconds, **{name: b.seconds for name, b in baselines.items()}},
+        "identification": dict(outcome.identification),
+        "planning": {name: counts.to_json() for name, counts in outcome.planning.items()},
+        "forecaster": dict(outcome.forecaster),
+        "fallbacks": {"controller": result.fallback_levels()}
+        | {name: baseline.fallback_levels() for name, baseline in baselines.items()},
+        "seconds": {run.controller: run.seconds for run in (result, *baselines.values())},
         "sha256": {
             path.name: file_sha256(path) for path in sorted(folder.iterdir()) if path.is_file() and path.name != _LOCK
         },
