@@ -35,6 +35,7 @@ from thermoforce_mpc.simulation.composition import (
     scored_period,
 )
 from thermoforce_mpc.simulation.ended_early import ended_early
+from thermoforce_mpc.simulation.folder.results import write_results
 from thermoforce_mpc.simulation.folder.run_book import RunBook, is_real
 from thermoforce_mpc.simulation.folder.run_folder import (
     clear_partial,
@@ -43,7 +44,6 @@ from thermoforce_mpc.simulation.folder.run_folder import (
     is_complete,
     is_empty,
     sole_use,
-    write_results,
 )
 from thermoforce_mpc.simulation.folder.run_log import log_step, logging_to
 from thermoforce_mpc.simulation.journal.journal import NAME

@@ -7,31 +7,23 @@ import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
-from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
-import yaml
 from filelock import FileLock, Timeout
 
-from thermoforce_mpc.data import DAY_S, Names, Plan
+from thermoforce_mpc.data import Names, Plan
 from thermoforce_mpc.errors import ArtifactError, ConfigError, StorageError
-from thermoforce_mpc.files import file_sha256, storage_errors, write_whole
+from thermoforce_mpc.files import storage_errors, write_whole
 from thermoforce_mpc.registry import plugins
 from thermoforce_mpc.simulation.closed_loop import StepRecord
-from thermoforce_mpc.simulation.folder.capped import capped_figures
 from thermoforce_mpc.simulation.folder.plain_files import check_plain, write_plain
-from thermoforce_mpc.simulation.views.watching import gates_held
 from thermoforce_mpc.version import VERSION
 
-if TYPE_CHECKING:
-    from thermoforce_mpc.simulation.scenario_result import ScenarioResult
-
-_LOCK = ".lock"
+LOCK = ".lock"
 _PACKAGES = ("casadi", "torch", "chronos-forecasting", "numpy", "pandas", "requests", "numba", "scipy", "pydantic")
 
 
@@ -68,7 +60,7 @@ def file_stem(controller: str) -> str:
 
 def is_empty(folder: Path) -> bool:
     """Whether `folder` is a folder without files but for the lock."""
-    return folder.is_dir() and all(path.name == _LOCK for path in folder.iterdir())
+    return folder.is_dir() and all(path.name == LOCK for path in folder.iterdir())
 
 
 @contextmanager
@@ -82,7 +74,7 @@ def sole_use(folder: Path) -> Iterator[None]:
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder")
     check_plain(folder)
-    lock = FileLock(folder / _LOCK, timeout=0)
+    lock = FileLock(folder / LOCK, timeout=0)
     try:
         lock.acquire()
     except Timeout as error:
@@ -95,7 +87,7 @@ def sole_use(folder: Path) -> Iterator[None]:
         yield
     finally:
         with suppress(OSError):  # the folder was removed meanwhile
-            (folder / _LOCK).unlink()
+            (folder / LOCK).unlink()
         lock.release()
 
 
@@ -171,57 +163,6 @@ def environment() -> dict[str, str]:
         except PackageNotFoundError:
             versions[name] = "not installed"
     return versions | {f"plugin {name}": plugin_version for name, plugin_version in plugins().items()}
-
-
-def write_results(folder: Path, outcome: ScenarioResult, command: Sequence[str], currency: str) -> dict[str, Any]:
-    """Write resolved configuration, trajectories, step log, KPIs and the manifest with hashes of the other files.
-
-    Returns:
-        The content of `kpis.json`.
-    """
-    scenario, plant, result, baselines = outcome.scenario, outcome.plant, outcome.result, outcome.baselines
-    resolved = yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False)
-    write_plain(folder / "scenario.yaml", resolved)
-    write_plain(folder / "trajectory.csv", trajectory_frame(result.steps).to_csv(index=False))
-    write_plain(folder / "steps.csv", steps_frame(result.steps).to_csv(index=False))
-    for name, baseline in baselines.items():
-        write_plain(folder / f"trajectory_{file_stem(name)}.csv", trajectory_frame(baseline.steps).to_csv(index=False))
-    kpis = {
-        "testcase": plant.testcase,
-        "plant": f"{plant.kind}: {plant.description}",
-        "weather": plant.weather,
-        "period": scenario.period,
-        "start_day": result.period.start_s / DAY_S,
-        "scored_days": result.period.scored_s / DAY_S,
-        "price": scenario.price,
-        "controller": result.controller,
-        "kpis": result.kpis,
-        "baselines": {name: baseline.kpis for name, baseline in baselines.items()},
-        "equal_comfort": outcome.equal_in_words(currency),
-        "gate": {name: asdict(gate) for name, gate in gates_held(result, baselines).items()},
-        "power_cap": capped_figures(scenario, result, baselines),
-    }
-    write_json(folder / "kpis.json", kpis)
-    table = pd.DataFrame.from_dict(outcome.kpis, orient="index")
-    write_plain(folder / "kpis.csv", table.to_csv(index_label="controller"))
-    manifest = {
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": list(command),
-        "seed": scenario.seed,
-        "environment": environment(),
-        "plant": asdict(plant),
-        "identification": dict(outcome.identification),
-        "planning": {name: counts.to_json() for name, counts in outcome.planning.items()},
-        "forecaster": dict(outcome.forecaster),
-        "fallbacks": {"controller": result.fallback_levels()}
-        | {name: baseline.fallback_levels() for name, baseline in baselines.items()},
-        "seconds": {run.controller: run.seconds for run in (result, *baselines.values())},
-        "sha256": {
-            path.name: file_sha256(path) for path in sorted(folder.iterdir()) if path.is_file() and path.name != _LOCK
-        },
-    }
-    write_json(folder / "manifest.json", manifest)
-    return kpis
 
 
 def write_partial(folder: Path, records: Mapping[str, Sequence[StepRecord]], reason: str) -> None:
