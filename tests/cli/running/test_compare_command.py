@@ -104,7 +104,7 @@ def test_bad_input_is_refused_before_anything_is_made(tmp_path, monkeypatch, wor
     assert not list(tmp_path.iterdir())
 
 
-GIVEN_NONE = {"windows": None, "prices": None, "forecast_uncertainty": None}
+GIVEN_NONE = {"windows": None, "tariffs": None, "forecast_uncertainty": None}
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ GIVEN_NONE = {"windows": None, "prices": None, "forecast_uncertainty": None}
 def test_what_the_scenario_says_is_compared(scenario, axes):
     base = load_scenario(None, {"testcase": TESTCASE} | scenario)
     assert axes_from(GIVEN_NONE, base) == axes
-    given = {"windows": "58", "prices": "constant,dynamic", "forecast_uncertainty": "low"}
+    given = {"windows": "58", "tariffs": "constant,dynamic", "forecast_uncertainty": "low"}
     assert axes_from(given, base) == Axes(("58",), ("constant", "dynamic"), ("low",))
 
 
@@ -134,7 +134,7 @@ def test_a_file_of_variants_does_not_replace_what_the_scenario_says():
     base = Scenario(testcase=TESTCASE, price="dynamic")
     with pytest.raises(ConfigError, match=r"price: the scenario has dynamic.*prices: constant; say with --prices"):
         axes_from(GIVEN_NONE, base, file)
-    assert axes_from(GIVEN_NONE | {"prices": "dynamic"}, base, file).prices == ("dynamic",)
+    assert axes_from(GIVEN_NONE | {"tariffs": "dynamic"}, base, file).prices == ("dynamic",)
 
 
 def test_a_sweep_refuses_what_it_cannot_vary(tmp_path, monkeypatch):

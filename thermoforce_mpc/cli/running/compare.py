@@ -11,7 +11,6 @@ from thermoforce_mpc.cli.running.comparing import (
     axes_from,
     comparison_options,
     run_comparison,
-    scenario_options_from,
 )
 from thermoforce_mpc.simulation.comparison.variants import comma_list, load_comparison, variants_by_name
 
@@ -47,6 +46,6 @@ def command(**options: Any) -> None:
     elif file is None:
         names = comma_list(_CONTESTANTS, "--controllers")
     variants = variants_by_name(names, file)
-    base = scenario_from(scenario_options_from(options), file.scenario if file else None)
+    base = scenario_from(options, file.scenario if file else None)
     axes = axes_from(options, base, file)
     run_comparison(base, variants, axes, options, name="compare", title=f"Controllers compared on {base.testcase}")

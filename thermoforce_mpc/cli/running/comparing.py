@@ -59,6 +59,7 @@ _axes_options = added(
     ),
     click.option(
         "--prices",
+        "tariffs",
         metavar="A,B",
         help="constant, dynamic, highly_dynamic.  [default: the scenario's, else constant]",
     ),
@@ -67,7 +68,7 @@ _axes_options = added(
         metavar="A,B",
         help="none, low, medium, high.  [default: the scenario's, else none]",
     ),
-    click.option("--tariff-file", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
+    click.option("--tariff-file", "prices", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
 )
 _result_options = added(
     click.option(
@@ -113,8 +114,8 @@ def axes_from(options: Mapping[str, Any], base: Scenario, file: ComparisonFile |
         windows = _of_file(base, "period", "windows", file.windows if file else ()) or _windows_of(base)
     for window in windows:
         check_window(window)
-    if options["prices"] is not None:
-        prices = price_names(options["prices"])
+    if options["tariffs"] is not None:
+        prices = price_names(options["tariffs"])
     else:
         prices = _of_file(base, "price", "prices", file.prices if file else ()) or (base.price,)
     text = options["forecast_uncertainty"]
@@ -148,15 +149,6 @@ def _windows_of(base: Scenario) -> tuple[str, ...]:
         return (base.period,)
     season = "cool" if load_testcase(base.testcase).mode == "cooling" else "heat"
     return f"peak_{season}_day", f"typical_{season}_day"
-
-
-def scenario_options_from(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options renamed to those that `scenario_from` expects."""
-    unchanged = (
-        "testcase", "config", "days", "weather", "seed", "model", "probing", "url", "fmu", "equal_comfort",
-        "assignments",
-    )  # fmt: skip
-    return {key: options[key] for key in unchanged} | {"prices": options["tariff_file"]}
 
 
 def run_comparison(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -198,13 +196,8 @@ def _csv(rows: Sequence[Row]) -> str:
         "comparable", "best_cost",
         "best_discomfort", "pareto", "fallbacks", "plan_ms", "controller_s", "plant_s", "reason",
     ]  # fmt: skip
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(
-        row | row["own"] | {f"tdis_tot[{zone}]": value for zone, value in row["zones"].items()} for row in rows
-    )
-    return text.getvalue()
+    flat = [row | row["own"] | {f"tdis_tot[{zone}]": value for zone, value in row["zones"].items()} for row in rows]
+    return pd.DataFrame(flat, columns=columns, dtype=object).to_csv(index=False, lineterminator="\n")
 
 
 def _zones(members: Sequence[Row]) -> list[str]:

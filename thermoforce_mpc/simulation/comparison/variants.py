@@ -13,7 +13,7 @@ from pydantic import BaseModel, Field, field_validator
 from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario.scenario import Scenario, full_name
-from thermoforce_mpc.scenario.settings import StrictModel, find_config, merge, read_yaml, suggestion, validate
+from thermoforce_mpc.scenario.settings import StrictModel, find_config, merge, nested, read_yaml, suggestion, validate
 from thermoforce_mpc.scenario.testcase import PRICES, Price, TestCase
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 _.,=+%-]*")
@@ -98,7 +98,7 @@ def swept_variants(controller: str, key: str, values: Sequence[float], testcase:
     for value in values:
         if not math.isfinite(value):
             raise ConfigError(f"--values: {value} is not a finite number")
-        options = _nested(key, int(value) if value == int(value) and abs(value) < 2**53 else value)
+        options = nested(key, int(value) if value == int(value) and abs(value) < 2**53 else value)
         controller_config(controller, options, testcase)
         name = f"{controller} {key.rpartition('.')[2]}={value:g}"
         if name in variants:
@@ -166,14 +166,6 @@ def comma_list(text: str, option: str) -> tuple[str, ...]:
     if len(set(words)) < len(words):
         raise ConfigError(f"{option}: '{next(w for w in words if words.count(w) > 1)}' is given twice")
     return words
-
-
-def _nested(key: str, value: float) -> dict[str, Any]:
-    nested: Any = value
-    for part in reversed(key.split(".")):
-        nested = {part: nested}
-    options: dict[str, Any] = nested
-    return options
 
 
 def _numeric_leaves(model: type[BaseModel], prefix: str = "") -> list[str]:

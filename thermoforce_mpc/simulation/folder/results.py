@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,6 +13,8 @@ import yaml
 
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.files import file_sha256
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.simulation.closed_loop import RunResult
 from thermoforce_mpc.simulation.folder.capped import capped_figures
 from thermoforce_mpc.simulation.folder.plain_files import write_plain
 from thermoforce_mpc.simulation.folder.run_folder import (
@@ -40,21 +42,7 @@ def write_results(folder: Path, outcome: ScenarioResult, command: Sequence[str],
     write_plain(folder / "steps.csv", steps_frame(result.steps).to_csv(index=False))
     for name, baseline in baselines.items():
         write_plain(folder / f"trajectory_{file_stem(name)}.csv", trajectory_frame(baseline.steps).to_csv(index=False))
-    kpis = {
-        "testcase": plant.testcase,
-        "plant": f"{plant.kind}: {plant.description}",
-        "weather": plant.weather,
-        "period": scenario.period,
-        "start_day": result.period.start_s / DAY_S,
-        "scored_days": result.period.scored_s / DAY_S,
-        "price": scenario.price,
-        "controller": result.controller,
-        "kpis": result.kpis,
-        "baselines": {name: baseline.kpis for name, baseline in baselines.items()},
-        "equal_comfort": outcome.equal_in_words(currency),
-        "gate": {name: asdict(gate) for name, gate in gates_held(result, baselines).items()},
-        "power_cap": capped_figures(scenario, result, baselines),
-    }
+    kpis = figures_of(scenario, asdict(plant), result, baselines, outcome.equal_in_words(currency))
     write_json(folder / "kpis.json", kpis)
     table = pd.DataFrame.from_dict(outcome.kpis, orient="index")
     write_plain(folder / "kpis.csv", table.to_csv(index_label="controller"))
@@ -76,3 +64,24 @@ def write_results(folder: Path, outcome: ScenarioResult, command: Sequence[str],
     }
     write_json(folder / "manifest.json", manifest)
     return kpis
+
+
+def figures_of(
+    scenario: Scenario, plant: Mapping[str, Any], result: RunResult, baselines: Mapping[str, RunResult], equal: str
+) -> dict[str, Any]:
+    """The content of `kpis.json`; `plant` is a `PlantInfo` in JSON, `equal` what is as comfortable, in words."""
+    return {
+        "testcase": plant.get("testcase", ""),
+        "plant": f"{plant.get('kind')}: {plant.get('description')}",
+        "weather": plant.get("weather", ""),
+        "period": scenario.period,
+        "start_day": result.period.start_s / DAY_S,
+        "scored_days": result.period.scored_s / DAY_S,
+        "price": scenario.price,
+        "controller": result.controller,
+        "kpis": result.kpis,
+        "baselines": {name: baseline.kpis for name, baseline in baselines.items()},
+        "equal_comfort": equal,
+        "gate": {name: asdict(gate) for name, gate in gates_held(result, baselines).items()},
+        "power_cap": capped_figures(scenario, result, baselines),
+    }

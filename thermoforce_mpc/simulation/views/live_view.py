@@ -21,7 +21,7 @@ from thermoforce_mpc.simulation.folder.plain_files import check_plain
 from thermoforce_mpc.simulation.folder.run_folder import is_complete, plain_json
 from thermoforce_mpc.simulation.forecasts import holes, price_paid
 from thermoforce_mpc.simulation.journal.journal import FORMAT, NAME, Entry, JournalError, JournalTail, making_sense
-from thermoforce_mpc.simulation.journal.journal_values import block_of, planned_of
+from thermoforce_mpc.simulation.journal.journal_values import planned_of
 from thermoforce_mpc.simulation.journal.told_steps import StepReader, ToldStep
 
 # Past shown, and steps of it at most.
@@ -170,8 +170,8 @@ class LiveRun:
         self._counts[str(step.told["status"])] += 1
         self._boundary = self._forecast(step)
         start_s, levels = step.time_s, []
-        for advance, reported in zip(step.advances, step.after, strict=True):
-            reading = with_level(reported, block_of(advance["asked"]))
+        for block, reported in zip(step.blocks, step.after, strict=True):
+            reading = with_level(reported, block)
             hours = (reading.time_s - start_s) / HOUR_S
             self._metered |= bool(np.isfinite(reading.power_W).any())
             kWh = np.nan_to_num(reading.power_W) * hours / 1000.0
