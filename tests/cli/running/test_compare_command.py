@@ -91,9 +91,9 @@ def test_only_whole_and_finished_files_count_as_done(tmp_path):
     ("words", "message"),
     [
         (("--windows", "someday"), "someday"),
-        (("--prices", "cheap"), "unknown tariff 'cheap'"),
+        (("--prices", "cheap"), "unknown 'cheap'"),
         (("--controllers", "thermostat,thermostat"), "given twice"),
-        (("--forecast-uncertainty", "huge"), "unknown level 'huge'"),
+        (("--forecast-uncertainty", "huge"), "unknown 'huge'"),
         (("--variants", "ablatio"), "ablatio"),
     ],
 )

@@ -25,6 +25,7 @@ from thermoforce_mpc.execution import source_fingerprint
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.schedule.dates import window_name
+from thermoforce_mpc.scenario.testcase import PRICES
 from thermoforce_mpc.simulation.comparison.cells import Inputs, expand
 from thermoforce_mpc.simulation.comparison.equal_comfort import searches_equal_comfort
 from thermoforce_mpc.simulation.comparison.files import (
@@ -40,7 +41,7 @@ from thermoforce_mpc.simulation.comparison.outcome import group_title, grouped, 
 from thermoforce_mpc.simulation.comparison.searching import EqualComfort
 from thermoforce_mpc.simulation.comparison.store import DONE, Store
 from thermoforce_mpc.simulation.comparison.tasks import tasks_of
-from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant, comma_list, price_names
+from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant, comma_list, known_names
 from thermoforce_mpc.simulation.composition import check_window
 from thermoforce_mpc.simulation.views.display import zone_table
 from thermoforce_mpc.simulation.views.whole_tables import plain_table, print_whole
@@ -115,15 +116,13 @@ def axes_from(options: Mapping[str, Any], base: Scenario, file: ComparisonFile |
     for window in windows:
         check_window(window)
     if options["tariffs"] is not None:
-        prices = price_names(options["tariffs"])
+        prices = known_names(options["tariffs"], "--prices", PRICES)
     else:
         prices = _of_file(base, "price", "prices", file.prices if file else ()) or (base.price,)
     text = options["forecast_uncertainty"]
-    levels = comma_list(text, "--forecast-uncertainty") if text is not None else (base.plant.forecast_uncertainty,)
-    for level in levels:
-        if level not in UNCERTAINTIES:
-            allowed = ", ".join(UNCERTAINTIES)
-            raise ConfigError(f"--forecast-uncertainty: unknown level '{level}'; known: {allowed}")
+    levels: tuple[str, ...] = (base.plant.forecast_uncertainty,)
+    if text is not None:
+        levels = known_names(text, "--forecast-uncertainty", UNCERTAINTIES)
     return Axes(windows, prices, levels)
 
 

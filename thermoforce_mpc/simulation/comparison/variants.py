@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
 
@@ -14,7 +14,7 @@ from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario.scenario import Scenario, full_name
 from thermoforce_mpc.scenario.settings import StrictModel, find_config, merge, nested, read_yaml, suggestion, validate
-from thermoforce_mpc.scenario.testcase import PRICES, Price, TestCase
+from thermoforce_mpc.scenario.testcase import Price, TestCase
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 _.,=+%-]*")
 
@@ -147,14 +147,12 @@ def variant_scenario(base: Scenario, variant: Variant, window: str, price: str, 
     return validate(Scenario, data, f"variant of '{variant.controller}'")
 
 
-def price_names(text: str) -> tuple[str, ...]:
-    """Tariffs from a comma-separated list; raises `ConfigError` for an unknown one."""
-    names = comma_list(text, "--prices")
+def known_names(text: str, option: str, known: Collection[str]) -> tuple[str, ...]:
+    """Words of a comma-separated list, each of them `known`; raises `ConfigError` as `comma_list`, or for another."""
+    names = comma_list(text, option)
     for name in names:
-        if name not in PRICES:
-            raise ConfigError(
-                f"--prices: unknown tariff '{name}'{suggestion(name, PRICES)}; known: {', '.join(PRICES)}"
-            )
+        if name not in known:
+            raise ConfigError(f"{option}: unknown '{name}'{suggestion(name, known)}; known: {', '.join(known)}")
     return names
 
 

@@ -7,7 +7,6 @@ import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from thermoforce_mpc.files import storage_errors, write_whole
 from thermoforce_mpc.registry import plugins
 from thermoforce_mpc.simulation.closed_loop import StepRecord
 from thermoforce_mpc.simulation.folder.plain_files import check_plain, write_plain
-from thermoforce_mpc.version import VERSION
+from thermoforce_mpc.version import VERSION, installed
 
 LOCK = ".lock"
 _PACKAGES = ("casadi", "torch", "chronos-forecasting", "numpy", "pandas", "requests", "numba", "scipy", "pydantic")
@@ -157,12 +156,11 @@ def _by_actuator(plan: Plan, names: Names) -> dict[str, str]:
 def environment() -> dict[str, str]:
     """Versions of this package, Python, the platform and the packages that affect results."""
     versions = {"thermoforce-mpc": VERSION, "python": platform.python_version(), "platform": platform.platform()}
-    for name in _PACKAGES:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            versions[name] = "not installed"
-    return versions | {f"plugin {name}": plugin_version for name, plugin_version in plugins().items()}
+    return (
+        versions
+        | installed(_PACKAGES)
+        | {f"plugin {name}": plugin_version for name, plugin_version in plugins().items()}
+    )
 
 
 def write_partial(folder: Path, records: Mapping[str, Sequence[StepRecord]], reason: str) -> None:
