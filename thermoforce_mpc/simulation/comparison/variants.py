@@ -31,35 +31,39 @@ class Variant(StrictModel):
     )
 
 
-class ComparisonFile(StrictModel):
-    """YAML file of variants; `windows`, `prices` and `scenario` are defaults for the options of the command."""
+class ManyRuns(StrictModel):
+    """Base of files whose keys name what many runs are made of."""
 
-    variants: dict[str, Variant] = Field(min_length=1, description="variants by name")
-    windows: tuple[str, ...] = Field((), description="peak_heat_day, typical_heat_day, or start days such as 44")
-    prices: tuple[Price, ...] = Field((), description="tariffs")
-    scenario: dict[str, Any] = Field(default_factory=dict, description="any keys of a scenario, for all variants")
-
-    @field_validator("windows", mode="before", json_schema_input_type=tuple[str | float, ...])
+    @field_validator("windows", mode="before", json_schema_input_type=tuple[str | float, ...], check_fields=False)
     @classmethod
     def _day_numbers_as_text(cls, value: object) -> object:
         if not isinstance(value, list | tuple):
             return value
         return [str(item) if isinstance(item, int | float) and not isinstance(item, bool) else item for item in value]
 
-    @field_validator("windows", "prices")
+    @field_validator("windows", "prices", "seeds", check_fields=False)
     @classmethod
     def _each_once(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
         if len(set(value)) < len(value):
             raise ValueError(f"{next(item for item in value if value.count(item) > 1)} is given twice")
         return value
 
-    @field_validator("variants")
+    @field_validator("variants", check_fields=False)
     @classmethod
     def _plain_names(cls, value: dict[str, Variant]) -> dict[str, Variant]:
         for name in value:
             if not _NAME.fullmatch(name):
                 raise ValueError(f"'{name}': names of variants are letters, digits, spaces and _ . , = + % -")
         return value
+
+
+class ComparisonFile(ManyRuns):
+    """YAML file of variants; `windows`, `prices` and `scenario` are defaults for the options of the command."""
+
+    variants: dict[str, Variant] = Field(min_length=1, description="variants by name")
+    windows: tuple[str, ...] = Field((), description="peak_heat_day, typical_heat_day, or start days such as 44")
+    prices: tuple[Price, ...] = Field((), description="tariffs")
+    scenario: dict[str, Any] = Field(default_factory=dict, description="any keys of a scenario, for all variants")
 
 
 def load_comparison(name: str) -> ComparisonFile:
