@@ -250,12 +250,13 @@ def run_closed_loop(
                 history = history.last(round(record_days * DAY_S / controller.step_s))
         if on_step:
             on_step(record)
-    # BOPTEST's time_rat: computing time per control step over the step; replaces the plant's own value.
-    time_rat = (
-        math.fsum(step.plan_seconds for step in records) / len(records) / controller.step_s if records else math.nan
-    )
-    kpis = plant.kpis() | {"time_rat": time_rat}
+    kpis = plant.kpis() | {"time_rat": time_rat(records, controller.step_s)}
     return RunResult(period, controller.name, kpis, records, start, time.perf_counter() - began, state)
+
+
+def time_rat(steps: Sequence[StepRecord], step_s: float) -> float:
+    """BOPTEST's time_rat, computing time per control step over the step, in the place of the plant's own value."""
+    return math.fsum(step.plan_seconds for step in steps) / len(steps) / step_s if steps else math.nan
 
 
 def advanced(plant: Plant, block: Block) -> Measurement:

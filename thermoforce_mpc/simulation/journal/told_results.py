@@ -12,7 +12,7 @@ from boptest_client import safe_text
 from thermoforce_mpc.data import DAY_S, Boundary, Period, Plan, PlanStatus
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
-from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, sample_of
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, sample_of, time_rat
 from thermoforce_mpc.simulation.journal.journal import NAME, Entry, JournalError, making_sense, read_run
 from thermoforce_mpc.simulation.journal.journal_values import (
     margins_of,
@@ -96,8 +96,7 @@ def _result(name: str, period: Period, loop: Sequence[Entry], steps: Sequence[St
     start = measurement_of(reset["answer"], names_of(reset["answer"]["names"]))
     recorded: Mapping[str, Any] = next((entry.content["answer"] for entry in loop if entry.kind == "kpis"), {})
     kpis = {key: math.nan if value is None else float(value) for key, value in recorded.items()}
-    step_s = steps[0].boundary.step_s
-    kpis["time_rat"] = math.fsum(step.plan_seconds for step in steps) / len(steps) / step_s
+    kpis["time_rat"] = time_rat(steps, steps[0].boundary.step_s)
     return RunResult(period, name, kpis, steps, start)
 
 
