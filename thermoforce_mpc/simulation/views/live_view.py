@@ -16,7 +16,7 @@ from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.model.forecast_gaps import completed
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.simulation.closed_loop import with_level
+from thermoforce_mpc.simulation.closed_loop import in_force, with_level
 from thermoforce_mpc.simulation.folder.plain_files import check_plain
 from thermoforce_mpc.simulation.folder.run_folder import is_complete, plain_json
 from thermoforce_mpc.simulation.forecasts import holes, price_paid
@@ -196,7 +196,7 @@ class LiveRun:
 
     def _price(self, boundary: Boundary, time_s: float, u: Array) -> Array:
         """Price of each machine's energy (M,) at levels `u` (A,)."""
-        i = _index(boundary, time_s)
+        i = in_force(boundary, time_s)
         price, heating = boundary.price_per_kWh[:, [i]], boundary.heating_price_per_kWh[:, [i]]
         if np.array_equal(price, heating):
             return price[:, 0]
@@ -206,7 +206,7 @@ class LiveRun:
 
     def _zones(self, at: Measurement) -> tuple[Zone, ...]:
         names, b = at.names.zones, self._boundary
-        i = 0 if b is None else _index(b, at.time_s)
+        i = 0 if b is None else in_force(b, at.time_s)
         bounds = (
             [(np.nan, np.nan)] * len(names) if b is None else list(zip(b.lower_C[:, i], b.upper_C[:, i], strict=True))
         )
@@ -291,8 +291,3 @@ def _point(time_s: float, zones: tuple[Zone, ...], u: Array) -> Point:
         tuple(zone.upper_C for zone in zones),
         tuple(float(level) for level in u),
     )
-
-
-def _index(boundary: Boundary, time_s: float) -> int:
-    """The latest instant of a forecast that is not after `time_s`."""
-    return int(max((boundary.time_s <= time_s + 1.0).sum() - 1, 0))
