@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,18 +37,15 @@ class ForeignLoads:
 def foreign_loads(histories: Sequence[Record], layout: Layout) -> ForeignLoads:
     """What else is on the meters; nothing where signed levels never are off."""
 
-    def found(fed: Sequence[int], meter_W: Callable[[Record], Array]) -> ForeignLoad | None:
+    def found(fed: Sequence[int], meter_W: Sequence[Array]) -> ForeignLoad | None:
         if any(layout.lowest[a] < 0.0 for a in fed):
             return None
         u = np.concatenate([h.u[fed] for h in histories], axis=1)
-        time_s, T_out_C, W = (
-            np.concatenate([values(h) for h in histories])
-            for values in (lambda h: h.time_s[:-1], lambda h: h.T_out_C[:-1], meter_W)
-        )
-        return foreign_load(u, time_s, T_out_C, W)
+        time_s, T_out_C = (np.concatenate([getattr(h, name)[:-1] for h in histories]) for name in ("time_s", "T_out_C"))
+        return foreign_load(u, time_s, T_out_C, np.concatenate(meter_W))
 
     return ForeignLoads(
-        tuple(found(layout.fed_by(m), lambda h, m=m: h.power_W[m]) for m in range(len(layout.names.machines))),
-        tuple(found([a], lambda h, a=a, sign=sign: sign * h.heat_W[a]) for a, sign in enumerate(layout.signs)),
+        tuple(found(layout.fed_by(m), [h.power_W[m] for h in histories]) for m in range(len(layout.names.machines))),
+        tuple(found([a], [sign * h.heat_W[a] for h in histories]) for a, sign in enumerate(layout.signs)),
         layout,
     )
