@@ -19,7 +19,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 
 # Mean level asked for over an hour from which it can be refused, and levels measured: up to the first nothing came,
 # from the second on the actuator works.
-_ASKED, _NOTHING, _WORKS = 0.5, 0.02, 0.1
+_ASKED, _NOTHING, _WORKS = 0.25, 0.02, 0.1
 # More hours than this are no schedule.
 _MOST = 12
 # Days from which on a plan may try the hour that it begins in, though blocked: after one day of it and after more.

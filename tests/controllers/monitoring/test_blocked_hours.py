@@ -48,7 +48,7 @@ def test_a_refused_hour_is_blocked_once_the_machine_has_worked_again():
 
 def test_what_is_no_schedule_blocks_nothing():
     assert told([1, 1, 1], [0, 0.5, 1], [20, 20, 20]).hours == {0}
-    assert told([0.3, 0.3, 1], [0, 0, 1], [20, 20, 20]).hours == frozenset(), "hardly anything was asked for"
+    assert told([0.2, 0.2, 1], [0, 0, 1], [20, 20, 20]).hours == frozenset(), "hardly anything was asked for"
     assert told([1, 1, 1], [1, 1, 1], [20, 20, 20]).hours == frozenset()
     warm = told([1, np.nan, np.nan, np.nan], [0, 0, 0, 1], [20.0, 20.4, 21.0, 20.0])
     assert warm.hours == {0}, "native control need not heat a zone that is warmer than when heat was asked for"
