@@ -23,7 +23,8 @@ from simple_house import simple_model
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.options import scenario_from
-from thermoforce_mpc.cli.running import fleet as fleet_command
+from thermoforce_mpc.cli.running import executing
+from thermoforce_mpc.cli.running.fleet import saving_cells
 from thermoforce_mpc.cli.running.run import command as run_one
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import ConfigError, InputError
@@ -190,7 +191,7 @@ def test_after_a_change_of_the_source_kept_runs_name_the_model_that_they_had(
     assert _fleet(path)[0] == 0
     models, rows = (tmp_path / "out" / name for name in ("models.parquet", "runs.parquet"))
     before = models.read_bytes(), rows.read_bytes()
-    for module in (cells, fleet_command):
+    for module in (cells, executing):
         monkeypatch.setattr(module, "source_fingerprint", lambda: "other")
     code, said = _fleet(path)
     assert code == 0, said
@@ -477,7 +478,7 @@ def test_without_a_heated_run_no_saving_is_said() -> None:
     (everything,) = groups(paired(rows, "mpc", "rule"))
     said = headline(everything, "mpc", "rule")
     assert said.startswith("mpc against rule in 1 run, 0 of which count for the saving: saving –; 0 % more than 0.5 K")
-    assert fleet_command.saving_cells(everything) == ("–", "–", "–")
+    assert saving_cells(everything) == ("–", "–", "–")
 
 
 MAP = """\

@@ -19,9 +19,8 @@ from thermoforce_mpc.cli.options import (
     execution_options,
     learned_options,
 )
-from thermoforce_mpc.cli.running.executing import FAILED, run_cells, sayer
+from thermoforce_mpc.cli.running.executing import FAILED, note_other_code, run_cells, sayer
 from thermoforce_mpc.errors import ConfigError, counted
-from thermoforce_mpc.execution import source_fingerprint
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.schedule.dates import window_name
@@ -176,21 +175,8 @@ def run_comparison(
     stored = {cell.key: record for cell in cells if (record := store.finished(cell)) is not None}
     todo = [cell for cell in cells if cell.key not in stored]
     say(f"{counted(len(cells), 'cell')}: {len(cells) - len(todo)} already done, {len(todo)} to run; {store.folder}")
-    stale = sum(record.get("source") != source_fingerprint() for record in stored.values())
-    if stale:
-        say(
-            f"Note: {stale} of the stored cells made by other source code of this version; use another --out to rerun "
-            "all"
-        )
-    try:
-        if todo:
-            run_cells(tasks_of(todo), store, console, options["engine"], quiet, stored)
-    except KeyboardInterrupt:
-        n_stored = sum(store.finished(cell) is not None for cell in cells)
-        click.echo(
-            f"{n_stored} of {len(cells)} cells are stored in {store.folder}; repeat the command to resume", err=True
-        )
-        raise
+    note_other_code((record["source"] for record in stored.values()), say)
+    run_cells(tasks_of(todo), store, console, options["engine"], quiet, stored)
     # With the names of this comparison: two may refer to the same run.
     records: list[dict[str, Any]] = [{**stored[cell.key], "variant": cell.variant} for cell in cells]
     if searches_equal_comfort(base):

@@ -14,9 +14,9 @@ import pandas as pd
 from rich.console import Console
 
 from thermoforce_mpc.cli.options import Opening, execution_options
-from thermoforce_mpc.cli.running.executing import FAILED, outcomes_of, run_cells
+from thermoforce_mpc.cli.running.executing import FAILED, note_other_code, outcomes_of, run_cells, sayer
 from thermoforce_mpc.errors import ConfigError, counted
-from thermoforce_mpc.execution import Task, source_fingerprint
+from thermoforce_mpc.execution import Task
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.comparison.store import DONE, Store
 from thermoforce_mpc.simulation.comparison.tasks import failure
@@ -103,27 +103,14 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
     own = [run for run in to_run if run.cell.key not in rows_of_others]
     todo = [run for run in own if run.cell.key not in records]
     again = models_again(own, records, store)
-    if not quiet:
-        taken = f"{len(to_run) - len(own)} taken from other datasets, " if reuse else ""
-        console.print(
-            f"{counted(len(own) - len(todo), 'run')} done, {taken}{len(todo)} left; {store.folder}", soft_wrap=True
-        )
-        if again:
-            console.print(f"{counted(len(again), 'model')} missing or damaged, to be identified again", soft_wrap=True)
-        made_by = [record["source"] for record in records.values()] + [row["code"] for row in rows_of_others.values()]
-        if stale := sum(source != source_fingerprint() for source in made_by):
-            console.print(
-                f"Note: {stale} of them made by other source code of this version; to run all anew, take another "
-                f"--out{' and leave out --reuse' if rows_of_others else ''}",
-                soft_wrap=True,
-            )
-    try:
-        if todo or again:
-            run_cells([*again, *tasks_of(todo)], store, console, engine, quiet, records)
-    except KeyboardInterrupt:
-        n_kept = sum(records.get(run.cell.key, {}).get("status") == DONE for run in own)
-        click.echo(f"{n_kept} of {len(own)} runs are kept in {store.folder}; repeat the command to resume", err=True)
-        raise
+    say = sayer(console, quiet)
+    taken = f"{len(to_run) - len(own)} taken from other datasets, " if reuse else ""
+    say(f"{counted(len(own) - len(todo), 'run')} done, {taken}{len(todo)} left; {store.folder}")
+    if again:
+        say(f"{counted(len(again), 'model')} missing or damaged, to be identified again")
+    made_by = [record["source"] for record in records.values()] + [row["code"] for row in rows_of_others.values()]
+    note_other_code(made_by, say, "take another --out" + " and leave out --reuse" * bool(rows_of_others))
+    run_cells([*again, *tasks_of(todo)], store, console, engine, quiet, records)
     store.create()
     dataset = write_dataset(store.folder, [_row(run, records, rows_of_others) for run in runs])
     if file.trajectories:

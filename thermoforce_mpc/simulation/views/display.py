@@ -15,6 +15,7 @@ from rich.text import Text
 
 from boptest_client import safe_text
 from thermoforce_mpc.data import DAY_S, Period, PlanStatus
+from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import Sample, StepRecord
 from thermoforce_mpc.simulation.comparison.outcome import best_values
@@ -24,7 +25,7 @@ from thermoforce_mpc.simulation.views.whole_tables import figure, plain_table, p
 
 Kpis = Callable[[], Mapping[str, float]]
 # Loops that end sooner say nothing of it.
-_SHORT_S, _MINUTE_S = 5.0, 60.0
+_SHORT_S = 5.0
 # Where nothing can be overwritten, the first line of progress comes after this time, s, the next after twice that, ….
 SAID_AFTER_S = 60.0
 # Characters of a message: it may list many things, and quote what comes from elsewhere.
@@ -108,7 +109,7 @@ class LoopDisplay(_Line):
         self._console.print(line, highlight=False, soft_wrap=True)
 
     def _took(self) -> str:
-        return _duration(time.monotonic() - self._began)
+        return duration(time.monotonic() - self._began)
 
     def _line(self, record: StepRecord, day: float) -> str:
         last = record.samples[-1]
@@ -135,11 +136,7 @@ class LoopDisplay(_Line):
     def _left(self, day: float) -> str:
         """How long the rest of the loop takes if it goes on as until now; nothing where that is seconds."""
         seconds = (time.monotonic() - self._began) * (self._days / day - 1.0)
-        return "" if seconds < _SHORT_S else f"  {_duration(seconds)} left"
-
-
-def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 2 * _MINUTE_S else f"{seconds / _MINUTE_S:.0f} min"
+        return "" if seconds < _SHORT_S else f"  {duration(seconds)} left"
 
 
 def _temperatures(sample: Sample) -> str:
