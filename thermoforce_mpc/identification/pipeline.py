@@ -135,7 +135,11 @@ def identify(
         if levels_only(heat_inputs[a], layout, a, config):
             zone_data, advice = _with_unknown_heat(zone_data, runs, layout, a, effects[a], config)
         with _told(records, layout, a) as prefix:
-            zone = identify_zone(zone_data, effects[a], lambda text, prefix=prefix: say(prefix + text))
+
+            def tell(text: str, prefix: str = prefix) -> None:
+                say(prefix + text)
+
+            zone = identify_zone(zone_data, effects[a], tell)
         zones.append(_barred(_with_advice(zone, advice), a, records.doubts))
     others = [of_zone.known[1:] if of_zone else [] for of_zone in effects]
     return assembled(layout, zones, others, power, config)
