@@ -91,7 +91,9 @@ def test_identify_offers_it_as_a_method():
 
 
 def test_the_papers_operator_has_195_parameters_and_uses_them():
-    model = identify([arx_run()], config=IdentificationConfig(method="two_stage", heat_input="identity"))
+    model = identify(
+        [arx_run()], config=IdentificationConfig(method="two_stage", heat_input="identity", modulation="always")
+    )
     operator = model.only.operator
     assert (operator.n_trained, operator.n_used, operator.n_effective) == (195, 195, 195)
     assert operator.poles[0] == pytest.approx(A, rel=0.01)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -136,15 +135,15 @@ def identify(
         if levels_only(heat_inputs[a], layout, a, config):
             zone_data, advice = _with_unknown_heat(zone_data, runs, layout, a, effects[a], config)
         with _told(records, layout, a) as prefix:
-            zone = identify_zone(zone_data, effects[a], partial(_say, say, prefix))
+
+            def tell(text: str, prefix: str = prefix) -> None:
+                say(prefix + text)
+
+            zone = identify_zone(zone_data, effects[a], tell)
         zone = replace(zone, card=replace(zone.card, foreign_heat=records.foreign.heat[a]))
         zones.append(_barred(_with_advice(zone, advice), a, records.doubts))
     others = [of_zone.known[1:] if of_zone else [] for of_zone in effects]
     return assembled(layout, zones, others, power, config)
-
-
-def _say(say: Callable[[str], None], prefix: str, text: str) -> None:
-    say(prefix + text)
 
 
 @dataclass(frozen=True)

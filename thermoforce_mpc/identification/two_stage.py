@@ -25,7 +25,8 @@ MIN_OFF_STEPS = 24
 MIN_ON_STEPS = 6
 # Scaling of the first stage's four columns to equal size.
 SCALE = np.array([1.0, 1.0, 1e-3, 1.0])
-# Of the temperature before the first reading, K.
+# What a model of first order does not follow in a step, and the temperature before the first reading, K.
+_LEAST_SD_K = 0.02
 _START_SD_K = 10.0
 # Bound of e, the constant gains from ground and people, K/h.
 _CONSTANT_K_PER_H = 3.0
@@ -71,7 +72,7 @@ class TwoStageFit:
             poles=np.array([self.a]),
             weights=weights,
             step_s=self.step_s,
-            process_K2=np.array([[max(self.rmse_K, 1e-4) ** 2]]),
+            process_K2=np.array([[max(self.rmse_K, _LEAST_SD_K) ** 2]]),
             start_K2=np.array([[_START_SD_K**2]]),
         )
 

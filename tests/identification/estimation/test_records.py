@@ -97,7 +97,7 @@ def test_unknown_levels_of_any_actuator_divide_a_run(row):
 @pytest.mark.parametrize("row", ROWS)
 @pytest.mark.parametrize("level", [0.0, 0.4])
 def test_an_actuator_that_never_changed_does_not_refuse_the_rest(row, level):
-    history = changed(two_rooms(), "u", row, slice(None), level)
+    history = changed(two_rooms(3.0), "u", row, slice(None), level)
     verdicts = [card.competence for card in identify([history], config=LINEAR, layout=LAYOUT).cards]
     assert verdicts[1 - row].competent, verdicts[1 - row].reasons
     assert not verdicts[row].competent
@@ -113,7 +113,7 @@ def test_an_actuator_that_never_changed_does_not_refuse_the_rest(row, level):
     ids=["idle", "dead"],
 )
 def test_a_meter_that_tells_nothing_costs_the_power_of_its_machine_only(row, levels, watts, words):
-    history = changed(two_rooms(), "power_W", row, slice(None), watts)
+    history = changed(two_rooms(3.0), "power_W", row, slice(None), watts)
     if levels is not None:
         history = changed(history, "u", row, slice(None), levels)
     model = identify([history], config=LINEAR, layout=LAYOUT)
@@ -126,7 +126,7 @@ def test_a_meter_that_tells_nothing_costs_the_power_of_its_machine_only(row, lev
 
 @pytest.mark.parametrize("row", ROWS)
 def test_a_heat_meter_is_named_where_it_is_dead_and_not_needed_where_nothing_was_on(row):
-    history = two_rooms()
+    history = two_rooms(3.0)
     metered = replace(history, heat_W=2000.0 * history.u)
     dead = changed(metered, "heat_W", row, slice(None), 0.0)
     words = f"^{NAMES.actuators[row]} on {NAMES.zones[row]}: delivered heat: its mean while the actuator was on is 0 W"

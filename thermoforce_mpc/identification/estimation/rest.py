@@ -6,14 +6,16 @@ their covariance C = L Lᵀ, row i of L⁻¹ is what a reading says beyond those
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import nnls
 
 from thermoforce_mpc.data import Array, Record
-from thermoforce_mpc.identification.estimation.modes import lagged
+from thermoforce_mpc.identification.estimation.modes import ModePriors, lagged, unit_responses
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.model.free_response.rc import RcParameters
 
@@ -46,6 +48,15 @@ def rest_of(regression: RegressionData, free: RcParameters | None) -> Rest:
     if regression.is_pair or free is None:
         return Rest(np.zeros(n), _PAIR_SD_K**2 * np.eye(n))
     return Rest(_mean(regression.histories[0], free)[regression.rows], _covariance(regression, free))
+
+
+def fitted_gains(pairs: Sequence[RegressionData], priors: ModePriors, sign: int) -> Array:
+    """[slope, G_2 … G_r] (r,), none negative, most likely given pairs and the priors, at their time constants."""
+    units = np.concatenate([unit_responses(priors.log_tau, e.step_s, e.drive, e.rows) for e in pairs])
+    mean, sd = priors.gains_at(priors.log_tau)
+    columns = np.concatenate([sign * units / _PAIR_SD_K, np.diag(1.0 / sd)])
+    target = np.concatenate([*(e.target / _PAIR_SD_K for e in pairs), mean / sd])
+    return np.asarray(nnls(columns, target)[0])
 
 
 def _mean(history: Record, free: RcParameters) -> Array:

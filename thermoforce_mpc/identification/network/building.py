@@ -78,7 +78,7 @@ class BuildingFit:
         rooms[zone] = rooms[zone].without(actuator)
         return BuildingFit(self.layout, tuple(rooms))
 
-    @property
+    @cached_property
     def network(self) -> Network:
         """The joined network at the rooms' most likely parameters."""
         return self._network([fit.theta for fit in self.rooms])

@@ -17,11 +17,12 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.effects.level_laws import level_shape
 from thermoforce_mpc.identification.estimation.modes import bounds_h, centred_priors, to_operator
 from thermoforce_mpc.identification.estimation.regression import RegressionData
+from thermoforce_mpc.identification.estimation.rest import fitted_gains
 from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
 from thermoforce_mpc.identification.validation.competence import Trial, judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
-from thermoforce_mpc.identification.validation.held_out import before_held_out, normalisation, ranges
+from thermoforce_mpc.identification.validation.held_out import before_held_out, normalisation, ranges, seen_rows
 from thermoforce_mpc.identification.validation.reasons import UNJUDGED
 from thermoforce_mpc.identification.validation.warnings import uncertain
 from thermoforce_mpc.identification.zones.data import Effects, Estimate, ZoneData
@@ -35,7 +36,7 @@ from thermoforce_mpc.model.zone_model import ZoneModel
 # Least log odds that the actuator acts: of 84 random houses with the levels of another one, 2 had more
 # (`python -m benchmarks.zones.placebo` for houses of rooms).
 _LEAST_LOG_ODDS = 5.0
-# Relative standard deviation of gains and time constants while a network is trained on pairs alone.
+# Relative standard deviation of the network's gains and time constants where pairs are fitted.
 _PAIRS_SD = 0.5
 # Least gain, K or K/h: an effect that the record denies keeps the sign of its actuator.
 _LEAST_GAIN = 1e-12
@@ -94,23 +95,28 @@ def _network_estimate(data: ZoneData, effects: ZoneEffects) -> Estimate:
     """What the network says of the zone, and its folds."""
     config = data.config
     earlier = before_held_out(data.knowing(effects.earlier), config)
-    free = effects.whole.free
+    everything = _fold([replace(e, held=0) for e in data.knowing(effects.whole)], effects.whole, data.sign)
+    effect, free = replace(effects.known[0], gains=everything.gains), effects.whole.free
     return Estimate(
-        everything=_fold([replace(e, held=0) for e in data.knowing(effects.whole)], effects.whole),
-        last=_fold(data.knowing(effects.training), effects.training),
-        before=_fold(earlier, effects.earlier) if earlier else None,
+        everything=everything,
+        last=_fold(data.knowing(effects.training), effects.training, data.sign),
+        before=_fold(earlier, effects.earlier, data.sign) if earlier else None,
         bounds_h=bounds_h,
         gamma=config.gamma,
         trains=config.modulation != "linear",
         free=None if free is None else free.resampled(data.step_s or data.histories[0].step_s),
         scores={"acts_log_odds": effects.log_odds},
-        certainty=lambda operator: uncertainty(effects.known[0], data.level_sd) | {"sensor_resolution_K": data.grid_K},
+        certainty=lambda operator: uncertainty(effect, data.level_sd) | {"sensor_resolution_K": data.grid_K},
     )
 
 
-def _fold(regressions: Sequence[RegressionData], effects: Effects) -> Fold:
-    log_tau, gains = effects.modes.log_tau, np.maximum(effects.modes.gains[0], _LEAST_GAIN)
-    priors = centred_priors(log_tau, gains, _PAIRS_SD)
+def _fold(regressions: Sequence[RegressionData], effects: Effects, sign: int) -> Fold:
+    """The effect that the network has, its gains fitted to what pairs show beside it: no loop biases a difference."""
+    log_tau, gains = effects.modes.log_tau, effects.modes.gains[0]
+    priors, pairs = centred_priors(log_tau, gains, _PAIRS_SD), [e for e in seen_rows(regressions) if e.is_pair]
+    if pairs:
+        gains = fitted_gains(pairs, priors, sign)
+    gains = np.maximum(gains, _LEAST_GAIN)
     return Fold(regressions, log_tau, gains, priors, effects.heat_inputs[0], effects.free, effects.alone)
 
 
