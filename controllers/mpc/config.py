@@ -141,7 +141,7 @@ class MPCConfig(StrictModel):
     reserve: bool = Field(
         True,
         description="in a fast zone, keep a reserve inside the bound that actuation protects, for what happens within "
-        "a step: swing of on/off blocks, model error, sensor resolution (at most 0.3 K)",
+        "a step: swing of on/off blocks and model error (at most 0.3 K); of a coarse sensor at least half a step",
     )
     backoff_max_K: float = Field(0.6, ge=0, description="largest back-off from a comfort bound, K")
     offset_h: float | None = Field(

@@ -6,8 +6,8 @@ expected violation in K. The chance level is active where forecasts are good; el
 the bound holds.
 
 The reserve is for what a plan, which knows the zone at the ends of its steps, cannot see in a fast one: swing under
-on/off blocks, error of the next hour, a coarse sensor. What is missed all the same is learned. So is the share of a
-shared machine's capacity that is left unused: at its limit what one takes too much another lacks.
+on/off blocks, error of the next hour. What is missed all the same is learned, and what was not needed is given back. So
+is the share of a shared machine's capacity that is left unused: at its limit what one takes too much another lacks.
 """
 
 from __future__ import annotations
@@ -113,17 +113,16 @@ def _rise_K(operator: OperatorParameters, steps: int) -> Array:
 
 
 def reserve_K(operator: OperatorParameters, actuation: Actuation, card: ModelCard) -> float:
-    """Reserve inside the bound that actuation protects, K.
+    """Reserve inside the bound that actuation protects, K: 0 in a slow zone.
 
-    The standard deviation of the sensor's rounding; in a fast zone also half the swing of on/off blocks and half the
-    held-out error of the next hour.
+    In a fast one half the swing of on/off blocks and half the held-out error of the next hour. The rounding of a coarse
+    sensor is in that error and in the band of the forecast.
     """
-    rounding_K = card.uncertainty.get("sensor_resolution_K", 0.0) / math.sqrt(12.0)
     if not is_fast(operator):
-        return min(rounding_K, _MOST_K)
+        return 0.0
     verdict = card.competence
     errors = [score.model_K for score in verdict.horizons if score.hours == 1.0] if verdict else []
-    needed_K = _swing_K(operator, actuation) + _ERROR_SHARE * sum(errors) + rounding_K
+    needed_K = _swing_K(operator, actuation) + _ERROR_SHARE * sum(errors)
     return min(needed_K, _MOST_K) if math.isfinite(needed_K) else _MOST_K
 
 
@@ -234,7 +233,7 @@ class LearnedMargin:
         return np.where(begins, recovery_K, 0.0)
 
     def after_reading(
-        self, inside_K: Array, spare: NDArray[np.bool_], planned_K: Array, time_s: float
+        self, inside_K: Array, spare: NDArray[np.bool_], planned_K: Array, left_K: Array, time_s: float
     ) -> LearnedMargin:
         """With a reading, and after a day with what its readings had to spare.
 
@@ -245,6 +244,7 @@ class LearnedMargin:
             inside_K: how far the reading is inside the bounds (2, Z), K; NaN: not known.
             spare: whether there was more to give (2, Z).
             planned_K: margins in all that the plan of the step was made with (2, Z), K.
+            left_K: the most of them that may be given back (2, Z), K.
             time_s: time of the reading, s.
         """
         nearest_K = np.fmin(self.nearest_K, np.where(spare, inside_K, np.inf))
@@ -252,7 +252,7 @@ class LearnedMargin:
         if time_s - since_s < DAY_S:
             return replace(self, nearest_K=nearest_K, since_s=since_s)
         unused_K = np.where(nearest_K <= planned_K + _NEAR_K, np.maximum(nearest_K, 0.0), 0.0)
-        given_K = np.minimum(_GIVEN_BACK * unused_K, planned_K)
+        given_K = np.minimum(_GIVEN_BACK * unused_K, left_K)
         fresh = np.full_like(nearest_K, np.inf)
         return replace(self, reserve_K=self.reserve_K - given_K, nearest_K=fresh, since_s=time_s)
 

@@ -4,14 +4,15 @@
 |---|---|---|---|
 | comfort | both bounds | always | `comfort_margin_K` |
 | back-off | each bound, by lead time | chance levels below 0.5, or `backoff_violation_K` | band of the free forecast |
-| reserve | the bound that actuation protects | fast zones and coarse sensors, unless loops keep room set-points | card of the model |
+| reserve | the bound that actuation protects | fast zones, unless loops keep room set-points | card of the model |
 | learned | each bound | more: readings were beyond it while there was more to give; less: a day had room to spare | this run |
 | recovery | each bound, where it begins after a setback | the zone was not there in time; less where it was beyond | this run |
 | offset | the prediction | `offset_h` | errors of the last plans, one step ahead |
 | unused capacity | the capacity of a machine | several metered actuators share it | heat that they lacked in this run |
 
 `MarginRules.learn` moves the last four after each step, `MarginRules.bounds` adds the first five; their sum is never
-below 0. With room set-points what is learned counts only where a bound is set back, and is never less than 0.
+below 0, nor, where actuation protects the bound, below half a step of the sensor. With room set-points what is learned
+counts only where a bound is set back, and is never less than 0.
 """  # noqa: E501
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Share of the highest level from which an actuator counts as fully used.
 _FULLY_USED = 0.95
-# Hours before a bound begins in which a recovery could have begun.
-_BEFORE_H = 6.0
+# Hours before a bound begins in which a recovery could have begun: those of a setback.
+_BEFORE_H = 12.0
 # Largest offset added to a prediction, K: beyond, the model is wrong rather than off.
 _OFFSET_K = 0.3
 
@@ -93,6 +94,10 @@ class MarginRules:
     def __init__(self, config: MPCConfig, model: ThermalModel, actuators: Actuators) -> None:
         self._config, self._actuators, self._layout = config, actuators, model.layout
         self._cards, self._step_s, self._shares = model.cards, model.operator.step_s, np.array(model.layout.shares)
+        # Half a step of each zone's sensor (Z,), K.
+        self._half_K = np.zeros(len(model.names.zones))
+        for card, z in zip(model.cards, model.layout.home, strict=True):
+            self._half_K[z] = max(self._half_K[z], 0.5 * card.uncertainty.get("sensor_resolution_K", 0.0))
 
     def learn(
         self,
@@ -113,15 +118,19 @@ class MarginRules:
         """
         if good is None or good.age(observation.time_s, self._step_s) != 1:  # no plan decided the last step
             return replace(before, learned=before.learned.meeting(forecast.lower_C, forecast.upper_C))
+        planned_C, T_C = good.T_zone_C[:, 0], observation.T_zone_C
+        # A sensor that reads in steps says in which step the zone is, and the plan where in it.
+        inside_C = np.clip(planned_C, T_C - self._half_K, T_C + self._half_K)
+        seen_C = np.where(np.isfinite(planned_C), inside_C, T_C)
         learned = before.learned.after_setback(
-            observation.T_zone_C,
+            seen_C,
             forecast.lower_C[:, 0],
             forecast.upper_C[:, 0],
             self.could_begin_earlier(observation.history),
         ).meeting(forecast.lower_C, forecast.upper_C)
         return Margins(
-            self._learned_offset_K(before.offset_K, good, observation),
-            self._learned_margin(learned, good.margin_K, observation, forecast),
+            self._learned_offset_K(before.offset_K, seen_C - planned_C),
+            self._learned_margin(learned, good.margin_K, seen_C, observation, forecast),
             self._learned_unused(operator, before.unused, observation.history),
         )
 
@@ -170,7 +179,8 @@ class MarginRules:
             inside_K = c.comfort_margin_K + np.stack([below, above]) + reserves_K[:, None] + learned_K
             now_C = np.array([boundary.lower_C[z, 0], boundary.upper_C[z, 0]])
             inside_K += learned.at_begin_K(z, now_C, np.stack([lower_C, upper_C]))
-            inside_K = np.clip(inside_K, 0.0, half)
+            protected = np.array([1 in signs, -1 in signs]) & (c.reserve and not by_loops)
+            inside_K = np.clip(inside_K, np.minimum(protected[:, None] * self._half_K[z], half), half)
             rows.append(
                 (
                     lower_C + inside_K[0],
@@ -187,21 +197,24 @@ class MarginRules:
         return Bounds(np.stack(lower), np.stack(upper), first_step, np.stack(whole, axis=1))
 
     def could_begin_earlier(self, history: Record) -> NDArray[np.bool_]:
-        """Whether what protects the lower and the upper bound of each zone had more to give in the last hours (2, Z).
-
-        An actuator that was at full level, or whose machine was at its capacity, could not have begun earlier.
-        """
+        """Whether what protects the lower and the upper bound of each zone had more to give in the last 12 h (2, Z)."""
         last = history.last(min(history.n_steps, round(_BEFORE_H * HOUR_S / self._step_s)))
-        used = np.abs(np.nan_to_num(last.u, nan=1.0)).mean(axis=1) if last.n_steps else np.ones(len(self._layout.home))
-        could = np.zeros((2, len(self._layout.names.zones)), dtype=bool)
+        used = np.nan_to_num(last.u, nan=1.0).mean(axis=1) if last.n_steps else np.ones(len(self._layout.home))
+        return self._had_more(used)
+
+    def _had_more(self, used: Array) -> NDArray[np.bool_]:
+        """Whether what protects the lower and the upper bound of each zone had more to give (2, Z) at levels (A,).
+
+        An actuator at its highest level had not, nor one whose machine was at its capacity.
+        """
+        more = np.zeros((2, len(self._layout.names.zones)), dtype=bool)
         for a, (z, sign) in enumerate(zip(self._layout.home, self._layout.signs, strict=True)):
             fed = self._layout.fed_by(self._layout.machine_of[a])
             load = float(self._shares[fed] @ used[fed]) if len(fed) > 1 else 0.0
-            most = max(used[a] / self._actuators.each[a].highest, load)
-            could[0 if sign > 0 else 1, z] |= most < _FULLY_USED
+            more[0 if sign > 0 else 1, z] |= max(used[a] / self._actuators.each[a].highest, load) < _FULLY_USED
             if self._layout.lowest[a] < 0.0:
-                could[1, z] |= used[a] / -self._layout.lowest[a] < _FULLY_USED
-        return could
+                more[1, z] |= used[a] / self._layout.lowest[a] < _FULLY_USED
+        return more
 
     def capacity(self, operator: BuildingOperator, T_out_C: Array, unused: Array) -> Array | None:
         """What the actuators of each machine may take together (M, N), in the unit of their shares; None: 1.
@@ -216,38 +229,39 @@ class MarginRules:
             most[m] *= shares.sum() / (shares @ full)
         return None if (most == 1.0).all() else most
 
-    def _learned_offset_K(self, before_K: Array, good: GoodPlan, observation: Observation) -> Array:
-        """Mean errors of planned zone temperatures one step ahead (Z,), K, forgotten over `offset_h`.
+    def _learned_offset_K(self, before_K: Array, error_K: Array) -> Array:
+        """Mean of the errors of planned zone temperatures one step ahead (Z,), K, forgotten over `offset_h`.
 
         A machine that gives more or less heat at a level than its law misses every step to the same side; the mean of
         these errors is added to the prediction, so that the zone settles on the bound (offset-free control).
         """
         if self._config.offset_h is None:
             return before_K
-        error = observation.T_zone_C - good.T_zone_C[:, 0]
         weight = -np.expm1(-self._step_s / HOUR_S / self._config.offset_h)
         # The plan held the offset of its time: what it missed comes on top.
-        offset_K = before_K + weight * np.where(np.isfinite(error), error, 0.0)
+        offset_K = before_K + weight * np.where(np.isfinite(error_K), error_K, 0.0)
         return np.clip(offset_K, -_OFFSET_K, _OFFSET_K)
 
     def _learned_margin(
-        self, before: LearnedMargin, planned_K: Array, observation: Observation, forecast: Boundary
+        self, before: LearnedMargin, planned_K: Array, T_C: Array, observation: Observation, forecast: Boundary
     ) -> LearnedMargin:
-        """Reserve inside the bounds after a step of a plan with margins of `planned_K` (2, Z) in all."""
+        """Reserve inside the bounds after a step to `T_C` (Z,), °C, with margins of `planned_K` (2, Z) in all, K."""
         allowed_K = self._config.backoff_violation_K
         # Plans of set-points have no back-off, since the plant's own loops keep them; this is for what these miss.
         by_loops = self._config.actuation.mode == "room_setpoints"
         learning = OF_LOOPS if by_loops else None if allowed_K is None else of_plans(allowed_K)
         if learning is None:
             return before
-        T_C, lower_C, upper_C = observation.T_zone_C, forecast.lower_C[:, 0], forecast.upper_C[:, 0]
+        lower_C, upper_C = forecast.lower_C[:, 0], forecast.upper_C[:, 0]
         beyond_K = np.stack([lower_C - T_C, T_C - upper_C])
-        spare = self._spare(observation.history.u[:, -1])
+        spare = self._had_more(np.nan_to_num(observation.history.u[:, -1], nan=1.0)) & self._config.reserve
         if by_loops:
             spare &= before.set_back(slice(None), lower_C, upper_C)
         reserve_K = learned_K(before.reserve_K, beyond_K, spare, self._step_s, learning)
         after = replace(before, reserve_K=reserve_K)
-        return after if by_loops else after.after_reading(-beyond_K, spare, planned_K, observation.time_s)
+        # Half a step of the sensor is kept anyhow.
+        left_K = np.maximum(planned_K - self._half_K, 0.0)
+        return after if by_loops else after.after_reading(-beyond_K, spare, planned_K, left_K, observation.time_s)
 
     def _learned_unused(self, operator: BuildingOperator, before: Array, history: Record) -> Array:
         """Share of each machine's capacity to be left unused (M,) after the last step of `history`."""
@@ -259,17 +273,6 @@ class MarginRules:
             load = float((share * u * full[:, 0]).sum())
             unused[m] = learned_share(float(before[m]), load, most_W, heat_W, u * full_W, u, self._step_s)
         return unused
-
-    def _spare(self, used: Array) -> NDArray[np.bool_]:
-        """Whether actuators that protect the lower and the upper bound of each zone had more to give (2, Z).
-
-        `used` (A,): mean level of the last step.
-        """
-        more = np.zeros((2, len(self._layout.names.zones)), dtype=bool)
-        for a, (z, sign) in enumerate(zip(self._layout.home, self._layout.signs, strict=True)):
-            if self._config.reserve and used[a] < _FULLY_USED * self._actuators.each[a].highest:
-                more[0 if sign > 0 else 1, z] = True
-        return more
 
     def _reserve_K(self, operator: BuildingOperator, z: int, sign: int) -> float:
         """Reserve inside the bound that the actuators of one sign protect in zone `z`, K."""

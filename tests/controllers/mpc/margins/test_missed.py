@@ -16,6 +16,7 @@ from controllers.mpc.margin_rules import OF_LOOPS, LearnedMargin, learned_K, of_
 from controllers.mpc.margins import Margins
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation
 from thermoforce_mpc.model.predictor import PredictionContext
+from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 ALLOWED_K = 0.0135
@@ -34,15 +35,17 @@ def test_it_grows_where_readings_are_beyond_the_bound():
     assert learned(-1.0) == learned(-0.1) == 0.1, "a step inside says nothing, a day does"
 
 
-def after_days(inside_K: float | list[float], days: int = 1, planned_K: float = 0.3, spare: bool = True) -> float:
+def after_days(
+    inside_K: float | list[float], days: int = 1, planned_K: float = 0.3, spare: bool = True, least_K: float = 0.0
+) -> float:
     """What is learned of the lower bound after days of quarter hours with readings so far inside, from 0."""
     readings = np.resize(np.array(inside_K, dtype=np.float64), 96 * days)
     state = LearnedMargin.nothing(1)
     for step, reading_K in enumerate(readings):
         distance_K, had = np.array([[reading_K], [np.nan]]), np.array([[spare], [False]])
         # A plan keeps what it keeps beforehand and what was learned.
-        whole_K = np.maximum(planned_K + state.reserve_K, 0.0)
-        state = state.after_reading(distance_K, had, whole_K, 900.0 * step)
+        whole_K = np.maximum(planned_K + state.reserve_K, least_K)
+        state = state.after_reading(distance_K, had, whole_K, whole_K - least_K, 900.0 * step)
     assert state.reserve_K[1, 0] == 0.0, "nothing is known of the other bound"
     return float(state.reserve_K[0, 0])
 
@@ -58,6 +61,7 @@ def test_half_of_what_a_day_had_to_spare_is_given_back():
 def test_no_more_is_given_back_than_is_kept():
     assert after_days(0.3, 30) == pytest.approx(-0.3, abs=1e-3)
     assert after_days(0.15, 30, planned_K=0.02) == pytest.approx(-0.02, abs=1e-6)
+    assert after_days(0.3, 30, least_K=0.2) == pytest.approx(-0.1, abs=1e-6)
 
 
 def test_a_zone_that_sun_keeps_away_from_its_bound_says_nothing_of_margins():
@@ -69,9 +73,18 @@ def test_a_miss_is_made_up_for_at_once_whatever_was_given_back():
     assert learned(-1.0, before_K=-0.2) == -0.2
 
 
-def before_a_plan() -> tuple[ThermoForceMPC, Observation, PredictionContext]:
+def coarse_model() -> ThermalModel:
+    """A house whose sensor reads in steps of 0.5 K."""
+    zone = simple_model().only
+    return ThermalModel.of_zone(replace(zone, card=replace(zone.card, uncertainty={"sensor_resolution_K": 0.5})))
+
+
+def before_a_plan(
+    model: ThermalModel | None = None, **options: Any
+) -> tuple[ThermoForceMPC, Observation, PredictionContext]:
     """A controller, what it observes, and what it predicts from that."""
-    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    config = MPCConfig(step_s=None, horizon_h=24.0, **options)
+    mpc = ThermoForceMPC(model or simple_model(), config, free_response=OutdoorResponse())
     house = SimpleHouse()
     house.reset(10 * DAY_S, 24 * HOUR_S)
     seen = Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S))
@@ -83,6 +96,15 @@ def test_margins_in_all_are_never_less_than_nothing():
     given = replace(LearnedMargin.nothing(1), reserve_K=np.array([[-5.0], [0.0]]))
     problem = mpc.instance(context, seen.history, Margins(learned=given))
     np.testing.assert_array_equal(problem.lower_C, context.boundary.lower_C[:, 1:])
+
+
+def test_half_a_step_of_the_sensor_is_kept_inside_the_bound_that_is_protected():
+    given = Margins(learned=replace(LearnedMargin.nothing(1), reserve_K=np.array([[-5.0], [-5.0]])))
+    for reserve, kept_K in ((True, 0.25), (False, 0.0)):
+        mpc, seen, context = before_a_plan(coarse_model(), reserve=reserve)
+        problem = mpc.instance(context, seen.history, given)
+        np.testing.assert_allclose(problem.lower_C, context.boundary.lower_C[:, 1:] + kept_K)
+        np.testing.assert_array_equal(problem.upper_C, context.boundary.upper_C[:, 1:])
 
 
 def test_nothing_is_learned_where_there_was_no_more_to_give_or_no_reading():
@@ -139,10 +161,14 @@ def test_one_drop_that_loops_let_through_is_made_up_for_at_once():
     assert quarter == hour == pytest.approx(0.6, abs=0.002)
 
 
-def second_plan(T_C: float, used: float, **options: Any) -> tuple[MPCState, Boundary]:
-    """State of the plan after a first one, with the zone at `T_C` after a step at level `used`."""
+def second_plan(
+    T_C: float, used: float, model: ThermalModel | None = None, **options: Any
+) -> tuple[MPCState, Boundary, float]:
+    """State of the plan after a first one, with the zone at `T_C` after a step at level `used`; what the first one
+    expected there, °C.
+    """
     config = MPCConfig(step_s=None, horizon_h=24.0, **options)
-    mpc = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
+    mpc = ThermoForceMPC(model or simple_model(), config, free_response=OutdoorResponse())
     house = SimpleHouse()
     house.reset(10 * DAY_S, 24 * HOUR_S)
     first = mpc.plan(Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S)))
@@ -153,11 +179,11 @@ def second_plan(T_C: float, used: float, **options: Any) -> tuple[MPCState, Boun
     boundary = house.forecast(mpc.horizon_s, HOUR_S)
     plan = mpc.plan(Observation(replace(history, T_zone_C=T), boundary), first.state)
     assert isinstance(plan.state, MPCState)
-    return plan.state, boundary
+    return plan.state, boundary, float(first.T_zone_C[0, 0])
 
 
 def test_a_plan_keeps_what_was_missed_inside_the_bound_that_it_protects():
-    state, boundary = second_plan(20.8, 0.3)
+    state, boundary, _ = second_plan(20.8, 0.3)
     expected = 0.25 * (boundary.lower_C[0, 0] - 20.8 - ALLOWED_K)
     assert state.margins.learned.reserve_K[:, 0].tolist() == pytest.approx([expected, 0.0])
     assert not second_plan(20.8, 1.0)[0].margins.learned.reserve_K.any(), "the machine had no more to give"
@@ -166,6 +192,15 @@ def test_a_plan_keeps_what_was_missed_inside_the_bound_that_it_protects():
     )
     assert not second_plan(20.8, 0.3, reserve=False)[0].margins.learned.reserve_K.any()
     assert not second_plan(20.8, 0.3, backoff_violation_K=None)[0].margins.learned.reserve_K.any()
+
+
+@pytest.mark.parametrize(("above_K", "known_above_K"), [(0.1, 0.0), (-0.1, 0.0), (-0.4, -0.15), (0.4, 0.15)])
+def test_within_a_step_of_the_sensor_the_zone_is_where_the_plan_expected_it(above_K, known_above_K):
+    expected_C = second_plan(21.0, 0.3, coarse_model())[2]
+    state, boundary, _ = second_plan(expected_C + above_K, 0.3, coarse_model())
+    inside_K = expected_C + known_above_K - boundary.lower_C[0, 0]
+    assert state.margins.learned.nearest_K[0, 0] == pytest.approx(inside_K)
+    assert state.margins.offset_K[0] == pytest.approx(known_above_K * (1.0 - np.exp(-1.0 / 6.0)))
 
 
 def test_the_bounds_of_a_problem_move_inside_by_what_was_learned():

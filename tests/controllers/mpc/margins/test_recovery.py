@@ -137,6 +137,17 @@ def test_after_hours_at_full_level_it_learns_nothing():
     assert found[21] == found[20] == [0.0, 0.0]
 
 
+@pytest.mark.parametrize(("full_h", "earlier"), [(7, True), (12, False)])
+def test_a_machine_that_was_off_in_the_setback_could_have_begun_earlier(full_h, earlier):
+    model = simple_model()
+    rules = MarginRules(MPCConfig(), model, Actuators(model.layout, [Actuation(ActuationConfig())]))
+    house = SimpleHouse()
+    house.reset(10 * DAY_S, 0.0)
+    for hour in range(12 + full_h):
+        house.advance(float(hour >= 12), HOUR_S)
+    assert rules.could_begin_earlier(house.past(HOUR_S))[0, 0] == earlier
+
+
 def test_loops_that_cool_learn_as_those_that_heat():
     """Levels below 0 cool; the machine of a signed level was not at its most in either direction, or in one."""
     zone = simple_model().only
