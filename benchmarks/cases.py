@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -10,7 +11,6 @@ from typing import Any, TypeVar
 from thermoforce_mpc.errors import ThermoForceError
 from thermoforce_mpc.execution import (
     Engine,
-    JsonResults,
     Outcome,
     Results,
     Task,
@@ -19,9 +19,35 @@ from thermoforce_mpc.execution import (
     execute,
     source_fingerprint,
 )
+from thermoforce_mpc.files import storage_errors, write_whole
 
 C = TypeVar("C")
 R = TypeVar("R")
+
+
+class JsonResults:
+    """Values that are JSON, in files of `folder` named by key; a file that cannot be read does not count."""
+
+    def __init__(self, folder: Path) -> None:
+        """Make the folder; raises `StorageError` if that fails."""
+        self.folder = folder
+        with storage_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+
+    def path(self, task: Task) -> Path:
+        """The file of a task's value."""
+        return self.folder / f"{task.key}.json"
+
+    def get(self, task: Task) -> Any:
+        """The value of a task; raises `KeyError` where there is none."""
+        try:
+            return json.loads(self.path(task).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            raise KeyError(task.key) from None
+
+    def put(self, task: Task, value: Any) -> None:
+        """Write the value of a task; raises `StorageError`."""
+        write_whole(self.path(task), json.dumps(value, sort_keys=True) + "\n")
 
 
 class TaskFailed(ThermoForceError):

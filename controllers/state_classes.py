@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from controllers.actuation.actuator import ActuationState
+from controllers.monitoring.blocked_hours import BlockedHours
 from controllers.monitoring.meters import MeterState
 from controllers.monitoring.scaled_model import ScaledModel
 from controllers.monitoring.sun_on_sensors import SunState
@@ -56,6 +57,7 @@ STATE_CLASSES: tuple[type[Any], ...] = (
     Anchor,
     SunState,
     WatchState,
+    BlockedHours,
     Track,
     Issued,
     Boundary,

@@ -9,10 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from thermoforce_mpc.execution import LocalEngine, Outcome, Task, execute
+from thermoforce_mpc.simulation.comparison.cells import Cell
+from thermoforce_mpc.simulation.comparison.store import Store
 from thermoforce_mpc.simulation.comparison.variants import Variant
 from thermoforce_mpc.simulation.fleet.buildings import buildings_of
 from thermoforce_mpc.simulation.fleet.file import FleetFile, Generated, Source
-from thermoforce_mpc.simulation.fleet.runs import FleetResults, Run, runs_of, tasks_of
+from thermoforce_mpc.simulation.fleet.runs import runs_of, tasks_of
 
 # A population that no table of the documentation reports.
 _SEED = 7
@@ -48,7 +50,7 @@ def campaign(
     with tempfile.TemporaryDirectory() as folder, LocalEngine(workers) as engine:
         # Imports, compiled code and weights take a process seconds; other houses bring them in.
         _done(execute(_tasks(2 * workers, 0.1, model, first=buildings), engine))
-        results = FleetResults(Path(folder))
+        results = Store(Path(folder))
         began = time.perf_counter()
         runs = _done(
             execute(tasks, engine, results),
@@ -77,7 +79,7 @@ def _done(outcomes: Iterable[Outcome], told: Callable[[int], None] = lambda n: N
     for outcome in outcomes:
         if outcome.reason:
             raise RuntimeError(f"{outcome.task.title}: {outcome.reason}")
-        if isinstance(outcome.task.inputs, Run):
+        if isinstance(outcome.task.inputs, Cell):
             n += 1
             told(n)
     return n

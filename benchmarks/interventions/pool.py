@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from benchmarks.cases import TaskFailed, run_all
+from benchmarks.interventions.zones import simulate
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.plants.energyplus.engine import engine_folder, file_hash
-from thermoforce_mpc.plants.energyplus.simulate import simulate
 
 J = TypeVar("J")
 
@@ -24,7 +24,7 @@ def simulate_all(
 ) -> list[Record]:
     """Run all jobs on `engine`; returns records in the order of the jobs.
 
-    `run` simulates one job in its process, by default a zone (`simulate.Job`). `on_done` is called with the number of
+    `run` simulates one job in its process, by default a zone (`Job`). `on_done` is called with the number of
     finished jobs.
 
     Raises:

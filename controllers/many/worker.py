@@ -18,14 +18,14 @@ import tempfile
 import threading
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from typing import IO, NamedTuple
 
 from controllers.checks import PackedState
 from controllers.many.batch import BatchPlanner, Buildings, Planned, PlanRequest
-from thermoforce_mpc.execution.local import Remembering, one_thread_each
+from thermoforce_mpc.execution.local import OneProcess
 
 
 class SharedFile(NamedTuple):
@@ -81,8 +81,7 @@ class PlanningProcess:
 
     def __init__(self, buildings: Buildings, grace_s: float) -> None:
         self._buildings, self._grace_s = buildings, grace_s
-        self._context = Remembering()
-        self._pool: ProcessPoolExecutor | None = None
+        self._process: OneProcess | None = None
         self._folder = ""
         # Names of the states that the process keeps, by building.
         self._kept_names: dict[str, str] = {}
@@ -96,9 +95,9 @@ class PlanningProcess:
             return self._submit(requests)
 
     def _submit(self, requests: list[PlanRequest]) -> Future[Answer]:
-        pool = self._running_pool()
+        process = self._running()
         named_requests = [(name, observation, self._name_of_kept(name, state)) for name, observation, state in requests]
-        return pool.submit(
+        return process.submit(
             _plans_of,
             write_shared(lambda file: pickle.dump(named_requests, file, pickle.HIGHEST_PROTOCOL), self._folder),
         )
@@ -126,28 +125,21 @@ class PlanningProcess:
             plans.append((name, replace(planned, plan=replace(planned.plan, state=state), state=state)))
         return plans
 
-    def _running_pool(self) -> ProcessPoolExecutor:
-        if self._pool is None:
-            # Spawned: a fork would copy the locks of compiled code in whatever state they are.
-            self._context = Remembering()
+    def _running(self) -> OneProcess:
+        if self._process is None:
             self._folder = tempfile.mkdtemp(prefix="tf-mpc-plans-")
-            begin = (self._buildings, self._grace_s, self._folder)
-            self._pool = ProcessPoolExecutor(1, self._context, _begin, begin)
-            with one_thread_each():
-                self._pool.submit(os.getpid)  # starts the process
-        return self._pool
+            self._process = OneProcess(_begin, self._buildings, self._grace_s, self._folder)
+        return self._process
 
     def end(self) -> None:
         """End the process at once, even while it starts: it holds nothing that outlives it.
 
         What it was asked for ends with `BrokenProcessPool`.
         """
-        if self._pool is not None:
-            for process in self._context.started:
-                process.kill()
-            self._pool.shutdown()
+        if self._process is not None:
+            self._process.leave(0.0)
             shutil.rmtree(self._folder, ignore_errors=True)
-        self._pool = None
+        self._process = None
         self._kept_names.clear()
 
 

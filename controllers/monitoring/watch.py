@@ -32,7 +32,14 @@ from controllers.monitoring import watch_effect
 from controllers.monitoring.scaled_model import GAIN_BOUNDS, ScaledModel, scaled
 from controllers.monitoring.single_actuator import SingleActuatorContext
 from controllers.monitoring.watch_state import IN_USE, Issued, Judged, Track, WatchConfig, WatchState
-from controllers.monitoring.watch_tests import LEVELS_H, applied_levels, heat_ratio, level_fault, machine_ratio
+from controllers.monitoring.watch_tests import (
+    LEVELS_H,
+    NOT_FOLLOWING,
+    applied_levels,
+    heat_ratio,
+    level_fault,
+    machine_ratio,
+)
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -127,10 +134,12 @@ class Watch:
         """
         if not self.config.enabled:
             return WatchState()
-        state = replace(state or WatchState(), news="")
+        state = _with_blocked_hours(state or WatchState(), history, self._model.operator.sign)
         now = float(history.time_s[-1])
         levels = cache(partial(applied_levels, state.asked, history))
         state = replace(state, tracks=tuple(self._validate_due(track, history, levels) for track in state.tracks))
+        if state.news and state.alarm.startswith(NOT_FOLLOWING) and not _not_following(state, history):
+            return self._returned(state, state.tracks[0], now, f"{state.news}; control returns")
         if state.alarm:
             return self._return_if_holding(self._update_candidate(state, history), history)
         fault, state = self._direct_fault(state, history)
@@ -245,7 +254,7 @@ class Watch:
 
     def _direct_fault(self, state: WatchState, history: Record) -> tuple[str, WatchState]:
         """What levels and meters say against the machine, and the state with the ratio of this hour."""
-        fault = level_fault(state.asked, history)
+        fault = _not_following(state, history)
         now = float(history.time_s[-1])
         if fault or not self.due(now):
             return fault, state
@@ -340,6 +349,9 @@ class Watch:
             best, news = state.tracks[0], "no prediction could be judged: control returns on trial"
         else:
             return state
+        return self._returned(state, best, now, news)
+
+    def _returned(self, state: WatchState, best: Track, now: float, news: str) -> WatchState:
         in_use = replace(best.cleared(), name=IN_USE, adaptation=best.adaptation, predictor=best.predictor)
         # The machine as it is now is the new reference of its meters.
         return replace(state, tracks=(in_use,), ratios=(), asked=(), alarm="", returned_s=now, news=news)
@@ -361,6 +373,18 @@ class Watch:
             if inside.size < _JUDGED * expected or np.mean(inside) < _INSIDE:
                 return False
         return True
+
+
+def _with_blocked_hours(state: WatchState, history: Record, sign: int) -> WatchState:
+    """The state with what the last hour told of blocked hours; news of them only."""
+    after = state.blocked.after(state.asked, history, sign)
+    news = after.in_words() if after.hours != state.blocked.hours else ""
+    return replace(state, blocked=after, news=news)
+
+
+def _not_following(state: WatchState, history: Record) -> str:
+    """See `level_fault`; outside blocked hours."""
+    return level_fault(state.blocked.outside(state.asked), history)
 
 
 def e_value(z: float) -> float:

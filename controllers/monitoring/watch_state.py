@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from controllers.monitoring.blocked_hours import BlockedHours
 from controllers.monitoring.scaled_model import ScaledModel
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -115,13 +116,15 @@ class Track:
 class WatchState:
     """State of the watch during a run.
 
-    `tracks`: the model in use; while standing back also its candidates for return. `asked`: (start s, mean level) that
+    `tracks`: the model in use; while standing back also its candidates for return. `blocked`: hours in which nothing
+    comes whatever is asked for. `asked`: (start s, mean level) that
     the last plans requested. `ratios`: (time s, measured heat or power over modelled). `alarm`: why control was handed
     back at `since_s`, empty while the model is in use. `wait_h`: shortest time of standing back; `returned_s`: last
     return, and `news` what to say of it in this step's plan.
     """
 
     tracks: tuple[Track, ...] = (Track(),)
+    blocked: BlockedHours = field(default_factory=BlockedHours)
     asked: tuple[tuple[float, float], ...] = ()
     ratios: tuple[tuple[float, float], ...] = ()
     alarm: str = ""

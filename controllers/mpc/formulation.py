@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from controllers.actuation.actuators import Actuators
+from controllers.monitoring.blocked_hours import BlockedHours
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.margins import Bounds, MarginRules, Margins
 from controllers.optimisation.machines import EquipmentLayout
@@ -82,6 +83,7 @@ class Formulation:
         history: Record,
         margins: Margins,
         peak_W: float = 0.0,
+        blocked: Sequence[BlockedHours] = (),
     ) -> Instance:
         """Return the instance of one step.
 
@@ -91,6 +93,7 @@ class Formulation:
             history: the record until now, for the return water.
             margins: what was learned of bounds, predictions and capacities.
             peak_W: highest mean power of the building over a step so far, W.
+            blocked: hours in which nothing comes from each actuator (A,); by default none.
 
         Raises:
             DataError: a bound or price of the boundary is missing.
@@ -154,8 +157,15 @@ class Formulation:
             power_per_u2_W=per_u2_W if bent else None,
             capacity=self.margins.capacity(operator, T_out, margins.unused),
             last_u=self._last_u(history),
+            available=self._available(boundary, blocked),
         )
         return Instance(problem, bounds, float(left_W[0]), news)
+
+    def _available(self, boundary: Boundary, blocked: Sequence[BlockedHours]) -> Array | None:
+        """Share of each step in which heat comes from each actuator (A, N); None: always."""
+        if not any(one.hours for one in blocked):
+            return None
+        return np.stack([one.available(boundary.time_s[:-1], self._step_s) for one in blocked])
 
     def _cap(self, fixed_W: Array, per_u_W: Array, per_u2_W: Array, limit_W: Array) -> PowerCap | None:
         """The power cap over the steps, as far as blocks use it; power of machines (M, N) and actuators (A, N), W.

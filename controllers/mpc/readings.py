@@ -16,6 +16,7 @@ from thermoforce_mpc.model.forced_state import ForcedState
 from thermoforce_mpc.model.forecast_gaps import completed, whole
 from thermoforce_mpc.model.gaps import gapless
 from thermoforce_mpc.model.predictor import Predictor
+from thermoforce_mpc.model.sun_on_sensor import off_sensors
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
@@ -84,7 +85,7 @@ class ReadingsFilter:
         """
         if state.failures >= self._cold_after:  # what it kept may be what fails
             state = replace(state, predictor=None)
-        history, state, sun_news = self._without_sun(observation.history, state)
+        history, state, sun_news = self._without_sun(self._model.own_heat(observation.history), state)
         history = self.meters.mask_rejected(state.meters, history)
         boundary, filled = completed(observation.boundary, history, state.boundary)
         meters, metered = self.meters.validate(state.meters, history, boundary)
@@ -115,7 +116,7 @@ class ReadingsFilter:
         news = self._sun.news(state.sun, sun)
         if news:  # the forced state may follow the temperature
             state = state.without_forced()
-        return self._model.in_rooms(history, self._sun.of_zones(sun)), replace(state, sun=sun), news
+        return off_sensors(history, self._sun.of_zones(sun)), replace(state, sun=sun), news
 
     def _forced(self, history: Record, state: MPCState) -> ForcedState | None:
         """Forced states of the building until now; None at the start, or if they cannot be estimated."""

@@ -132,7 +132,7 @@ class MPCProblem:
     below 0 cost; None where there are none. `power_cap`: None without one. `power_per_u2_W` (A, N): power over u²,
     where it grows faster than heat; None where it does not. `capacity` (M, N): what the actuators of a machine may
     take together, in the unit of their shares; None: 1. `last_u` (A,): levels of the step before, for terms of the
-    user.
+    user. `available` (A, N): share of each step in which a level gives heat; None: all of it.
 
     A shared machine's fixed part and power over u² earn nothing while the price is negative.
 
@@ -158,6 +158,7 @@ class MPCProblem:
     power_per_u2_W: Array | None = None
     capacity: Array | None = None
     last_u: Array | None = None
+    available: Array | None = None
 
     def __post_init__(self) -> None:
         Z, n = self.T_free_C.shape if np.ndim(self.T_free_C) == 2 else (-1, -1)
@@ -167,7 +168,7 @@ class MPCProblem:
             **dict.fromkeys(("T_free_C", "lower_C", "upper_C"), zones),
             **dict.fromkeys(("forced_state_K", "terminal_price_per_K"), (Z, A, r)),
             **dict.fromkeys(("price_per_kWh", "power_fixed_W", "capacity"), machines),
-            **dict.fromkeys(("power_per_u_W", "power_per_u2_W"), actuators),
+            **dict.fromkeys(("power_per_u_W", "power_per_u2_W", "available"), actuators),
             **dict.fromkeys(("cooling.price_per_kWh", "cooling.power_per_u_W"), actuators),
             **{"features": (*zones, N_FEATURES), "power_cap.limit_W": (n,), "last_u": (A,)},
         }

@@ -23,10 +23,10 @@ from click.testing import CliRunner
 from places import ROOT, SUPPORT
 from waiting import LONG_S, wait_for
 
-from benchmarks.cases import collect
+from benchmarks.cases import JsonResults, collect
 from thermoforce_mpc.cli.options import execution_options
 from thermoforce_mpc.errors import ConfigError, EngineError
-from thermoforce_mpc.execution import DaskEngine, JsonResults, LocalEngine, Task, cluster, execute, open_engine, opening
+from thermoforce_mpc.execution import DaskEngine, LocalEngine, Task, cluster, execute, open_engine, opening
 from thermoforce_mpc.execution.cluster import Patience
 
 pytest.importorskip("distributed", reason="needs the extra [fleet]: pip install distributed")

@@ -13,9 +13,9 @@ import pytest
 from places import ROOT, SUPPORT
 from waiting import LONG_S, wait_for
 
-from benchmarks.cases import TaskFailed, collect
+from benchmarks.cases import JsonResults, TaskFailed, collect
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.execution import JsonResults, LocalEngine, Outcome, Task, execute, local
+from thermoforce_mpc.execution import LocalEngine, Outcome, Task, execute, local
 from thermoforce_mpc.execution.engine import Begun
 
 
@@ -193,7 +193,8 @@ import signal
 import sys
 from pathlib import Path
 import executed_tasks as functions
-from thermoforce_mpc.execution import JsonResults, LocalEngine, Task, execute
+from benchmarks.cases import JsonResults
+from thermoforce_mpc.execution import LocalEngine, Task, execute
 
 if __name__ == "__main__":
     # A shell ignores it for what it starts in the background, and that is inherited.

@@ -63,10 +63,10 @@ def test_an_unfit_duration_is_replaced_by_one_step_of_native_control(duration):
 @pytest.mark.parametrize(
     ("block", "told"),
     [
-        (Block((0.5, 1.01), HOUR_S), r"u\[floor\] of 1.01, outside 0 to 1"),
-        (Block((0.5, float("nan")), HOUR_S), r"u\[floor\] of nan"),
-        (Block((None, 0.5), HOUR_S, ((24.0, 21.0), None)), r"room set-points .* at u\[radiator\]"),
-        (Block(0.5, HOUR_S), r"1 levels for 2 actuators \(radiator, floor\)"),
+        (Block((0.5, 1.01), HOUR_S), r"level of 1.01 for 'floor': expected a number from 0 to 1"),
+        (Block((0.5, float("nan")), HOUR_S), r"level of nan for 'floor'"),
+        (Block((None, 0.5), HOUR_S, ((24.0, 21.0), None)), r"room set-points .* for 'radiator'"),
+        (Block(0.5, HOUR_S), r"levels of 1 actuators: expected one for each of radiator, floor"),
     ],
 )
 def test_what_is_wrong_with_one_actuator_refuses_the_plan_for_all(block, told):
@@ -81,8 +81,8 @@ def test_the_lowest_level_is_that_of_each_actuator():
         return checked_blocks(plan(Block(u, HOUR_S)), HOUR_S, HOUR_S, (0.0, -0.6), TWO)[1]
 
     assert refused(0.0, -0.6) == ""
-    assert "u[radiator] of -0.1, outside 0 to 1" in refused(-0.1, 0.0)
-    assert "u[floor] of -0.7, outside -0.6 to 1" in refused(0.0, -0.7)
+    assert "level of -0.1 for 'radiator': expected a number from 0 to 1" in refused(-0.1, 0.0)
+    assert "level of -0.7 for 'floor': expected a number from -0.6 to 1" in refused(0.0, -0.7)
 
 
 def test_every_zone_actuator_and_machine_is_recorded_by_name():
@@ -160,7 +160,7 @@ def test_a_block_of_no_time_refuses_the_plan_though_the_sum_is_right(seconds):
     house = SimpleHouse()
     result = run_closed_loop(house, Fixed(*(Block(1.0, one) for one in seconds)), house.period("x"))
     assert house.applied[0] == (None, HOUR_S)
-    assert f"refused a block of {seconds[0]:g} s" in result.steps[0].refused
+    assert f"refused step of {seconds[0]!r} s" in result.steps[0].refused
 
 
 def test_samples_carry_the_bounds_and_price_in_force():

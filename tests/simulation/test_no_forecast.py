@@ -18,7 +18,7 @@ from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Period, PlanStatus
 from thermoforce_mpc.errors import NoForecast
-from thermoforce_mpc.simulation import report
+from thermoforce_mpc.simulation import composition, report
 from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.journal.told_results import told_run
@@ -122,7 +122,7 @@ def test_a_journal_tells_the_forecasts_that_the_run_had(tmp_path, monkeypatch):
         return had["run"]
 
     monkeypatch.setattr(simulation_run, "build_plant", lambda *_: silent(4, 7, gappy))
-    monkeypatch.setattr(simulation_run, "run_closed_loop", kept)
+    monkeypatch.setattr(composition, "run_closed_loop", kept)
     monkeypatch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
     words = ["run", "--testcase", "bestest_hydronic_heat_pump", "--model", tmp_path / "model", "--baselines", ""]
     words += ["--out", tmp_path / "run", "--days", "0.5"]

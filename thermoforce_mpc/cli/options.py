@@ -115,30 +115,20 @@ mpc_options = added(
 """What people change most in an MPC, options of the controller by names of their own."""
 
 
-def _mpc_keys(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The controller's options from those of `mpc_options`."""
-    from thermoforce_mpc.model.free_response.registry import REGISTRY
-
-    keys = {key: options[key] for key in ("horizon_h", "solver") if options.get(key) is not None}
-    if options.get("comfort_weight") is not None:
-        keys["objective"] = {"comfort_weight_per_m2": options["comfort_weight"]}
-    if (name := options.get("forecaster")) is not None:
-        keys["free_response"] = {"name": name} if name in REGISTRY else {"options": {"backbone": _backbone(name)}}
-    return keys
-
-
-def _backbone(name: str) -> str:
-    """`name`, unless it can neither be one of a backbone nor a directory nor a hub name."""
+def _forecaster(name: str) -> dict[str, Any]:
+    """Keys of a free response, or of a backbone by name, directory or hub name; refuses what can be none of these."""
     from thermoforce_mpc.errors import ConfigError, suggestion
     from thermoforce_mpc.model.free_response.backbones.loading import REGISTRY as BACKBONES
     from thermoforce_mpc.model.free_response.registry import REGISTRY
 
+    if name in REGISTRY:
+        return {"name": name}
     if name not in BACKBONES and "/" not in name and not Path(name).exists():
         raise ConfigError(
             f"--forecaster: unknown '{name}'{suggestion(name, (*REGISTRY.names, *BACKBONES.names))}; free responses: "
             f"{', '.join(REGISTRY.names)}; backbones: {', '.join(BACKBONES.names)}, a directory, or a hub name with '/'"
         )
-    return name
+    return {"options": {"backbone": name}}
 
 
 equal_comfort_option = click.option(
@@ -190,15 +180,20 @@ def course_options(level: str) -> Callable[[Function], Function]:
     `--out` (.csv or .json) and `--plot`.
     """
 
-    file = click.Path(path_type=Path, dir_okay=False)
     return added(
         click.option("--level", type=float, help=level),
         click.option(
             "--schedule", type=click.Path(path_type=Path), help="CSV with columns time and u (or one per actuator)."
         ),
-        click.option("--out", type=file, callback=_csv_or_json, help="Write the course: .csv or .json."),
+        out_option("the course"),
         plot_option(),
     )
+
+
+def out_option(what: str) -> Callable[[Function], Function]:
+    """Option `--out`, refused before the work where the name says no format that we write."""
+    file = click.Path(path_type=Path, dir_okay=False)
+    return click.option("--out", type=file, callback=_csv_or_json, help=f"Write {what}: .csv or .json.")
 
 
 def plot_option(default: Path | None = None, of: str = "") -> Callable[[Function], Function]:
@@ -225,6 +220,24 @@ def _csv_or_json(context: click.Context, option: click.Parameter, out: Path | No
     return out
 
 
+# Keys of a scenario by option.
+_KEYS = {
+    **{name: name for name in ("testcase", "period", "days", "price", "seed", "equal_comfort")},
+    "start": "period",
+    "controller": "controller.name",
+    "model": "identification.model",
+    "probing": "identification.probed",
+    "horizon_h": "controller.options.horizon_h",
+    "solver": "controller.options.solver",
+    "comfort_weight": "controller.options.objective.comfort_weight_per_m2",
+    "url": "plant.url",
+    "fmu": "plant.path",
+    "weather": "plant.weather",
+    "prices": "plant.prices_file",
+    "uncertainty": "plant.forecast_uncertainty",
+}
+
+
 def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = None) -> Scenario:
     """Build the scenario of a command from its file, `defaults`, its options and `--set`; later ones take precedence.
 
@@ -232,42 +245,23 @@ def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = 
         ConfigError: a value is wrong; names the file or option, the key and the allowed values.
     """
     from thermoforce_mpc.plants.testcases import load_scenario
-    from thermoforce_mpc.scenario.settings import find_config, merge, parse_overrides
+    from thermoforce_mpc.scenario.settings import find_config, merge, nested, parse_overrides
 
+    for one, other, what in (("period", "start", "both name the window"), ("url", "fmu", "select different plants")):
+        if options.get(one) is not None and options.get(other) is not None:
+            raise click.UsageError(f"--{one} and --{other} {what}: give one of them")
     keys: dict[str, Any] = {}
-    for key in ("testcase", "period", "days", "price", "seed"):
-        if options.get(key) is not None:
-            keys[key] = options[key]
-    if options.get("start") is not None:
-        if "period" in keys:
-            raise click.UsageError("--period and --start both name the window: give one of them")
-        keys["period"] = options["start"]
-    if options.get("controller") is not None:
-        keys["controller"] = {"name": options["controller"]}
-    sources = {"model": options.get("model"), "probed": options.get("probing")}
-    if any(sources.values()):
-        keys["identification"] = {key: str(path) for key, path in sources.items() if path is not None}
-    if given := _mpc_keys(options):
-        keys = merge(keys, {"controller": {"options": given}})
-    plant: dict[str, Any] = {}
+    for option, key in _KEYS.items():
+        if (value := options.get(option)) is not None:
+            keys = merge(keys, nested(key, str(value) if isinstance(value, Path) else value))
     if options.get("url") is not None:
-        plant |= {"kind": "boptest", "url": options["url"], "path": None}
+        keys = merge(keys, {"plant": {"kind": "boptest", "path": None}})
     if options.get("fmu") is not None:
-        if options.get("url") is not None:
-            raise click.UsageError("--url and --fmu select different plants: give one of them")
-        plant |= {"kind": "fmu", "path": options["fmu"]}
-    if options.get("weather") is not None:
-        plant["weather"] = options["weather"]
-    if options.get("prices") is not None:
-        plant["prices_file"] = options["prices"]
-    if options.get("uncertainty") is not None:
-        plant["forecast_uncertainty"] = options["uncertainty"]
-    if plant:
-        keys["plant"] = plant
+        keys = merge(keys, {"plant": {"kind": "fmu"}})
+    if options.get("forecaster") is not None:
+        keys = merge(keys, {"controller": {"options": {"free_response": _forecaster(options["forecaster"])}}})
     if options.get("baselines") is not None:
         keys["baselines"] = [name.strip() for name in options["baselines"].split(",") if name.strip()]
-    if options.get("equal_comfort") is not None:
-        keys["equal_comfort"] = options["equal_comfort"]
     path: Path | None = find_config("scenarios", options["config"]) if options.get("config") else None
     keys = merge(keys, parse_overrides(options.get("assignments", ())))
     given = merge(defaults or {}, keys)

@@ -7,13 +7,12 @@ from thermoforce_mpc.execution.keys import content_key, source_fingerprint
 from thermoforce_mpc.execution.local import LocalEngine
 from thermoforce_mpc.execution.opening import open_engine
 from thermoforce_mpc.execution.progress import TaskProgress
-from thermoforce_mpc.execution.results import JsonResults, Results
+from thermoforce_mpc.execution.results import Results
 from thermoforce_mpc.execution.task import Outcome, Task
 
 __all__ = [
     "DaskEngine",
     "Engine",
-    "JsonResults",
     "LocalEngine",
     "Outcome",
     "Results",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib.metadata
 import os
 import sys
 from collections.abc import Mapping
@@ -12,7 +11,7 @@ from typing import Any
 
 from thermoforce_mpc.execution.engine import Answer, answer_to
 from thermoforce_mpc.execution.keys import source_fingerprint
-from thermoforce_mpc.version import VERSION
+from thermoforce_mpc.version import VERSION, installed
 
 _PACKAGES = ("casadi", "distributed", "numpy", "torch")
 
@@ -22,12 +21,7 @@ def environment() -> dict[str, str]:
     """Versions in this process, by name; `source` is the fingerprint of this package's code."""
     versions = {"thermoforce-mpc": VERSION, "source": source_fingerprint()}
     versions["python"] = f"{sys.version_info.major}.{sys.version_info.minor}"
-    for package in _PACKAGES:
-        try:
-            versions[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            versions[package] = "not installed"
-    return versions
+    return versions | installed(_PACKAGES)
 
 
 def threads() -> str:

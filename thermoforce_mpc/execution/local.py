@@ -13,17 +13,18 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
-from typing import Any
+from typing import Any, TypeVar
 
 from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told
 from thermoforce_mpc.execution.local_worker import begin, work
 
+Result = TypeVar("Result")
 _ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -68,11 +69,11 @@ class LocalEngine:
         # Known as busy before it is: an interrupt may come as soon as it has the task.
         process = self._busy[key] = self._idle.pop() if self._idle else _Process(self._events)
         try:
-            future = process.submit(key, payload)
+            future = process.run(key, payload)
         except BrokenProcessPool:  # it died since its last task
             process.leave()
             process = self._busy[key] = _Process(self._events)
-            future = process.submit(key, payload)
+            future = process.run(key, payload)
         self._events.put(Begun(key))
         future.add_done_callback(lambda done: self._events.put((key, process, done)))
 
@@ -104,27 +105,24 @@ class LocalEngine:
             self._busy.popitem()[1].leave(max(0.0, until - time.monotonic()))
 
 
-class _Process:
-    """A pool of one process, and what its task tells."""
+class OneProcess:
+    """A pool of one spawned process that computes on one thread; its first call starts it."""
 
-    def __init__(self, events: queue.SimpleQueue[Any]) -> None:
-        self._context = Remembering()
-        receiver, self._sender = self._context.Pipe(duplex=False)
-        self._pool = ProcessPoolExecutor(1, self._context, begin, (self._sender,))
-        threading.Thread(target=_listen, args=(receiver, events), daemon=True).start()
+    def __init__(self, initializer: Callable[..., None], *initargs: Any) -> None:
+        self._context = _Remembering()
+        self._pool = ProcessPoolExecutor(1, self._context, initializer, initargs)
 
-    def submit(self, key: str, payload: bytes) -> Future[Answer]:
-        """Run `payload`; raises `BrokenProcessPool`."""
-        with one_thread_each(), _interrupts_blocked():  # the first task starts the process
-            future = self._pool.submit(work, key, payload)
-        self._sender.close()  # so that the pipe ends with the process
-        return future
+    def submit(self, function: Callable[..., Result], *args: Any) -> Future[Result]:
+        """The result of a call there, to come; raises `BrokenProcessPool` where the process has ended."""
+        with _one_thread_each(), _interrupts_blocked():
+            return self._pool.submit(function, *args)
 
     def close(self) -> None:
         """Let the process end."""
         self._pool.shutdown(wait=False)
 
     def terminate(self) -> None:
+        """Ask the process to end, by SIGTERM."""
         for process in self._context.started:
             process.terminate()
 
@@ -138,6 +136,21 @@ class _Process:
         return ", ".join(_how_ended(process.exitcode or 0) for process in self._context.started)
 
 
+class _Process(OneProcess):
+    """A process for tasks, and what its task tells."""
+
+    def __init__(self, events: queue.SimpleQueue[Any]) -> None:
+        receiver, self._sender = SpawnContext().Pipe(duplex=False)
+        super().__init__(begin, self._sender)
+        threading.Thread(target=_listen, args=(receiver, events), daemon=True).start()
+
+    def run(self, key: str, payload: bytes) -> Future[Answer]:
+        """Run `payload`; raises `BrokenProcessPool`."""
+        future = self.submit(work, key, payload)
+        self._sender.close()  # so that the pipe ends with the process
+        return future
+
+
 def _how_ended(code: int) -> str:
     if code >= 0:
         return f"exit code {code}"
@@ -146,7 +159,7 @@ def _how_ended(code: int) -> str:
     return f"signal {-code}"
 
 
-class Remembering(SpawnContext):
+class _Remembering(SpawnContext):
     """Remembers its processes: a pool neither ends nor describes them."""
 
     def __init__(self) -> None:
@@ -166,7 +179,7 @@ def _listen(channel: Connection, events: queue.SimpleQueue[Any]) -> None:
 
 
 @contextmanager
-def one_thread_each() -> Iterator[None]:
+def _one_thread_each() -> Iterator[None]:
     """Set the variables that limit processes started inside to one thread (read when libraries are loaded)."""
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))

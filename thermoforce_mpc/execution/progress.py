@@ -21,6 +21,13 @@ def summary(outcome: Outcome) -> str:
     return f"{outcome.task.title} ({outcome.seconds:.0f} s)"
 
 
+def duration(seconds: float) -> str:
+    """A time for people, in s, min or h."""
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
+
+
 class TaskProgress:
     """A `Watcher` that shows how far tasks are and how long the rest will take; a context manager.
 
@@ -107,10 +114,7 @@ class TaskProgress:
         done = self._ended + sum(self._shares.values())
         if done < _LEAST_DONE or self._ended >= self._n:
             return ""
-        seconds = (time.monotonic() - self._since) * (self._n - done) / done
-        if seconds < 90:
-            return f"about {seconds:.0f} s left"
-        return f"about {seconds / 60:.0f} min left" if seconds < 5400 else f"about {seconds / 3600:.1f} h left"
+        return f"about {duration((time.monotonic() - self._since) * (self._n - done) / done)} left"
 
     def _print(self, text: str) -> None:
         self._console.print(text, soft_wrap=True, markup=False)

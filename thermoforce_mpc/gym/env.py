@@ -14,7 +14,7 @@ from gymnasium.error import ResetNeeded
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.gym.episodes import Episodes
-from thermoforce_mpc.gym.view import Observed, View
+from thermoforce_mpc.gym.view import Observed, View, ViewState
 
 _RESET_OPTIONS = ("start_time",)
 # Tolerance on times, s.
@@ -25,7 +25,7 @@ _CLOCK_S = 1e-3
 class EnvSnapshot:
     """State of an environment at one instant; opaque, for `BuildingEnv.restore`."""
 
-    view: object
+    view: ViewState
     episode: Mapping[str, Any]
     random: Mapping[str, Any]
 

@@ -2,35 +2,24 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
 from controllers.policy.seen import FORECAST, PolicySpec
-from thermoforce_mpc.data import Array, Boundary, Measurement
+from thermoforce_mpc.data import Array, Boundary
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.gym.view import ObservationBox, copied
+from thermoforce_mpc.gym.view import ObservationBox, View
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.scenario.testcase import TestCase
 
 
-@dataclass(frozen=True)
-class _State:
-    """State of a view."""
-
-    plant: Any
-    now: Measurement
-    past: Array
-    table: tuple[float, Array]
-
-
-class LevelsView:
+class LevelsView(View):
     """Any plant by the levels of its actuators.
 
     Actions (A,) are levels in [0, 1]. Observations, in this order: sine and cosine of the hour of the day; zone
@@ -39,6 +28,8 @@ class LevelsView:
     outdoor temperature, irradiance, occupancy and comfort bounds (Z each) and price (M). `PolicySpec` puts them
     together, `spec` here.
     """
+
+    changes = ("_now", "_past", "_table")
 
     def __init__(
         self,
@@ -121,10 +112,6 @@ class LevelsView:
         past = np.vstack([np.concatenate([now.T_zone_C, now.u]), self._past[1:]])
         return self.spec.values(now.time_s, past, (now.T_out_C, now.solar_W_m2), self._coming())
 
-    def kpis(self) -> dict[str, float]:
-        """BOPTEST's KPIs since the start."""
-        return self.plant.kpis()
-
     def state(self) -> dict[str, float]:
         """Time, temperatures, levels and comfort bounds now."""
         names, coming = self._layout.names, self._coming()
@@ -134,27 +121,6 @@ class LevelsView:
         for i, name in enumerate(("lower_C", "upper_C"), start=1):
             values |= {names.label(name, z): float(coming[2 + i * zones + z, 0]) for z in range(zones)}
         return values
-
-    def snapshot(self) -> _State:
-        """See `View.snapshot`."""
-        return _State(copied(self.plant, self.plant.info.testcase), self._now, self._past.copy(), self._table)
-
-    def restore(self, snapshot: _State) -> None:
-        """See `View.restore`."""
-        self.plant.restore(snapshot.plant)  # type: ignore[attr-defined]
-        self._now, self._past, self._table = snapshot.now, snapshot.past.copy(), snapshot.table
-
-    def branched(self) -> LevelsView:
-        """See `View.branched`; both plants share what no step changes."""
-        snapshot = self.snapshot()
-        other = copy.copy(self)
-        other.plant = copy.copy(self.plant)
-        other.restore(snapshot)
-        return other
-
-    def close(self) -> None:
-        """Release the plant."""
-        self.plant.close()
 
     def _coming(self) -> Array:
         """Forecast from now at the observed instants (signals, n)."""

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,25 +11,18 @@ from gymnasium import spaces
 from thermoforce_mpc.data import ZERO_C_K, Array
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.gym.sources import Source
-from thermoforce_mpc.gym.view import ObservationBox, copied
+from thermoforce_mpc.gym.view import ObservationBox, View
 from thermoforce_mpc.scenario.settings import suggestion
 
 
-@dataclass(frozen=True)
-class _State:
-    """State of a view."""
-
-    source: Any
-    past: Array
-    table: tuple[float, Array]
-
-
-class PointsView:
+class PointsView(View):
     """A test of BOPTEST's interface by its points (conventions of BOPTEST-Gym, Arroyo et al. 2021).
 
     Observations, in this order: the time, modulo its upper bound; measurements; each measurement at earlier steps,
     latest first; and each forecast from now to `predictive_s` at every step, both ends included.
     """
+
+    changes = ("_past", "_table")
 
     def __init__(
         self,
@@ -55,7 +46,7 @@ class PointsView:
         Raises:
             ConfigError: a name is unknown, bounds are no pair, or a length is out of range; names the argument.
         """
-        self._source, self._actions, self._step_s = source, tuple(actions), step_s
+        self.plant, self.action_names, self._step_s = source, tuple(actions), step_s
         for name in actions:
             if name not in source.inputs or not name.endswith("_u"):
                 names = [key for key in source.inputs if key.endswith("_u")]
@@ -110,35 +101,30 @@ class PointsView:
     @property
     def now_s(self) -> float:
         """Current time, s since 1 January."""
-        return self._source.now_s
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Names of the overwritten inputs."""
-        return self._actions
+        return self.plant.now_s
 
     def begin(self, start_s: float, warmup_s: float, length_s: float, scenario: Mapping[str, Any]) -> None:
         """See `View.begin`."""
-        self._source.begin(start_s, warmup_s, self._step_s, scenario)
+        self.plant.begin(start_s, warmup_s, self._step_s, scenario)
         n = self._n_behind
-        now = self._source.measured(self._measured)[:, None]
+        now = self.plant.measured(self._measured)[:, None]
         if n:
             times = self.now_s - np.arange(1.0, n + 1) * self._step_s
-            self._past = np.hstack([now, self._source.past(self._measured, times)])
+            self._past = np.hstack([now, self.plant.past(self._measured, times)])
         else:
             self._past = now
         table = np.empty((0, 0))
-        if self._forecast and self._source.perfect:
-            table = self._source.forecast(self._forecast, length_s + self._predictive_s, self._step_s)
+        if self._forecast and self.plant.perfect:
+            table = self.plant.forecast(self._forecast, length_s + self._predictive_s, self._step_s)
         self._table = (start_s, table)
 
     def act(self, action: Array) -> None:
         """Overwrite the inputs with these values (A,), in the units of the interface, for one step."""
         # float32 of a limit may lie beyond it.
         values = np.clip(action, self._limits[:, 0], self._limits[:, 1])
-        inputs = {name: float(value) for name, value in zip(self._actions, values, strict=True)}
-        self._source.advance(inputs | {name[: -len("_u")] + "_activate": 1.0 for name in self._actions})
-        now = self._source.measured(self._measured)[:, None]
+        inputs = {name: float(value) for name, value in zip(self.action_names, values, strict=True)}
+        self.plant.advance(inputs | {name[: -len("_u")] + "_activate": 1.0 for name in self.action_names})
+        now = self.plant.measured(self._measured)[:, None]
         self._past = np.hstack([now, self._past[:, : self._n_behind]]) if self._n_behind else now
 
     def observe(self) -> Array:
@@ -146,35 +132,11 @@ class PointsView:
         time = () if self._modulo is None else (self.now_s % self._modulo,)
         return np.concatenate([time, self._past[:, 0], self._past[:, 1:].ravel(), self._coming().ravel()])
 
-    def kpis(self) -> dict[str, float]:
-        """BOPTEST's KPIs since the start."""
-        return self._source.kpis()
-
     def state(self) -> dict[str, float]:
         """Time and observed measurements now; zone temperatures in K also in °C, as `T_zone_C[name]`."""
         measured = dict(zip(self._measured, self._past[:, 0].tolist(), strict=True))
         zones = {f"T_zone_C[{name}]": T - ZERO_C_K for name, T in measured.items() if name.startswith("reaTZon")}
         return {"time": self.now_s} | measured | zones
-
-    def snapshot(self) -> _State:
-        """See `View.snapshot`."""
-        return _State(copied(self._source, "a test at a BOPTEST service"), self._past.copy(), self._table)
-
-    def restore(self, snapshot: _State) -> None:
-        """See `View.restore`."""
-        self._source.restore(snapshot.source)  # type: ignore[attr-defined]
-        self._past, self._table = snapshot.past.copy(), snapshot.table
-
-    def branched(self) -> PointsView:
-        """See `View.branched`."""
-        snapshot, other = self.snapshot(), copy.copy(self)
-        other._source = self._source.branched()  # type: ignore[attr-defined]
-        other.restore(snapshot)
-        return other
-
-    def close(self) -> None:
-        """Release the test."""
-        self._source.close()
 
     def _coming(self) -> Array:
         """Forecasts from now (n, m)."""
@@ -184,4 +146,4 @@ class PointsView:
         first = round((self.now_s - start_s) / self._step_s)
         if first + self._n_ahead <= table.shape[1]:
             return np.asarray(table[:, first : first + self._n_ahead])
-        return self._source.forecast(self._forecast, self._predictive_s, self._step_s)
+        return self.plant.forecast(self._forecast, self._predictive_s, self._step_s)

@@ -14,7 +14,6 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError, PlantError
-from thermoforce_mpc.gym.view import copied
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS
 
@@ -145,18 +144,17 @@ class EmbeddedSource:
 
     def snapshot(self) -> Any:
         """State of the emulator."""
-        return copied(self._plant, "the emulator"), self._now
+        return self._plant.snapshot(), self._now
 
     def restore(self, snapshot: Any) -> None:
         """Return to a state."""
         state, self._now = snapshot
         self._plant.restore(state)
 
-    def branched(self) -> EmbeddedSource:
+    def __copy__(self) -> EmbeddedSource:
         """Another emulator in the same state; both share what no step changes."""
-        other = copy.copy(self)
-        other._plant = copy.copy(self._plant)
-        other.restore(self.snapshot())
+        other = object.__new__(EmbeddedSource)
+        other.__dict__.update(self.__dict__, _plant=copy.copy(self._plant))
         return other
 
     def close(self) -> None:

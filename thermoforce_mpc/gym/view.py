@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Self
 
 import numpy as np
 from gymnasium import spaces
@@ -16,64 +18,84 @@ from thermoforce_mpc.errors import ConfigError
 Observed = Seen
 
 
-class View(Protocol):
-    """One convention of actions and observations on one plant, stepped by `BuildingEnv`."""
+@dataclass(frozen=True)
+class ViewState:
+    """State of a view: that of its plant, and what else a step changes."""
+
+    plant: Any
+    changed: Mapping[str, Any]
+
+
+class View(ABC):
+    """One convention of actions and observations on one plant, stepped by `BuildingEnv`.
+
+    Attributes:
+        plant: the plant, or what stands for it.
+        box: names and bounds of the observations.
+        action_space: space of the actions, one entry per actuator or overwritten point.
+        action_names: names of the actions.
+        changes: names of the attributes that a step changes; it replaces their values, and alters none in its place.
+    """
+
+    plant: Any
+    box: ObservationBox
+    action_space: spaces.Box
+    action_names: tuple[str, ...]
+    changes: tuple[str, ...]
 
     @property
-    def box(self) -> ObservationBox:
-        """Names and bounds of the observations."""
-        ...
-
-    @property
-    def action_space(self) -> spaces.Box:
-        """Space of the actions, one entry per actuator or overwritten point."""
-        ...
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Names of the actions."""
-        ...
-
-    @property
+    @abstractmethod
     def now_s(self) -> float:
         """Current time, s since 1 January."""
-        ...
 
+    @abstractmethod
     def begin(self, start_s: float, warmup_s: float, length_s: float, scenario: Mapping[str, Any]) -> None:
         """Start at `start_s` after `warmup_s` of native control; `length_s` is the expected length of the episode."""
-        ...
 
+    @abstractmethod
     def act(self, action: Array) -> None:
         """Apply an action for one step."""
-        ...
 
+    @abstractmethod
     def observe(self) -> Array:
         """The observation now, unclipped; NaN where something was not measured."""
-        ...
+
+    @abstractmethod
+    def state(self) -> dict[str, float]:
+        """Time and what was measured now, by name, for people and for `compute_truncated`."""
 
     def kpis(self) -> dict[str, float]:
         """BOPTEST's KPIs since the start."""
-        ...
+        kpis: dict[str, float] = self.plant.kpis()
+        return kpis
 
-    def state(self) -> dict[str, float]:
-        """Time and what was measured now, by name, for people and for `compute_truncated`."""
-        ...
-
-    def snapshot(self) -> object:
+    def snapshot(self) -> ViewState:
         """State of plant and view, for `restore`; raises `ConfigError` where the plant has none."""
-        ...
+        if not hasattr(self.plant, "snapshot"):
+            raise ConfigError(
+                "this plant cannot be branched: a service, an FMU and EnergyPlus keep their state to themselves; the "
+                "embedded test case and drawn houses can"
+            )
+        return ViewState(self.plant.snapshot(), {name: getattr(self, name) for name in self.changes})
 
-    def restore(self, snapshot: Any) -> None:
+    def restore(self, snapshot: ViewState) -> None:
         """Return to a snapshot of this view or of one that was branched from it."""
-        ...
+        self.plant.restore(snapshot.plant)
+        self.__dict__.update(snapshot.changed)
 
-    def branched(self) -> View:
-        """Another view on a plant of its own, in the same state; raises as `snapshot` does."""
-        ...
+    def branched(self) -> Self:
+        """Another view on a plant of its own, in the same state; both plants share what no step changes.
+
+        Raises as `snapshot` does.
+        """
+        snapshot, other = self.snapshot(), copy.copy(self)
+        other.plant = copy.copy(self.plant)
+        other.restore(snapshot)
+        return other
 
     def close(self) -> None:
         """Release the plant; safe to call twice."""
-        ...
+        self.plant.close()
 
 
 @dataclass(frozen=True)
@@ -112,13 +134,3 @@ class ObservationBox:
         missing = np.isnan(values)
         values = np.where(missing, self.middle if before is None else before, values)
         return inside(values, self.space.low, self.space.high), values, int(np.count_nonzero(missing))
-
-
-def copied(plant: Any, what: str) -> Any:
-    """A snapshot of a plant; raises `ConfigError` where it cannot be taken."""
-    if not hasattr(plant, "snapshot"):
-        raise ConfigError(
-            f"{what} cannot be branched: a service, an FMU and EnergyPlus keep their state to themselves; the embedded "
-            "test case and drawn houses can"
-        )
-    return plant.snapshot()

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -26,7 +27,7 @@ from thermoforce_mpc.identification.effects.couplings import (
     with_metered_shares,
 )
 from thermoforce_mpc.identification.effects.level_laws import OUTDOORS, levels_only, outdoors_in_words, weather_of
-from thermoforce_mpc.identification.effects.own_power import foreign_loads, without_foreign
+from thermoforce_mpc.identification.effects.own_meters import ForeignLoads, foreign_loads
 from thermoforce_mpc.identification.estimation.records import (
     Pair,
     check_pairs,
@@ -42,7 +43,6 @@ from thermoforce_mpc.identification.zones.data import ZoneData
 from thermoforce_mpc.identification.zones.effects import ZoneEffects, zone_effects
 from thermoforce_mpc.identification.zones.model import identify_zone
 from thermoforce_mpc.model.competence import Competence
-from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.screening import Limits
@@ -104,7 +104,8 @@ def identify(
         layout = _one_zone(runs, pairs, Layout.single(mode, lowest, floor_area_m2))
     records = _prepared(runs, pairs, layout)
     inputs = [_heat_input(records, layout, a, config) for a in range(len(layout.home))]
-    heat_inputs, notes = [v for v, _ in inputs], [[*records.notes, *said] for _, said in inputs]
+    heat_inputs = [heat_input for heat_input, _ in inputs]
+    notes = [[*records.notes, *said, *records.foreign.notes(a)] for a, (_, said) in enumerate(inputs)]
     layout = with_metered_shares(layout, heat_inputs, records.histories)
     runs, sun = without_sun(records.runs, layout, heat_inputs, config)
     power, of_power = _powers(records, config, layout)
@@ -135,28 +136,29 @@ def identify(
         if levels_only(heat_inputs[a], layout, a, config):
             zone_data, advice = _with_unknown_heat(zone_data, runs, layout, a, effects[a], config)
         with _told(records, layout, a) as prefix:
-
-            def tell(text: str, prefix: str = prefix) -> None:
-                say(prefix + text)
-
-            zone = identify_zone(zone_data, effects[a], tell)
+            zone = identify_zone(zone_data, effects[a], partial(_say, say, prefix))
+        zone = replace(zone, card=replace(zone.card, foreign_heat=records.foreign.heat[a]))
         zones.append(_barred(_with_advice(zone, advice), a, records.doubts))
     others = [of_zone.known[1:] if of_zone else [] for of_zone in effects]
     return assembled(layout, zones, others, power, config)
+
+
+def _say(say: Callable[[str], None], prefix: str, text: str) -> None:
+    say(prefix + text)
 
 
 @dataclass(frozen=True)
 class _Records:
     """Records that can be used: gaps bridged, other loads taken off the meters.
 
-    `histories`: the runs, then those of the pairs; `foreign`: other loads of each machine (M,); `doubts`: what the runs
-    say against themselves; `notes` on it and on gaps; `hashes` of the records as they came, by name.
+    `histories`: the runs, then those of the pairs; `foreign`: those other loads; `doubts`: what the runs say against
+    themselves; `notes` on it and on gaps; `hashes` of the records as they came, by name.
     """
 
     runs: Sequence[Record]
     pairs: Sequence[Pair]
     histories: Sequence[Record]
-    foreign: Sequence[ForeignLoad | None]
+    foreign: ForeignLoads
     doubts: Sequence[Remark]
     notes: Sequence[str]
     hashes: Mapping[str, str]
@@ -190,10 +192,12 @@ def _prepared(runs: Sequence[Record], pairs: Sequence[Pair], layout: Layout) -> 
     histories = [*usable, *(h for p in pairs for h in (p.a, p.b))]
     check_steps(histories)
     foreign = foreign_loads(histories, layout)
-    own = [without_foreign(h, foreign) for h in histories]
+    usable = [foreign.taken_off(run) for run in usable]
+    pairs = [replace(p, a=foreign.taken_off(p.a), b=foreign.taken_off(p.b)) for p in pairs]
+    histories = [*usable, *(h for p in pairs for h in (p.a, p.b))]
     notes = [*(remark.in_words() for remark in doubts), *gaps, *pair_gaps]
     hashes = {name: data_hash(record) for name, record in given}
-    return _Records(own[: len(usable)], pairs, own, foreign, doubts, notes, hashes)
+    return _Records(usable, pairs, histories, foreign, doubts, notes, hashes)
 
 
 def _heat_input(records: _Records, layout: Layout, a: int, config: IdentificationConfig) -> tuple[HeatInput, list[str]]:
@@ -254,8 +258,8 @@ def _powers(
     machines = layout.names.machines
     powers: list[PowerModel | None] = []
     notes: list[list[str]] = []
-    for m, (name, other) in enumerate(zip(machines, records.foreign, strict=True)):
-        said = [] if other is None else [f"power of {name}: {other.in_words()}"]
+    for m, (name, other) in enumerate(zip(machines, records.foreign.power, strict=True)):
+        said = []
         try:
             power = power_of_machine(records.histories, config, layout, m)
         except DataError as error:

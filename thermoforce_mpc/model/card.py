@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 
 _GIVEN = "given"
@@ -23,7 +24,8 @@ class ModelCard:
     `data` maps the name of each record to its SHA-256, `ranges` each signal to the (low, high) of the identification
     data, `scores` and `uncertainty` hold numbers by name, `config` is the configuration of the identification.
     `competence` is the verdict on held-out data; None: not judged (given by hand, or identified before there was one).
-    `sun_on_sensor` is the sun in the readings of the zone sensor, which is no warmth of the room; None: none was found.
+    `sun_on_sensor` is the sun in the readings of the zone sensor, which is no warmth of the room; `foreign_heat`
+    what the heat meter of the actuator shows beside its heat. None: none was found.
     """
 
     source: str = _GIVEN
@@ -35,6 +37,7 @@ class ModelCard:
     notes: tuple[str, ...] = ()
     competence: Competence | None = None
     sun_on_sensor: SunOnSensor | None = None
+    foreign_heat: ForeignLoad | None = None
 
     @property
     def unfit(self) -> str:

@@ -7,12 +7,13 @@ position of a nominal site.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 
 if TYPE_CHECKING:  # pvlib is loaded only where the sun is needed
     from thermoforce_mpc.boundary.weather.solar import Sun
@@ -68,6 +69,17 @@ class SunOnSensor:
             f"the zone sensor stands in the sun from the {side[round(self.azimuth_deg / 45.0) % 8]} (probability "
             f"{self.probability:.2g}): {self.full_K:.1f} ± {self.sd_K:.1f} K in full sun are taken off its readings"
         )
+
+
+def off_sensors(record: Record, sun: Sequence[SunOnSensor | None]) -> Record:
+    """`record` with the temperatures of the rooms, without the `sun` on their sensors (Z,)."""
+    if not any(sun):
+        return record
+    T = np.array(record.T_zone_C)
+    for z, part in enumerate(sun):
+        if part is not None:
+            T[z] -= part.part_K(record.time_s, record.solar_W_m2)
+    return replace(record, T_zone_C=T)
 
 
 def sun_at(time_s: Array, latitude_deg: float, noon_s: float) -> Sun:

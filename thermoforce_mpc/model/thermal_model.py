@@ -15,6 +15,7 @@ from thermoforce_mpc.errors import ArtifactError, DataError
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.registry import build_free_response
+from thermoforce_mpc.model.machine.foreign_load import own_W
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.certificate import Certificate
@@ -22,7 +23,7 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import Prediction, Predictor
 from thermoforce_mpc.model.saved.encoding import decode, encode
 from thermoforce_mpc.model.saved.model_file import JSON_NAME, check_target, read_model_file, write_model_file
-from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
+from thermoforce_mpc.model.sun_on_sensor import SunOnSensor, off_sensors
 from thermoforce_mpc.model.zone_model import ZoneModel
 from thermoforce_mpc.protocols import FreeResponse
 
@@ -153,16 +154,16 @@ class ThermalModel:
         by_home = [(home, card.sun_on_sensor) for home, card in cards if card.sun_on_sensor is not None]
         return tuple(next((sun for home, sun in by_home if home == z), None) for z in range(len(self.operator.zones)))
 
-    def in_rooms(self, record: Record, sun: Sequence[SunOnSensor | None] | None = None) -> Record:
-        """`record` with the temperatures of the rooms: without the `sun` on sensors (Z,), by default the model's."""
-        parts = self.sun_on_sensors if sun is None else sun
-        if not any(parts):
+    def own_heat(self, record: Record) -> Record:
+        """`record` with the heat of the actuators alone: without the foreign loads on their meters."""
+        foreign = [card.foreign_heat for card in self.cards]
+        if not any(foreign):
             return record
-        T = np.array(record.T_zone_C)
-        for z, part in enumerate(parts):
-            if part is not None:
-                T[z] -= part.part_K(record.time_s, record.solar_W_m2)
-        return replace(record, T_zone_C=T)
+        return replace(record, heat_W=own_W(record.heat_W, foreign, record, self.layout.signs))
+
+    def in_rooms(self, record: Record) -> Record:
+        """`record` with the temperatures of the rooms and the heat of the actuators, as `own_heat`."""
+        return off_sensors(self.own_heat(record), self.sun_on_sensors)
 
     def predict(
         self,

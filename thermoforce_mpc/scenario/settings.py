@@ -16,7 +16,7 @@ from thermoforce_mpc.scenario.strict_model import StrictModel
 from thermoforce_mpc.scenario.yaml_file import MOST_DEPTH, YamlDocument, parse_value, read_yaml
 
 __all__ = [
-    "StrictModel", "configs_folder", "find_config", "is_config", "merge", "named_configs", "parse_overrides",
+    "StrictModel", "configs_folder", "find_config", "is_config", "merge", "named_configs", "nested", "parse_overrides",
     "read_yaml", "suggestion", "validate",
 ]  # fmt: skip
 
@@ -122,11 +122,14 @@ def parse_overrides(assignments: Iterable[str]) -> dict[str, Any]:
         value = parse_value(text, f"--set {word:.200}")
         if isinstance(value, float) and math.isnan(value):
             raise ConfigError(f"--set {word}: not a number")
-        nested: Any = value
-        for part in reversed(parts):
-            nested = {part: nested}
-        out = merge(out, nested)
+        out = merge(out, nested(".".join(parts), value))
     return out
+
+
+def nested(key: str, value: Any) -> dict[str, Any]:
+    """Mappings with `value` at the dotted `key`."""
+    first, _, rest = key.partition(".")
+    return {first: nested(rest, value) if rest else value}
 
 
 def _without_consequences(items: Sequence[Any]) -> list[Any]:

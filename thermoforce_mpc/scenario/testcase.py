@@ -138,11 +138,8 @@ class TestCase(StrictModel):
     defaults: Defaults = Defaults()
     energyplus: EnergyPlusZone | None = Field(None, description="EnergyPlus zone of this test case")
     embedded: bool = Field(False, description="whether the embedded emulator implements this test case")
-    plant: Annotated[str, AfterValidator(known_name("plant", "plants", *_OWN_PLANTS)), one_of(*_OWN_PLANTS)] | None = (
-        Field(
-            None,
-            description="plant that implements this test case: one of our own or a plugin's (`tf-mpc plants`)",
-        )
+    plant: PlantName | None = Field(
+        None, description="plant that implements this test case: one of our own or a plugin's (`tf-mpc plants`)"
     )
 
     @property

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import socket
 from collections.abc import Callable
 from typing import Any
 
 from waitress.adjustments import Adjustments  # type: ignore[import-untyped]
 from waitress.server import TcpWSGIServer  # type: ignore[import-untyped]
+
+from thermoforce_mpc.errors import PlantError
 
 # Largest number of open connections. A client reuses one connection and reconnects when it was closed.
 MOST_CONNECTIONS = 200
@@ -38,6 +41,29 @@ class Server(TcpWSGIServer):
         for channel in list(self.active_channels.values()):
             channel.will_close = True
         super().close()
+
+
+def bound(host: str, port: int, other: str) -> socket.socket:
+    """A socket that listens at an address; raises `PlantError`, which asks for what is `other`, where it cannot.
+
+    Bound here, since waitress leaves its own socket open when binding fails.
+    """
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        return socket.create_server((host, port), family=family)
+    except OSError as error:
+        # Without the address that Python appends to the system's message.
+        reason = os.strerror(error.errno) if error.errno and error.errno > 0 else str(error)
+        raise PlantError(f"cannot listen on {host}:{port} ({reason}); choose {other}") from error
+
+
+def run_to_its_end(server: Server, on_ready: Callable[[int], None]) -> None:
+    """Serve until interrupted; `on_ready` is called with the port."""
+    on_ready(int(server.effective_port))
+    try:
+        server.run()
+    finally:
+        server.close()
 
 
 def serve_on(listening: socket.socket, app: Callable[..., Any], *, threads: int, most_bytes: int) -> Server:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import socket
 import threading
 from collections.abc import Callable, Mapping
 from importlib.resources import files
@@ -12,9 +10,9 @@ from typing import Any
 
 from flask import Flask, Response, request
 
-from thermoforce_mpc.errors import PlantError, ThermoForceError
+from thermoforce_mpc.errors import ThermoForceError
 from thermoforce_mpc.service.access import Names
-from thermoforce_mpc.service.connections import Server, serve_on
+from thermoforce_mpc.service.connections import Server, bound, run_to_its_end, serve_on
 from thermoforce_mpc.service.refusal import Refusal
 
 HOST = "127.0.0.1"
@@ -68,22 +66,13 @@ def page_server(view: Callable[[], Mapping[str, Any]], port: int) -> Server:
     Raises:
         PlantError: the port cannot be bound.
     """
-    try:
-        listening = socket.create_server((HOST, port))
-    except OSError as error:
-        reason = os.strerror(error.errno) if error.errno and error.errno > 0 else str(error)
-        raise PlantError(f"cannot listen on {HOST}:{port} ({reason}); choose another --port") from error
+    listening = bound(HOST, port, "another --port")
     return serve_on(listening, live_app(_one_by_one(view)), threads=_THREADS, most_bytes=_MOST_BYTES)
 
 
 def serve_page(view: Callable[[], Mapping[str, Any]], port: int, on_ready: Callable[[str], None]) -> None:
     """Serve until interrupted; `on_ready` is called with the address. Errors as for `page_server`."""
-    server = page_server(view, port)
-    on_ready(f"http://{HOST}:{int(server.effective_port)}/")
-    try:
-        server.run()
-    finally:
-        server.close()
+    run_to_its_end(page_server(view, port), lambda at: on_ready(f"http://{HOST}:{at}/"))
 
 
 def _one_by_one(view: Callable[[], Mapping[str, Any]]) -> Callable[[], Mapping[str, Any]]:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import copy
 import logging
-import os
-import socket
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,11 +14,11 @@ import numpy as np
 
 from thermoforce_mpc.boundary.tariffs import Tariff
 from thermoforce_mpc.boundary.weather.year import Weather
-from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.service.access import check_token, is_loopback
 from thermoforce_mpc.service.app import Limits, create_app
-from thermoforce_mpc.service.connections import Server, serve_on
+from thermoforce_mpc.service.connections import Server, bound, run_to_its_end, serve_on
 from thermoforce_mpc.service.sessions import MOST_ASKING
 from thermoforce_mpc.service.weather_signals import WEATHER_SIGNALS
 
@@ -62,14 +60,7 @@ def build_server(
     if bounds.tests_each is None and not is_loopback(host):
         bounds = replace(bounds, tests_each=(bounds.most_tests + 1) // 2)
     check_token(host, token)
-    # Bound here, since waitress leaves its own socket open when binding fails.
-    try:
-        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-        listening = socket.create_server((host, port), family=family)
-    except OSError as error:
-        # Without the address that Python appends to the system's message.
-        reason = os.strerror(error.errno) if error.errno and error.errno > 0 else str(error)
-        raise PlantError(f"cannot listen on {host}:{port} ({reason}); choose another address or port") from error
+    listening = bound(host, port, "another address or port")
     app = create_app(plants(weather, highly_dynamic), bounds, token=token, names=(host, *names))
     # One thread per admitted request, plus free ones: long simulations do not block other requests.
     threads = bounds.most_tests * MOST_ASKING + _FREE_THREADS
@@ -88,13 +79,8 @@ def serve(
     """Serve until interrupted; `on_ready` is called with the base URL. Options and errors as for `build_server`."""
     server = build_server(weather, host=host, port=port, **options)
     logging.getLogger("waitress").setLevel(logging.WARNING)
-    if on_ready:
-        shown = f"[{host}]" if ":" in host else host
-        on_ready(f"http://{shown}:{effective_port(server)}")
-    try:
-        server.run()
-    finally:
-        server.close()
+    shown = f"[{host}]" if ":" in host else host
+    run_to_its_end(server, lambda at: on_ready(f"http://{shown}:{at}") if on_ready else None)
 
 
 def effective_port(server: Server) -> int:

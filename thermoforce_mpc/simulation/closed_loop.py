@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Protocol, cast
 
@@ -24,8 +24,9 @@ from thermoforce_mpc.data import (
     Plan,
     PlanStatus,
 )
-from thermoforce_mpc.errors import ControllerRaised, DataError, ThermoForceError
+from thermoforce_mpc.errors import ControllerRaised, DataError, InputError, ThermoForceError
 from thermoforce_mpc.model.screening import Limits, limits_of, screened, screened_history
+from thermoforce_mpc.plants.checks import check_levels
 from thermoforce_mpc.protocols import Controller, Plant, RoomSetpointPlant
 from thermoforce_mpc.simulation.forecasts import OUTAGE_H, Forecasts
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
@@ -130,29 +131,6 @@ class RunResult:
             counts[step.plan.status.value] += 1
         counts["refused"] = sum(bool(step.refused) for step in self.steps)
         return counts
-
-
-@dataclass(frozen=True)
-class GateHeld:
-    """Steps of a run in which the competence gate held: `steps` of `total`, and why, of the first."""
-
-    steps: int
-    total: int
-    why: str
-
-    def in_words(self) -> str:
-        """One sentence for people."""
-        return f"the gate held in {self.steps} of {self.total} steps: {self.why.removeprefix('gate: ')}"
-
-
-def gates_held(result: RunResult, others: Mapping[str, RunResult]) -> dict[str, GateHeld]:
-    """Return the runs in which the gate held, by controller."""
-    gates = {}
-    for name, run in {result.controller: result, **others}.items():
-        why = [step.plan.why for step in run.steps if step.plan.status is PlanStatus.GATE]
-        if why:
-            gates[name] = GateHeld(len(why), len(run.steps), why[0])
-    return gates
 
 
 class StepKeeper(Protocol):
@@ -273,12 +251,13 @@ def run_closed_loop(
                 history = history.last(round(record_days * DAY_S / controller.step_s))
         if on_step:
             on_step(record)
-    # BOPTEST's time_rat: computing time per control step over the step; replaces the plant's own value.
-    time_rat = (
-        math.fsum(step.plan_seconds for step in records) / len(records) / controller.step_s if records else math.nan
-    )
-    kpis = plant.kpis() | {"time_rat": time_rat}
+    kpis = plant.kpis() | {"time_rat": time_rat(records, controller.step_s)}
     return RunResult(period, controller.name, kpis, records, start, time.perf_counter() - began, state)
+
+
+def time_rat(steps: Sequence[StepRecord], step_s: float) -> float:
+    """BOPTEST's time_rat, computing time per control step over the step, in the place of the plant's own value."""
+    return math.fsum(step.plan_seconds for step in steps) / len(steps) / step_s if steps else math.nan
 
 
 def advanced(plant: Plant, block: Block) -> Measurement:
@@ -314,27 +293,14 @@ def checked_blocks(
 
 def _wrong(blocks: Sequence[Block], duration_s: float, lowest: float | Sequence[float], names: Names) -> str:
     """What is wrong with blocks for `duration_s`, in words; empty where they may be applied."""
-    for block in blocks:
-        if wrong := _unfit(block, lowest, names):
-            return wrong
+    try:
+        for block in blocks:
+            check_levels(block.u, block.duration_s, block.band_C, names=names, lowest=lowest)
+    except InputError as error:
+        return str(error)
     total_s = math.fsum(block.duration_s for block in blocks)
     if abs(total_s - duration_s) > _CLOCK_TOLERANCE_S:
         return f"blocks of {total_s:g} s in all for a step of {duration_s:g} s"
-    return ""
-
-
-def _unfit(block: Block, lowest: float | Sequence[float], names: Names) -> str:
-    """What is wrong with a block, in words; empty where it may be applied."""
-    if len(block.u) != len(names.actuators):
-        return f"{len(block.u)} levels for {len(names.actuators)} actuators ({', '.join(names.actuators)})"
-    if not (math.isfinite(block.duration_s) and block.duration_s > 0):
-        return f"a block of {block.duration_s:g} s"
-    least = np.broadcast_to(lowest, len(block.u))
-    for a, (level, band) in enumerate(zip(block.u, block.band_C, strict=True)):
-        if level is not None and not (math.isfinite(level) and least[a] <= level <= 1.0):
-            return f"{names.label('u', a)} of {level:g}, outside {least[a]:g} to 1"
-        if band is not None and not (all(map(math.isfinite, band)) and band[0] <= band[1]):
-            return f"room set-points of {band} °C at {names.label('u', a)}"
     return ""
 
 

@@ -1,9 +1,9 @@
-"""The composition root: builds the plant of a scenario and the options of its controllers."""
+"""The composition root: builds the plant of a scenario and the options of its controllers, and runs them."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -16,17 +16,21 @@ from thermoforce_mpc.boundary.tariffs import tariff_from_file
 from thermoforce_mpc.data import DAY_S, Layout, Period
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import DoubtfulInput
+from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.plants.registry import boptest_plant, build_plant, windows_of, with_comfort
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.schedule.comfort import Comfort
 from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepKeeper, StepRecord, run_closed_loop
+from thermoforce_mpc.simulation.kept_steps import KeptSteps
+from thermoforce_mpc.simulation.unit_doubts import UnitDoubts
 
 __all__ = [
     "attached_plant", "build_plant", "check_prices", "check_window", "check_windows", "controller_options",
-    "scored_period",
+    "run_in_scenario", "scored_period",
 ]  # fmt: skip
 
 # BOPTEST's names and those of plants of our own; the plant knows which of them it has.
@@ -78,6 +82,37 @@ def scored_period(plant: Plant, name: str, days: float) -> Period:
     """The window called `name` on this plant, `days` long; raises `ConfigError` for a name that is not one."""
     check_window(name)
     return replace(plant.period(name), scored_s=days * DAY_S)
+
+
+def run_in_scenario(
+    plant: Plant,
+    controller: Controller,
+    period: Period,
+    scenario: Scenario,
+    testcase: TestCase,
+    on_step: Callable[[StepRecord], None] | None = None,
+    keeper: StepKeeper | None = None,
+    steps: KeptSteps[StepRecord] | None = None,
+) -> RunResult:
+    """The closed loop of a controller in a scenario, readings judged by size and layout of its building.
+
+    Arguments and errors as of `run_closed_loop`; raises `ConfigError` too where prices end before the forecasts do.
+    """
+    check_prices(scenario, period, max(controller.horizon_s - controller.step_s, 0.0))
+    lowest = testcase.layout.lowest
+    return run_closed_loop(
+        plant,
+        controller,
+        period,
+        scenario.price,
+        on_step,
+        limits_of(controller, testcase.area_m2, min(lowest)),
+        lowest,
+        keeper,
+        steps,
+        outage_h=scenario.plant.forecast_outage_h,
+        units=UnitDoubts(testcase.layout, getattr(controller, "model", None), testcase.currency),
+    )
 
 
 def check_prices(scenario: Scenario, period: Period, ahead_s: float = 0.0) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 import requests
 from packaging.requirements import Requirement
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, SINGLE, Boundary, Observation, PlanStatus, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError, ThermoForceError
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.plants.testcases import load_testcase
@@ -178,16 +178,7 @@ def _cold_house() -> Observation:
     at_s = HOUR_S * np.arange(49, dtype=np.float64)
     ones = np.ones(at_s.size)
     zeros = np.zeros((1, at_s.size - 1))
-    record = Record(
-        time_s=at_s,
-        T_zone_C=20.5 * ones[None],
-        T_out_C=0.0 * ones,
-        solar_W_m2=0.0 * ones,
-        u=zeros,
-        power_W=zeros,
-        heat_W=zeros,
-        names=SINGLE,
-    )
+    record = Record(at_s, 20.5 * ones[None], 0.0 * ones, 0.0 * ones, zeros, zeros, zeros)
     ahead = at_s[-1] + np.arange(14) * HOUR_S
     ones = np.ones(ahead.size)
     boundary = Boundary(ahead, 0 * ones, 0 * ones, 0 * ones, 21 * ones, 24 * ones, 0.25 * ones, 0.2 * ones)

@@ -4,43 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, nullcontext
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import pandas as pd
-
 from controllers.registry import build_controller, find_entry, lent
-from thermoforce_mpc.data import DAY_S, Period, PlantInfo
+from thermoforce_mpc.data import Period
 from thermoforce_mpc.errors import ConfigError, counted
-from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.plants.boptest.token import allow_token
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.scenario.settings import merge, suggestion
+from thermoforce_mpc.scenario.settings import merge
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.checks import check_contestants, validate_scenario
-from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held, run_closed_loop
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.simulation.comparison.equal_comfort import (
     THERMOSTAT,
-    AsComfortable,
     as_comfortable,
     searches_equal_comfort,
     shifted_options,
 )
-from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT
+from thermoforce_mpc.simulation.comparison.outcome import DISCOMFORT
 from thermoforce_mpc.simulation.composition import (
     attached_plant,
     build_plant,
     check_prices,
     controller_options,
+    run_in_scenario,
     scored_period,
 )
 from thermoforce_mpc.simulation.ended_early import ended_early
-from thermoforce_mpc.simulation.folder.capped import Capped
-from thermoforce_mpc.simulation.folder.planning import Planning, planning_of
+from thermoforce_mpc.simulation.folder.results import write_results
 from thermoforce_mpc.simulation.folder.run_book import RunBook, is_real
 from thermoforce_mpc.simulation.folder.run_folder import (
     clear_partial,
@@ -49,8 +44,6 @@ from thermoforce_mpc.simulation.folder.run_folder import (
     is_complete,
     is_empty,
     sole_use,
-    trajectory_frame,
-    write_results,
 )
 from thermoforce_mpc.simulation.folder.run_log import log_step, logging_to
 from thermoforce_mpc.simulation.journal.journal import NAME
@@ -67,57 +60,15 @@ from thermoforce_mpc.simulation.models.run_models import (
 )
 from thermoforce_mpc.simulation.outside import note_given, with_given
 from thermoforce_mpc.simulation.own_kpis import OwnKpi, own_kpis, with_own_kpis
-from thermoforce_mpc.simulation.unit_doubts import UnitDoubts
+from thermoforce_mpc.simulation.scenario_result import ScenarioResult
 from thermoforce_mpc.simulation.views.display import RunDisplay
 from thermoforce_mpc.simulation.views.explaining import seconds_of
-from thermoforce_mpc.simulation.views.verdict import verdict
-from thermoforce_mpc.simulation.views.watching import watch_spells
+from thermoforce_mpc.simulation.views.summary import headline, print_summary
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
+    import pandas as pd
+
     from thermoforce_mpc.model.thermal_model import ThermalModel
-
-
-@dataclass(frozen=True)
-class ScenarioResult:
-    """A scenario that was run: the controller's closed loop and its baselines' on the same plant and window.
-
-    `identification` and `forecaster` are what the manifest says of the models and of the frozen weights. `equal`: the
-    thermostat that is as comfortable; None where it was not searched.
-    """
-
-    scenario: Scenario
-    plant: PlantInfo
-    result: RunResult
-    baselines: Mapping[str, RunResult]
-    models: Mapping[str, ThermalModel]
-    identification: Mapping[str, Any]
-    forecaster: Mapping[str, Any]
-    equal: AsComfortable | None = None
-
-    @property
-    def kpis(self) -> dict[str, dict[str, float]]:
-        """BOPTEST's KPIs by controller, the scenario's own first."""
-        return {name: dict(result.kpis) for name, result in self._results().items()}
-
-    @property
-    def planning(self) -> dict[str, Planning]:
-        """How each controller planned: solves by solver, calls of the exported operator, parameters."""
-        return {name: planning_of(result, self.models.get(name)) for name, result in self._results().items()}
-
-    def to_dataframe(self, controller: str | None = None) -> pd.DataFrame:
-        """The trajectory of a controller, by default the scenario's own; one row per applied block.
-
-        Raises:
-            ConfigError: no controller of that name was run.
-        """
-        results = self._results()
-        name = controller or self.result.controller
-        if name not in results:
-            raise ConfigError(f"no run of '{name}'{suggestion(name, results)}; there are {', '.join(results)}")
-        return trajectory_frame(results[name].steps)
-
-    def _results(self) -> dict[str, RunResult]:
-        return {self.result.controller: self.result, **self.baselines}
 
 
 def run(
@@ -231,11 +182,11 @@ def _reopened(
 
 def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
     """Run what is in the book, and write results and report."""
-    folder, scenario = book.folder, book.scenario
+    folder = book.folder
     records: dict[str, KeptSteps[StepRecord]] = {}
     try:
         with closing(book.journal), logging_to(folder, display.say):
-            outcome = _execute(scenario, display, records, book=book)
+            outcome = _execute(book.scenario, display, records, book=book)
     except BaseException as error:
         ended = ended_early(book, records, error)
         if ended is error:
@@ -243,18 +194,7 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
         raise ended from error
     clear_partial(folder)
     pack(folder / NAME)
-    kpis = write_results(
-        folder,
-        scenario=scenario,
-        plant=outcome.plant,
-        result=outcome.result,
-        baselines=outcome.baselines,
-        identification=outcome.identification,
-        planning=outcome.planning,
-        command=book.command,
-        forecaster=outcome.forecaster,
-        equal=_equal_in_words(outcome, testcase),
-    )
+    kpis = write_results(folder, outcome, book.command, testcase.currency)
     with display.working("Drawing the report"):
         from thermoforce_mpc.simulation.report import write_report
 
@@ -268,40 +208,8 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
             area_m2=testcase.area_m2,
             model=outcome.models.get(outcome.result.controller),
         )
-    _print_summary(outcome, folder, testcase, kpis["power_cap"], display)
+    print_summary(outcome, folder, testcase.currency, kpis["power_cap"], display)
     return folder
-
-
-def _print_summary(
-    outcome: ScenarioResult, folder: Path, testcase: TestCase, power_cap: Mapping[str, Any], display: RunDisplay
-) -> None:
-    """Print the KPI table and what was out of the ordinary."""
-    plant, period = outcome.plant, outcome.result.period
-    said = verdict(outcome.result.controller, outcome.kpis, testcase.currency, period.scored_s / DAY_S)
-    display.console.print(f"\n{said}\n", soft_wrap=True, markup=False)
-    title = f"{plant.kind} plant, {plant.weather}\n{_window(period)}, {outcome.scenario.price} tariff"
-    gates = {name: gate.in_words() for name, gate in gates_held(outcome.result, outcome.baselines).items()}
-    display.kpi_table(outcome.kpis, title, testcase.currency, gates)
-    if equal := _equal_in_words(outcome, testcase):
-        display.say(equal)
-    for name, figures in power_cap.items():
-        display.say(f"{name}: {Capped(**figures).in_words()}")
-    if find_entry(outcome.scenario.controller.name).needs_model:
-        display.say(f"{outcome.result.controller}: {outcome.planning[outcome.result.controller].in_words()}")
-    levels = outcome.result.fallback_levels()
-    fallbacks = {level: n for level, n in levels.items() if n and level not in ("solved", "rule", "gate")}
-    if fallbacks:
-        display.say(f"Fallbacks: {fallbacks}; reasons in {folder / 'steps.csv'}")
-    for spell in watch_spells(outcome.result):
-        display.say(f"Watch: {spell.in_words()}")
-
-
-def _equal_in_words(outcome: ScenarioResult, testcase: TestCase) -> str:
-    """The controller beside a thermostat that is as comfortable; '' where none was searched."""
-    if outcome.equal is None:
-        return ""
-    kpis = outcome.result.kpis
-    return f"{outcome.result.controller} costs {outcome.equal.in_words(kpis[COST], testcase.currency)}"
 
 
 def _execute(
@@ -331,7 +239,7 @@ def _execute(
 
     with book.released(book.connect(build)) if book else closing(build()) as plant:
         period = scored_period(plant, scenario.period, scenario.days)
-        display.say(_headline(plant, period, scenario))
+        display.say(headline(plant, period, scenario))
         check_prices(scenario, period)
         if model is None:
             identified = _identified(scenario, testcase, plant, display, book)
@@ -341,7 +249,6 @@ def _execute(
             models = {who: model for who in (name, *scenario.baselines) if find_entry(who).needs_model}
 
         def follow(controller: Controller) -> RunResult:
-            check_prices(scenario, period, max(controller.horizon_s - controller.step_s, 0.0))
             steps = records.setdefault(controller.name, KeptSteps(book.folder if book else None))
             return with_own_kpis(_follow(plant, controller, period, scenario, testcase, display, steps), own)
 
@@ -377,9 +284,8 @@ def _shifted_thermostat(
 ) -> Mapping[str, float]:
     """KPIs of the scenario's thermostat with other set-points."""
     options = shifted_options(controller_options(scenario, THERMOSTAT), testcase, shift_K)
-    thermostat, lowest = build_controller(THERMOSTAT, options, testcase), testcase.layout.lowest
-    allowed = limits_of(thermostat, testcase.area_m2, min(lowest))
-    return run_closed_loop(plant, thermostat, period, scenario.price, allowed=allowed, lowest=lowest).kpis
+    thermostat = build_controller(THERMOSTAT, options, testcase)
+    return run_in_scenario(plant, thermostat, period, scenario, testcase).kpis
 
 
 def _identified(
@@ -391,20 +297,6 @@ def _identified(
     # Probing has journals of its own: the journal of the run has the models, which are what comes of it.
     folder = book.folder
     return kept_models(plant, folder, lambda: identify_all(scenario, testcase, plant.inside, display, folder))
-
-
-def _headline(plant: Plant, period: Period, scenario: Scenario) -> str:
-    info = plant.info
-    return (
-        f"Plant: {info.kind} {info.testcase} ({info.description})\n"
-        f"Weather: {info.weather}\n"
-        f"Window: {_window(period)}, {scenario.price} tariff; controller {scenario.controller.name}"
-    )
-
-
-def _window(period: Period) -> str:
-    first = period.start_s / DAY_S
-    return f"{period.name}, days {first:g} to {first + period.scored_s / DAY_S:g}"
 
 
 def _follow(
@@ -429,18 +321,4 @@ def _follow(
             if not (keeper and keeper.catching_up):
                 log_step(controller.name, record)
 
-        allowed = limits_of(controller, testcase.area_m2, min(testcase.layout.lowest))
-        lowest = testcase.layout.lowest
-        return run_closed_loop(
-            plant,
-            controller,
-            period,
-            scenario.price,
-            on_step,
-            allowed,
-            lowest,
-            keeper,
-            steps,
-            outage_h=scenario.plant.forecast_outage_h,
-            units=UnitDoubts(testcase.layout, getattr(controller, "model", None), testcase.currency),
-        )
+        return run_in_scenario(plant, controller, period, scenario, testcase, on_step, keeper, steps)

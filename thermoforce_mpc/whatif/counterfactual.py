@@ -88,17 +88,6 @@ class Counterfactual:
                 columns[self.names.label(like, k).replace(like, name, 1)] = values
         return table(self.time_s, self.origin, **columns)
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        frame = self.to_dataframe()
-        rows = frame.astype(object).where(frame.notna(), None)
-        rows.index = [at.isoformat() if hasattr(at, "isoformat") else float(at) for at in frame.index]
-        energy = {
-            name: {"applied": _number(a), "other": _number(b)}
-            for name, a, b in zip(self.names.machines, self.energy_kWh, self.energy_other_kWh, strict=True)
-        }
-        return {"energy_kWh": energy, "rows": rows.reset_index(names="time").to_dict("records")}
-
 
 class _Recorded:
     """`FreeResponse` of a stretch that is already known."""
@@ -146,7 +135,7 @@ def counterfactual(
                 f"{record.names.label('u', a)} was not measured in {unknown.sum()} of the {n} steps from {start} on: "
                 "there is nothing to compare with; choose a stretch in which it was"
             )
-    whole, _ = bridged(record.slice(0, first + n))
+    whole, _ = bridged(model.own_heat(record.slice(0, first + n)))
     past, stretch = whole.slice(0, first), whole.slice(first, first + n)
     forced_K = Predictor(model.operator, [_Recorded(np.empty(0))] * len(record.names.zones)).forced_history(whole)
     free_C = control_free(whole.T_zone_C, forced_K.sum(axis=(1, 3)))
@@ -234,7 +223,3 @@ def _energy_kWh(model: ThermalModel, u: Array, stretch: Record) -> Array:
         watts = power(u[fed[0]], T_out_C) if len(fed) == 1 else power.of_actuators(u[fed], weights, T_out_C)
         energy_kWh[m] = float(watts.sum()) * stretch.step_s / J_PER_KWH
     return energy_kWh
-
-
-def _number(value: float) -> float | None:
-    return round(float(value), 4) if np.isfinite(value) else None

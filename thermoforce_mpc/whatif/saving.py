@@ -101,22 +101,13 @@ class Saving:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {
-            "saved_kWh": self.saved_kWh,
-            "low_kWh": self.low_kWh,
-            "high_kWh": self.high_kWh,
-            "level": self.level,
-            "meter": self.meter,
-            "claimed": self.claimed,
-            "baseline_kWh": self.baseline_kWh,
-            "measured_kWh": self.measured_kWh,
+        scalars = ("saved_kWh", "low_kWh", "high_kWh", "level", "meter", "claimed", "baseline_kWh", "measured_kWh")
+        return {name: getattr(self, name) for name in (*scalars, "r2", "regressors")} | {
             "days_before": self.before.n,
             "days_after": self.after.n,
             "rmse_kWh_per_day": self.rmse_kWh,
             "correlation_of_days": self.correlation,
-            "r2": self.r2,
             "warmer_K": self.warmer_K.tolist(),
-            "regressors": self.regressors,
             "notes": list(self.notes),
         }
 

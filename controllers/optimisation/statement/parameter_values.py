@@ -188,4 +188,5 @@ class Numbers:
                 slope = (full - at_lowest) / (highest - lowest)
                 drive[a] = m * at_lowest / lowest
                 sag[a] = np.maximum(drive[a] - m * slope, 0.0)
-        return drive, sag
+        comes = 1.0 if p.available is None else p.available
+        return drive * comes, sag * comes

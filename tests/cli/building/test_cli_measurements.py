@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.cli.building.plan import draw_plan, plan_table
+from thermoforce_mpc.cli.building.plan import drawn_plan, plan_table
 from thermoforce_mpc.data import DAY_S, Boundary, Names, Plan, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
 from thermoforce_mpc.identification.probing.probe import probe
@@ -218,8 +218,10 @@ def test_a_plan_of_several_zones_has_a_column_for_each(tmp_path):
     table = plan_table(plan, ahead)
     assert table["upper_C[hall]"].tolist() == [24.0] * n
     np.testing.assert_allclose(table["cost"], 0.5 * price[0, :-1])
-    draw_plan(tmp_path / "plan.png", plan, table, ahead)
-    assert (tmp_path / "plan.png").stat().st_size > 10_000
+    levels, temperatures = (
+        len(axes.get_legend_handles_labels()[1]) for axes in drawn_plan(plan, table, ahead).axes[1::-1]
+    )
+    assert (temperatures, levels) == (2, 2)
 
 
 def test_a_plan_refuses_what_does_not_belong_together(folder, model):

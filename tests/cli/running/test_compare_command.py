@@ -14,7 +14,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.comparison.cells import expand
-from thermoforce_mpc.simulation.comparison.store import Store
+from thermoforce_mpc.simulation.comparison.store import Ran, Store
 from thermoforce_mpc.simulation.comparison.tasks import failure
 from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant
 
@@ -74,26 +74,26 @@ def test_only_whole_and_finished_files_count_as_done(tmp_path):
     store = Store(tmp_path)
     store.create()
     assert store.finished(cell) is None
-    store.write(cell, failure(cell, "because"))
+    store.write(cell, Ran(failure(cell, "because")))
     assert store.finished(cell) is None
-    store.cell_path(cell).write_text('{"format": 1, "key": "', encoding="utf-8")
+    store.record_path(cell.key).write_text('{"format": 1, "key": "', encoding="utf-8")
     assert store.finished(cell) is None
-    store.write(cell, failure(cell, "") | {"status": "done"})
+    store.write(cell, Ran(failure(cell, "") | {"status": "done"}))
     assert store.finished(cell) is not None
     (renamed,) = expand(Scenario(testcase=TESTCASE), {"m": Variant(controller="native")}, ["44"], ["constant"])
     found = store.finished(renamed)
     assert found is not None
     assert found["variant"] == "m", "the same run under another name is the same run"
-    assert not [path for path in (tmp_path / "cells").iterdir() if path.name.startswith(".")]
+    assert not [path for path in (tmp_path / "runs").rglob("*") if path.name.startswith(".")]
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (("--windows", "someday"), "someday"),
-        (("--prices", "cheap"), "unknown tariff 'cheap'"),
+        (("--prices", "cheap"), "unknown 'cheap'"),
         (("--controllers", "thermostat,thermostat"), "given twice"),
-        (("--forecast-uncertainty", "huge"), "unknown level 'huge'"),
+        (("--forecast-uncertainty", "huge"), "unknown 'huge'"),
         (("--variants", "ablatio"), "ablatio"),
     ],
 )
@@ -104,7 +104,7 @@ def test_bad_input_is_refused_before_anything_is_made(tmp_path, monkeypatch, wor
     assert not list(tmp_path.iterdir())
 
 
-GIVEN_NONE = {"windows": None, "prices": None, "forecast_uncertainty": None}
+GIVEN_NONE = {"windows": None, "tariffs": None, "forecast_uncertainty": None}
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ GIVEN_NONE = {"windows": None, "prices": None, "forecast_uncertainty": None}
 def test_what_the_scenario_says_is_compared(scenario, axes):
     base = load_scenario(None, {"testcase": TESTCASE} | scenario)
     assert axes_from(GIVEN_NONE, base) == axes
-    given = {"windows": "58", "prices": "constant,dynamic", "forecast_uncertainty": "low"}
+    given = {"windows": "58", "tariffs": "constant,dynamic", "forecast_uncertainty": "low"}
     assert axes_from(given, base) == Axes(("58",), ("constant", "dynamic"), ("low",))
 
 
@@ -134,7 +134,7 @@ def test_a_file_of_variants_does_not_replace_what_the_scenario_says():
     base = Scenario(testcase=TESTCASE, price="dynamic")
     with pytest.raises(ConfigError, match=r"price: the scenario has dynamic.*prices: constant; say with --prices"):
         axes_from(GIVEN_NONE, base, file)
-    assert axes_from(GIVEN_NONE | {"prices": "dynamic"}, base, file).prices == ("dynamic",)
+    assert axes_from(GIVEN_NONE | {"tariffs": "dynamic"}, base, file).prices == ("dynamic",)
 
 
 def test_a_sweep_refuses_what_it_cannot_vary(tmp_path, monkeypatch):

@@ -72,3 +72,14 @@ def test_a_load_that_hour_and_weather_hardly_tell_is_said():
     found = foreign_load(u, TIME_S, T, FULL_W * u[0] + tank)
     assert found is not None
     assert "hardly tell it" in found.in_words()
+
+
+def test_what_an_emitter_still_gives_off_is_not_taken_for_another_load():
+    rng = np.random.default_rng(5)
+    u, T = levels(rng), weather(rng)
+    for lag_h in (1.0, 8.0):
+        kept = np.exp(-STEP_S / HOUR_S / lag_h)
+        heat = np.zeros(N)
+        for k in range(1, N):
+            heat[k] = kept * heat[k - 1] + (1.0 - kept) * FULL_W * u[0, k]
+        assert foreign_load(u, TIME_S, T, heat) is None, f"a time constant of {lag_h} h"

@@ -27,7 +27,7 @@ PRICES = ("--prices", "highly_dynamic", "--tariff-file", "prices.csv")
 
 
 def records(folder: Path) -> dict[str, dict]:
-    found = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in (folder / "cells").iterdir()}
+    found = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in (folder / "runs").rglob("*.json")}
     return {name: {key: of[key] for key in of if key != "seconds"} for name, of in found.items()}
 
 
@@ -115,7 +115,7 @@ def test_an_identification_is_kept_whole_or_as_the_reason_why_there_is_none(tmp_
     assert store.get(second) == Identified(refused="too short")
     store.put(second, Identified(refused="too short"))
     store.put(first, model)
-    assert sorted(path.name for path in (tmp_path / "models").iterdir()) == sorted(needs)
+    assert sorted(path.name for path in (tmp_path / "models").glob("*/*")) == sorted(needs)
     # What is damaged does not count, and is replaced, be it by what is of the other kind.
     (store.model_path(first.key) / "model.json").write_bytes(b"")
     store.model_path(second.key).write_bytes(b"")

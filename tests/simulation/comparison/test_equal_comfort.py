@@ -24,7 +24,7 @@ from thermoforce_mpc.simulation.comparison.equal_comfort import (
 from thermoforce_mpc.simulation.comparison.outcome import outcome_rows, verdicts
 from thermoforce_mpc.simulation.comparison.searching import EqualComfort
 from thermoforce_mpc.simulation.comparison.store import Store
-from thermoforce_mpc.simulation.comparison.tasks import record_of
+from thermoforce_mpc.simulation.comparison.tasks import follow
 from thermoforce_mpc.simulation.comparison.variants import Variant
 
 TESTCASE = "bestest_hydronic_heat_pump"
@@ -115,7 +115,7 @@ def test_cells_beside_thermostats_are_searched_once(tmp_path, monkeypatch):
     variants = {"thermostat": Variant(controller="thermostat"), "mine": Variant(controller="native")}
     cells = expand(Scenario(testcase=TESTCASE, days=0.5), variants, ("44",), ("constant",), inputs=inputs)
     store.create()
-    records = [record_of(cell) | {"needs_model": cell.variant == "mine"} for cell in cells]
+    records = [follow(cell).record | {"needs_model": cell.variant == "mine"} for cell in cells]
     said: list[str] = []
     search = EqualComfort(store, inputs, testcase, said.append)
     thermostat, mine = search.beside(cells, records)
@@ -128,7 +128,7 @@ def test_cells_beside_thermostats_are_searched_once(tmp_path, monkeypatch):
     rows = outcome_rows([thermostat, mine])
     assert [row["saving"] for row in rows] == [None, pytest.approx(100.0 * found["saving"])]
     assert any(found["in_words"] in line for line in verdicts(rows))
-    monkeypatch.setattr(searching, "record_of", lambda cell: pytest.fail("it is stored"))
+    monkeypatch.setattr(searching, "follow", lambda cell: pytest.fail("it is stored"))
     assert search.beside(cells, records)[1]["equal_comfort"] == found
 
 

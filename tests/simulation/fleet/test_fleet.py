@@ -23,7 +23,8 @@ from simple_house import simple_model
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.options import scenario_from
-from thermoforce_mpc.cli.running import fleet as fleet_command
+from thermoforce_mpc.cli.running import executing
+from thermoforce_mpc.cli.running.fleet import saving_cells
 from thermoforce_mpc.cli.running.run import command as run_one
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import ConfigError, InputError
@@ -32,14 +33,14 @@ from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.comparison import cells
 from thermoforce_mpc.simulation.comparison import tasks as comparison_tasks
-from thermoforce_mpc.simulation.comparison.store import Identified
+from thermoforce_mpc.simulation.comparison.store import Identified, Ran, Store
 from thermoforce_mpc.simulation.comparison.tasks import failure
 from thermoforce_mpc.simulation.fleet import models as fleet_models
 from thermoforce_mpc.simulation.fleet.buildings import buildings_of
 from thermoforce_mpc.simulation.fleet.dataset import FORMAT, read_dataset, schema
 from thermoforce_mpc.simulation.fleet.file import load_fleet
 from thermoforce_mpc.simulation.fleet.page import fleet_page, headline, run_command
-from thermoforce_mpc.simulation.fleet.runs import FleetResults, Ran, runs_of, tasks_of
+from thermoforce_mpc.simulation.fleet.runs import runs_of, tasks_of
 from thermoforce_mpc.simulation.fleet.summary import causes, groups, lost, paired
 
 RULES = {"thermostat": {"controller": "thermostat", "options": {"step_s": 300}}, "native": {"controller": "native"}}
@@ -179,7 +180,7 @@ def test_after_a_change_of_the_source_kept_runs_name_the_model_that_they_had(
 ) -> None:
     ours = {"ours": {"controller": "rc_mpc"}}
     path = _file(tmp_path, variants=ours, reference="ours", buildings=[{"generated": {"seed": 5, "count": 1}}])
-    file, results = load_fleet(str(path))[0], FleetResults(tmp_path / "out")
+    file, results = load_fleet(str(path))[0], Store(tmp_path / "out")
     runs = runs_of(file, buildings_of(file, path), path)
     for run in runs:
         (task,) = tasks_of([run])
@@ -190,7 +191,7 @@ def test_after_a_change_of_the_source_kept_runs_name_the_model_that_they_had(
     assert _fleet(path)[0] == 0
     models, rows = (tmp_path / "out" / name for name in ("models.parquet", "runs.parquet"))
     before = models.read_bytes(), rows.read_bytes()
-    for module in (cells, fleet_command):
+    for module in (cells, executing):
         monkeypatch.setattr(module, "source_fingerprint", lambda: "other")
     code, said = _fleet(path)
     assert code == 0, said
@@ -203,11 +204,11 @@ def test_after_a_change_of_the_source_kept_runs_name_the_model_that_they_had(
 def test_a_damaged_model_of_finished_runs_is_identified_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ours = {"ours": {"controller": "rc_mpc"}}
     path = _file(tmp_path, variants=ours, reference="ours", buildings=[{"generated": {"seed": 5, "count": 1}}])
-    file, results = load_fleet(str(path))[0], FleetResults(tmp_path / "out")
+    file, results = load_fleet(str(path))[0], Store(tmp_path / "out")
     done = {"status": "done", "kpis": {"cost_tot": 1.0, "tdis_tot": 0.0, "ener_tot": 1.0}}
     model = Identified.of(simple_model())
     for task in tasks_of(runs_of(file, buildings_of(file, path), path)):
-        results.put(task, Ran(failure(task.inputs.cell, "") | done))
+        results.put(task, Ran(failure(task.inputs, "") | done))
         for need in task.needs:
             results.put(need, model)
     assert _fleet(path)[0] == 0
@@ -477,7 +478,7 @@ def test_without_a_heated_run_no_saving_is_said() -> None:
     (everything,) = groups(paired(rows, "mpc", "rule"))
     said = headline(everything, "mpc", "rule")
     assert said.startswith("mpc against rule in 1 run, 0 of which count for the saving: saving –; 0 % more than 0.5 K")
-    assert fleet_command.saving_cells(everything) == ("–", "–", "–")
+    assert saving_cells(everything) == ("–", "–", "–")
 
 
 MAP = """\

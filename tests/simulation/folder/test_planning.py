@@ -10,6 +10,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
+from controllers.mpc.readings import ReadingsFilter
 from controllers.optimisation.solution import Solution, failed
 from controllers.optimisation.solvers.qp import QPSolver
 from controllers.rules.thermostat import Thermostat
@@ -116,6 +117,25 @@ def test_a_hundredth_of_the_steps_is_not_worth_telling():
     some = replace(planning_of(closed_loop(simple_model()), None), steps=200)
     assert "discomfort" not in replace(some, uncomfortable=2).in_words()
     assert "in 2% of the steps discomfort" in replace(some, uncomfortable=3).in_words()
+
+
+def test_steps_without_a_decision_are_told_in_capitals(monkeypatch):
+    clean, calls = ReadingsFilter.clean, []
+
+    def sometimes(self, *given, **options):
+        calls.append(given)
+        if len(calls) <= 3:
+            raise ZeroDivisionError("a defect")
+        return clean(self, *given, **options)
+
+    monkeypatch.setattr(ReadingsFilter, "clean", sometimes)
+    model = simple_model()
+    counts = planning_of(closed_loop(model), model)
+    assert (counts.undecided, counts.plans, counts.failed) == (3, {"ipopt": 9}, 0)
+    assert counts.in_words().startswith(
+        "NO DECISION WAS MADE IN 3 OF 12 STEPS, NATIVE CONTROL ACTED INSTEAD (ZeroDivisionError: a defect); planned 9 "
+    )
+    assert "DECISION" not in replace(counts, undecided=2).in_words()
 
 
 def test_rules_plan_nothing():

@@ -63,18 +63,18 @@ def test_a_step_is_explained_as_it_was_recorded(folder, tmp_path):
 def test_the_plan_and_what_came_of_it_are_those_of_the_run(folder):
     decision = decision_at(folder, "10 03:00")
     later = decision_at(folder, "10 04:00")
-    assert decision.after[-1].time_s == later.time_s
-    assert decision.after[-1].T_zone_C == later.before.T_zone_C
+    assert decision.step.after[-1].time_s == later.step.time_s
+    assert decision.step.after[-1].T_zone_C == later.step.before.T_zone_C
     # The house is the model's own, so the plan comes true where the block is a whole step.
-    assert decision.T_zone_C[0, 0] == pytest.approx(decision.after[-1].T_zone_C[0], abs=0.05)
+    assert decision.T_zone_C[0, 0] == pytest.approx(decision.step.after[-1].T_zone_C[0], abs=0.05)
     assert any("comfort bound" in line for line in decision.bounds())
-    assert decision.boundary.time_s[0] == decision.time_s
+    assert decision.boundary.time_s[0] == decision.step.time_s
 
 
 def test_the_reason_and_the_bounds_say_the_same(folder):
     """A plan that keeps its margin binds at the margin, not at the comfort bound; both are told with their values."""
     (bound,) = decision_at(folder, "10 03:00").bounds()
-    why = decision_at(folder, "10 03:00").told["why"]
+    why = decision_at(folder, "10 03:00").step.told["why"]
     assert "bound with its margin, 2" in why
     assert "is touched" not in bound
     assert "bound, 2" in bound

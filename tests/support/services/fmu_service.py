@@ -10,7 +10,7 @@ from boptest_server import Service, rejected
 
 from boptest_client import Point
 from thermoforce_mpc.plants.fmu.archive import read_archive, unpack
-from thermoforce_mpc.plants.fmu.process import WorkerProcess
+from thermoforce_mpc.plants.fmu.process import FmuProcess
 
 _OVERWRITTEN = "_activate"
 
@@ -25,11 +25,11 @@ class FmuTest:
             (folder / name).mkdir(parents=True)
         unpack(archive, folder / "fmu")
         self._folder = folder
-        self._worker: WorkerProcess | None = None
+        self._worker: FmuProcess | None = None
 
     def initialize(self, start_s: float, warmup_s: float) -> dict[str, float]:
         self.close()
-        self._worker = WorkerProcess(self._job, self._folder / "work")
+        self._worker = FmuProcess(self._job, self._folder / "work")
         self.time_s = max(start_s - warmup_s, 0.0)
         self._stretches = [self._worker.start(self.time_s)]
         return self.advance({}, start_s - self.time_s)

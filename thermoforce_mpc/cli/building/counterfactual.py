@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import numpy as np
-import pandas as pd
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
+from thermoforce_mpc.cli.building.output import finish_axes, on_clock, write_picture, write_table
 from thermoforce_mpc.cli.building.schedule_file import levels_of
 from thermoforce_mpc.cli.options import FiniteRange, course_options, measured_model_options
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.data.dataframes import seconds_at, stamps
-from thermoforce_mpc.files import written
-from thermoforce_mpc.simulation.views.whole_tables import print_whole
+from thermoforce_mpc.simulation.views.whole_tables import plain_table, print_whole
 from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _ROWS = 25
 
@@ -63,34 +63,31 @@ def command(
     console = Console(highlight=False, markup=False)
     _show(result, console)
     if out is not None:
-        with written(out) as aside:
-            if out.suffix == ".csv":
-                result.to_dataframe().round(4).to_csv(aside, lineterminator="\n")
-            else:
-                aside.write_text(json.dumps(result.to_json(), indent=1), encoding="utf-8")
-        console.print(f"Course: {out}", soft_wrap=True)
+        kWh = [
+            (_known(was), _known(other)) for was, other in zip(result.energy_kWh, result.energy_other_kWh, strict=True)
+        ]
+        energy = {
+            name: {"applied": was, "other": other}
+            for name, (was, other) in zip(result.names.machines, kWh, strict=True)
+        }
+        write_table(out, result.to_dataframe(), console, "Course", energy_kWh=energy)
     if plot is not None:
-        with written(plot) as aside:
-            draw(result, record.step_s, aside)
-        console.print(f"Picture: {plot}", soft_wrap=True)
+        write_picture(plot, _drawn(result, record.step_s), console)
+
+
+def _known(kWh: float) -> float | None:
+    return round(float(kWh), 4) if np.isfinite(kWh) else None
 
 
 def _show(result: Counterfactual, console: Console) -> None:
     frame = result.to_dataframe()
     names = result.names
-    table = Table(
-        title="As it was, and under the other levels (temperature at the end of the step)",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-    )
     headings = ["from"]
     for name in names.actuators:
         headings += [f"{name}\nwas", "\nother"]
     for name in names.zones:
         headings += [f"{name}, °C\nwas", "\nother (90 %)", "effect, K\n(certified)"]
-    for heading in headings:
-        table.add_column(heading, justify="right" if heading != "from" else "left", no_wrap=True)
+    table = plain_table(headings, "As it was, and under the other levels (temperature at the end of the step)")
     every = max(1, -(-len(frame) // _ROWS))
     for k in range(0, len(frame), every):
         cells = [f"{frame.index[k]:%d %b %H:%M}"]
@@ -114,12 +111,11 @@ def _show(result: Counterfactual, console: Console) -> None:
         console.print("The model's card has no uncertainty of the effect: there is no band.")
 
 
-def draw(result: Counterfactual, step_s: float, path: Path) -> None:
-    """Write a picture of steps of `step_s`, s: measured and other temperatures with their band, and both schedules."""
+def _drawn(result: Counterfactual, step_s: float) -> Figure:
+    """A picture of steps of `step_s`, s: measured and other temperatures with their band, and both schedules."""
     from matplotlib.figure import Figure
 
-    index = stamps(np.append(result.time_s, result.time_s[-1] + step_s), result.origin)
-    edges = (index.tz_localize(None) if isinstance(index, pd.DatetimeIndex) else index).to_numpy()
+    edges = on_clock(stamps(np.append(result.time_s, result.time_s[-1] + step_s), result.origin))
     figure = Figure(figsize=(9.0, 5.6), layout="constrained")
     axes, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
     for z, zone in enumerate(result.names.zones):
@@ -129,12 +125,10 @@ def draw(result: Counterfactual, step_s: float, path: Path) -> None:
         low, high = result.other_C[z] - half, result.other_C[z] + half
         axes.fill_between(edges[1:], low, high, color=colour, alpha=0.2, linewidth=0)
     axes.set_ylabel("temperature, °C")
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False, fontsize="small")
     for a in range(len(result.names.actuators)):
         below.stairs(result.u[a], edges, color=f"C{a % 10}", baseline=None, label="as it was" if a == 0 else None)
         below.stairs(result.u_other[a], edges, color=f"C{a % 10}", baseline=None, linestyle="--")
     below.set_ylabel("level")
     below.set_ylim(min(0.0, float(result.u_other.min())) - 0.05, 1.05)
-    below.tick_params(axis="x", rotation=20)
-    figure.savefig(path, dpi=120)
+    finish_axes(figure)
+    return figure

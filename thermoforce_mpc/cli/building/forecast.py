@@ -4,21 +4,24 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import numpy as np
-import pandas as pd
 from rich.console import Console
-from rich.table import Table
 
+from thermoforce_mpc.cli.building.output import finish_axes, on_clock, write_picture, write_table
 from thermoforce_mpc.cli.building.schedule_file import levels_of
 from thermoforce_mpc.cli.options import FiniteRange, course_options, measured_model_options
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.dataframes import seconds_at
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.files import written
 from thermoforce_mpc.model.predictor import Prediction
+from thermoforce_mpc.simulation.views.whole_tables import plain_table, print_whole
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _ROWS, _BACK_DAYS = 25, 28.0
 # The band promises 80 %: less than this held over a day or longer is said as a warning, where errors matter, K. Hours
@@ -95,16 +98,9 @@ def command(
     for name, values in record.names.columns(T_zone_C=truth).items():
         table[name.replace("T_zone_C", "measured_C")] = values
     if out is not None:
-        with written(out) as aside:
-            if out.suffix == ".csv":
-                table.round(4).to_csv(aside, lineterminator="\n")
-            else:
-                table.round(4).reset_index().to_json(aside, orient="records", date_format="iso", indent=1)
-        console.print(f"Forecast: {out}", soft_wrap=True)
+        write_table(out, table, console, "Forecast")
     if plot is not None:
-        with written(plot) as aside:
-            _draw(prediction, truth, aside)
-        console.print(f"Picture: {plot}", soft_wrap=True)
+        write_picture(plot, _drawn(prediction, truth), console)
 
 
 def _split_at(record: Record, start: str, n: int) -> tuple[Record, Record]:
@@ -119,14 +115,9 @@ def _split_at(record: Record, start: str, n: int) -> tuple[Record, Record]:
 def _show(prediction: Prediction, truth: Array, step_s: float, console: Console) -> None:
     stamps = prediction.to_dataframe().index
     has_truth = np.isfinite(truth).any()
-    table = Table(title="Temperature at each time, °C (80 % band of the free response)", title_justify="left")
-    table.add_column("at", no_wrap=True)
-    for zone in prediction.names.zones:
-        table.add_column(zone, justify="right")
-        table.add_column("band", justify="right")
-        table.add_column("of it forced, K", justify="right")
-        if has_truth:
-            table.add_column("measured", justify="right")
+    of_zone = ("band", "of it forced, K", *(["measured"] if has_truth else []))
+    headings = ["at", *(heading for zone in prediction.names.zones for heading in (zone, *of_zone))]
+    table = plain_table(headings, "Temperature at each time, °C (80 % band of the free response)")
     n, (low_C, high_C) = truth.shape[1], prediction.band_C
     for k in range(0, n, max(1, -(-n // _ROWS))):
         cells = [f"{stamps[k]:%d %b %H:%M}"]
@@ -139,7 +130,7 @@ def _show(prediction: Prediction, truth: Array, step_s: float, console: Console)
             if has_truth:
                 cells.append(f"{truth[z, k]:.1f}" if np.isfinite(truth[z, k]) else "–")
         table.add_row(*cells)
-    console.print(table)
+    print_whole(table, console)
     for z, zone in enumerate(prediction.names.zones):
         if np.isfinite(truth[z]).any():
             error = prediction.total_C[z] - truth[z]
@@ -159,11 +150,10 @@ def _show(prediction: Prediction, truth: Array, step_s: float, console: Console)
                 )
 
 
-def _draw(prediction: Prediction, truth: Array, path: Path) -> None:
+def _drawn(prediction: Prediction, truth: Array) -> Figure:
     from matplotlib.figure import Figure
 
-    index = prediction.to_dataframe().index
-    at = (index.tz_localize(None) if isinstance(index, pd.DatetimeIndex) else index).to_numpy()
+    at = on_clock(prediction.to_dataframe().index)
     figure = Figure(figsize=(9.0, 4.4), layout="constrained")
     axes, (low_C, high_C) = figure.subplots(), prediction.band_C
     for z, zone in enumerate(prediction.names.zones):
@@ -171,15 +161,8 @@ def _draw(prediction: Prediction, truth: Array, path: Path) -> None:
         axes.fill_between(at, low_C[z], high_C[z], color=colour, alpha=0.2, linewidth=0)
         axes.plot(at, prediction.total_C[z], color=colour, label=f"{zone}, forecast")
         axes.plot(at, prediction.free_C[z], color=colour, linestyle=":", label=f"{zone}, without control")
-        axes.plot(
-            at,
-            truth[z],
-            color="#1b1f24",
-            linewidth=1.0,
-            label="measured" if z == 0 and np.isfinite(truth).any() else None,
-        )
+        measured = "measured" if z == 0 and np.isfinite(truth).any() else None
+        axes.plot(at, truth[z], color="#1b1f24", linewidth=1.0, label=measured)
     axes.set_ylabel("temperature, °C")
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False, fontsize="small")
-    axes.tick_params(axis="x", rotation=20)
-    figure.savefig(path, dpi=120)
+    finish_axes(figure)
+    return figure

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 import numpy as np
 import pandas as pd
-from rich.table import Table
 
 from thermoforce_mpc.cli.building.identify import NOT_COMPETENT
-from thermoforce_mpc.cli.options import FiniteRange, plot_option
+from thermoforce_mpc.cli.building.output import on_clock, write_picture, write_table
+from thermoforce_mpc.cli.options import FiniteRange, out_option, plot_option
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Plan
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.files import written
 from thermoforce_mpc.scenario.settings import parse_overrides, validate
 from thermoforce_mpc.simulation.views.display import RunDisplay
+from thermoforce_mpc.simulation.views.whole_tables import plain_table, print_whole
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Least and usual length of a plan, h, and how much of the measurements it looks back at, days.
 _LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 28.0
@@ -32,7 +34,7 @@ _LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 28.0
 @click.option("--step", default="60min", show_default=True, help="Step of the plan.")
 @click.option("--hours", type=FiniteRange(_LEAST_H, 96.0), help="Length.  [default: the forecast's, up to 48]")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any option of the controller.")
-@click.option("--out", type=click.Path(path_type=Path), help="Write the plan: .csv or .json.")
+@out_option("the plan")
 @plot_option(of="the plan")
 def command(
     model: Path,
@@ -66,8 +68,6 @@ def command(
     from thermoforce_mpc.measurements.load import read_measurements
     from thermoforce_mpc.model.thermal_model import load_model
 
-    if out is not None and out.suffix not in (".csv", ".json"):
-        raise click.BadParameter(f"{out}: end the name in .csv or .json", param_hint="--out")
     try:
         step_s = pd.Timedelta(step).total_seconds()
     except ValueError as error:
@@ -96,16 +96,10 @@ def command(
     table = plan_table(plan, ahead.head(plan.u.shape[1]))
     _show(plan, table, display)
     if out is not None:
-        with written(out) as aside:
-            if out.suffix == ".csv":
-                table.round(4).to_csv(aside)
-            else:
-                aside.write_text(json.dumps(_content(plan, table), indent=1, ensure_ascii=False), encoding="utf-8")
-        display.say(f"Plan: {out}")
+        beside = {"status": str(plan.status), "why": plan.why, "solver": plan.solver_status}
+        write_table(out, table, display.console, "Plan", **beside)
     if plot is not None:
-        with written(plot) as aside:
-            draw_plan(aside, plan, table, ahead.head(plan.u.shape[1]))
-        display.say(f"Picture: {plot}")
+        write_picture(plot, drawn_plan(plan, table, ahead.head(plan.u.shape[1])), display.console)
 
 
 def plan_table(plan: Plan, ahead: Boundary) -> pd.DataFrame:
@@ -127,11 +121,9 @@ def _show(plan: Plan, table: pd.DataFrame, display: RunDisplay) -> None:
     """Print times and levels; with several zones without their bands and bounds, which the file has."""
     names, one_zone = plan.names, len(plan.names.zones) == 1
     title = "Levels to set (of a machine that is on or off: share of the step), and what they lead to by its end"
-    shown = Table(title=title, title_justify="left")
-    shown.add_column("from", no_wrap=True)
     zones = [f"{zone}, °C{' (80 % band)' if one_zone else ''}" for zone in names.zones]
-    for heading in (*names.actuators, *zones, *(["bounds, °C"] if one_zone else []), "power, kW", "price", "cost"):
-        shown.add_column(heading, justify="right")
+    bounds = ["bounds, °C"] if one_zone else []
+    shown = plain_table(["from", *names.actuators, *zones, *bounds, "power, kW", "price", "cost"], title)
     prices = names.columns(price_per_kWh=plan.power_W)
     day = ""
     for k, (at, row) in enumerate(table.iterrows()):
@@ -146,31 +138,19 @@ def _show(plan: Plan, table: pd.DataFrame, display: RunDisplay) -> None:
         cells.append(f"{plan.power_W[:, k].sum() / 1000:.2f}")
         cells.append(", ".join(f"{price:.3f}" for price in dict.fromkeys(row[name] for name in prices)))
         shown.add_row(*cells, f"{row['cost']:.2f}")
-    display.console.print(shown)
+    print_whole(shown, display.console)
     step_h = (table.index[1] - table.index[0]).total_seconds() / HOUR_S if len(table) > 1 else float("nan")
     energy = plan.power_W.sum() / 1000.0 * step_h
     slack = plan.slack_K.sum() * step_h
     display.say(f"Energy {energy:.1f} kWh, cost {table['cost'].sum():.2f}, expected outside the bounds {slack:.1f} K·h")
 
 
-def _content(plan: Plan, table: pd.DataFrame) -> dict[str, Any]:
-    """The plan as JSON: why, and rows with their times in ISO 8601."""
-    cells = [{str(key): _number(value) for key, value in row.items()} for _, row in table.iterrows()]
-    rows = [{"time": at.isoformat(), **row} for at, row in zip(table.index, cells, strict=True)]
-    return {"status": str(plan.status), "why": plan.why, "solver": plan.solver_status, "rows": rows}
-
-
-def _number(value: float) -> float | None:
-    return round(float(value), 4) if np.isfinite(value) else None
-
-
-def draw_plan(path: Path, plan: Plan, table: pd.DataFrame, ahead: Boundary) -> None:
-    """Write a picture: predicted temperatures with band and bounds, levels with the price."""
+def drawn_plan(plan: Plan, table: pd.DataFrame, ahead: Boundary) -> Figure:
+    """A picture: predicted temperatures with band and bounds, levels with the price."""
     from matplotlib.figure import Figure
 
     names = plan.names
-    naive = table.index.tz_localize(None) if isinstance(table.index, pd.DatetimeIndex) else table.index
-    at = naive.to_numpy()
+    at = on_clock(table.index)
     edges = np.append(at, at[-1] + (at[-1] - at[-2]))
     figure = Figure(figsize=(10.0, 7.0), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
@@ -195,4 +175,4 @@ def draw_plan(path: Path, plan: Plan, table: pd.DataFrame, ahead: Boundary) -> N
     if len(names.actuators) > 1:
         lower.legend(frameon=False, ncols=5, fontsize="small")
     lower.tick_params(axis="x", rotation=20)
-    figure.savefig(path, dpi=120, metadata={"Software": None} if path.suffix == ".png" else None)
+    return figure

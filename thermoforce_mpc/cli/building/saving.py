@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import numpy as np
@@ -11,13 +11,16 @@ import pandas as pd
 from rich.console import Console
 
 from thermoforce_mpc.cli.building.data_shown import show_doubts
+from thermoforce_mpc.cli.building.output import finish_axes, write_json_file, write_picture
 from thermoforce_mpc.cli.options import FiniteRange, plot_option
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.data.dataframes import seconds_at
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.files import written
 from thermoforce_mpc.whatif.days import Days
 from thermoforce_mpc.whatif.saving import Saving, verified_saving
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @click.command()
@@ -64,13 +67,9 @@ def command(
     _show(saving, record, console)
     show_doubts(measured.understood, console)
     if out is not None:
-        with written(out) as aside:
-            aside.write_text(json.dumps(saving.to_json(), indent=1), encoding="utf-8")
-        console.print(f"Result: {out}", soft_wrap=True)
+        write_json_file(out, saving.to_json(), console, "Result")
     if plot is not None:
-        with written(plot) as aside:
-            draw(saving, record.origin, aside)
-        console.print(f"Picture: {plot}", soft_wrap=True)
+        write_picture(plot, _drawn(saving, record.origin), console)
 
 
 def _index(record: Record, text: str, option: str) -> int:
@@ -98,8 +97,8 @@ def _show(saving: Saving, record: Record, console: Console) -> None:
         say(f"  note: {note}")
 
 
-def draw(saving: Saving, origin: pd.Timestamp, path: Path) -> None:
-    """Write a picture: measured energy of each day, and what the old operation uses by the fit."""
+def _drawn(saving: Saving, origin: pd.Timestamp) -> Figure:
+    """A picture: measured energy of each day, and what the old operation uses by the fit."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 4.0), layout="constrained")
@@ -117,7 +116,5 @@ def draw(saving: Saving, origin: pd.Timestamp, path: Path) -> None:
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel("energy, kWh per day")
     axes.set_title(saving.in_words(), fontsize=9, loc="left", wrap=True)
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False, fontsize="small")
-    axes.tick_params(axis="x", rotation=20)
-    figure.savefig(path, dpi=120)
+    finish_axes(figure)
+    return figure

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -18,7 +17,7 @@ from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.simulation.folder.run_folder import write_json
 from thermoforce_mpc.simulation.views.explaining import Decision, decision_at, hour_ends, words_of
 from thermoforce_mpc.simulation.views.other_courses import alternatives_json, alternatives_of
-from thermoforce_mpc.simulation.views.whole_tables import print_whole
+from thermoforce_mpc.simulation.views.whole_tables import plain_table, print_whole
 
 if TYPE_CHECKING:
     from controllers.mpc.alternatives import Alternatives
@@ -82,21 +81,15 @@ def command(run: Path, at: str | None, controller: str | None, hours: float, jso
 
 def _alternatives(decision: Decision, alternatives: Alternatives) -> Table:
     """The plan and other courses: the parts of what is minimised and their sum, levels, and where they end."""
-    names, step_s = decision.names, decision.boundary.step_s
+    names, step_s = decision.step.names, decision.boundary.step_s
     first = max(1, round(HOUR_S / step_s))
     hours = alternatives.courses[0].u.shape[1] * step_s / HOUR_S
-    table = Table(
-        title=f"Alternatives over {hours:g} h, the whole plan, by the same model: what is minimised",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1),
-    )
     columns = ["", *(part.replace(" ", "\n", 1) for part in alternatives.courses[0].parts), "= total"]
     columns += ["energy\nkWh", "discomfort\nK·h"]
     columns += ["u, first hour" if names.single else f"u, first hour\n{name}" for name in names.actuators]
     columns += ["ends at\n°C" if names.single else f"ends at\n{zone}" for zone in names.zones]
-    for column in columns:
-        table.add_column(column, justify="right" if column else "left", no_wrap=True)
+    title = f"Alternatives over {hours:g} h, the whole plan, by the same model: what is minimised"
+    table = plain_table(columns, title)
     for course in alternatives.courses:
         row = [course.name, *(f"{part:.2f}" for part in course.parts.values()), f"{course.total:.2f}"]
         row += [f"{course.energy_kWh:.1f}", f"{course.discomfort_Kh:.2f}"]
@@ -108,24 +101,23 @@ def _alternatives(decision: Decision, alternatives: Alternatives) -> Table:
 
 def _reason(decision: Decision, alternatives: Alternatives) -> str:
     """Why the action was taken, in one sentence."""
-    status = decision.told["status"]
+    status = decision.step.told["status"]
     if status not in _AS_PLANNED or not alternatives.reason:
         return f"not that of a plan: {_RUNGS.get(status, status)}"
-    others = sorted(set(decision.told["acting"]) - _AS_PLANNED)
+    others = sorted(set(decision.step.told["acting"]) - _AS_PLANNED)
     but = f"; at some actuators not the plan's, but {' and '.join(others)}" if others else ""
     return f"the plan's first step, of {alternatives.reason}{but}"
 
 
 def _lines(decision: Decision) -> list[str]:
     """The decision in words."""
-    record, names = decision.told, decision.names
-    lines = [f"{decision.controller}, step {record['index']}: {words_of(decision.time_s)} ({decision.time_s:.0f} s)"]
-    if decision.before is not None:
-        zones = ", ".join(f"{zone} {_C(T)}" for zone, T in zip(names.zones, decision.before.T_zone_C, strict=True))
-        lines.append(
-            f"measured: {zones}; outdoors {_C(decision.before.T_out_C)}, sun {decision.before.solar_W_m2:.0f} W/m²"
-        )
-    lines += [f"in doubt: {note}" for note in decision.notes]
+    step = decision.step
+    record, names = step.told, step.names
+    lines = [f"{decision.controller}, step {record['index']}: {words_of(step.time_s)} ({step.time_s:.0f} s)"]
+    if step.before is not None:
+        zones = ", ".join(f"{zone} {_C(T)}" for zone, T in zip(names.zones, step.before.T_zone_C, strict=True))
+        lines.append(f"measured: {zones}; outdoors {_C(step.before.T_out_C)}, sun {step.before.solar_W_m2:.0f} W/m²")
+    lines += [f"in doubt: {note}" for note in step.notes]
     lines.append(f"acted: {record['status']} – {_RUNGS.get(record['status'], 'see docs/how-it-works/fallback.md')}")
     if len(set(record["acting"])) > 1:
         acting = zip(names.actuators, record["acting"], strict=True)
@@ -138,8 +130,8 @@ def _lines(decision: Decision) -> list[str]:
     lines += [f"bound: {bound}" for bound in decision.bounds()]
     lines += [f"margin: {margin}" for margin in decision.margins_in_words()]
     lines.append("applied: " + "; then ".join(_block(block, names.actuators) for block in record["blocks"]))
-    if decision.after:
-        end = decision.after[-1]
+    if step.after:
+        end = step.after[-1]
         zones = ", ".join(f"{zone} {_C(T)}" for zone, T in zip(names.zones, end.T_zone_C, strict=True))
         planned = ""
         if decision.plan:
@@ -160,20 +152,18 @@ def _block(block: dict[str, Any], actuators: tuple[str, ...]) -> str:
 
 def _table(decision: Decision, hours: float) -> Table:
     """The planned course, hour by hour, with the forecast it was made on."""
-    boundary, names, plan = decision.boundary, decision.names, decision.plan
+    boundary, names, plan = decision.boundary, decision.step.names, decision.plan
     n = plan["u"].shape[-1]
     ends = hour_ends(n, boundary.step_s, hours)
     every = ends.step
     all_h = n * boundary.step_s / HOUR_S
     part = f", the first {hours:g} of {all_h:g} h (--hours {all_h:g} shows all)" if hours < all_h else ""
-    table = Table(title=f"Plan{part}", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
     columns = ["until", "outdoors\n°C", "sun\nW/m²", "price\nper kWh"]
     columns += ["u" if names.single else f"u\n{name}" for name in names.actuators]
     for zone in names.zones:
         of = "" if names.single else f"\n{zone}"
         columns += [f"T{of or chr(10) + '°C'}", f"80 %{of}", f"bounds{of}"]
-    for column in columns:
-        table.add_column(column, justify="right", no_wrap=True)
+    table = plain_table(columns, f"Plan{part}")
     T = decision.T_zone_C
     for end in ends:
         step = slice(end - every, end)
@@ -195,8 +185,8 @@ def _table(decision: Decision, hours: float) -> Table:
 
 def _json(decision: Decision) -> dict[str, Any]:
     """Everything, for programs."""
-    content = {key: value for key, value in decision.told.items() if key not in ("plan", "forecast", "asked")}
-    content |= {"controller": decision.controller, "bounds": decision.bounds(), "notes": list(decision.notes)}
+    content = {key: value for key, value in decision.step.told.items() if key not in ("plan", "forecast", "asked")}
+    content |= {"controller": decision.controller, "bounds": decision.bounds(), "notes": list(decision.step.notes)}
     content["plan"] = {name: values.tolist() for name, values in decision.plan.items()}
     signals = ("time_s", "T_out_C", "solar_W_m2", "lower_C", "upper_C", "price_per_kWh")
     content["forecast"] = {name: np.asarray(getattr(decision.boundary, name)).tolist() for name in signals}

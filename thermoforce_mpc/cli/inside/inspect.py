@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import click
 from rich.table import Table
 
+from thermoforce_mpc.simulation.views.whole_tables import plain_table
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -87,10 +89,7 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
     from thermoforce_mpc.identification.validation.report import BAND, step_response_of
 
     hours = STEP_RESPONSE_H[-1]
-    table = Table()
-    table.add_column("zone")
-    for actuator in operator.actuators:
-        table.add_column(actuator, justify="right")
+    table = plain_table(["zone", *operator.actuators])
     for z, zone in enumerate(operator.zones):
         cells = []
         for a in range(A):
@@ -114,9 +113,7 @@ def _show_operator(name: str, operator: OperatorParameters, card: ModelCard, con
     say = console.print
     say(f"{name}: order {operator.order}, {operator.parameters_in_words}, step {operator.step_s / 3600:g} h")
     say(f"source: {card.source}")
-    modes = Table()
-    for heading in ("mode", "time constant, h", "steady gain, K"):
-        modes.add_column(heading, justify="right")
+    modes = plain_table(["mode", "time constant, h", "steady gain, K"])
     for i, (tau, gain) in enumerate(zip(operator.time_constants_h, operator.steady_gains_K, strict=True), start=1):
         tau_sd, gain_sd = (card.uncertainty.get(f"{name}_{i}_sd_{unit}") for name, unit in _SDS)
         modes.add_row(str(i), f"{tau:.2f}{_give_or_take(tau_sd)}", f"{gain:.2f}{_give_or_take(gain_sd)}")
@@ -135,10 +132,7 @@ def _show_operator(name: str, operator: OperatorParameters, card: ModelCard, con
             "  the modulation depends on the predicted temperature; proven for a feedback v dm/dT within "
             f"[{least:.4f}, {most:.4f}] per K, for the {len(proof.effect_low_K)} steps below"
         )
-    effects = Table()
-    effects.add_column("hours later", justify="right")
-    effects.add_column("at least", justify="right")
-    effects.add_column("at most", justify="right")
+    effects = plain_table(["hours later", "at least", "at most"])
     for hours in _LAGS_H:
         k = round(hours * 3600 / operator.step_s) - 1
         if 0 <= k < len(proof.effect_low_K):
@@ -221,9 +215,7 @@ def _show_competence(card: ModelCard, console: Console) -> None:
     if verdict is None:
         console.print("Competence: not judged" + (f". {card.unfit}" if card.unfit else ""), soft_wrap=True)
         return
-    table = Table()
-    for heading in ("hours ahead", "model", "unchanged", "weather alone", "better by, t", "than unchanged, t"):
-        table.add_column(heading, justify="right")
+    table = plain_table(["hours ahead", "model", "unchanged", "weather alone", "better by, t", "than unchanged, t"])
     for score in verdict.horizons:
         numbers = (f"{value:.2f}" for value in (score.model_K, score.persistence_K, score.weather_K))
         table.add_row(f"{score.hours:g}", *numbers, f"{score.better_t:.1f}", f"{-score.persistence_t:.1f}")
@@ -253,9 +245,7 @@ def _show_step_response(uncertainty: Mapping[str, float], sign: int, console: Co
         return
     from thermoforce_mpc.identification.validation.report import BAND
 
-    table = Table()
-    for heading in ("hours later", "expected", "from", "to"):
-        table.add_column(heading, justify="right")
+    table = plain_table(["hours later", "expected", "from", "to"])
     for hours in lags_h:
         name = f"step_response_{hours}h"
         mean, sd = sign * uncertainty[f"{name}_K"], uncertainty[f"{name}_sd_K"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -21,7 +22,12 @@ from thermoforce_mpc.errors import ConfigError
 @click.option("--weather", default="synthetic", show_default=True, help="'synthetic', or a .mos or .epw file.")
 @click.option("--prices", type=click.Path(path_type=Path), help="CSV (time s, price per kWh): highly dynamic tariff.")
 @click.option(
-    "--tests", type=click.IntRange(1, 100), default=8, show_default=True, help="Largest number of tests at a time."
+    "--tests",
+    "most_tests",
+    type=click.IntRange(1, 100),
+    default=8,
+    show_default=True,
+    help="Largest number of tests at a time.",
 )
 @click.option(
     "--tests-each",
@@ -30,6 +36,7 @@ from thermoforce_mpc.errors import ConfigError
 )
 @click.option(
     "--idle",
+    "idle_s",
     type=FiniteRange(1.0),
     default=900.0,
     show_default=True,
@@ -37,6 +44,7 @@ from thermoforce_mpc.errors import ConfigError
 )
 @click.option(
     "--lifetime",
+    "lifetime_s",
     type=FiniteRange(1.0),
     default=7 * 86400.0,
     show_default=True,
@@ -44,6 +52,7 @@ from thermoforce_mpc.errors import ConfigError
 )
 @click.option(
     "--request-bytes",
+    "most_bytes",
     type=click.IntRange(1000, 100_000_000),
     default=1_000_000,
     show_default=True,
@@ -51,6 +60,7 @@ from thermoforce_mpc.errors import ConfigError
 )
 @click.option(
     "--rate",
+    "per_second",
     type=FiniteRange(1.0),
     default=500.0,
     show_default=True,
@@ -62,20 +72,7 @@ from thermoforce_mpc.errors import ConfigError
     show_envvar=True,
     help="Every request must send it as 'Authorization: Bearer TOKEN'. As an option it shows in the process list.",
 )
-def command(
-    host: str,
-    port: int,
-    names: tuple[str, ...],
-    weather: str,
-    prices: Path | None,
-    tests: int,
-    tests_each: int | None,
-    idle: float,
-    lifetime: float,
-    request_bytes: int,
-    rate: float,
-    token: str | None,
-) -> None:
+def command(host: str, weather: str, prices: Path | None, token: str | None, **options: Any) -> None:
     """Serve the embedded plant over BOPTEST's REST protocol, as test case bestest_hydronic_heat_pump.
 
     A test takes up to about 150 MB of memory for a simulated year. An address that other machines can reach needs a
@@ -108,18 +105,4 @@ def command(
         needed = " Requests need the token." if token else ""
         click.echo(f"Serving bestest_hydronic_heat_pump ({year.name}) at {url}.{needed} Stop with Ctrl-C.")
 
-    serve(
-        year,
-        host=host,
-        port=port,
-        highly_dynamic=tariff,
-        token=token or None,
-        names=names,
-        most_tests=tests,
-        tests_each=tests_each,
-        idle_s=idle,
-        lifetime_s=lifetime,
-        most_bytes=request_bytes,
-        per_second=rate,
-        on_ready=ready,
-    )
+    serve(year, host=host, highly_dynamic=tariff, token=token or None, on_ready=ready, **options)

@@ -18,7 +18,7 @@ from thermoforce_mpc.cli.options import FiniteRange
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.simulation.views.explaining import hour_ends, words_of
 from thermoforce_mpc.simulation.views.live_view import LiveRun, Point, View
-from thermoforce_mpc.simulation.views.whole_tables import width_of
+from thermoforce_mpc.simulation.views.whole_tables import plain_table, width_of
 
 _BARS = "▁▂▃▄▅▆▇█"
 # Bars of a course at most, and as many as its heading is long.
@@ -157,9 +157,7 @@ def _plan_table(view: View, hours: float, parts: list[list[str]], which: range) 
     step_s = view.plan[1].time_s - view.plan[0].time_s if len(view.plan) > 1 else HOUR_S
     ends = hour_ends(len(view.plan), step_s, hours)
     every = ends.step
-    table = Table(title=None if which.start else "Plan", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
-    for column in ("until", *(text for i in which for text in parts[i])):
-        table.add_column(column, justify="right", no_wrap=True)
+    table = plain_table(["until", *(text for i in which for text in parts[i])], None if which.start else "Plan")
     for end in ends:
         last, part = view.plan[end - 1], view.plan[end - every : end]
         cells = [[f"{sum(point.u[a] for point in part) / every:.2f}"] for a in range(len(view.actuators))]

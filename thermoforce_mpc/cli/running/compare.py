@@ -10,9 +10,7 @@ from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.cli.running.comparing import (
     axes_from,
     comparison_options,
-    exit_with,
     run_comparison,
-    scenario_options_from,
 )
 from thermoforce_mpc.simulation.comparison.variants import comma_list, load_comparison, variants_by_name
 
@@ -48,8 +46,6 @@ def command(**options: Any) -> None:
     elif file is None:
         names = comma_list(_CONTESTANTS, "--controllers")
     variants = variants_by_name(names, file)
-    base = scenario_from(scenario_options_from(options), file.scenario if file else None)
+    base = scenario_from(options, file.scenario if file else None)
     axes = axes_from(options, base, file)
-    exit_with(
-        run_comparison(base, variants, axes, options, name="compare", title=f"Controllers compared on {base.testcase}")
-    )
+    run_comparison(base, variants, axes, options, name="compare", title=f"Controllers compared on {base.testcase}")

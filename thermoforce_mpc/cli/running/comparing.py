@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from thermoforce_mpc.cli.options import (
     added,
@@ -21,13 +19,13 @@ from thermoforce_mpc.cli.options import (
     execution_options,
     learned_options,
 )
+from thermoforce_mpc.cli.running.executing import FAILED, note_other_code, run_cells, sayer
 from thermoforce_mpc.errors import ConfigError, counted
-from thermoforce_mpc.execution import Outcome, TaskProgress, execute, source_fingerprint
-from thermoforce_mpc.execution.progress import summary
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.schedule.dates import window_name
-from thermoforce_mpc.simulation.comparison.cells import Cell, Inputs, expand
+from thermoforce_mpc.scenario.testcase import PRICES
+from thermoforce_mpc.simulation.comparison.cells import Inputs, expand
 from thermoforce_mpc.simulation.comparison.equal_comfort import searches_equal_comfort
 from thermoforce_mpc.simulation.comparison.files import (
     FORMS,
@@ -38,17 +36,16 @@ from thermoforce_mpc.simulation.comparison.files import (
     shown_figures,
     write_outcome,
 )
-from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT, group_title, grouped, verdicts
+from thermoforce_mpc.simulation.comparison.outcome import group_title, grouped, verdicts
 from thermoforce_mpc.simulation.comparison.searching import EqualComfort
 from thermoforce_mpc.simulation.comparison.store import DONE, Store
-from thermoforce_mpc.simulation.comparison.tasks import failure, tasks_of
-from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant, comma_list, price_names
+from thermoforce_mpc.simulation.comparison.tasks import tasks_of
+from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant, comma_list, known_names
 from thermoforce_mpc.simulation.composition import check_window
 from thermoforce_mpc.simulation.views.display import zone_table
-from thermoforce_mpc.simulation.views.whole_tables import print_whole
+from thermoforce_mpc.simulation.views.whole_tables import plain_table, print_whole
 
 UNCERTAINTIES = tuple(PlantSpec.model_fields["forecast_uncertainty"].annotation.__args__)  # type: ignore[union-attr]
-CELLS_FAILED = 3
 # KPIs that fit 80 columns; the files have all.
 _ON_CONSOLE = ("cost_tot", "tdis_tot", "saving", "ener_tot", "plan_ms", "fallbacks")
 
@@ -62,6 +59,7 @@ _axes_options = added(
     ),
     click.option(
         "--prices",
+        "tariffs",
         metavar="A,B",
         help="constant, dynamic, highly_dynamic.  [default: the scenario's, else constant]",
     ),
@@ -70,7 +68,7 @@ _axes_options = added(
         metavar="A,B",
         help="none, low, medium, high.  [default: the scenario's, else none]",
     ),
-    click.option("--tariff-file", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
+    click.option("--tariff-file", "prices", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
 )
 _result_options = added(
     click.option(
@@ -116,16 +114,14 @@ def axes_from(options: Mapping[str, Any], base: Scenario, file: ComparisonFile |
         windows = _of_file(base, "period", "windows", file.windows if file else ()) or _windows_of(base)
     for window in windows:
         check_window(window)
-    if options["prices"] is not None:
-        prices = price_names(options["prices"])
+    if options["tariffs"] is not None:
+        prices = known_names(options["tariffs"], "--prices", PRICES)
     else:
         prices = _of_file(base, "price", "prices", file.prices if file else ()) or (base.price,)
     text = options["forecast_uncertainty"]
-    levels = comma_list(text, "--forecast-uncertainty") if text is not None else (base.plant.forecast_uncertainty,)
-    for level in levels:
-        if level not in UNCERTAINTIES:
-            allowed = ", ".join(UNCERTAINTIES)
-            raise ConfigError(f"--forecast-uncertainty: unknown level '{level}'; known: {allowed}")
+    levels: tuple[str, ...] = (base.plant.forecast_uncertainty,)
+    if text is not None:
+        levels = known_names(text, "--forecast-uncertainty", UNCERTAINTIES)
     return Axes(windows, prices, levels)
 
 
@@ -153,15 +149,6 @@ def _windows_of(base: Scenario) -> tuple[str, ...]:
     return f"peak_{season}_day", f"typical_{season}_day"
 
 
-def scenario_options_from(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options renamed to those that `scenario_from` expects."""
-    unchanged = (
-        "testcase", "config", "days", "weather", "seed", "model", "probing", "url", "fmu", "equal_comfort",
-        "assignments",
-    )  # fmt: skip
-    return {key: options[key] for key in unchanged} | {"prices": options["tariff_file"]}
-
-
 def run_comparison(
     base: Scenario,
     variants: Mapping[str, Variant],
@@ -171,11 +158,8 @@ def run_comparison(
     name: str,
     title: str,
     swept: Mapping[str, str] | None = None,
-) -> int:
-    """Run the cells that have no stored result, then write and print the outcome.
-
-    Returns:
-        The exit code: 0, or 3 where a cell has no result.
+) -> None:
+    """Run the cells that have no stored result, then write and print the outcome; exits with 3 where a cell has none.
 
     Raises:
         ConfigError: an option is wrong; no cell has been run.
@@ -187,83 +171,37 @@ def run_comparison(
     store = Store(options["out"] or Path("runs") / f"{name}-{testcase.name}")
     console = Console(highlight=False, markup=False)
     quiet = options["quiet"] or options["form"] is not None
-    say: Callable[[str], None] = (lambda text: None) if quiet else _sayer(console)
+    say = sayer(console, quiet)
     stored = {cell.key: record for cell in cells if (record := store.finished(cell)) is not None}
     todo = [cell for cell in cells if cell.key not in stored]
     say(f"{counted(len(cells), 'cell')}: {len(cells) - len(todo)} already done, {len(todo)} to run; {store.folder}")
-    stale = sum(record.get("source") != source_fingerprint() for record in stored.values())
-    if stale:
-        say(
-            f"Note: {stale} of the stored cells made by other source code of this version; use another --out to rerun "
-            "all"
-        )
-    try:
-        ran = _run(todo, store, console, options, say) if todo else {}
-    except KeyboardInterrupt:
-        n_stored = sum(store.finished(cell) is not None for cell in cells)
-        click.echo(
-            f"{n_stored} of {len(cells)} cells are stored in {store.folder}; repeat the command to resume", err=True
-        )
-        raise
-    records = [_with_variant(cell, {**stored, **ran}[cell.key]) for cell in cells]
+    note_other_code((record["source"] for record in stored.values()), say)
+    run_cells(tasks_of(todo), store, console, options["engine"], quiet, stored)
+    # With the names of this comparison: two may refer to the same run.
+    records: list[dict[str, Any]] = [{**stored[cell.key], "variant": cell.variant} for cell in cells]
     if searches_equal_comfort(base):
         search = EqualComfort(store, inputs, testcase, lambda text: say(f"searching a thermostat: {text}"))
         records = search.beside(cells, records)
     result = write_outcome(store.folder, records, name=name, title=title, currency=testcase.currency, swept=swept)
     if options["form"] is not None:
         click.echo(formatted(result["rows"], options["form"], title, testcase.currency), nl=False)
-        return CELLS_FAILED if any(record["status"] != DONE for record in records) else 0
-    show_outcome(console, result["rows"], testcase.currency)
-    page = shlex.quote(str(store.folder / "comparison.html"))
-    console.print(f"Table, CSV, JSON and page: {page}", soft_wrap=True, markup=False)
-    return CELLS_FAILED if any(record["status"] != DONE for record in records) else 0
-
-
-def _run(
-    cells: Sequence[Cell], store: Store, console: Console, options: Mapping[str, Any], say: Callable[[str], None]
-) -> dict[str, dict[str, Any]]:
-    """Run cells; returns the record of each by key: its result, or the reason of its failure."""
-    records: dict[str, dict[str, Any]] = {}
-    with (
-        TaskProgress(console, quiet=options["quiet"] or options["form"] is not None, line=_line) as progress,
-        options["engine"](say) as engine,
-    ):
-        store.create()  # not before: a cluster that cannot be used leaves no folder
-        for outcome in execute(tasks_of(cells), engine, store, progress):
-            cell = outcome.task.inputs
-            if not isinstance(cell, Cell):
-                continue
-            if outcome.reason:
-                store.write(cell, failure(cell, outcome.reason))
-            records[cell.key] = failure(cell, outcome.reason) if outcome.reason else outcome.value
-    return records
-
-
-def _line(outcome: Outcome) -> str:
-    if not isinstance(outcome.task.inputs, Cell):
-        return summary(outcome)
-    kpis = outcome.value["kpis"]
-    return f"{outcome.task.title}: {kpis[COST]:.4f} / {kpis[DISCOMFORT]:.2f} K·h ({outcome.seconds:.0f} s)"
-
-
-def exit_with(code: int) -> None:
-    """Exit with `code` unless it is 0."""
-    if code:
-        sys.exit(code)
+    else:
+        show_outcome(console, result["rows"], testcase.currency)
+        page = shlex.quote(str(store.folder / "comparison.html"))
+        console.print(f"Table, CSV, JSON and page: {page}", soft_wrap=True, markup=False)
+    if any(record["status"] != DONE for record in records):
+        sys.exit(FAILED)
 
 
 def show_outcome(console: Console, rows: Sequence[dict[str, Any]], currency: str) -> None:
     """Print the tables, the findings and the failed cells."""
     for group, members in grouped(rows).items():
-        table = Table(title=group_title(group), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
-        table.add_column("controller", overflow="fold", min_width=12)
         own = own_columns(members)
-        for key, heading in zip(HEADINGS, headings(currency), strict=True):
-            if key in _ON_CONSOLE:
-                heading = heading.replace("discomfort", "discomf.").replace("saving at equal comfort", "saved")
-                table.add_column(heading.replace(", ", "\n"), justify="right")
-        for key in own:
-            table.add_column(key.replace(", ", "\n"), justify="right")
+        of_key = dict(zip((*HEADINGS, *own), headings(currency, members), strict=True))
+        shown = [of_key[key].replace(", ", "\n") for key in (*_ON_CONSOLE, *own)]
+        shown = [text.replace("discomfort", "discomf.").replace("saving at equal comfort", "saved") for text in shown]
+        table = plain_table(["controller", *shown], group_title(group), folded=True)
+        table.columns[0].min_width = 12
         for row in members:
             figures = dict(zip((*HEADINGS, *own), shown_figures(row, own), strict=True))
             style = "bold" if row["pareto"] else None
@@ -278,12 +216,3 @@ def show_outcome(console: Console, rows: Sequence[dict[str, Any]], currency: str
         if row["status"] != DONE:
             where = f"{row['controller']}, {row['window']}, {row['price']}"
             console.print(f"FAILED {where}: {row['reason']}", soft_wrap=True, markup=False)
-
-
-def _sayer(console: Console) -> Callable[[str], None]:
-    return lambda text: console.print(text, soft_wrap=True, markup=False)
-
-
-def _with_variant(cell: Cell, record: Mapping[str, Any]) -> dict[str, Any]:
-    """The record with the variant name of this comparison; two names may refer to the same run."""
-    return {**record, "variant": cell.variant}

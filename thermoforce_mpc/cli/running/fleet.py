@@ -5,22 +5,20 @@ from __future__ import annotations
 import shlex
 import sys
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 import pandas as pd
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from thermoforce_mpc.cli.options import Opening, execution_options
+from thermoforce_mpc.cli.running.executing import FAILED, note_other_code, outcomes_of, run_cells, sayer
 from thermoforce_mpc.errors import ConfigError, counted
-from thermoforce_mpc.execution import Outcome, Task, TaskProgress, execute, source_fingerprint
-from thermoforce_mpc.execution.progress import summary
+from thermoforce_mpc.execution import Task
 from thermoforce_mpc.files import write_whole
-from thermoforce_mpc.simulation.comparison.store import DONE
+from thermoforce_mpc.simulation.comparison.store import DONE, Store
 from thermoforce_mpc.simulation.comparison.tasks import failure
 from thermoforce_mpc.simulation.fleet.buildings import buildings_of
 from thermoforce_mpc.simulation.fleet.dataset import (
@@ -34,11 +32,10 @@ from thermoforce_mpc.simulation.fleet.dataset import (
 from thermoforce_mpc.simulation.fleet.file import load_fleet
 from thermoforce_mpc.simulation.fleet.models import Measured, tasks_of_records, with_models, write_models
 from thermoforce_mpc.simulation.fleet.page import fleet_page, headline
-from thermoforce_mpc.simulation.fleet.runs import FleetResults, Run, models_again, runs_of, tasks_of
+from thermoforce_mpc.simulation.fleet.runs import Run, models_again, place_trajectories, runs_of, tasks_of
 from thermoforce_mpc.simulation.fleet.summary import Group, causes, groups, lost, paired
-from thermoforce_mpc.simulation.views.whole_tables import print_whole
+from thermoforce_mpc.simulation.views.whole_tables import plain_table, print_whole
 
-RUNS_FAILED = 3
 _SHOWN_FAILURES = 10
 
 
@@ -93,47 +90,34 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
     console.print(f"{_counts_in_words(runs)}, {counted(identifications, 'identification')}", soft_wrap=True)
     if count:
         return
-    results = FleetResults(out or Path("runs") / f"fleet-{path.stem}")
-    check_dataset(results.folder)
+    store = Store(out or Path("runs") / f"fleet-{path.stem}")
+    check_dataset(store.folder)
     no_model: dict[str, str] = {}
     if measured:
-        models, no_model = _identify(measured, results, console, engine, quiet)
+        models, no_model = _identify(measured, store, console, engine, quiet)
         runs = runs_of(file, with_models(buildings, models, no_model), path)
     to_run = [run for run in runs if not run.refused]
-    records = {run.cell.key: record for run in to_run if (record := results.record(run)) is not None}
+    records = {run.cell.key: record for run in to_run if (record := store.finished(run.cell)) is not None}
     keys = {run.cell.key for run in to_run}
     rows_of_others = {key: finished[key] for key in keys if key in finished and key not in records}
     own = [run for run in to_run if run.cell.key not in rows_of_others]
     todo = [run for run in own if run.cell.key not in records]
-    again = models_again(own, records, results)
-    if not quiet:
-        taken = f"{len(to_run) - len(own)} taken from other datasets, " if reuse else ""
-        console.print(
-            f"{counted(len(own) - len(todo), 'run')} done, {taken}{len(todo)} left; {results.folder}", soft_wrap=True
-        )
-        if again:
-            console.print(f"{counted(len(again), 'model')} missing or damaged, to be identified again", soft_wrap=True)
-        made_by = [record["source"] for record in records.values()] + [row["code"] for row in rows_of_others.values()]
-        if stale := sum(source != source_fingerprint() for source in made_by):
-            console.print(
-                f"Note: {stale} of them made by other source code of this version; to run all anew, take another "
-                f"--out{' and leave out --reuse' if rows_of_others else ''}",
-                soft_wrap=True,
-            )
-    try:
-        if todo or again:
-            _run([*again, *tasks_of(todo)], results, records, console, engine, quiet)
-    except KeyboardInterrupt:
-        n_kept = sum(records.get(run.cell.key, {}).get("status") == DONE for run in own)
-        click.echo(f"{n_kept} of {len(own)} runs are kept in {results.folder}; repeat the command to resume", err=True)
-        raise
-    results.create()
-    dataset = write_dataset(results.folder, [_row(run, records, rows_of_others) for run in runs])
+    again = models_again(own, records, store)
+    say = sayer(console, quiet)
+    taken = f"{len(to_run) - len(own)} taken from other datasets, " if reuse else ""
+    say(f"{counted(len(own) - len(todo), 'run')} done, {taken}{len(todo)} left; {store.folder}")
+    if again:
+        say(f"{counted(len(again), 'model')} missing or damaged, to be identified again")
+    made_by = [record["source"] for record in records.values()] + [row["code"] for row in rows_of_others.values()]
+    note_other_code(made_by, say, "take another --out" + " and leave out --reuse" * bool(rows_of_others))
+    run_cells([*again, *tasks_of(todo)], store, console, engine, quiet, records)
+    store.create()
+    dataset = write_dataset(store.folder, [_row(run, records, rows_of_others) for run in runs])
     if file.trajectories:
-        results.place_trajectories(to_run)
+        place_trajectories(store, to_run)
     rows = read_dataset(dataset)
-    verdicts = write_models(results.folder, results, own, records, measured, no_model)
-    page = results.folder / "index.html"
+    verdicts = write_models(store, own, records, measured, no_model)
+    page = store.folder / "index.html"
     command_line = shlex.join(["tf-mpc", "fleet", fleet])
     scenarios = {run.cell.key: run.cell.scenario for run in runs}
     write_whole(page, fleet_page(rows, file.reference, f"Fleet {path.stem}", command_line, scenarios))
@@ -141,7 +125,7 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
     console.print(f"Runs: {shlex.quote(str(dataset))}; models: {shlex.quote(str(verdicts))}", soft_wrap=True)
     console.print(f"Page: {shlex.quote(str(page))}", soft_wrap=True)
     if no_model or (rows["status"] != DONE).any():
-        sys.exit(RUNS_FAILED)
+        sys.exit(FAILED)
 
 
 def _row(run: Run, records: Mapping[str, Mapping[str, Any]], others: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -169,51 +153,20 @@ def _counts_in_words(runs: list[Run]) -> str:
 
 
 def _identify(
-    measured: Mapping[str, Task], results: FleetResults, console: Console, engine: Opening, quiet: bool
+    measured: Mapping[str, Task], store: Store, console: Console, engine: Opening, quiet: bool
 ) -> tuple[dict[str, Path], dict[str, str]]:
     """Identify from measurements; by name where each building's model is, and the verdict on those that have none."""
     models, none = dict[str, Path](), dict[str, str]()
-    with TaskProgress(console, quiet=quiet) as progress, engine(_sayer(console, quiet)) as where:
-        results.create()  # not before: a cluster that cannot be used leaves no folder
-        for outcome in execute(measured.values(), where, results, progress):
-            made_of = outcome.task.inputs
-            if not isinstance(made_of, Measured):
-                continue
-            if why := outcome.reason or outcome.value.refused:
-                none[made_of.building] = f"{'failed' if outcome.reason else 'refused'}: {why}"
-                console.print(f"{made_of.building}: no model from its measurements: {why}", soft_wrap=True)
-            else:
-                models[made_of.building] = results.model_path(outcome.task.key)
+    for outcome in outcomes_of(measured.values(), store, console, engine, quiet):
+        made_of = outcome.task.inputs
+        if not isinstance(made_of, Measured):
+            continue
+        if why := outcome.reason or outcome.value.refused:
+            none[made_of.building] = f"{'failed' if outcome.reason else 'refused'}: {why}"
+            console.print(f"{made_of.building}: no model from its measurements: {why}", soft_wrap=True)
+        else:
+            models[made_of.building] = store.model_path(outcome.task.key)
     return models, none
-
-
-def _sayer(console: Console, quiet: bool) -> Callable[[str], None]:
-    return lambda text: None if quiet else console.print(text, soft_wrap=True)
-
-
-def _run(
-    todo: list[Task],
-    results: FleetResults,
-    records: dict[str, dict[str, Any]],
-    console: Console,
-    engine: Opening,
-    quiet: bool,
-) -> None:
-    """Do what is left; every record of a run goes into `records` by key as it comes."""
-    with TaskProgress(console, quiet=quiet, line=_line) as progress, engine(_sayer(console, quiet)) as where:
-        results.create()  # not before: a cluster that cannot be used leaves no folder
-        for outcome in execute(todo, where, results, progress):
-            run = outcome.task.inputs
-            if isinstance(run, Run):
-                failed = outcome.reason and results.put_failure(run, outcome.reason)
-                records[run.cell.key] = failed or outcome.value.record
-
-
-def _line(outcome: Outcome) -> str:
-    if not isinstance(outcome.task.inputs, Run):
-        return summary(outcome)
-    kpis = outcome.value.record["kpis"]
-    return f"{outcome.task.title}: {kpis['cost_tot']:.4f} / {kpis['tdis_tot']:.2f} K·h ({outcome.seconds:.0f} s)"
 
 
 def saving_cells(group: Group) -> tuple[str, str, str]:
@@ -231,10 +184,8 @@ def _show(console: Console, rows: pd.DataFrame, reference: str) -> None:
             continue
         distributions = groups(pairs)
         console.print(headline(distributions[0], variant, reference), soft_wrap=True)
-        table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
-        table.add_column(f"{variant}", overflow="fold")
-        for heading in ("runs", "saving\nmedian %", "10 to 90 %", "cheaper\n%", "> 0.5 K·h\nworse %"):
-            table.add_column(heading, justify="right")
+        headings = (variant, "runs", "saving\nmedian %", "10 to 90 %", "cheaper\n%", "> 0.5 K·h\nworse %")
+        table = plain_table(headings, folded=True)
         for group in distributions:
             table.add_row(
                 f"{group.by} {group.value}".strip(),

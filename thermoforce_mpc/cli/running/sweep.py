@@ -10,9 +10,7 @@ from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.cli.running.comparing import (
     axes_from,
     comparison_options,
-    exit_with,
     run_comparison,
-    scenario_options_from,
 )
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.testcases import load_testcase
@@ -23,7 +21,9 @@ _VALUES = "0.0026,0.005,0.01,0.026,0.05,0.1"
 
 @click.command()
 @comparison_options
-@click.option("--controller", default="thermoforce_mpc", show_default=True, metavar="NAME", help="Controller to vary.")
+@click.option(
+    "--controller", "varied", default="thermoforce_mpc", show_default=True, metavar="NAME", help="Controller to vary."
+)
 @click.option(
     "--over",
     default="comfort_weight_per_m2",
@@ -54,9 +54,9 @@ def command(**options: Any) -> None:
     Exit codes: 0 all cells have a result, 2 bad input, 3 a cell failed (the others are stored), 7 the cluster is gone,
     130 interrupted.
     """
-    base = scenario_from(scenario_options_from(options))
+    base = scenario_from(options)
     testcase = load_testcase(base.testcase)
-    controller = options["controller"]
+    controller = options["varied"]
     key = numeric_option(controller, options["over"])
     values = [_number(word) for word in comma_list(options["values"], "--values")]
     swept = swept_variants(controller, key, values, testcase)
@@ -64,9 +64,7 @@ def command(**options: Any) -> None:
     beside = variants_by_name(comma_list(options["beside"], "--beside"), None) if options["beside"].strip() else {}
     title = f"{controller} over {key} on {base.testcase}"
     variants = {**swept, **beside}
-    exit_with(
-        run_comparison(base, variants, axes_from(options, base), options, name="sweep", title=title, swept=labels)
-    )
+    run_comparison(base, variants, axes_from(options, base), options, name="sweep", title=title, swept=labels)
 
 
 def _number(word: str) -> float:

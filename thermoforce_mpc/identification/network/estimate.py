@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import expm, expm_frechet
+from scipy.linalg import expm
 from scipy.optimize import OptimizeResult, minimize
 
 from thermoforce_mpc.data import Array
@@ -127,7 +127,9 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
             else:
                 x0[: room.disturbances.start] = first
             R = reading + run.rounding_K2 + _MODEL_SD_K**2
-            readings = run.readings if run.on_sensor is None else run.readings - run.on_sensor * theta[sensor]
+            readings = run.readings.copy()  # one that may be written to: others would be compiled for once more
+            if run.on_sensor is not None:
+                readings -= run.on_sensor * theta[sensor]
             half, slopes = likelihood(A, B, share * Q, R, x0, P0, run.inputs, readings)
             if run.on_sensor is not None:
                 gradient[sensor] -= run.on_sensor @ slopes.readings
@@ -136,7 +138,11 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
             by_transition[:n, n:] += slopes.B
             by_stationary = share * stationary * slopes.P0[room.disturbances]
             gradient = gradient + room.noise_slopes(Q, share * slopes.Q, by_stationary, reading * slopes.R)
-        by_matrix = expm_frechet(whole.T, by_transition * step_h, compute_expm=False)[:n]
+        # The derivative of an exponential is a block of one twice as large (Van Loan 1978).
+        twice = np.zeros((2 * size, 2 * size))
+        twice[:size, :size] = twice[size:, size:] = whole.T
+        twice[:size, size:] = by_transition * step_h
+        by_matrix = expm(twice)[:n, size:]
         gradient = gradient + room.slopes(theta, equations, by_matrix)
     return value, gradient
 

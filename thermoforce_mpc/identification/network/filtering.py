@@ -44,42 +44,101 @@ def likelihood(
         readings: of state 0 (N,), K; NaN is a gap.
     """
     N, n = readings.size, A.shape[0]
-    states, covariances = np.zeros((N, n)), np.zeros((N, n, n))
+    means, covariances = np.zeros((N, n)), np.zeros((N, n, n))
     columns, variances, errors = np.zeros((N, n)), np.ones(N), np.zeros(N)
-    x, P, total = x0.copy(), np.diag(P0), 0.0
+    total = _filtered(A, B, Q, R, x0, P0, inputs, readings, means, covariances, columns, variances, errors)
+    by_A, by_B, by_Q = np.zeros((n, n)), np.zeros((n, B.shape[1])), np.zeros(n)
+    by_P0, by_readings = np.zeros(n), np.zeros(N)
+    by_R = _adjoint(
+        A, inputs, readings, means, covariances, columns, variances, errors, by_A, by_B, by_Q, by_P0, by_readings
+    )
+    return total, Slopes(by_A, by_B, by_Q, by_R, by_P0, by_readings)
+
+
+# Loops over numbers: NumPy's operations take many times as long to compile, and on arrays this small longer to run.
+
+
+@njit(cache=True)
+def _filtered(A, B, Q, R, x0, P0, inputs, readings, means, covariances, columns, variances, errors):  # type: ignore[no-untyped-def]
+    """The likelihood; writes mean and covariance after each reading, and column 0, variance and error before it."""
+    N, n, total = readings.size, A.shape[0], 0.0
+    x, P, following, half = np.zeros(n), np.zeros((n, n)), np.zeros(n), np.zeros((n, n))
+    for i in range(n):
+        x[i], P[i, i] = x0[i], P0[i]
     for k in range(N):
         if not np.isnan(readings[k]):
-            S, error, column = P[0, 0] + R, readings[k] - x[0], P[:, 0].copy()
-            columns[k], variances[k], errors[k] = column, S, error
+            S, error = P[0, 0] + R, readings[k] - x[0]
+            variances[k], errors[k] = S, error
             total += 0.5 * (np.log(S) + error * error / S)
-            x = x + column * (error / S)
-            P = P - np.outer(column, column / S)
-        states[k], covariances[k] = x, P
-        if k < N - 1:
-            x = A @ x + B @ inputs[k]
-            P = A @ P @ A.T
             for i in range(n):
-                P[i, i] += Q[i]
-    by_A, by_B, by_Q, by_R = np.zeros(A.shape), np.zeros(B.shape), np.zeros(n), 0.0
-    by_readings = np.zeros(N)
-    by_x, by_P, transposed = np.zeros(n), np.zeros((n, n)), np.ascontiguousarray(A.T)
+                columns[k, i] = P[i, 0]
+            for i in range(n):
+                x[i] += columns[k, i] * error / S
+                for j in range(n):
+                    P[i, j] -= columns[k, i] * columns[k, j] / S
+        for i in range(n):
+            means[k, i] = x[i]
+            for j in range(n):
+                covariances[k, i, j] = P[i, j]
+        if k == N - 1:
+            break
+        for i in range(n):
+            following[i] = _dot(A[i], x) + _dot(B[i], inputs[k])
+            for j in range(n):
+                half[i, j] = _dot(A[i], P[j])  # P is symmetric
+        for i in range(n):
+            x[i] = following[i]
+            for j in range(n):
+                P[i, j] = _dot(half[i], A[j])
+            P[i, i] += Q[i]
+    return total
+
+
+@njit(cache=True)
+def _adjoint(  # type: ignore[no-untyped-def]
+    A, inputs, readings, means, covariances, columns, variances, errors, by_A, by_B, by_Q, by_P0, by_readings
+):
+    """The derivative by the variance of a reading; writes the others, of `Slopes`."""
+    N, n, by_R = readings.size, A.shape[0], 0.0
+    by_x, by_P, following, turned = np.zeros(n), np.zeros((n, n)), np.zeros(n), np.zeros((n, n))
     for k in range(N - 1, -1, -1):
         if k < N - 1:
-            turned = by_P @ A
-            by_A += np.outer(by_x, states[k]) + 2.0 * (turned @ covariances[k])
-            by_B += np.outer(by_x, inputs[k])
-            by_Q += np.diag(by_P)
-            by_x = transposed @ by_x
-            by_P = transposed @ turned
+            for i in range(n):
+                by_Q[i] += by_P[i, i]
+                following[i] = _dot(A[:, i], by_x)
+                for j in range(n):
+                    turned[i, j] = _dot(by_P[i], A[:, j])
+                for j in range(inputs.shape[1]):
+                    by_B[i, j] += by_x[i] * inputs[k, j]
+            for i in range(n):
+                for j in range(n):
+                    by_A[i, j] += by_x[i] * means[k, j] + 2.0 * _dot(turned[i], covariances[k, j])
+                    by_P[i, j] = _dot(A[:, i], turned[:, j])
+            for i in range(n):
+                by_x[i] = following[i]
         if not np.isnan(readings[k]):
             column, S, error = columns[k], variances[k], errors[k]
-            along, pulled = by_x @ column, by_P @ column
-            by_column = by_x * (error / S) - 2.0 * pulled / S
-            by_S = (column @ pulled - along * error) / S**2 + 0.5 * (1.0 / S - error * error / S**2)
+            along, twice = _dot(by_x, column), 0.0
+            for i in range(n):
+                following[i] = _dot(by_P[i], column)
+                twice += column[i] * following[i]
+            by_S = (twice - along * error) / S**2 + 0.5 * (1.0 / S - error * error / S**2)
+            for i in range(n):
+                by_column = (by_x[i] * error - 2.0 * following[i]) / S
+                by_P[0, i] += 0.5 * by_column
+                by_P[i, 0] += 0.5 * by_column
             by_readings[k] = (along + error) / S
             by_x[0] -= by_readings[k]
-            by_P[0] += 0.5 * by_column
-            by_P[:, 0] += 0.5 * by_column
             by_P[0, 0] += by_S
             by_R += by_S
-    return total, Slopes(by_A, by_B, by_Q, by_R, np.diag(by_P).copy(), by_readings)
+    for i in range(n):
+        by_P0[i] = by_P[i, i]
+    return by_R
+
+
+@njit(cache=True)
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for i in range(a.size):
+        total += a[i] * b[i]
+    return total

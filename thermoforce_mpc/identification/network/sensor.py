@@ -21,7 +21,7 @@ from thermoforce_mpc.identification.network.effects import Actuators, room_run
 from thermoforce_mpc.identification.network.estimate import Run, searched
 from thermoforce_mpc.identification.network.priors import SENSOR_SD_K
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-from thermoforce_mpc.model.sun_on_sensor import FULL_SUN_W_M2, SunOnSensor, facade_W_m2, lagged, sun_at
+from thermoforce_mpc.model.sun_on_sensor import FULL_SUN_W_M2, SunOnSensor, facade_W_m2, lagged, off_sensors, sun_at
 
 # What is tried: facades of the sensor and of windows, °, and lags of sensors, s, at a site of this latitude, °.
 _AZIMUTHS_DEG, _WINDOWS_DEG = (90.0, 135.0, 180.0, 225.0, 270.0), (90.0, 180.0, 270.0)
@@ -138,10 +138,5 @@ def without_sun(
         likeliest = sun_on_sensor(runs, zone, layout, heat_inputs, config)
         if likeliest is not None and likeliest.likely:
             found[zone] = likeliest
-    corrected = []
-    for run in runs:
-        T_zone_C = np.array(run.T_zone_C)
-        for zone, sun in found.items():
-            T_zone_C[zone] -= sun.part_K(run.time_s, run.solar_W_m2)
-        corrected.append(replace(run, T_zone_C=T_zone_C))
-    return corrected, found
+    sun = [found.get(zone) for zone in range(len(layout.floor_area_m2))]
+    return [off_sensors(run, sun) for run in runs], found

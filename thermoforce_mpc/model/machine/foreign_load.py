@@ -1,17 +1,19 @@
-"""A load on a machine's meter that is not the machine's: an air unit's coil, a house's other circuits.
+"""A load on a machine's meter of power or heat that is not the machine's: an air unit's coil, other circuits.
 
 It is what the meter shows while all that the machine feeds is off: by hour of the day and by outdoor temperature. Plans
-cannot change it, so laws of the machine are fitted to what is left, and it is added again where a meter is expected.
+cannot change it, so laws of the machine are fitted to what is left, and it is added again where a meter of power is
+expected. What fades while the machine stays off is no such load: an emitter gives off what it holds.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
 
@@ -27,6 +29,8 @@ HOURS = 24
 _BY_HOUR, _PER_K, _ERROR = 0.3, 0.03, 0.2
 # Share of its mean from which the error counts as unexplained.
 _UNEXPLAINED = 0.5
+# What fades with this time constant, h, once the machine is off, and the share of the mean from which it is its own.
+_FADES_H, _FADES_SHARE, _SURE_SD = 3.0, 0.3, 3.0
 
 
 @dataclass(frozen=True)
@@ -69,35 +73,32 @@ class ForeignLoad:
         return words
 
 
-def foreign_load(u: Array, time_s: Array, T_out_C: Array, power_W: Array) -> ForeignLoad | None:
+def foreign_load(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> ForeignLoad | None:
     """The foreign load on the meter of a machine; None where there is none, or the machine was hardly off.
 
     Args:
         u: levels of all that it feeds (A, n).
         time_s: starts of the steps (n,), s since 1 January.
         T_out_C: outdoor temperature (n,), °C.
-        power_W: the meter (n,), W; NaN where it is missing.
+        meter_W: of power, or of heat in the direction of the machine (n,), W; NaN where it is missing.
     """
     off = np.asarray((np.abs(u) <= LEVEL_EDGE).all(axis=0))
-    known = np.isfinite(power_W) & np.isfinite(T_out_C) & np.isfinite(u).all(axis=0)
-    settled = off & known & _long_off(off, time_s)
+    known = np.isfinite(meter_W) & np.isfinite(T_out_C) & np.isfinite(u).all(axis=0)
+    off_h = _off_h(off, time_s)
+    settled = off & known & (off_h > _AFTER_H + 1.0 / HOUR_S)
     if settled.sum() < _LEAST_STEPS or not (known & ~off).any():
         return None
-    load_W, T = power_W[settled], T_out_C[settled]
+    load_W, T = meter_W[settled], T_out_C[settled]
     mean_W = float(load_W.mean())
-    if mean_W <= _LEAST_SHARE * float(np.percentile(power_W[known & ~off], 90.0)):
+    if mean_W <= _LEAST_SHARE * float(np.percentile(meter_W[known & ~off], 90.0)):
         return None
     reference_C = float(T.mean())
     design = np.zeros((load_W.size, HOURS + 1))
     design[np.arange(load_W.size), _hour(time_s[settled])] = 1.0
     design[:, HOURS] = T - reference_C
-    smooth = np.zeros((HOURS, HOURS + 1))  # from each hour to the next, around the clock
-    smooth[:, :HOURS] = np.eye(HOURS) - np.roll(np.eye(HOURS), 1, axis=1)
-    flat = np.zeros((1, HOURS + 1))
-    flat[0, HOURS] = 1.0
-    rows = np.vstack([design / (_ERROR * mean_W), smooth / (_BY_HOUR * mean_W), flat / (_PER_K * mean_W)])
-    values = np.concatenate([load_W / (_ERROR * mean_W), np.zeros(HOURS + 1)])
-    found = np.linalg.lstsq(rows, values, rcond=None)[0]
+    if _fades(design, load_W, off_h[settled]):
+        return None
+    found = _coefficients(design, load_W)
     rmse_W = float(np.sqrt(np.mean((design @ found - load_W) ** 2)))
     return ForeignLoad(
         tuple(np.maximum(found[:HOURS], 0.0).tolist()),
@@ -108,11 +109,44 @@ def foreign_load(u: Array, time_s: Array, T_out_C: Array, power_W: Array) -> For
     )
 
 
+def own_W(
+    meter_W: Array, foreign: Sequence[ForeignLoad | None], record: Record, signs: Sequence[int] | None = None
+) -> Array:
+    """The meters (k, n) without the `foreign` load on each (k,), W; `signs` (k,): direction of each, 1 by default."""
+    time_s, T_out_C = record.time_s[:-1], record.T_out_C[:-1]
+    rows = [
+        row if other is None else sign * np.maximum(sign * row - other(time_s, T_out_C), 0.0)
+        for row, other, sign in zip(meter_W, foreign, signs or [1] * len(foreign), strict=True)
+    ]
+    return np.stack(rows)
+
+
+def _fades(design: Array, load_W: Array, off_h: Array) -> bool:
+    """Whether a good part of the load surely fades with the hours (n,) since the machine was on."""
+    fading = np.exp(-np.minimum(off_h, HOURS) / _FADES_H)
+    design = np.column_stack([design, fading])
+    found = _coefficients(design, load_W)
+    sd_W = np.std(design @ found - load_W) / max(np.sqrt(fading.size) * np.std(fading), 1e-9)
+    return bool(found[-1] * fading.mean() > _FADES_SHARE * load_W.mean() and found[-1] > _SURE_SD * sd_W)
+
+
+def _coefficients(design: Array, load_W: Array) -> Array:
+    """Of each hour, of the outdoor temperature and of what may follow (k,), W each, around their priors."""
+    mean_W, k = float(load_W.mean()), design.shape[1]
+    smooth = np.zeros((HOURS, k))  # from each hour to the next, around the clock
+    smooth[:, :HOURS] = np.eye(HOURS) - np.roll(np.eye(HOURS), 1, axis=1)
+    flat = np.zeros((1, k))
+    flat[0, HOURS] = 1.0
+    rows = np.vstack([design / (_ERROR * mean_W), smooth / (_BY_HOUR * mean_W), flat / (_PER_K * mean_W)])
+    values = np.concatenate([load_W / (_ERROR * mean_W), np.zeros(HOURS + 1)])
+    return np.asarray(np.linalg.lstsq(rows, values, rcond=None)[0])
+
+
 def _hour(time_s: Array) -> NDArray[np.intp]:
     return np.asarray((np.asarray(time_s) % DAY_S + 1e-6) // HOUR_S, dtype=np.intp) % HOURS
 
 
-def _long_off(off: NDArray[np.bool_], time_s: Array) -> NDArray[np.bool_]:
-    """Whether the machine has been off since `_AFTER_H` hours before each step (n,)."""
+def _off_h(off: NDArray[np.bool_], time_s: Array) -> Array:
+    """Hours since each step (n,) began the machine was last on; infinite where it was not yet."""
     last_on = np.maximum.accumulate(np.where(off, -np.inf, time_s))
-    return np.asarray(time_s - last_on > _AFTER_H * HOUR_S + 1.0)
+    return np.asarray((time_s - last_on) / HOUR_S)

@@ -1,21 +1,16 @@
-"""Worker process of an EnergyPlus plant: one engine run that is told step by step over a pipe what to do.
+"""One engine run that is told step by step what to do.
 
-The engine owns the main loop, so its callback blocks until the next request. A process runs one simulation and ends
-with it, or when the other end closes the pipe. `process.EngineProcess` is the other end.
+The engine owns the main loop, so its callback blocks until the next request.
 """
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
-from thermoforce_mpc.plants.energyplus.simulate import R, R_contra, Wiring, run_engine
+from thermoforce_mpc.plants.energyplus.simulate import R, R_contra, Wiring
 
 # What a building is told for a step, such as a level; None leaves it to its own control.
 U = TypeVar("U")
@@ -87,21 +82,21 @@ class Stretch(Generic[U, R]):
 
 
 class Live(Generic[U, R]):
-    """`Driver` that answers requests from a pipe; the first answer is the state after the engine's warm-up."""
+    """`Driver` that answers requests; the first answer is the state after the engine's warm-up."""
 
-    def __init__(self, building: Building[U, R], pipe: Connection) -> None:
-        self._n_steps, self._act, self._pipe = building.n_steps, building.acting(), pipe
+    def __init__(self, building: Building[U, R], receive: Callable[[], Any], send: Callable[[Any], None]) -> None:
+        self._n_steps, self._act = building.n_steps, building.acting()
+        self._received, self._sent = receive, send
         self._last: R | None = None
         self._request = Advance[U](None, 0)
         self._answer: list[tuple[R, U]] = []
         self._now: U | None = None
         self._step = 0
-        self._closed = False
 
     @property
     def done(self) -> bool:
-        """Whether the other end closed the pipe, or the run period is over."""
-        return self._closed or self._step >= self._n_steps
+        """Whether the run period is over."""
+        return self._step >= self._n_steps
 
     def begin(self, warming_up: bool) -> dict[str, float]:
         """Return the actuator values of the next step; wait for a request if the last is done."""
@@ -116,7 +111,7 @@ class Live(Generic[U, R]):
     def end(self, warming_up: bool, read: Callable[[], R]) -> bool:
         """Store the reading at the end of the step; return True when the run may stop."""
         self._last = reading = read()
-        if not warming_up and not self._closed and self._now is not None:
+        if not warming_up and self._now is not None:
             self._step += 1
             self._answer.append((reading, self._now))
             if self._step >= self._n_steps:
@@ -129,37 +124,9 @@ class Live(Generic[U, R]):
         if self._answer:
             self._send()
         else:
-            self._pipe.send(Stretch((self._last,), ()))
-        try:
-            self._request = self._pipe.recv()
-        except EOFError:
-            self._closed = True
+            self._sent(Stretch((self._last,), ()))
+        self._request = self._received()
         self._answer = []
 
     def _send(self) -> None:
-        self._pipe.send(Stretch(tuple(r for r, _ in self._answer), tuple(u for _, u in self._answer)))
-
-
-def serve(pipe: Connection) -> None:
-    """Run the simulation of the `Building` that `pipe` brings first, answering over it; errors are sent as text."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    try:
-        building = pipe.recv()
-        run_engine(building.model(), building.weather(), Live(building, pipe), building.wiring())
-    except (BrokenPipeError, EOFError, KeyboardInterrupt):
-        return
-    except Exception as error:  # any error is reported by the other end
-        try:
-            pipe.send(f"{type(error).__name__}: {error}")
-        except OSError:
-            return
-    finally:
-        pipe.close()
-
-
-def _end_with_parent() -> None:
-    """End this process with the one that started it, also where the engine hangs."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None  # it was started by `EngineProcess`
-    parent.join()
-    os._exit(1)
+        self._sent(Stretch(tuple(r for r, _ in self._answer), tuple(u for _, u in self._answer)))

@@ -9,16 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from thermoforce_mpc.boundary import tariffs
-from thermoforce_mpc.boundary.forecast_error import ForecastError, forecast_weather
-from thermoforce_mpc.boundary.weather import load_weather
-from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array, Block, Boundary, Measurement, Period, PlantInfo, Record
-from thermoforce_mpc.errors import ConfigError, PlantError
-from thermoforce_mpc.plants.checks import day_period
-from thermoforce_mpc.plants.energyplus.engine import engine_version, file_hash, reference_building, weather_file
+from thermoforce_mpc.data import ZERO_C_K, Array, Block, Boundary, Measurement, PlantInfo, Record
+from thermoforce_mpc.plants.energyplus.engine import engine_version, file_hash, reference_building
+from thermoforce_mpc.plants.energyplus.live import Stretch
 from thermoforce_mpc.plants.energyplus.office_model import (
     AREA_PER_PERSON_M2,
     BUILDING,
@@ -29,10 +27,10 @@ from thermoforce_mpc.plants.energyplus.office_model import (
     OfficeRun,
     office_schedules,
 )
-from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, EngineProcess, whole_steps
+from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, whole_steps
+from thermoforce_mpc.plants.energyplus.shell import EnginePlant
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
-from thermoforce_mpc.plants.shell import RoomSetpointShell, Samples, WithProcess
-from thermoforce_mpc.plants.waiting import PATIENCE_S
+from thermoforce_mpc.plants.shell import RoomSetpointShell
 from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.testcase import TestCase
 
@@ -50,41 +48,20 @@ _ENDS = np.cumsum(list(_WIDTHS.values()))
 _PLACE = {name: slice(int(end) - width, int(end)) for (name, width), end in zip(_WIDTHS.items(), _ENDS, strict=True)}
 
 
-class SmallOfficePlant(WithProcess[EngineProcess[tuple[float, ...], OfficeReading]], RoomSetpointShell):
-    """DOE small office (Chicago, TMY3 weather of O'Hare), run through the engine's runtime API.
+class SmallOfficePlant(EnginePlant[tuple[float, ...], OfficeReading], RoomSetpointShell):
+    """DOE small office (Chicago, TMY3 weather of O'Hare).
 
-    Zones, actuators and machines are those of its test case, five each. Durations are multiples of the 5-min step.
-    There is no snapshot; every reset starts a new process.
+    Zones, actuators and machines are those of its test case, five each.
     """
 
-    def __init__(
-        self,
-        testcase: TestCase,
-        *,
-        highly_dynamic: tariffs.Tariff | None = None,
-        forecast_error: ForecastError | None = None,
-        patience_s: float = PATIENCE_S,
-    ) -> None:
-        """Read the weather and the schedules; the engine starts at `reset`.
+    _periods = PERIODS
 
-        Args:
-            highly_dynamic: highly dynamic tariff of electricity; default: a synthetic one, see `boundary.tariffs`.
-            forecast_error: weather forecast errors; default: a perfect forecast.
-            patience_s: longest time for a quarter of an hour of the building's time, and for the engine's warm-up, s.
-
-        Raises:
-            ConfigError: the engine is not installed.
-        """
-        try:
-            self._schedules = office_schedules()
-        except PlantError as error:
-            raise ConfigError(f"test case '{testcase.name}': {error}") from error
-        self.testcase, self._points = testcase, testcase.points
+    def __init__(self, testcase: TestCase, **options: Any) -> None:
+        """Read the weather and the schedules; `options`: see `EnginePlant`, as for errors."""
+        super().__init__(testcase, WEATHER, **options)
+        self._schedules = office_schedules()
+        self._points = testcase.points
         self._names, self._lowest = self._points.layout.names, self._points.layout.lowest
-        self._file = weather_file(WEATHER)
-        self.weather = load_weather(self._file)
-        self._forecast_error, self._patience_s = forecast_error, patience_s
-        self._tariffs = tariffs.by_name(highly_dynamic)
 
     @property
     def info(self) -> PlantInfo:
@@ -101,36 +78,15 @@ class SmallOfficePlant(WithProcess[EngineProcess[tuple[float, ...], OfficeReadin
             },
         )
 
-    def period(self, name: str) -> Period:
-        """Return the two weeks 'peak_heat_day', 'cold_day', 'mix_day' or 'peak_cool_day', or those of a start day.
-
-        Raises:
-            InputError: `name` is neither of these nor a day of the year.
-        """
-        if name in PERIODS:
-            return Period(name, PERIODS[name] * DAY_S)
-        return day_period(name, PERIODS)
-
     def _check_reset(self, start_s: float, warmup_s: float, price: str) -> None:
         super()._check_reset(start_s, warmup_s, price)
         for what, duration_s in (("start", start_s), ("warm-up", warmup_s)):
             whole_steps(what, duration_s, STEP_S)
 
-    def _begin(self) -> None:
-        self.close()
-        begin_s, run = self._begin_s, OfficeRun(int(self._begin_s // DAY_S), RUN_DAYS)
-        self._process = EngineProcess(run, self._patience_s)
-        # The engine repeats its first day to warm up, so the weather of this reading is that of the next midnight.
-        self._now_s, (first,) = run.first_day * DAY_S, _rows_of([self._process.first])
-        for signal, column in (("T_out_C", "T_dry_C"), ("solar_W_m2", "global_W_m2")):
-            first[_PLACE[signal]] = self.weather.at(column, np.array([self._now_s]))
-        self._samples = Samples(self._now_s, first)
-        if begin_s > self._now_s:
-            self._run(Block.native(_Z, begin_s - self._now_s))
-            # The engine starts at midnight; the time up to the warm-up is not recorded.
-            self._samples = Samples(begin_s, self._samples.rows[-1])
+    def _building(self, first_day: int) -> OfficeRun:
+        return OfficeRun(first_day, RUN_DAYS)
 
-    def _run(self, block: Block) -> None:
+    def _demand(self, block: Block) -> tuple[float, ...]:
         setpoints_C = np.full(2 * _Z, math.nan)
         for a, (level, band, one) in enumerate(zip(block.u, block.band_C, self._points.actuators, strict=True)):
             actuator = one.actuator
@@ -139,9 +95,15 @@ class SmallOfficePlant(WithProcess[EngineProcess[tuple[float, ...], OfficeReadin
             values = actuator.inputs(level, band)
             setpoints_C[a] = values[f"{actuator.heating}_u"] - ZERO_C_K
             setpoints_C[_Z + a] = values[f"{actuator.cooling}_u"] - ZERO_C_K
-        readings = self._running.advance(tuple(setpoints_C.tolist()), block.duration_s).readings
-        self._samples.append(self._now_s + STEP_S * np.arange(1.0, len(readings) + 1), _rows_of(readings))
-        self._now_s = self._running.now_s
+        return tuple(setpoints_C.tolist())
+
+    def _first_row(self, reading: OfficeReading, T_out_C: float, solar_W_m2: float) -> Array:
+        (row,) = _rows_of([reading])
+        row[_PLACE["T_out_C"]], row[_PLACE["solar_W_m2"]] = T_out_C, solar_W_m2
+        return np.asarray(row)
+
+    def _rows(self, stretch: Stretch[tuple[float, ...], OfficeReading]) -> Array:
+        return _rows_of(stretch.readings)
 
     def _boundary(self, time_s: Array) -> Boundary:
         """See `PlantShell`.
@@ -150,7 +112,7 @@ class SmallOfficePlant(WithProcess[EngineProcess[tuple[float, ...], OfficeReadin
         people are present; otherwise those of the night, and the tolerance at which a unit starts at night.
         """
         self._check_started()
-        T_out, solar = forecast_weather(self.weather, self._forecast_error, time_s)
+        T_out, solar = self._weather_ahead(time_s)
         lower, upper = self._bounds(time_s)
         return Boundary(
             time_s=time_s,

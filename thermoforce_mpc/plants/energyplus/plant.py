@@ -10,24 +10,22 @@ import json
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from thermoforce_mpc.boundary import tariffs
-from thermoforce_mpc.boundary.forecast_error import ForecastError, forecast_weather
-from thermoforce_mpc.boundary.weather import load_weather
-from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array, Block, Boundary, Measurement, Period, PlantInfo, Record
-from thermoforce_mpc.errors import ConfigError, PlantError
-from thermoforce_mpc.plants.checks import day_period
+from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array, Block, Boundary, Measurement, PlantInfo, Record
+from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.energyplus.climates import CLIMATES, base_setpoint, gains
-from thermoforce_mpc.plants.energyplus.engine import engine_folder, engine_version, file_hash, weather_file
-from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, EngineProcess
+from thermoforce_mpc.plants.energyplus.engine import engine_version, file_hash, weather_file
+from thermoforce_mpc.plants.energyplus.live import Stretch
+from thermoforce_mpc.plants.energyplus.process import RUN_DAYS
+from thermoforce_mpc.plants.energyplus.shell import EnginePlant
 from thermoforce_mpc.plants.energyplus.simulate import ZONE_WIRING, Job, PiPolicy, Reading, Wiring
 from thermoforce_mpc.plants.energyplus.zone import GAINS, HVAC, zone_model
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.records import interval_means
-from thermoforce_mpc.plants.shell import PlantShell, Samples, WithProcess
-from thermoforce_mpc.plants.waiting import PATIENCE_S
 from thermoforce_mpc.scenario.testcase import EnergyPlusZone, TestCase
 
 _STEPS_PER_HOUR = 12
@@ -98,32 +96,18 @@ class ZoneActing:
         return {HVAC: self._sign * u * spec.capacity_W, GAINS: gains * spec.gains_W}, u
 
 
-class EnergyPlusPlant(WithProcess[EngineProcess[float, Reading]], PlantShell):
-    """EnergyPlus zone of the interventional suite, run through the engine's runtime API.
+class EnergyPlusPlant(EnginePlant[float, Reading]):
+    """EnergyPlus zone of the interventional suite.
 
     ```python
     with EnergyPlusPlant(load_testcase("energyplus:heating_chicago")) as plant:
         plant.reset(start_s=10 * 86400, warmup_s=7 * 86400)
         measurement = plant.advance(u=0.5, duration_s=900)
     ```
-
-    Durations are multiples of the 5-min step. There is no snapshot; every reset starts a new process.
     """
 
-    def __init__(
-        self,
-        testcase: TestCase,
-        *,
-        highly_dynamic: tariffs.Tariff | None = None,
-        forecast_error: ForecastError | None = None,
-        patience_s: float = PATIENCE_S,
-    ) -> None:
-        """Read the weather; the engine starts at `reset`.
-
-        Args:
-            highly_dynamic: highly dynamic tariff; default: a synthetic one, see `boundary.tariffs`.
-            forecast_error: weather forecast errors; default: a perfect forecast.
-            patience_s: longest time for a quarter of an hour of the building's time, and for the engine's warm-up, s.
+    def __init__(self, testcase: TestCase, **options: Any) -> None:
+        """`options`: see `EnginePlant`.
 
         Raises:
             ConfigError: the test case has no `energyplus` section or not the zone's actuator, or the engine is not
@@ -131,24 +115,17 @@ class EnergyPlusPlant(WithProcess[EngineProcess[float, Reading]], PlantShell):
         """
         if testcase.energyplus is None:
             raise ConfigError(f"test case '{testcase.name}' has no `energyplus` section: it is of another plant")
-        full_W = CLIMATES[testcase.energyplus.climate].spec.capacity_W
+        self._zone, self._climate = testcase.energyplus, CLIMATES[testcase.energyplus.climate]
+        full_W = self._climate.spec.capacity_W
         maximum = float(getattr(testcase.actuator, "maximum", float("nan")))
         if maximum != full_W:
             raise ConfigError(
                 f"test case '{testcase.name}': actuator.maximum is {maximum:g}, but the zone "
                 f"'{testcase.energyplus.climate}' has a source of {full_W:g} W at u = 1: write that"
             )
-        try:
-            engine_folder()
-        except PlantError as error:
-            raise ConfigError(f"test case '{testcase.name}': {error}") from error
-        self.testcase, self._zone = testcase, testcase.energyplus
-        self._climate = CLIMATES[self._zone.climate]
+        self._periods = self._zone.periods
         self._spec = replace(self._climate.spec, steps_per_hour=_STEPS_PER_HOUR, engine_steps_per_hour=_STEPS_PER_HOUR)
-        self._file = weather_file(self._spec.weather)
-        self.weather = load_weather(self._file)
-        self._forecast_error, self._patience_s = forecast_error, patience_s
-        self._tariffs = tariffs.by_name(highly_dynamic)
+        super().__init__(testcase, self._spec.weather, **options)
 
     @property
     def info(self) -> PlantInfo:
@@ -162,40 +139,27 @@ class EnergyPlusPlant(WithProcess[EngineProcess[float, Reading]], PlantShell):
             details={"weather_sha256": file_hash(self._file)},
         )
 
-    def period(self, name: str) -> Period:
-        """Return the test case's window `name`, or that of a start day.
+    def _building(self, first_day: int) -> LiveZone:
+        climate = replace(self._climate, spec=self._spec)
+        setpoint_C = base_setpoint(climate, RUN_DAYS) + self._zone.native_margin_K * climate.sign
+        return LiveZone(Job(self._spec, first_day, setpoint_C, gains(climate, first_day, RUN_DAYS, _GAINS_SEED)))
 
-        Raises:
-            InputError: `name` is neither a window of the test case nor a day of the year.
-        """
-        if name in self._zone.periods:
-            return Period(name, self._zone.periods[name] * DAY_S)
-        return day_period(name, self._zone.periods)
+    def _demand(self, block: Block) -> float | None:
+        return block.u[0]
 
-    def _begin(self) -> None:
-        self.close()
-        begin_s = self._begin_s
-        first_day = int(begin_s // DAY_S)
-        setpoint = base_setpoint(replace(self._climate, spec=self._spec), RUN_DAYS)
-        job = Job(
-            spec=self._spec,
-            first_day=first_day,
-            setpoint_C=setpoint + self._zone.native_margin_K * self._climate.sign,
-            gains=gains(replace(self._climate, spec=self._spec), first_day, RUN_DAYS, _GAINS_SEED),
+    def _first_row(self, reading: Reading, T_out_C: float, solar_W_m2: float) -> Array:
+        return np.array([reading.T_zone_C, T_out_C, solar_W_m2, 0.0])
+
+    def _rows(self, stretch: Stretch[float, Reading]) -> Array:
+        return np.array(
+            [
+                (reading.T_zone_C, reading.T_out_C, reading.solar_W_m2, level)
+                for reading, level in zip(stretch.readings, stretch.acted, strict=True)
+            ]
         )
-        self._process = EngineProcess(LiveZone(job), self._patience_s)
-        self._now_s = first_day * DAY_S
-        # The engine repeats its first day to warm up, so the weather of this reading is that of the next midnight.
-        midnight = np.array([self._now_s])
-        T_out, solar = (float(self.weather.at(name, midnight)[0]) for name in ("T_dry_C", "global_W_m2"))
-        self._samples = Samples(self._now_s, np.array([self._process.first.T_zone_C, T_out, solar, 0.0]))
-        if begin_s > self._now_s:
-            self._run(Block.native(1, begin_s - self._now_s))
-            # The engine starts at midnight; the time up to the warm-up is not recorded.
-            self._samples = Samples(self._now_s, self._samples.rows[-1])
 
     def _boundary(self, time_s: Array) -> Boundary:
-        T_out, solar = forecast_weather(self.weather, self._forecast_error, time_s)
+        T_out, solar = self._weather_ahead(time_s)
         lower, upper = self._bounds(time_s)
         return Boundary(
             time_s=time_s,
@@ -246,17 +210,6 @@ class EnergyPlusPlant(WithProcess[EngineProcess[float, Reading]], PlantShell):
         machine, other = day[index], self._climate.comfort_C + self._climate.sign * self._zone.band_K
         far = np.full(time_s.size, other)
         return (machine, far) if self._climate.sign > 0 else (far, machine)
-
-    def _run(self, block: Block) -> None:
-        stretch = self._running.advance(block.u[0], block.duration_s)
-        n = len(stretch.readings)
-        time_s = self._now_s + self._spec.step_s * np.arange(1.0, n + 1)
-        self._now_s = float(time_s[-1])
-        rows = [
-            (reading.T_zone_C, reading.T_out_C, reading.solar_W_m2, level)
-            for reading, level in zip(stretch.readings, stretch.acted, strict=True)
-        ]
-        self._samples.append(time_s, np.array(rows))
 
     def _record(self, last: int = 0) -> dict[str, Array]:
         """Return the record by name, all of it or the `last` samples; power and heat of the step that ends at each."""

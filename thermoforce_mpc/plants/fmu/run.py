@@ -10,7 +10,7 @@ from pathlib import Path
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import PlantError
 from thermoforce_mpc.plants.fmu.messages import Job, Stretch
-from thermoforce_mpc.plants.fmu.process import WorkerProcess
+from thermoforce_mpc.plants.fmu.process import FmuProcess
 
 _LOG = logging.getLogger(__name__)
 # Tolerance that the others are relative to where the description has none: that of BOPTEST's test cases.
@@ -27,13 +27,13 @@ class FmuRun:
     """
 
     def __init__(self, job: Job, work_folder: Path, patience_s: float) -> None:
-        """Start the process at `start`; `patience_s` as for `WorkerProcess`."""
+        """Start the process at `start`; `patience_s` as for `FmuProcess`."""
         tolerance = job.tolerance if job.tolerance and job.tolerance > 0.0 else _TOLERANCE
         self._job, self._folder, self._patience_s = job, work_folder, patience_s
         self._other = (tolerance / 10.0, tolerance * 10.0)
         self._told: list[tuple[Mapping[str, float], float]] = []
         self._start_s = 0.0
-        self._process: WorkerProcess | None = None
+        self._process: FmuProcess | None = None
         self.restarts: tuple[str, ...] = ()
         """When, why and with which tolerance it was started again."""
 
@@ -68,13 +68,13 @@ class FmuRun:
             self._process.close()
 
     @property
-    def _running(self) -> WorkerProcess:
+    def _running(self) -> FmuProcess:
         assert self._process is not None  # `start` comes first
         return self._process
 
     def _begin(self, job: Job) -> Stretch:
         self.close()
-        self._process = WorkerProcess(job, self._folder, self._patience_s)
+        self._process = FmuProcess(job, self._folder, self._patience_s)
         return self._process.start(self._start_s)
 
     def _restarted(self, error: PlantError) -> Stretch:

@@ -1,24 +1,14 @@
-"""Process that runs one FMU: `python -m thermoforce_mpc.plants.fmu.worker`, with messages over standard streams.
-
-An FMU is third-party machine code that may print, crash, or keep state between two runs of a process, so every start
-gets a new process. Messages are pickled tuples; `WorkerProcess` is the client.
-"""
+"""Process that runs one FMU: `python -m thermoforce_mpc.plants.fmu.worker`; `FmuProcess` is the client."""
 
 from __future__ import annotations
 
-import os
-import pickle
-import signal
-import sys
-import threading
 from collections.abc import Mapping, Sequence
-from queue import SimpleQueue
-from typing import Any, BinaryIO
 
 import numpy as np
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.plants.fmu.messages import Job, Stretch
+from thermoforce_mpc.plants.worker_process import Failed, channel
 
 
 class _Slave:
@@ -75,40 +65,19 @@ class _Slave:
 
 
 def main() -> None:
-    """Answer requests until the other end closes the stream, which also ends an FMU that hangs."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the other end too, which then ends this one
-    # Output of the FMU must not reach the message channel: standard output is redirected to standard error.
-    channel = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    requests: SimpleQueue[Any] = SimpleQueue()
-    threading.Thread(target=_receive, args=(sys.stdin.buffer, requests), daemon=True).start()
+    """Answer requests: a job and its start, then inputs and times."""
+    receive, send = channel()
     slave: _Slave | None = None
     while True:
-        request = requests.get()
+        request = receive()
         try:
-            if request[0] == "start":
-                slave = _Slave(request[1], request[2])
-                answer: Any = slave.start()
-            elif slave is not None:
-                answer = slave.advance(request[1], request[2])
+            if slave is None:
+                slave = _Slave(*request)
+                send(slave.start())
             else:
-                raise RuntimeError("asked to advance before it was started")
+                send(slave.advance(*request))
         except Exception as error:  # any error of the FMU or FMPy is reported by the client
-            answer = f"{type(error).__name__}: {error}"
-        pickle.dump(answer, channel, protocol=pickle.HIGHEST_PROTOCOL)
-        channel.flush()
-
-
-def _receive(stream: BinaryIO, requests: SimpleQueue[Any]) -> None:
-    """Queue what comes; at the end of the stream end the process.
-
-    Libraries are not unloaded: those of others tend to crash then, and nothing is left to save.
-    """
-    try:
-        while True:
-            requests.put(pickle.load(stream))
-    finally:
-        os._exit(0)
+            send(Failed(error))
 
 
 if __name__ == "__main__":

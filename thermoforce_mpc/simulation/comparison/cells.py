@@ -29,7 +29,7 @@ class Cell:
     """One run of a comparison: `scenario` determines its result, `key` is the hash of all its inputs.
 
     `task` is the identification it needs (None: no model, or a saved one) and `identification_key` its hash; cells with
-    equal identification settings share one model.
+    equal identification settings share one model. `trajectory`: whether its course is kept.
     """
 
     variant: str
@@ -40,6 +40,7 @@ class Cell:
     key: str
     task: IdentificationTask | None
     identification_key: str | None
+    trajectory: bool = False
 
     @property
     def title(self) -> str:

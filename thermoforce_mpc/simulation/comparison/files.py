@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -144,13 +142,9 @@ def markdown(rows: Sequence[Row], title: str, currency: str, says: Sequence[str]
     for group, members in grouped(rows).items():
         lines += [f"## {group_title(group)}", ""]
         own = own_columns(members)
-        lines.append("| controller | " + " | ".join(headings(currency, members)) + " |")
-        lines.append("|---" + "|---:" * (len(HEADINGS) + len(own)) + "|")
-        for row in members:
-            front = " (front)" if row["pareto"] else ""
-            lines.append(f"| {row['controller']}{front} | " + " | ".join(shown_figures(row, own)) + " |")
-        lines.append("")
-        lines += _zone_lines(members)
+        names = [f"{row['controller']}{' (front)' if row['pareto'] else ''}" for row in members]
+        figures = [[name, *shown_figures(row, own)] for name, row in zip(names, members, strict=True)]
+        lines += [*_table_lines(["controller", *headings(currency, members)], figures), *_zone_lines(members)]
     lines += [
         "By cost, comparable comfort first. `*`: best of its table (cost at comparable comfort); (front): on the "
         "Pareto front of cost and discomfort.",
@@ -170,13 +164,20 @@ def _paired_lines(rows: Sequence[Row]) -> list[str]:
     several = [pair for pair in pairs(rows, reference) if len(pair.windows) > 1] if reference else []
     if not several:
         return []
-    lines = [f"## Difference to {reference}, mean over windows (95 % interval)", ""]
-    lines += ["| controller | tariff | windows | cost, % | discomfort, K·h |", "|---|---|---:|---:|---:|"]
+    rows_of_pairs = []
     for pair in several:
         tariff = pair.price + ("" if pair.uncertainty == "none" else f", {pair.uncertainty} forecast error")
         cost, discomfort = in_words(pair.cost_percent, 1), in_words(pair.discomfort_Kh, 2)
-        lines.append(f"| {pair.controller} | {tariff} | {len(pair.windows)} | {cost} | {discomfort} |")
-    return [*lines, ""]
+        rows_of_pairs.append([pair.controller, tariff, str(len(pair.windows)), cost, discomfort])
+    columns = ["controller", "tariff", "windows", "cost, %", "discomfort, K·h"]
+    heading = f"## Difference to {reference}, mean over windows (95 % interval)"
+    return [heading, "", *_table_lines(columns, rows_of_pairs, names=2)]
+
+
+def _table_lines(columns: Sequence[str], rows: Sequence[Sequence[str]], names: int = 1) -> list[str]:
+    """A table in Markdown, its first `names` columns to the left, and an empty line."""
+    lines = [f"| {' | '.join(cells)} |" for cells in (columns, *rows)]
+    return [lines[0], "|---" * names + "|---:" * (len(columns) - names) + "|", *lines[1:], ""]
 
 
 def _zone_lines(members: Sequence[Row]) -> list[str]:
@@ -184,11 +185,10 @@ def _zone_lines(members: Sequence[Row]) -> list[str]:
     zones = _zones(members)
     if not zones:
         return []
-    lines = ["| discomfort, K·h | " + " | ".join(zones) + " |", "|---" + "|---:" * len(zones) + "|"]
-    for row in members:
-        cells = [f"{row['zones'][zone]:.2f}" if zone in row["zones"] else "–" for zone in zones]
-        lines.append(f"| {row['controller']} | " + " | ".join(cells) + " |")
-    return [*lines, ""]
+    cells = [[f"{row['zones'][zone]:.2f}" if zone in row["zones"] else "–" for zone in zones] for row in members]
+    return _table_lines(
+        ["discomfort, K·h", *zones], [[row["controller"], *of] for row, of in zip(members, cells, strict=True)]
+    )
 
 
 def _csv(rows: Sequence[Row]) -> str:
@@ -198,13 +198,8 @@ def _csv(rows: Sequence[Row]) -> str:
         "comparable", "best_cost",
         "best_discomfort", "pareto", "fallbacks", "plan_ms", "controller_s", "plant_s", "reason",
     ]  # fmt: skip
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(
-        row | row["own"] | {f"tdis_tot[{zone}]": value for zone, value in row["zones"].items()} for row in rows
-    )
-    return text.getvalue()
+    flat = [row | row["own"] | {f"tdis_tot[{zone}]": value for zone, value in row["zones"].items()} for row in rows]
+    return pd.DataFrame(flat, columns=columns, dtype=object).to_csv(index=False, lineterminator="\n")
 
 
 def _zones(members: Sequence[Row]) -> list[str]:

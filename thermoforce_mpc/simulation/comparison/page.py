@@ -21,6 +21,12 @@ SCRIPTS = (
     "comparison_page.js",
 )
 
+# Of each point of a plot, by the name that the script has for it.
+_POINT = {
+    "name": "controller", "cost": COST, "discomfort": DISCOMFORT, "energy": "ener_tot", "fallbacks": "fallbacks",
+    "pareto": "pareto",
+}  # fmt: skip
+
 
 def comparison_page(rows: Sequence[Row], currency: str, swept: Mapping[str, str] | None = None, **values: Any) -> str:
     """The page of the rows of a comparison.
@@ -53,16 +59,7 @@ def comparison_data(rows: Sequence[Row], currency: str, swept: Mapping[str, str]
             {
                 "title": group_title(group),
                 "points": [
-                    {
-                        "name": row["controller"],
-                        "cost": row[COST],
-                        "discomfort": row[DISCOMFORT],
-                        "energy": row["ener_tot"],
-                        "fallbacks": row["fallbacks"],
-                        "pareto": row["pareto"],
-                    }
-                    for row in members
-                    if row["status"] == DONE
+                    {name: row[key] for name, key in _POINT.items()} for row in members if row["status"] == DONE
                 ],
             }
             for group, members in grouped(rows).items()

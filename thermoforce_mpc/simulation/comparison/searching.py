@@ -12,7 +12,7 @@ from thermoforce_mpc.simulation.comparison.cells import Cell, Inputs, varied
 from thermoforce_mpc.simulation.comparison.equal_comfort import THERMOSTAT, as_comfortable, shifted_options
 from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT
 from thermoforce_mpc.simulation.comparison.store import DONE, Store
-from thermoforce_mpc.simulation.comparison.tasks import record_of
+from thermoforce_mpc.simulation.comparison.tasks import follow
 
 Record = Mapping[str, Any]
 
@@ -56,7 +56,8 @@ class EqualComfort:
         cell = varied(thermostat, f"{THERMOSTAT} {shift_K:+.2f} K", options, self.inputs)
         record = self.store.finished(cell)
         if record is None:
-            record = record_of(cell)
-            self.store.write(cell, record)
+            ran = follow(cell)
+            self.store.write(cell, ran)
+            record = ran.record
         kpis: Mapping[str, float] = record["kpis"]
         return kpis

@@ -1,12 +1,11 @@
-"""The folder of a comparison: one JSON file per finished cell and one saved model per identification.
+"""The folder of a comparison or a fleet: a file for each run and its trajectory, a saved model for each identification.
 
-Files are written atomically, so a comparison can be stopped at any time and resumed.
+Files are written atomically, so it can be stopped at any time and resumed.
 """
 
 from __future__ import annotations
 
 import json
-import re
 import shutil
 import tempfile
 from collections.abc import Mapping
@@ -21,7 +20,7 @@ from thermoforce_mpc.model.saved.model_file import read_model_file
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
 from thermoforce_mpc.simulation.comparison.input_files import InputFiles
-from thermoforce_mpc.simulation.folder.plain_files import check_plain
+from thermoforce_mpc.simulation.folder.plain_files import check_plain, write_plain
 from thermoforce_mpc.simulation.folder.run_folder import write_json
 
 DONE, FAILED = "done", "failed"
@@ -72,78 +71,88 @@ class Identified:
             write_folder(path, self.files, keep=not path.exists())
 
 
-def create_folder(folder: Path, *below: str) -> None:
-    """Create a folder and those `below`; raises `StorageError` if that fails, `ConfigError` where it holds a link."""
-    check_plain(folder)
-    try:
-        for path in (folder, *(folder / name for name in below)):
-            path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"--out {folder}: cannot be created ({error.strerror or error})") from error
+@dataclass(frozen=True)
+class Ran:
+    """What a run gives: its record, and its trajectory as a Parquet file, empty where it is not kept."""
 
-
-def finished_record(path: Path, cell: Cell) -> dict[str, Any] | None:
-    """The result of a cell in a file; None if it failed, was not run or cannot be read."""
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    expected = {"format": FORMAT, "key": cell.key, "status": DONE}
-    if not isinstance(record, dict) or {name: record.get(name) for name in expected} != expected:
-        return None
-    return record | {"variant": cell.variant}
+    record: dict[str, Any]
+    trajectory: bytes = b""
 
 
 class Store:
-    """Stored cells and models of one comparison: the `Results` of its tasks."""
+    """Stored runs and models: the `Results` of their tasks.
+
+    Found by key, in subfolders of its first two digits, so that a folder of 100,000 runs stays quick.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def create(self) -> None:
         """Create the folder; raises `StorageError` if that fails, `ConfigError` where there is a link in it."""
-        create_folder(self.folder, "cells", "models")
+        check_plain(self.folder)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StorageError(f"--out {self.folder}: cannot be created ({error.strerror or error})") from error
 
-    def cell_path(self, cell: Cell) -> Path:
-        """Path of a cell's result."""
-        stem = "-".join(re.sub(r"[^A-Za-z0-9_.=]+", "_", word) for word in (cell.variant, cell.window, cell.price))
-        return self.folder / "cells" / f"{stem[:100]}-{cell.key}.json"
+    def record_path(self, key: str) -> Path:
+        """The record of a run."""
+        return self.folder / "runs" / key[:2] / f"{key}.json"
 
-    def model_path(self, identification_key: str) -> Path:
-        """Path of the model of an identification."""
-        return self.folder / "models" / identification_key
+    def trajectory_path(self, key: str) -> Path:
+        """The trajectory of a run."""
+        return self.record_path(key).with_suffix(".parquet")
+
+    def model_path(self, key: str) -> Path:
+        """The model of an identification, or a file with the reason why there is none."""
+        return self.folder / "models" / key[:2] / key
 
     def finished(self, cell: Cell) -> dict[str, Any] | None:
-        """Stored result of this cell, or None if it failed, was not run or cannot be read."""
-        # Found by key alone: the variant name does not affect the result.
-        for path in sorted((self.folder / "cells").glob(f"*-{cell.key}.json")):
-            if (record := finished_record(path, cell)) is not None:
-                return record
-        return None
+        """The record of a run under the name of `cell`; None if it failed, was not run or cannot be read."""
+        if cell.trajectory and not self.trajectory_path(cell.key).is_file():
+            return None
+        try:
+            record = json.loads(self.record_path(cell.key).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        expected = {"format": FORMAT, "key": cell.key, "status": DONE}
+        if not isinstance(record, dict) or {name: record.get(name) for name in expected} != expected:
+            return None
+        return record | {"variant": cell.variant}
 
     def get(self, task: Task) -> Any:
-        """The record of a finished cell, what was identified, or the content of input files.
+        """What a run or an identification gave, or the content of input files.
 
         Raises:
-            KeyError: there is none.
+            KeyError: there is nothing.
             ConfigError: an input file cannot be read.
         """
         if isinstance(task.inputs, InputFiles):
             return task.inputs.read()
-        stored = (
-            self.finished(task.inputs) if isinstance(task.inputs, Cell) else Identified.read(self.model_path(task.key))
-        )
-        if stored is None:
+        if isinstance(task.inputs, Cell):
+            if (record := self.finished(task.inputs)) is None:
+                raise KeyError(task.key)
+            return Ran(record)
+        if (model := Identified.read(self.model_path(task.key))) is None:
             raise KeyError(task.key)
-        return stored
+        return model
 
     def put(self, task: Task, value: Any) -> None:
-        """Store the record of a cell, or what was identified; raises `StorageError`."""
+        """Keep what a run or an identification gave; raises `StorageError`."""
         if isinstance(task.inputs, Cell):
             self.write(task.inputs, value)
         else:
-            value.write(self.model_path(task.key))
+            value.write(_in_folder(self.model_path(task.key)))
 
-    def write(self, cell: Cell, record: Mapping[str, Any]) -> None:
-        """Store a cell's record atomically."""
-        write_json(self.cell_path(cell), record)
+    def write(self, cell: Cell, ran: Ran) -> None:
+        """Keep a run, also one that failed, which the next invocation runs again; raises `StorageError`."""
+        if ran.trajectory:
+            write_plain(_in_folder(self.trajectory_path(cell.key)), ran.trajectory)
+        write_json(_in_folder(self.record_path(cell.key)), ran.record)
+
+
+def _in_folder(path: Path) -> Path:
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    return path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import statistics
 import tempfile
 from collections.abc import Iterable, Sequence
@@ -15,13 +16,12 @@ from thermoforce_mpc.data import DAY_S, PlantInfo
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Task, source_fingerprint, tell
 from thermoforce_mpc.files import write_folder
-from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
-from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_closed_loop
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
 from thermoforce_mpc.simulation.comparison.input_files import (
     NO_FILES,
@@ -33,8 +33,15 @@ from thermoforce_mpc.simulation.comparison.input_files import (
     paths_of_task,
     task_of,
 )
-from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Identified
-from thermoforce_mpc.simulation.composition import build_plant, check_prices, controller_options, scored_period
+from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Identified, Ran
+from thermoforce_mpc.simulation.composition import (
+    build_plant,
+    check_prices,
+    controller_options,
+    run_in_scenario,
+    scored_period,
+)
+from thermoforce_mpc.simulation.folder.run_folder import trajectory_frame
 from thermoforce_mpc.simulation.models.identifying import IdentificationTask, model_for, run_identification
 from thermoforce_mpc.simulation.own_kpis import own_kpis, with_own_kpis
 from thermoforce_mpc.version import VERSION
@@ -61,7 +68,7 @@ def tasks_of(cells: Iterable[Cell]) -> list[Task]:
         if cell.task is not None and cell.identification_key is not None:
             read = file_tasks(paths_of_task(cell.task))
             needs += (Task(cell.identification_key, cell.identification_title, identified, cell.task, read),)
-        tasks.append(Task(cell.key, cell.title, record_of, cell, needs))
+        tasks.append(Task(cell.key, cell.title, follow, cell, needs))
     return tasks
 
 
@@ -86,13 +93,8 @@ def identified(task: IdentificationTask, files: SentFiles = NO_FILES) -> Identif
     return Identified.of(model)
 
 
-def record_of(cell: Cell, *needs: SentFiles | Identified) -> dict[str, Any]:
-    """Run the closed loop of `cell`, with the files and the model it needs, and return its record; as `followed`."""
-    return run_record(cell, *followed(cell, *needs))
-
-
-def followed(cell: Cell, *needs: SentFiles | Identified) -> tuple[RunResult, PlantInfo]:
-    """Run the closed loop of `cell`, with the files and the model it needs; also what the plant is.
+def follow(cell: Cell, *needs: SentFiles | Identified) -> Ran:
+    """Run the closed loop of `cell`, with the files and the model it needs.
 
     Raises:
         DataError: the data of the identification could not be fitted, and the controller has no gate.
@@ -109,15 +111,23 @@ def followed(cell: Cell, *needs: SentFiles | Identified) -> tuple[RunResult, Pla
             check_prices(scenario, period)
             acts_on = _model(scenario, testcase, plant, model) if find_entry(name).needs_model else None
             controller = build_controller(name, controller_options(scenario, name), testcase, acts_on)
-            check_prices(scenario, period, max(controller.horizon_s - controller.step_s, 0.0))
 
             def on_step(record: StepRecord) -> None:
                 tell((record.time_s - period.start_s) / period.scored_s)
 
-            lowest = testcase.layout.lowest
-            allowed = limits_of(controller, testcase.area_m2, min(lowest))
-            result = run_closed_loop(plant, controller, period, scenario.price, on_step, allowed, lowest)
-            return with_own_kpis(result, own_kpis(scenario.kpis)), plant.info
+            result = run_in_scenario(plant, controller, period, scenario, testcase, on_step)
+            record = _record(cell, with_own_kpis(result, own_kpis(scenario.kpis)), plant.info)
+            return Ran(record, _parquet(cell, result.steps) if cell.trajectory else b"")
+
+
+def _parquet(cell: Cell, steps: Sequence[StepRecord]) -> bytes:
+    frame = trajectory_frame(steps)
+    # No names of this run: another of the same inputs, called otherwise, has the same course.
+    for place, name in enumerate(("window", "price", "key")):
+        frame.insert(place, name, getattr(cell, name))
+    content = io.BytesIO()
+    frame.to_parquet(content, index=False)
+    return content.getvalue()
 
 
 def _model(scenario: Scenario, testcase: TestCase, plant: Plant, model: Identified | None) -> ThermalModel | str:
@@ -153,7 +163,7 @@ def _head(cell: Cell) -> dict[str, Any]:
     }
 
 
-def run_record(cell: Cell, result: RunResult, plant: PlantInfo) -> dict[str, Any]:
+def _record(cell: Cell, result: RunResult, plant: PlantInfo) -> dict[str, Any]:
     """Record of a finished cell: what it is, its KPIs, plans by status and computing times."""
     kpis = {name: value for name, value in result.kpis.items() if name != "time_rat"}
     return _head(cell) | {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
 
@@ -13,8 +13,8 @@ from pydantic import BaseModel, Field, field_validator
 from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.scenario.scenario import Scenario, full_name
-from thermoforce_mpc.scenario.settings import StrictModel, find_config, merge, read_yaml, suggestion, validate
-from thermoforce_mpc.scenario.testcase import PRICES, Price, TestCase
+from thermoforce_mpc.scenario.settings import StrictModel, find_config, merge, nested, read_yaml, suggestion, validate
+from thermoforce_mpc.scenario.testcase import Price, TestCase
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 _.,=+%-]*")
 
@@ -31,35 +31,39 @@ class Variant(StrictModel):
     )
 
 
-class ComparisonFile(StrictModel):
-    """YAML file of variants; `windows`, `prices` and `scenario` are defaults for the options of the command."""
+class ManyRuns(StrictModel):
+    """Base of files whose keys name what many runs are made of."""
 
-    variants: dict[str, Variant] = Field(min_length=1, description="variants by name")
-    windows: tuple[str, ...] = Field((), description="peak_heat_day, typical_heat_day, or start days such as 44")
-    prices: tuple[Price, ...] = Field((), description="tariffs")
-    scenario: dict[str, Any] = Field(default_factory=dict, description="any keys of a scenario, for all variants")
-
-    @field_validator("windows", mode="before", json_schema_input_type=tuple[str | float, ...])
+    @field_validator("windows", mode="before", json_schema_input_type=tuple[str | float, ...], check_fields=False)
     @classmethod
     def _day_numbers_as_text(cls, value: object) -> object:
         if not isinstance(value, list | tuple):
             return value
         return [str(item) if isinstance(item, int | float) and not isinstance(item, bool) else item for item in value]
 
-    @field_validator("windows", "prices")
+    @field_validator("windows", "prices", "seeds", check_fields=False)
     @classmethod
     def _each_once(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
         if len(set(value)) < len(value):
             raise ValueError(f"{next(item for item in value if value.count(item) > 1)} is given twice")
         return value
 
-    @field_validator("variants")
+    @field_validator("variants", check_fields=False)
     @classmethod
     def _plain_names(cls, value: dict[str, Variant]) -> dict[str, Variant]:
         for name in value:
             if not _NAME.fullmatch(name):
                 raise ValueError(f"'{name}': names of variants are letters, digits, spaces and _ . , = + % -")
         return value
+
+
+class ComparisonFile(ManyRuns):
+    """YAML file of variants; `windows`, `prices` and `scenario` are defaults for the options of the command."""
+
+    variants: dict[str, Variant] = Field(min_length=1, description="variants by name")
+    windows: tuple[str, ...] = Field((), description="peak_heat_day, typical_heat_day, or start days such as 44")
+    prices: tuple[Price, ...] = Field((), description="tariffs")
+    scenario: dict[str, Any] = Field(default_factory=dict, description="any keys of a scenario, for all variants")
 
 
 def load_comparison(name: str) -> ComparisonFile:
@@ -98,7 +102,7 @@ def swept_variants(controller: str, key: str, values: Sequence[float], testcase:
     for value in values:
         if not math.isfinite(value):
             raise ConfigError(f"--values: {value} is not a finite number")
-        options = _nested(key, int(value) if value == int(value) and abs(value) < 2**53 else value)
+        options = nested(key, int(value) if value == int(value) and abs(value) < 2**53 else value)
         controller_config(controller, options, testcase)
         name = f"{controller} {key.rpartition('.')[2]}={value:g}"
         if name in variants:
@@ -147,14 +151,12 @@ def variant_scenario(base: Scenario, variant: Variant, window: str, price: str, 
     return validate(Scenario, data, f"variant of '{variant.controller}'")
 
 
-def price_names(text: str) -> tuple[str, ...]:
-    """Tariffs from a comma-separated list; raises `ConfigError` for an unknown one."""
-    names = comma_list(text, "--prices")
+def known_names(text: str, option: str, known: Collection[str]) -> tuple[str, ...]:
+    """Words of a comma-separated list, each of them `known`; raises `ConfigError` as `comma_list`, or for another."""
+    names = comma_list(text, option)
     for name in names:
-        if name not in PRICES:
-            raise ConfigError(
-                f"--prices: unknown tariff '{name}'{suggestion(name, PRICES)}; known: {', '.join(PRICES)}"
-            )
+        if name not in known:
+            raise ConfigError(f"{option}: unknown '{name}'{suggestion(name, known)}; known: {', '.join(known)}")
     return names
 
 
@@ -166,14 +168,6 @@ def comma_list(text: str, option: str) -> tuple[str, ...]:
     if len(set(words)) < len(words):
         raise ConfigError(f"{option}: '{next(w for w in words if words.count(w) > 1)}' is given twice")
     return words
-
-
-def _nested(key: str, value: float) -> dict[str, Any]:
-    nested: Any = value
-    for part in reversed(key.split(".")):
-        nested = {part: nested}
-    options: dict[str, Any] = nested
-    return options
 
 
 def _numeric_leaves(model: type[BaseModel], prefix: str = "") -> list[str]:

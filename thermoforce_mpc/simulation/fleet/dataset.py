@@ -70,20 +70,10 @@ def row_of(run: Run, record: Mapping[str, Any]) -> dict[str, Any]:
 def _place(run: Run) -> dict[str, Any]:
     """Where a run stands in its fleet: the building and the axes."""
     building, cell = run.building, run.cell
-    return {
-        "building": building.name,
-        "source": building.source,
-        "emitter": building.emitter,
-        "machine": building.machine,
-        "mass": building.mass,
-        "description": building.description,
-        "area_m2": building.area_m2,
-        "window": cell.window,
-        "price": cell.price,
-        "uncertainty": cell.uncertainty,
-        "variant": cell.variant,
-        "seed": cell.scenario.seed,
-    }
+    of_building = ("source", "emitter", "machine", "mass", "description", "area_m2")
+    place = {"building": building.name} | {name: getattr(building, name) for name in of_building}
+    of_cell = {name: getattr(cell, name) for name in ("window", "price", "uncertainty", "variant")}
+    return place | of_cell | {"seed": cell.scenario.seed}
 
 
 def finished_rows(datasets: Iterable[Path]) -> dict[str, dict[str, Any]]:

@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from thermoforce_mpc.scenario.settings import StrictModel, find_config, read_yaml, validate
 from thermoforce_mpc.scenario.testcase import Price
-from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant
+from thermoforce_mpc.simulation.comparison.variants import ManyRuns, Variant
 
 # A thermostat on a wall reacts within minutes; at the step of the plans it overshoots and is too easy to beat.
 _THERMOSTAT_STEP_S = 300.0
@@ -55,7 +55,7 @@ class Source(StrictModel):
         return self
 
 
-class FleetFile(StrictModel):
+class FleetFile(ManyRuns):
     """Buildings, and windows × tariffs × variants × seeds that are run on each."""
 
     buildings: tuple[Source, ...] = Field(min_length=1, description="where buildings come from")
@@ -80,16 +80,6 @@ class FleetFile(StrictModel):
     trajectories: bool = Field(False, description="keep every run's trajectory too, as Parquet")
     scenario: dict[str, Any] = Field(default_factory=dict, description="any keys of a scenario, for all runs")
 
-    @field_validator("windows", mode="before", json_schema_input_type=tuple[str | float, ...])
-    @classmethod
-    def _day_numbers_as_text(cls, value: object) -> object:
-        return ComparisonFile._day_numbers_as_text(value)
-
-    @field_validator("windows", "prices", "seeds")
-    @classmethod
-    def _each_once(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
-        return ComparisonFile._each_once(value)
-
     @field_validator("scenario")
     @classmethod
     def _of_all_runs(cls, value: dict[str, Any]) -> dict[str, Any]:
@@ -100,7 +90,6 @@ class FleetFile(StrictModel):
 
     @model_validator(mode="after")
     def _known_reference(self) -> FleetFile:
-        ComparisonFile._plain_names(self.variants)
         if self.reference not in self.variants:
             raise ValueError(f"reference: '{self.reference}' is not among the variants {', '.join(self.variants)}")
         return self

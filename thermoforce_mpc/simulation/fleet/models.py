@@ -14,9 +14,9 @@ from thermoforce_mpc.files import pyarrow_for
 from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.scenario.settings import merge
 from thermoforce_mpc.simulation.comparison.input_files import NO_FILES, SentFiles, input_files, task_of
-from thermoforce_mpc.simulation.comparison.store import Identified
+from thermoforce_mpc.simulation.comparison.store import Identified, Store
 from thermoforce_mpc.simulation.fleet.buildings import Building
-from thermoforce_mpc.simulation.fleet.runs import FleetResults, Run
+from thermoforce_mpc.simulation.fleet.runs import Run
 from thermoforce_mpc.simulation.folder.plain_files import write_plain
 from thermoforce_mpc.simulation.models.measured_model import model_of_measurements
 
@@ -98,8 +98,7 @@ def with_models(
 
 
 def write_models(
-    folder: Path,
-    results: FleetResults,
+    store: Store,
     runs: Sequence[Run],
     records: Mapping[str, Mapping[str, Any]],
     measured: Mapping[str, Task],
@@ -108,8 +107,7 @@ def write_models(
     """Write `models.parquet`: a row for each actuator of each identification; raises `StorageError`.
 
     Args:
-        folder: folder of the fleet.
-        results: where its models are.
+        store: the folder of the fleet, where its models are.
         runs: runs that were made here, now or before.
         records: their records by key; they name the model that a run had.
         measured: identifications from measurements by building.
@@ -121,7 +119,7 @@ def write_models(
         if name in no_model:
             rows.append({**place, "actuator": "", "competent": False, "verdict": no_model[name]})
         else:
-            rows += _rows(results.model_path(task.key), place)
+            rows += _rows(store.model_path(task.key), place)
     for run in runs:
         if run.cell.identification_key is None:
             continue
@@ -129,11 +127,11 @@ def write_models(
         if key not in written:
             written.add(key)
             rows += _rows(
-                results.model_path(key),
+                store.model_path(key),
                 {"building": run.building.name, "window": run.cell.window, "from": "probing", "key": key}
                 | {"seed": run.cell.scenario.seed},
             )
-    content, path = io.BytesIO(), folder / NAME
+    content, path = io.BytesIO(), store.folder / NAME
     pa = pyarrow_for(path, ConfigError)
     pa.parquet.write_table(pa.Table.from_pylist(rows, schema=_schema(pa)), content)
     write_plain(path, content.getvalue())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S
-from thermoforce_mpc.data.plan import NOT_ECONOMICAL
+from thermoforce_mpc.data.plan import NO_DECISION, NOT_ECONOMICAL
 from thermoforce_mpc.errors import counted
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 # Share of the steps from which accepted discomfort is told, and how far beyond a bound a zone is planned then, K: what
 # only takes from a margin is none.
 _WORTH_TELLING, _NOTICED_K = 0.01, 0.05
+# Steps without a decision from which they are told.
+_A_FEW = 3
 # Hours ahead in which accepted discomfort counts.
 _SOON_H = 6.0
 # Solvers by the first word of their status.
@@ -40,6 +42,8 @@ class Planning:
         steps: control steps.
         plans: steps with a plan of a solver, by solver, most first; what an override did with it is not counted here.
         failed: steps in which a solver was started and gave no plan.
+        undecided: steps in which the controller met an error that it has no answer to; native control acted.
+        why_undecided: the most frequent of these errors.
         uncomfortable: plans that accept discomfort in the next hours (0.05 K beyond a bound), since heat costs more.
         export_calls: calls of the exported operator for those plans, one for each horizon and actuator.
         trained, used: parameters of the operator, and those of them that affect a prediction; 0 without a model.
@@ -48,6 +52,8 @@ class Planning:
     steps: int
     plans: Mapping[str, int]
     failed: int
+    undecided: int
+    why_undecided: str
     uncomfortable: int
     export_calls: int
     trained: int
@@ -65,6 +71,9 @@ class Planning:
             words = f"planned {' and '.join(filter(None, (', '.join(by[:-1]), by[-1])))}"
             words += " over the exported operator" if self.export_calls else ""
             words += f": {counted(self.trained, 'trained parameter')}, {self.used} used" if self.trained else ""
+        if self.undecided >= _A_FEW:
+            alarm = f"{NO_DECISION} in {self.undecided} of {self.steps} steps, native control acted instead".upper()
+            words = f"{alarm} ({self.why_undecided}); {words}"
         words += f"; {counted(self.failed, 'solve')} without a plan" if self.failed else ""
         if self.uncomfortable > _WORTH_TELLING * self.steps:
             words += f"; in {self.uncomfortable / self.steps:.0%} of the steps discomfort in the next {_SOON_H:g} h "
@@ -83,7 +92,8 @@ def _beyond_K(step: StepRecord) -> float:
 
 def planning_of(result: RunResult, model: ThermalModel | None) -> Planning:
     """The counts of a closed loop; `model`: what its controller planned with, if anything."""
-    plans, failed, uncomfortable, calls = Counter[str](), 0, 0, 0
+    plans, undecided = Counter[str](), Counter[str]()
+    failed = uncomfortable = calls = 0
     for step in result.steps:
         solver, _, how = step.plan.solver_status.partition(":")
         if step.plan.u.size:
@@ -92,11 +102,15 @@ def planning_of(result: RunResult, model: ThermalModel | None) -> Planning:
             uncomfortable += NOT_ECONOMICAL in step.plan.why and _beyond_K(step) > _NOTICED_K
         else:
             failed += bool(how) or solver == "raised"
+            if step.plan.why.startswith(NO_DECISION):
+                undecided[step.plan.why.removeprefix(f"{NO_DECISION} (").removesuffix("): native control")] += 1
     operator = None if model is None else model.operator
     return Planning(
         steps=len(result.steps),
         plans=dict(plans.most_common()),
         failed=failed,
+        undecided=undecided.total(),
+        why_undecided=next((why for why, _ in undecided.most_common(1)), ""),
         uncomfortable=uncomfortable,
         export_calls=calls,
         trained=operator.n_trained if operator else 0,

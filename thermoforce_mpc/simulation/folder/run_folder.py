@@ -7,29 +7,22 @@ import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
-from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-import yaml
 from filelock import FileLock, Timeout
 
-from thermoforce_mpc.data import DAY_S, Names, Plan, PlantInfo
+from thermoforce_mpc.data import Names, Plan
 from thermoforce_mpc.errors import ArtifactError, ConfigError, StorageError
-from thermoforce_mpc.files import file_sha256, storage_errors, write_whole
+from thermoforce_mpc.files import storage_errors, write_whole
 from thermoforce_mpc.registry import plugins
-from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, gates_held
-from thermoforce_mpc.simulation.folder.capped import capped_figures
+from thermoforce_mpc.simulation.closed_loop import StepRecord
 from thermoforce_mpc.simulation.folder.plain_files import check_plain, write_plain
-from thermoforce_mpc.simulation.folder.planning import Planning
-from thermoforce_mpc.version import VERSION
+from thermoforce_mpc.version import VERSION, installed
 
-_LOCK = ".lock"
+LOCK = ".lock"
 _PACKAGES = ("casadi", "torch", "chronos-forecasting", "numpy", "pandas", "requests", "numba", "scipy", "pydantic")
 
 
@@ -66,7 +59,7 @@ def file_stem(controller: str) -> str:
 
 def is_empty(folder: Path) -> bool:
     """Whether `folder` is a folder without files but for the lock."""
-    return folder.is_dir() and all(path.name == _LOCK for path in folder.iterdir())
+    return folder.is_dir() and all(path.name == LOCK for path in folder.iterdir())
 
 
 @contextmanager
@@ -80,7 +73,7 @@ def sole_use(folder: Path) -> Iterator[None]:
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder")
     check_plain(folder)
-    lock = FileLock(folder / _LOCK, timeout=0)
+    lock = FileLock(folder / LOCK, timeout=0)
     try:
         lock.acquire()
     except Timeout as error:
@@ -93,7 +86,7 @@ def sole_use(folder: Path) -> Iterator[None]:
         yield
     finally:
         with suppress(OSError):  # the folder was removed meanwhile
-            (folder / _LOCK).unlink()
+            (folder / LOCK).unlink()
         lock.release()
 
 
@@ -163,78 +156,11 @@ def _by_actuator(plan: Plan, names: Names) -> dict[str, str]:
 def environment() -> dict[str, str]:
     """Versions of this package, Python, the platform and the packages that affect results."""
     versions = {"thermoforce-mpc": VERSION, "python": platform.python_version(), "platform": platform.platform()}
-    for name in _PACKAGES:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            versions[name] = "not installed"
-    return versions | {f"plugin {name}": plugin_version for name, plugin_version in plugins().items()}
-
-
-def write_results(
-    folder: Path,
-    *,
-    scenario: Scenario,
-    plant: PlantInfo,
-    result: RunResult,
-    baselines: Mapping[str, RunResult],
-    identification: Mapping[str, Any],
-    planning: Mapping[str, Planning],
-    command: Sequence[str],
-    forecaster: Mapping[str, Any],
-    equal: str = "",
-) -> dict[str, Any]:
-    """Write resolved configuration, trajectories, step log, KPIs and the manifest with hashes of the other files.
-
-    `equal`: the controller beside a thermostat that is as comfortable, in words.
-
-    Returns:
-        The content of `kpis.json`.
-    """
-    resolved = yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False)
-    write_plain(folder / "scenario.yaml", resolved)
-    write_plain(folder / "trajectory.csv", trajectory_frame(result.steps).to_csv(index=False))
-    write_plain(folder / "steps.csv", steps_frame(result.steps).to_csv(index=False))
-    for name, baseline in baselines.items():
-        write_plain(folder / f"trajectory_{file_stem(name)}.csv", trajectory_frame(baseline.steps).to_csv(index=False))
-    kpis = {
-        "testcase": plant.testcase,
-        "plant": f"{plant.kind}: {plant.description}",
-        "weather": plant.weather,
-        "period": scenario.period,
-        "start_day": result.period.start_s / DAY_S,
-        "scored_days": result.period.scored_s / DAY_S,
-        "price": scenario.price,
-        "controller": result.controller,
-        "kpis": result.kpis,
-        "baselines": {name: baseline.kpis for name, baseline in baselines.items()},
-        "equal_comfort": equal,
-        "gate": {name: asdict(gate) for name, gate in gates_held(result, baselines).items()},
-        "power_cap": capped_figures(scenario, result, baselines),
-    }
-    write_json(folder / "kpis.json", kpis)
-    table = pd.DataFrame.from_dict({run.controller: run.kpis for run in (result, *baselines.values())}, orient="index")
-    write_plain(folder / "kpis.csv", table.to_csv(index_label="controller"))
-    manifest = {
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": list(command),
-        "seed": scenario.seed,
-        "environment": environment(),
-        "plant": asdict(plant),
-        "identification": dict(identification),
-        "planning": {name: counts.to_json() for name, counts in planning.items()},
-        "forecaster": dict(forecaster),
-        "fallbacks": {
-            "controller": result.fallback_levels(),
-            **{name: b.fallback_levels() for name, b in baselines.items()},
-        },
-        "seconds": {result.controller: result.seconds, **{name: b.seconds for name, b in baselines.items()}},
-        "sha256": {
-            path.name: file_sha256(path) for path in sorted(folder.iterdir()) if path.is_file() and path.name != _LOCK
-        },
-    }
-    write_json(folder / "manifest.json", manifest)
-    return kpis
+    return (
+        versions
+        | installed(_PACKAGES)
+        | {f"plugin {name}": plugin_version for name, plugin_version in plugins().items()}
+    )
 
 
 def write_partial(folder: Path, records: Mapping[str, Sequence[StepRecord]], reason: str) -> None:

@@ -23,7 +23,6 @@ from thermoforce_mpc.data import (
     Boundary,
     Measurement,
     Names,
-    Period,
     Plan,
     Record,
 )
@@ -64,13 +63,8 @@ def _number(value: float | str | None) -> float:
     return math.nan if value is None else float(value)
 
 
-def names_json(names: Names) -> Json:
-    """Names of zones, actuators and machines."""
-    return {"zones": list(names.zones), "actuators": list(names.actuators), "machines": list(names.machines)}
-
-
 def names_of(content: Mapping[str, Any]) -> Names:
-    """The names of `names_json`, as a terminal may show them."""
+    """The names (`Names`), as a terminal may show them."""
     zones, actuators, machines = (tuple(map(safe_text, content[key])) for key in ("zones", "actuators", "machines"))
     return Names(zones, actuators, machines)
 
@@ -152,16 +146,6 @@ def block_of(content: Mapping[str, Any]) -> Block:
     """The block of `block_json`."""
     bands = [band and (float(band[0]), float(band[1])) for band in content.get("band_C") or ()]
     return Block(content["u"], float(content["duration_s"]), bands or None)
-
-
-def period_json(period: Period) -> Json:
-    """A scored window."""
-    return {
-        "name": period.name,
-        "start_s": float(period.start_s),
-        "scored_s": float(period.scored_s),
-        "warmup_s": float(period.warmup_s),
-    }
 
 
 def plan_json(plan: Plan, blocks: Sequence[Block], refused: str) -> Json:

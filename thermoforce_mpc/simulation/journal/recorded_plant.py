@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict
 from typing import Any, TypeVar, cast
 
 from thermoforce_mpc.data import SINGLE, Bands, Block, Boundary, Levels, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.protocols import OutlivingPlant, Plant, RestartingPlant, RoomSetpointPlant
+from thermoforce_mpc.simulation.folder.run_folder import plain_json
 from thermoforce_mpc.simulation.journal.journal import Entry, Journal, JournalError, making_sense
 from thermoforce_mpc.simulation.journal.journal_values import (
     Json,
@@ -16,11 +18,9 @@ from thermoforce_mpc.simulation.journal.journal_values import (
     boundary_rows,
     measurement_json,
     measurement_of,
-    names_json,
     names_of,
     number,
     pack,
-    period_json,
     record_json,
     record_of,
     unpack,
@@ -64,7 +64,7 @@ class RecordedPlant:
     def period(self, name: str) -> Period:
         """See `Plant.period`."""
         period = self._answer(
-            "period", {"name": name}, lambda: self._plant.period(name), period_json, lambda content: Period(**content)
+            "period", {"name": name}, lambda: self._plant.period(name), asdict, lambda content: Period(**content)
         )
         self._periods[name] = period
         return period
@@ -74,7 +74,7 @@ class RecordedPlant:
         request: Json = {"start_s": float(start_s), "warmup_s": float(warmup_s), "price": price}
 
         def to_json(measurement: Measurement) -> Json:
-            return self._told(measurement) | {"names": names_json(measurement.names)}
+            return self._told(measurement) | {"names": plain_json(asdict(measurement.names))}
 
         def from_json(content: Mapping[str, Any]) -> Measurement:
             return measurement_of(content, names_of(content["names"]))

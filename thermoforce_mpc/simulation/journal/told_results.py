@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from boptest_client import safe_text
-from thermoforce_mpc.data import DAY_S, Block, Boundary, Period, Plan, PlanStatus
+from thermoforce_mpc.data import DAY_S, Boundary, Period, Plan, PlanStatus
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
-from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, sample_of
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, sample_of, time_rat
 from thermoforce_mpc.simulation.journal.journal import NAME, Entry, JournalError, making_sense, read_run
 from thermoforce_mpc.simulation.journal.journal_values import (
-    block_of,
     margins_of,
     measurement_of,
     names_of,
@@ -97,8 +96,7 @@ def _result(name: str, period: Period, loop: Sequence[Entry], steps: Sequence[St
     start = measurement_of(reset["answer"], names_of(reset["answer"]["names"]))
     recorded: Mapping[str, Any] = next((entry.content["answer"] for entry in loop if entry.kind == "kpis"), {})
     kpis = {key: math.nan if value is None else float(value) for key, value in recorded.items()}
-    step_s = steps[0].boundary.step_s
-    kpis["time_rat"] = math.fsum(step.plan_seconds for step in steps) / len(steps) / step_s
+    kpis["time_rat"] = time_rat(steps, steps[0].boundary.step_s)
     return RunResult(period, name, kpis, steps, start)
 
 
@@ -120,9 +118,8 @@ def _record(step: ToldStep, boundary: Boundary) -> StepRecord:
     decision, end = step.told, step.done
     assert end is not None
     assert step.before is not None
-    blocks = [block_of(advance["asked"]) for advance in step.advances]
     samples, now_s = [], step.time_s
-    for block, reading in zip(blocks, step.after, strict=True):
+    for block, reading in zip(step.blocks, step.after, strict=True):
         samples.append(sample_of(now_s, block, reading, boundary))
         now_s = reading.time_s
     return StepRecord(
@@ -130,7 +127,7 @@ def _record(step: ToldStep, boundary: Boundary) -> StepRecord:
         time_s=step.time_s,
         T_zone_C=step.before.T_zone_C,
         boundary=boundary,
-        plan=_plan(step, tuple(blocks), {name: float(s) for name, s in end["seconds"].items()}),
+        plan=_plan(step, {name: float(s) for name, s in end["seconds"].items()}),
         refused=str(decision["refused"]),
         plan_seconds=float(end["plan_seconds"]),
         forecast_seconds=float(end["forecast_seconds"]),
@@ -140,11 +137,11 @@ def _record(step: ToldStep, boundary: Boundary) -> StepRecord:
     )
 
 
-def _plan(step: ToldStep, blocks: tuple[Block, ...], seconds: Mapping[str, float]) -> Plan:
+def _plan(step: ToldStep, seconds: Mapping[str, float]) -> Plan:
     decision = step.told
     arrays: dict[str, Any] = planned_of(decision)
     plan = Plan(
-        blocks=blocks,
+        blocks=step.blocks,
         status=PlanStatus(decision["status"]),
         why=str(decision["why"]),
         news=str(decision.get("news", "")),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from boptest_client import safe_text
-from thermoforce_mpc.data import SIGNALS, SINGLE, Array, Boundary, Measurement, Names, Record
+from thermoforce_mpc.data import SIGNALS, SINGLE, Array, Block, Boundary, Measurement, Names, Record
 from thermoforce_mpc.model.forecast_gaps import completed, lengthened
 from thermoforce_mpc.model.screening import Limits, screened_history
 from thermoforce_mpc.simulation.closed_loop import with_level
@@ -51,6 +51,11 @@ class ToldStep:
     def time_s(self) -> float:
         """Its begin, s since 1 January."""
         return float(self.told["time_s"])
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """What the plant was asked to apply, in order."""
+        return tuple(block_of(advance["asked"]) for advance in self.advances)
 
     @property
     def after(self) -> tuple[Measurement, ...]:
@@ -214,6 +219,5 @@ def _forecast_grid(step: ToldStep) -> tuple[float, int]:
 
 def _readings_at_end(step: ToldStep) -> Measurement:
     """The readings at the end of a step, with its mean levels, as the run saw them."""
-    blocks = [block_of(advance["asked"]) for advance in step.advances]
-    parts = [(b.duration_s, with_level(reading, b)) for b, reading in zip(blocks, step.after, strict=True)]
+    parts = [(b.duration_s, with_level(reading, b)) for b, reading in zip(step.blocks, step.after, strict=True)]
     return parts[-1][1].averaged_with(parts)

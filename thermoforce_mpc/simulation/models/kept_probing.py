@@ -28,7 +28,7 @@ from thermoforce_mpc.simulation.journal.journal import (
     making_sense,
     read_journal,
 )
-from thermoforce_mpc.simulation.journal.journal_values import Json, measurement_of, names_json, names_of
+from thermoforce_mpc.simulation.journal.journal_values import Json, measurement_of, names_of
 from thermoforce_mpc.simulation.journal.recorded_plant import RecordedPlant
 from thermoforce_mpc.simulation.models.probing import Probed
 from thermoforce_mpc.version import VERSION
@@ -172,4 +172,4 @@ def note_end(kept: Plant, why: str) -> None:
 
 
 def _building(testcase: TestCase) -> Json:
-    return {"testcase": testcase.name, "names": names_json(testcase.layout.names)}
+    return {"testcase": testcase.name, "names": plain_json(asdict(testcase.layout.names))}

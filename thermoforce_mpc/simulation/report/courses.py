@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Layout
 from thermoforce_mpc.plants.kpis import excess
@@ -140,20 +142,11 @@ def _averaged(course: Course, together: int) -> Course:
     def mean(values: Array) -> Array:
         return np.asarray(np.add.reduceat(values * course.duration_s, first, axis=-1) / weight)
 
-    return Course(
-        start_s=course.start_s[first],
-        duration_s=weight,
-        T_out_C=course.T_out_C[last],
-        solar_W_m2=course.solar_W_m2[last],
-        T_zone_C=course.T_zone_C[:, last],
-        lower_C=course.lower_C[:, first],
-        upper_C=course.upper_C[:, first],
-        u=mean(course.u),
-        power_W=mean(course.power_W),
-        price_per_kWh=mean(course.price_per_kWh),
-        cost=course.cost[last],
-        discomfort_Kh=course.discomfort_Kh[:, last],
-        band_C=course.band_C[:, :, first],
-        averaged=together,
-        scaled=course.scaled,
-    )
+    def at(places: NDArray[np.intp], *names: str) -> dict[str, Array]:
+        return {name: getattr(course, name)[..., places] for name in names}
+
+    sampled = at(last, "T_out_C", "solar_W_m2", "T_zone_C", "cost", "discomfort_Kh")
+    means = {name: mean(getattr(course, name)) for name in ("u", "power_W", "price_per_kWh")}
+    begins = at(first, "start_s", "lower_C", "upper_C", "band_C")
+    parts: dict[str, Any] = {**begins, **sampled, **means}
+    return replace(course, duration_s=weight, averaged=together, **parts)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S
-from thermoforce_mpc.simulation.closed_loop import RunResult
+from thermoforce_mpc.data import HOUR_S, Array, Plan
+from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
 
 
 def forecast_errors(result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0, 12.0, 24.0)) -> list[dict[str, Any]]:
@@ -21,23 +22,15 @@ def forecast_errors(result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0
         of plans scored.
     """
     measured = {round(step.time_s): step.T_zone_C for step in result.steps}
-    rows: dict[tuple[str, float], dict[str, Any]] = {}
-    for hours in horizons_h:
-        errors = []
-        for step in result.steps:
-            plan = step.plan
-            if not plan.u.size:
-                continue
-            index = round(hours * HOUR_S / step.boundary.step_s) - 1
-            later = measured.get(round(step.time_s + hours * HOUR_S))
-            if later is not None and 0 <= index < plan.u.shape[-1]:
-                errors.append(plan.T_zone_C[:, index] - later)
-        for zone, error in zip(result.names.zones, np.transpose(errors), strict=False):
-            finite = error[np.isfinite(error)]  # NaN where the zone's sensor was silent
-            if finite.size:
-                rmse, bias = float(np.sqrt(np.mean(finite**2))), float(np.mean(finite))
-                rows[zone, hours] = {"zone": zone, "hours": hours, "bias_K": bias, "rmse_K": rmse, "n": finite.size}
-    return _by_zone(rows, result, horizons_h)
+
+    def figures(plans: list[tuple[Plan, int, Array]], z: int) -> dict[str, Any]:
+        error = np.array([plan.T_zone_C[z, k] - later[z] for plan, k, later in plans])
+        finite = error[np.isfinite(error)]  # NaN where the zone's sensor was silent
+        if not finite.size:
+            return {}
+        return {"bias_K": float(np.mean(finite)), "rmse_K": float(np.sqrt(np.mean(finite**2))), "n": finite.size}
+
+    return _scored(result, result.steps, measured, horizons_h, figures)
 
 
 def free_forecast_scores(
@@ -54,31 +47,41 @@ def free_forecast_scores(
     """
     came = {round(step.time_s): step.plan.T_free_now_C for step in result.steps if step.plan.u.size}
     start_s = result.steps[0].time_s if result.steps else 0.0
-    rows: dict[tuple[str, float], dict[str, Any]] = {}
-    for hours in horizons_h:
-        errors, inside = [], []
-        for step in result.steps:
-            plan, later = step.plan, came.get(round(step.time_s + hours * HOUR_S))
-            index = round(hours * HOUR_S / step.boundary.step_s) - 1
-            if later is None or step.time_s - start_s < settle_h * HOUR_S or not 0 <= index < plan.u.shape[-1]:
-                continue
-            errors.append(np.abs(plan.T_free_C[:, index] - later))
-            inside.append((plan.T_free_low_C[:, index] <= later) & (later <= plan.T_free_high_C[:, index]))
-        for zone, error, covered in zip(result.names.zones, np.transpose(errors), np.transpose(inside), strict=False):
-            finite = np.isfinite(error)  # NaN where the zone's sensor was silent
-            if finite.any():
-                rows[zone, hours] = {
-                    "zone": zone,
-                    "hours": hours,
-                    "mae_K": float(np.mean(error[finite])),
-                    "coverage": float(np.mean(covered[finite])),
-                    "n": int(finite.sum()),
-                }
-    return _by_zone(rows, result, horizons_h)
+    settled = [step for step in result.steps if step.time_s - start_s >= settle_h * HOUR_S]
+
+    def figures(plans: list[tuple[Plan, int, Array]], z: int) -> dict[str, Any]:
+        error = np.array([plan.T_free_C[z, k] - later[z] for plan, k, later in plans])
+        inside = np.array([plan.T_free_low_C[z, k] <= later[z] <= plan.T_free_high_C[z, k] for plan, k, later in plans])
+        finite = np.isfinite(error)  # NaN where the zone's sensor was silent
+        if not finite.any():
+            return {}
+        mae_K = float(np.mean(np.abs(error[finite])))
+        return {"mae_K": mae_K, "coverage": float(np.mean(inside[finite])), "n": int(finite.sum())}
+
+    return _scored(result, settled, came, horizons_h, figures)
 
 
-def _by_zone(
-    rows: dict[tuple[str, float], dict[str, Any]], result: RunResult, horizons_h: tuple[float, ...]
+def _scored(
+    result: RunResult,
+    steps: Iterable[StepRecord],
+    came: Mapping[int, Array],
+    horizons_h: tuple[float, ...],
+    figures: Callable[[list[tuple[Plan, int, Array]], int], dict[str, Any]],
 ) -> list[dict[str, Any]]:
-    """The rows zone by zone, then by lead time."""
-    return [rows[zone, h] for zone in result.names.zones for h in horizons_h if (zone, h) in rows]
+    """Rows zone by zone, then by lead time, of the `figures` of a zone: from plans with the number of the step that
+    ends so much later, and what `came` then, by time (s).
+    """
+    steps = list(steps)
+    scored: dict[float, list[tuple[Plan, int, Array]]] = {}
+    for hours in horizons_h:
+        for step in steps:
+            k = round(hours * HOUR_S / step.boundary.step_s) - 1
+            later = came.get(round(step.time_s + hours * HOUR_S))
+            if later is not None and 0 <= k < step.plan.u.shape[-1]:
+                scored.setdefault(hours, []).append((step.plan, k, later))
+    return [
+        {"zone": zone, "hours": hours, **found}
+        for z, zone in enumerate(result.names.zones)
+        for hours, plans in scored.items()
+        if (found := figures(plans, z))
+    ]

@@ -11,7 +11,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout
 from thermoforce_mpc.files import write_whole
-from thermoforce_mpc.simulation.closed_loop import RunResult, gates_held
+from thermoforce_mpc.simulation.closed_loop import RunResult
 from thermoforce_mpc.simulation.folder.capped import Capped
 from thermoforce_mpc.simulation.folder.plain_files import write_plain
 from thermoforce_mpc.simulation.folder.planning import planning_of
@@ -25,7 +25,7 @@ from thermoforce_mpc.simulation.report.page import UPLOT, rendered
 from thermoforce_mpc.simulation.report.plans import FINEST_K, TEMPERATURES, plans_json
 from thermoforce_mpc.simulation.report.tables import advice, apart, events, kpi_rows
 from thermoforce_mpc.simulation.views.verdict import verdict
-from thermoforce_mpc.simulation.views.watching import watch_spells
+from thermoforce_mpc.simulation.views.watching import gates_held, watch_spells
 
 if TYPE_CHECKING:
     from thermoforce_mpc.model.thermal_model import ThermalModel

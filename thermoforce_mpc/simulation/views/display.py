@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
+from typing import Self
 
 import numpy as np
-from rich import box
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
@@ -15,16 +15,17 @@ from rich.text import Text
 
 from boptest_client import safe_text
 from thermoforce_mpc.data import DAY_S, Period, PlanStatus
+from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import Sample, StepRecord
 from thermoforce_mpc.simulation.comparison.outcome import best_values
 from thermoforce_mpc.simulation.models.probing import ProbingProgress
 from thermoforce_mpc.simulation.own_kpis import own_of
-from thermoforce_mpc.simulation.views.whole_tables import figure, print_whole
+from thermoforce_mpc.simulation.views.whole_tables import figure, plain_table, print_whole
 
 Kpis = Callable[[], Mapping[str, float]]
 # Loops that end sooner say nothing of it.
-_SHORT_S, _MINUTE_S = 5.0, 60.0
+_SHORT_S = 5.0
 # Where nothing can be overwritten, the first line of progress comes after this time, s, the next after twice that, ….
 SAID_AFTER_S = 60.0
 # Characters of a message: it may list many things, and quote what comes from elsewhere.
@@ -39,30 +40,40 @@ KPI_COLUMNS = {
 }
 
 
-class LoopDisplay:
+class _Line:
+    """A line that is written over, on a terminal that is not quiet."""
+
+    def __init__(self, console: Console, quiet: bool, begins: str = "") -> None:
+        self._console, self._quiet, self._begins = console, quiet, begins
+        self._live: Live | None = None
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal and not self._quiet:
+            self._live = Live(Text(self._begins), console=self._console, refresh_per_second=8, transient=True)
+            self._live.__enter__()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._live:
+            self._live.__exit__(None, None, None)
+
+
+class LoopDisplay(_Line):
     """Progress of one closed loop: state at each step, the plant's KPIs at the end of each day and of the loop."""
 
     def __init__(
         self, console: Console, controller: str, period: Period, kpis: Kpis, currency: str, quiet: bool
     ) -> None:
-        self._console, self._controller, self._period, self._quiet = console, controller, period, quiet
-        self._kpis, self._currency = kpis, currency
-        self._live: Live | None = None
+        super().__init__(console, quiet)
+        self._controller, self._period, self._kpis, self._currency = controller, period, kpis, currency
         self._so_far = ""
         self._days_done = 0
         self._began, self._next_said_s = time.monotonic(), SAID_AFTER_S
         self._fallbacks, self._bridged, self._gated, self._watched = 0, 0, 0, 0
 
-    def __enter__(self) -> LoopDisplay:
-        if not self._quiet and self._console.is_terminal:
-            self._live = Live(Text(""), console=self._console, refresh_per_second=8, transient=True)
-            self._live.__enter__()
-        return self
-
-    def __exit__(self, kind: object, *exception: object) -> None:
-        if self._live:
-            self._live.__exit__(None, None, None)
-        if kind is None and not self._quiet:
+    def __exit__(self, *exception: object) -> None:
+        super().__exit__(*exception)
+        if exception[0] is None and not self._quiet:
             days = f"{self._days:g} day{'' if self._days == 1 else 's'}"
             self._print(f"{self._controller}: {days} in {self._took()}{self._so_far}{self._odd()}")
 
@@ -98,7 +109,7 @@ class LoopDisplay:
         self._console.print(line, highlight=False, soft_wrap=True)
 
     def _took(self) -> str:
-        return _duration(time.monotonic() - self._began)
+        return duration(time.monotonic() - self._began)
 
     def _line(self, record: StepRecord, day: float) -> str:
         last = record.samples[-1]
@@ -125,11 +136,7 @@ class LoopDisplay:
     def _left(self, day: float) -> str:
         """How long the rest of the loop takes if it goes on as until now; nothing where that is seconds."""
         seconds = (time.monotonic() - self._began) * (self._days / day - 1.0)
-        return "" if seconds < _SHORT_S else f"  {_duration(seconds)} left"
-
-
-def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 2 * _MINUTE_S else f"{seconds / _MINUTE_S:.0f} min"
+        return "" if seconds < _SHORT_S else f"  {duration(seconds)} left"
 
 
 def _temperatures(sample: Sample) -> str:
@@ -148,27 +155,13 @@ def _so_far(kpis: Mapping[str, float], currency: str) -> str:
     return "".join(f"  {kpis[key]:{digits}}{unit}" for key, digits, unit in formats if key in kpis)
 
 
-class ProbingDisplay:
+class ProbingDisplay(_Line):
     """Progress of a probing on a terminal: days done, and what the record is expected to tell; a callback."""
 
-    def __init__(self, console: Console, begins: str, quiet: bool) -> None:
-        self._console, self._quiet = console, quiet
-        self._live: Live | None = None
-        self._begins = begins
-
-    def __enter__(self) -> ProbingDisplay:
-        if self._quiet:
-            return self
-        if self._console.is_terminal:
-            self._live = Live(Text(self._begins), console=self._console, refresh_per_second=8, transient=True)
-            self._live.__enter__()
-        else:
+    def __enter__(self) -> Self:
+        if not (self._console.is_terminal or self._quiet):
             self._console.print(self._begins, soft_wrap=True, markup=False)
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        if self._live:
-            self._live.__exit__(None, None, None)
+        return super().__enter__()
 
     def __call__(self, progress: ProbingProgress) -> None:
         """Show `progress`, every hour."""
@@ -209,7 +202,7 @@ class RunDisplay:
 
     def probing(self, begins: str) -> ProbingDisplay:
         """Progress display of a probing, a context and the callback of `identify_on`; `begins` says what is done."""
-        return ProbingDisplay(self.console, begins, self.quiet)
+        return ProbingDisplay(self.console, self.quiet, begins)
 
     def loop(self, controller: str, period: Period, kpis: Kpis, currency: str) -> LoopDisplay:
         """Progress display of one closed loop; `kpis` returns the plant's KPIs so far."""
@@ -227,14 +220,10 @@ class RunDisplay:
 
         `held` says by controller that the competence gate held, and why: such a row is marked `gate`.
         """
-        table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
-        table.add_column("controller", no_wrap=True)
         best = best_values(everyone)
-        for label in KPI_COLUMNS.values():
-            table.add_column(label.format(currency=currency), justify="right")
         own = list(dict.fromkeys(key for kpis in everyone.values() for key in own_of(kpis)))
-        for key in own:
-            table.add_column(key.replace(", ", "\n"), justify="right")
+        headings = [label.format(currency=currency) for label in KPI_COLUMNS.values()]
+        table = plain_table(["controller", *headings, *(key.replace(", ", "\n") for key in own)], title)
         for name, kpis in everyone.items():
             values = {key: kpis.get(key) for key in (*KPI_COLUMNS, *own)}
             table.add_row(
@@ -254,11 +243,8 @@ class RunDisplay:
 
 def zone_table(zones: Mapping[str, Mapping[str, float]]) -> Table:
     """Discomfort of each zone, one row per controller."""
-    table = Table(title="Discomfort by zone, K·h", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
-    table.add_column("controller", no_wrap=True)
     names = list(dict.fromkeys(zone for of in zones.values() for zone in of))
-    for zone in names:
-        table.add_column(zone, justify="right")
+    table = plain_table(["controller", *names], "Discomfort by zone, K·h")
     for controller, of in zones.items():
         table.add_row(controller, *(f"{of[zone]:.2f}" if zone in of else "–" for zone in names))
     return table

@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Measurement, Names, Observation
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Observation
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.simulation.folder.plain_files import check_plain
@@ -45,39 +44,9 @@ class Decision:
         return self.steps[-1]
 
     @property
-    def told(self) -> Mapping[str, Any]:
-        """Its record in the journal."""
-        return self.step.told
-
-    @property
-    def names(self) -> Names:
-        """Names of zones, actuators and machines."""
-        return self.step.names
-
-    @property
-    def before(self) -> Measurement | None:
-        """The readings it began with."""
-        return self.step.before
-
-    @property
-    def after(self) -> tuple[Measurement, ...]:
-        """The readings at the end of each block."""
-        return self.step.after
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What was doubtful."""
-        return self.step.notes
-
-    @property
     def observation(self) -> Observation:
         """What it was made on."""
         return Observation(history_before(self.steps), self.boundary)
-
-    @property
-    def time_s(self) -> float:
-        """Its begin, s since 1 January."""
-        return self.step.time_s
 
     @property
     def T_zone_C(self) -> Array:
@@ -90,9 +59,9 @@ class Decision:
             return []
         sentences = []
         n = self.T_zone_C.shape[-1]
-        for z, zone in enumerate(self.names.zones):
+        for z, zone in enumerate(self.step.names.zones):
             lower_C, upper_C = self.boundary.lower_C[z, 1 : n + 1], self.boundary.upper_C[z, 1 : n + 1]
-            T, of = self.T_zone_C[z, : lower_C.size], "" if self.names.single else f"{zone}: "
+            T, of = self.T_zone_C[z, : lower_C.size], "" if self.step.names.single else f"{zone}: "
             near = {"lower": T - lower_C, "upper": upper_C - T}
             touched = [
                 (int(np.argmax(gap <= _BINDING_K)), side) for side, gap in near.items() if (gap <= _BINDING_K).any()
@@ -100,7 +69,7 @@ class Decision:
             if not touched:
                 side, gap = min(near.items(), key=lambda item: float(np.nanmin(item[1])))
                 k = int(np.nanargmin(gap))
-                when_h = (self.boundary.time_s[k + 1] - self.time_s) / 3600.0
+                when_h = (self.boundary.time_s[k + 1] - self.step.time_s) / 3600.0
                 bound_C = float((lower_C if side == "lower" else upper_C)[k])
                 sentences.append(
                     f"{of}nearest is the {side} comfort bound, {bound_C:.1f} °C, {gap[k]:.2f} K away in {when_h:g} h: "
@@ -108,7 +77,7 @@ class Decision:
                 )
                 continue
             at, side = min(touched)
-            when_h = (self.boundary.time_s[at + 1] - self.time_s) / 3600.0
+            when_h = (self.boundary.time_s[at + 1] - self.step.time_s) / 3600.0
             bound_C = float((lower_C if side == "lower" else upper_C)[at])
             sentences.append(f"{of}the {side} comfort bound, {bound_C:.1f} °C, binds first, in {when_h:g} h")
             outside = {side: float(-np.nanmin(gap)) for side, gap in near.items()}
@@ -123,8 +92,8 @@ class Decision:
         What it costs is what holds a room so much warmer, or cooler, of what holds it where it is planned.
         """
         margins, lines = self.margins, []
-        for z, zone in enumerate(self.names.zones if margins else ()):
-            of = "" if self.names.single else f"{zone}: "
+        for z, zone in enumerate(self.step.names.zones if margins else ()):
+            of = "" if self.step.names.single else f"{zone}: "
             parts = []
             for b, bound in enumerate(("lower", "upper")):
                 sizes_K = {name: values[b, z] for name, values in margins.items() if values.ndim == 2}
@@ -137,7 +106,7 @@ class Decision:
             if round(offset_K := float(margins["offset"][z]), 2):
                 parts.append(f"prediction moved by {offset_K:+.2f} K")
             lines.append(of + ", ".join(parts))
-        for machine, unused in zip(self.names.machines, margins.get("unused_capacity", ()), strict=False):
+        for machine, unused in zip(self.step.names.machines, margins.get("unused_capacity", ()), strict=False):
             if round(unused, 2):
                 lines.append(f"{machine}: {unused:.0%} of its capacity left unused")
         return lines

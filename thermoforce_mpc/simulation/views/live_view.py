@@ -16,12 +16,12 @@ from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.model.forecast_gaps import completed
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.simulation.closed_loop import with_level
+from thermoforce_mpc.simulation.closed_loop import in_force, with_level
 from thermoforce_mpc.simulation.folder.plain_files import check_plain
 from thermoforce_mpc.simulation.folder.run_folder import is_complete, plain_json
 from thermoforce_mpc.simulation.forecasts import holes, price_paid
 from thermoforce_mpc.simulation.journal.journal import FORMAT, NAME, Entry, JournalError, JournalTail, making_sense
-from thermoforce_mpc.simulation.journal.journal_values import block_of, planned_of
+from thermoforce_mpc.simulation.journal.journal_values import planned_of
 from thermoforce_mpc.simulation.journal.told_steps import StepReader, ToldStep
 
 # Past shown, and steps of it at most.
@@ -170,8 +170,8 @@ class LiveRun:
         self._counts[str(step.told["status"])] += 1
         self._boundary = self._forecast(step)
         start_s, levels = step.time_s, []
-        for advance, reported in zip(step.advances, step.after, strict=True):
-            reading = with_level(reported, block_of(advance["asked"]))
+        for block, reported in zip(step.blocks, step.after, strict=True):
+            reading = with_level(reported, block)
             hours = (reading.time_s - start_s) / HOUR_S
             self._metered |= bool(np.isfinite(reading.power_W).any())
             kWh = np.nan_to_num(reading.power_W) * hours / 1000.0
@@ -196,7 +196,7 @@ class LiveRun:
 
     def _price(self, boundary: Boundary, time_s: float, u: Array) -> Array:
         """Price of each machine's energy (M,) at levels `u` (A,)."""
-        i = _index(boundary, time_s)
+        i = in_force(boundary, time_s)
         price, heating = boundary.price_per_kWh[:, [i]], boundary.heating_price_per_kWh[:, [i]]
         if np.array_equal(price, heating):
             return price[:, 0]
@@ -206,7 +206,7 @@ class LiveRun:
 
     def _zones(self, at: Measurement) -> tuple[Zone, ...]:
         names, b = at.names.zones, self._boundary
-        i = 0 if b is None else _index(b, at.time_s)
+        i = 0 if b is None else in_force(b, at.time_s)
         bounds = (
             [(np.nan, np.nan)] * len(names) if b is None else list(zip(b.lower_C[:, i], b.upper_C[:, i], strict=True))
         )
@@ -291,8 +291,3 @@ def _point(time_s: float, zones: tuple[Zone, ...], u: Array) -> Point:
         tuple(zone.upper_C for zone in zones),
         tuple(float(level) for level in u),
     )
-
-
-def _index(boundary: Boundary, time_s: float) -> int:
-    """The latest instant of a forecast that is not after `time_s`."""
-    return int(max((boundary.time_s <= time_s + 1.0).sum() - 1, 0))

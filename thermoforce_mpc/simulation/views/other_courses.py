@@ -71,8 +71,8 @@ def _planned(decision: Decision) -> Plan | None:
     """The plan without its blocks; None where nothing was planned."""
     if not decision.plan:
         return None
-    told = decision.told
-    plan = Plan((), PlanStatus(told["status"]), told["why"], margins=decision.margins, names=decision.names)
+    told = decision.step.told
+    plan = Plan((), PlanStatus(told["status"]), told["why"], margins=decision.margins, names=decision.step.names)
     courses: dict[str, Any] = dict(decision.plan)
     return replace(plan, **courses)
 

@@ -16,8 +16,8 @@ from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.closed_loop import RunResult
-from thermoforce_mpc.simulation.folder.capped import capped_figures
 from thermoforce_mpc.simulation.folder.plain_files import check_plain
+from thermoforce_mpc.simulation.folder.results import figures_of
 from thermoforce_mpc.simulation.folder.run_folder import is_complete, kept_model, write_json
 from thermoforce_mpc.simulation.journal.told_results import ToldRun, told_run
 from thermoforce_mpc.simulation.own_kpis import own_of
@@ -60,28 +60,16 @@ def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[st
         "environment": {"thermoforce-mpc": run.version},
         "identification": run.models.get(result.controller, {}).get("origin", {}),
     }
-    plant: Mapping[str, Any] = manifest["plant"]
-    kpis = {
-        "testcase": plant.get("testcase", testcase.name),
-        "plant": f"{plant.get('kind')}: {plant.get('description')}",
-        "weather": plant.get("weather", ""),
-        "period": run.scenario.period,
-        "start_day": result.period.start_s / DAY_S,
-        "scored_days": result.period.scored_s / DAY_S,
-        "price": run.scenario.price,
-        "controller": result.controller,
-        "power_cap": capped_figures(run.scenario, result, {baseline.controller: baseline for baseline in baselines}),
-        "equal_comfort": told.get("equal_comfort", ""),
-    }
+    beside = {baseline.controller: baseline for baseline in baselines}
+    kpis = figures_of(run.scenario, manifest["plant"], result, beside, str(told.get("equal_comfort", "")))
     if path is None and not is_complete(folder):
-        figures = {"kpis": result.kpis, "baselines": {one.controller: one.kpis for one in baselines}}
-        write_json(folder / "incomplete_kpis.json", {**kpis, **figures, "said": notes})
+        write_json(folder / "incomplete_kpis.json", {**kpis, "said": notes})
     file = write_report(
         folder,
         currency=testcase.currency,
         kpis=kpis,
         result=result,
-        baselines={baseline.controller: baseline for baseline in baselines},
+        baselines=beside,
         layout=testcase.layout,
         area_m2=testcase.area_m2,
         model=model,

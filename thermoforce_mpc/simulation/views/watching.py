@@ -1,12 +1,36 @@
-"""Spells of a run in which the watch had handed control back, in words for console and report."""
+"""Steps of a run in which the gate held or the watch had handed control back, in words for console and report."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import groupby
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import RunResult
+
+
+@dataclass(frozen=True)
+class GateHeld:
+    """Steps of a run in which the competence gate held: `steps` of `total`, and why, of the first."""
+
+    steps: int
+    total: int
+    why: str
+
+    def in_words(self) -> str:
+        """One sentence for people."""
+        return f"the gate held in {self.steps} of {self.total} steps: {self.why.removeprefix('gate: ')}"
+
+
+def gates_held(result: RunResult, others: Mapping[str, RunResult]) -> dict[str, GateHeld]:
+    """Return the runs in which the gate held, by controller."""
+    gates = {}
+    for name, run in {result.controller: result, **others}.items():
+        why = [step.plan.why for step in run.steps if step.plan.status is PlanStatus.GATE]
+        if why:
+            gates[name] = GateHeld(len(why), len(run.steps), why[0])
+    return gates
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
 # Widest table, characters.
 _WIDEST = 1000
+
+
+def plain_table(headings: Sequence[str], title: str | None = None, *, folded: bool = False) -> Table:
+    """A table without lines but that under its headings; the first column holds names, the others figures.
+
+    `folded`: names may take several lines.
+    """
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
+    for k, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if k else "left", no_wrap=bool(k) or not folded, overflow="fold")
+    return table
 
 
 def width_of(table: Table, console: Console, *, folded: bool = False) -> int:

@@ -1,0 +1,160 @@
+"""A simulation in a process of its own, asked by pickled messages over its standard streams.
+
+Simulations are third-party machine code that may print, crash, hang, or keep state between two runs of a process, so
+every run gets a new process. `WorkerProcess` is the one end; `channel` is the other, in the module that is started.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from queue import SimpleQueue
+from typing import IO, Any
+
+from boptest_client import safe_text
+from thermoforce_mpc.data import DAY_S
+from thermoforce_mpc.errors import PlantError
+from thermoforce_mpc.plants.waiting import PATIENCE_S, wait_for
+
+_SAID_BYTES = 500
+_END_S = 5.0
+
+
+class WorkerProcess:
+    """Process of one run of `what`; it is never used for a second run.
+
+    `patience_s`: longest time for a quarter of an hour of the building's time, s. `now_s`: time of the run, s.
+    """
+
+    def __init__(self, module: str, what: str, work_folder: Path, patience_s: float = PATIENCE_S) -> None:
+        """Start `module`; `work_folder` is its working directory, and where it puts temporary files."""
+        self._what, self.patience_s, self.now_s = what, patience_s, 0.0
+        self._said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
+        root = str(Path(__file__).resolve().parents[2])
+        path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._said,
+            cwd=work_folder,
+            env={**os.environ, "PYTHONPATH": path, "TMPDIR": str(work_folder)},
+        )
+
+    @property
+    def closed(self) -> bool:
+        """Whether it was closed, or failed, which closes it."""
+        return self._said.closed
+
+    def ask(self, phase: str, request: object, *, doing: str = "simulate", limit_s: float | None = None) -> Any:
+        """The answer to `request`; without one the process is closed: an incomplete step cannot be continued.
+
+        `phase` and `doing` name it in messages, such as 'step from' and 'simulate'.
+
+        Raises:
+            PlantError: it failed, or took more than `limit_s`, by default its patience.
+        """
+        if self.closed:
+            raise PlantError(f"{self._what} was closed; reset the plant to start it again")
+        try:
+            return self._answer(phase, request, doing, limit_s or self.patience_s)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """End the process; safe to call twice."""
+        if self._process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self._process.stdin.close()
+        try:
+            self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+        self._said.close()
+
+    def _answer(self, phase: str, request: object, doing: str, limit_s: float) -> Any:
+        when = f"day {self.now_s / DAY_S:g}"
+        whose = f"{self._what}'" if self._what.endswith("s") else f"{self._what}'s"
+        try:
+            answer = wait_for(lambda: self._exchanged(request), self._process.kill, f"{whose} {phase} {when}", limit_s)
+        except (EOFError, OSError, pickle.UnpicklingError) as error:
+            raise PlantError(f"{whose} process {self._end()} at {when}{self._last_words()}") from error
+        if isinstance(answer, Failed):
+            why = f"{safe_text(answer.why)}{self.advice(answer.why)}{self._last_words()}"
+            raise PlantError(f"{self._what} could not {doing} at {when}: {why}")
+        return answer
+
+    def advice(self, why: str) -> str:
+        """What to do about a failure, for the end of its message."""
+        return ""
+
+    def _exchanged(self, request: object) -> Any:
+        assert self._process.stdin is not None  # both are pipes
+        assert self._process.stdout is not None
+        pickle.dump(request, self._process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
+        self._process.stdin.flush()
+        return pickle.load(self._process.stdout)  # trusted: from our own process
+
+    def _end(self) -> str:
+        try:
+            code = self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            return "stopped answering"
+        if code < 0:
+            with contextlib.suppress(ValueError):
+                return f"was ended by signal {signal.Signals(-code).name}"
+        return f"ended with code {code}"
+
+    def _last_words(self) -> str:
+        """Return the last of what the simulation and its process printed."""
+        size = os.fstat(self._said.fileno()).st_size
+        said = os.pread(self._said.fileno(), _SAID_BYTES, max(size - _SAID_BYTES, 0)) if hasattr(os, "pread") else b""
+        text = safe_text(said.decode(errors="replace").strip())
+        return f"\nIts last output (of {size:,} bytes):\n{text}" if text else ""
+
+
+class Failed:
+    """Answer of a worker that failed, with the error in words."""
+
+    def __init__(self, error: BaseException) -> None:
+        self.why = f"{type(error).__name__}: {error}"
+
+
+def channel() -> tuple[Callable[[], Any], Callable[[Any], None]]:
+    """Receive a request and send an answer, in the worker; the end of the stream ends its process, also if it hangs."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the other end too, which then ends this one
+    # Output of the simulation must not reach the messages: standard output is redirected to standard error.
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    requests: SimpleQueue[Any] = SimpleQueue()
+    threading.Thread(target=_receive, args=(requests,), daemon=True).start()
+
+    def send(answer: Any) -> None:
+        pickle.dump(answer, answers, protocol=pickle.HIGHEST_PROTOCOL)
+        answers.flush()
+
+    return requests.get, send
+
+
+def _receive(requests: SimpleQueue[Any]) -> None:
+    """Queue what comes; at the end of the stream end the process.
+
+    Libraries are not unloaded: those of others tend to crash then, and nothing is left to save.
+    """
+    try:
+        while True:
+            requests.put(pickle.load(sys.stdin.buffer))
+    finally:
+        os._exit(0)
