@@ -156,3 +156,14 @@ def test_registry_builds_it_from_the_model_alone() -> None:
         build_free_response("rc", rc=None)
     with pytest.raises(ConfigError, match="unknown option 'lags'; known: none"):
         build_free_response("rc", rc=two_modes(), lags=3)
+
+
+def test_noise_that_modes_share_in_an_hour_can_be_had_in_a_quarter() -> None:
+    """Scaled element by element it is no covariance: the fast mode forgets within the hour, the slow one does not."""
+    slow = replace(two_modes(), poles=np.array([0.2, 0.99]), process_K2=np.array([[1.0, -0.99], [-0.99, 1.0]]))
+    quarter = slow.resampled(900.0)
+    assert np.linalg.eigvalsh(quarter.process_K2)[0] >= -1e-12
+    np.testing.assert_allclose(np.diag(quarter.process_K2), [0.58, 0.25], atol=0.1)
+    still = np.full(5, 20.0)
+    forecast = RcFreeResponse(quarter).forecast(still, history_of(still, step_s=900.0), boundary_of(4, 3, step_s=900.0))
+    assert np.isfinite(forecast.quantiles_C).all()

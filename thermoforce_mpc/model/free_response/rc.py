@@ -99,7 +99,7 @@ class RcParameters:
             poles=poles,
             weights=self.weights * scale[:, None],
             step_s=step_s,
-            process_K2=self.process_K2 * spread,
+            process_K2=_covariance(self.process_K2 * spread),
             start_K2=self.start_K2,
             sensor_sd_K=self.sensor_sd_K,
         )
@@ -112,6 +112,12 @@ class RcParameters:
         """Steady state (q,), K, under the mean of the first day of `drive` (n, q)."""
         day = max(1, round(DAY_S / self.step_s))
         return np.asarray(drive[:day].mean(axis=0) / (1.0 - self.poles))
+
+
+def _covariance(matrix: Array) -> Array:
+    """The nearest covariance to a symmetric matrix (q, q): noise of long steps may be none of shorter ones."""
+    sizes, directions = np.linalg.eigh(matrix)
+    return np.asarray((directions * np.maximum(sizes, 0.0)) @ directions.T)
 
 
 def weather_inputs(time_s: Array, T_out_C: Array, solar_W_m2: Array) -> Array:
