@@ -26,8 +26,7 @@ _MOST = 12
 _AGAIN_DAYS = (0.5, 7.0)
 # Parts of a step that are looked up each.
 _PARTS = 4
-HOURS = 24
-"""Hours of a day."""
+_HOURS = 24
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class BlockedHours:
         """Hours that are blocked: refused before the actuator worked again, and refused ones beside these."""
         refused = {hour for hour, _ in self.refused}
         found = {hour for hour, first_s in self.refused if first_s < self.worked_s}
-        while beside := {hour for hour in refused - found if {(hour - 1) % HOURS, (hour + 1) % HOURS} & found}:
+        while beside := {hour for hour in refused - found if {(hour - 1) % _HOURS, (hour + 1) % _HOURS} & found}:
             found |= beside
         return frozenset(found) if len(found) <= _MOST else frozenset()
 
@@ -96,11 +95,11 @@ class BlockedHours:
 
     def in_words(self) -> str:
         """The hours, for people."""
-        starts = sorted(hour for hour in self.hours if (hour - 1) % HOURS not in self.hours)
+        starts = sorted(hour for hour in self.hours if (hour - 1) % _HOURS not in self.hours)
         spans = []
         for start in starts:
-            end = next(start + n for n in range(1, HOURS + 1) if (start + n) % HOURS not in self.hours)
-            spans.append(f"{start}:00 to {end % HOURS}:00")
+            end = next(start + n for n in range(1, _HOURS + 1) if (start + n) % _HOURS not in self.hours)
+            spans.append(f"{start}:00 to {end % _HOURS}:00")
         return (
             f"nothing comes from {' and '.join(spans)}, whatever is asked for: the plant's own schedule; plans do "
             "without these hours"
@@ -110,4 +109,4 @@ class BlockedHours:
 
 
 def _hour(time_s: float) -> int:
-    return int((time_s % DAY_S + 1.0) // HOUR_S) % HOURS
+    return int((time_s % DAY_S + 1.0) // HOUR_S) % _HOURS

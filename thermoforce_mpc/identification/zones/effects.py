@@ -84,13 +84,13 @@ def zone_effects(
     for a, home in enumerate(layout.home):
         order, k = [a, *others_of(layout, a, config)], layout.actuators_of(home).index(a)
         signs, folds = np.array([layout.signs[b] for b in order]), {}
+        without = {fold: fit.without(home, k) for fold, fit in by_fold.items()}
         for fold, fit in by_fold.items():
             modes = projected(fit.responses[home, order], 0, signs, config.modes)
-            without = fit.without(home, k)
-            free, alone = free_part(fit, home), free_part(without, home)
+            free, alone = free_part(fit, home), free_part(without[fold], home)
             folds[fold] = Effects(modes, tuple(inputs[fold][b] for b in order), free, alone)
         of_responses = whole.covariance[home, order]
-        log_odds = without.rooms[home].value - whole.rooms[home].value
+        log_odds = without["whole"].rooms[home].value - whole.rooms[home].value
         training, earlier = folds["training"], folds.get("earlier", folds["training"])
         effects.append(ZoneEffects(folds["whole"], training, earlier, of_responses, estimates[a], log_odds))
     return effects
