@@ -5,24 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from thermal_networks import KnownFit, effect_K, theta_of
+from thermal_networks import AREA_M2, LAYOUT, ROOMS, KnownFit, effect_K, theta_of
 
-from thermoforce_mpc.data import Layout, Names
+from thermoforce_mpc.data import Layout
 from thermoforce_mpc.identification.network.building import RESPONSE_H, BuildingFit
 from thermoforce_mpc.identification.network.room import Room
 from thermoforce_mpc.model.free_response.rc import INPUTS
 
-AREA_M2 = (20.0, 30.0)
-LAYOUT = Layout(
-    Names(("bath", "hall"), ("radiator", "floor", "fan"), ("boiler", "chiller")),
-    signs=(1, 1, -1),
-    home=(0, 1, 1),
-    machine_of=(0, 0, 1),
-    lowest=(0.0, 0.0, 0.0),
-    shares=(0.5, 0.5, 0.0),
-    floor_area_m2=AREA_M2,
-)
-ROOMS = (Room(neighbours=1), Room((1, -1), (float("nan"),) * 2, neighbours=1))
 # One wall of 12 W/K, of which each room has its share per m² of its floor.
 THETAS = (
     theta_of(ROOMS[0], wall_0=12.0 / AREA_M2[0], heat_0=80.0, C_structure=40.0, sun=0.08),

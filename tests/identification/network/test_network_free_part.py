@@ -7,26 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from thermal_networks import random_theta, simulated, theta_of
+from thermal_networks import AREA_M2, LAYOUT, ROOMS, random_theta, simulated, theta_of
 
-from thermoforce_mpc.data import Layout, Names
+from thermoforce_mpc.data import Layout
 from thermoforce_mpc.identification.network.building import BuildingFit
 from thermoforce_mpc.identification.network.estimate import RoomFit
 from thermoforce_mpc.identification.network.free_part import free_part
 from thermoforce_mpc.identification.network.room import Room
 from thermoforce_mpc.model.free_response.rc import INPUTS
 
-STEP_H, AREA_M2 = 0.25, (20.0, 30.0)
-LAYOUT = Layout(
-    Names(("bath", "hall"), ("radiator", "floor", "fan"), ("boiler", "chiller")),
-    signs=(1, 1, -1),
-    home=(0, 1, 1),
-    machine_of=(0, 0, 1),
-    lowest=(0.0, 0.0, 0.0),
-    shares=(0.5, 0.5, 0.0),
-    floor_area_m2=AREA_M2,
-)
-ROOMS = (Room(neighbours=1), Room((1, -1), (float("nan"),) * 2, neighbours=1))
+STEP_H = 0.25
 WALL_W_K = 12.0
 
 

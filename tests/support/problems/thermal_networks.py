@@ -8,12 +8,26 @@ import numpy as np
 from houses import weather
 from scipy.linalg import expm
 
+from thermoforce_mpc.data import Layout, Names
 from thermoforce_mpc.identification.network.estimate import RoomFit, Run
 from thermoforce_mpc.identification.network.room import Room
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 
 Rule = Callable[[float, float], float]
 """Level of an actuator from the hour and the temperature that is read, °C."""
+
+# Two rooms of a building, the second with two actuators.
+AREA_M2 = (20.0, 30.0)
+LAYOUT = Layout(
+    Names(("bath", "hall"), ("radiator", "floor", "fan"), ("boiler", "chiller")),
+    signs=(1, 1, -1),
+    home=(0, 1, 1),
+    machine_of=(0, 0, 1),
+    lowest=(0.0, 0.0, 0.0),
+    shares=(0.5, 0.5, 0.0),
+    floor_area_m2=AREA_M2,
+)
+ROOMS = (Room(neighbours=1), Room((1, -1), (float("nan"),) * 2, neighbours=1))
 
 
 class KnownFit(RoomFit):
