@@ -12,10 +12,10 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import nnls
+from scipy.optimize import minimize, nnls
 
 from thermoforce_mpc.data import Array, Record
-from thermoforce_mpc.identification.estimation.modes import ModePriors, lagged, unit_responses
+from thermoforce_mpc.identification.estimation.modes import ModePriors, bounds_h, lagged, unit_responses
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.model.free_response.rc import RcParameters
 
@@ -50,13 +50,25 @@ def rest_of(regression: RegressionData, free: RcParameters | None) -> Rest:
     return Rest(_mean(regression.histories[0], free)[regression.rows], _covariance(regression, free))
 
 
-def fitted_gains(pairs: Sequence[RegressionData], priors: ModePriors, sign: int) -> Array:
-    """[slope, G_2 … G_r] (r,), none negative, most likely given pairs and the priors, at their time constants."""
-    units = np.concatenate([unit_responses(priors.log_tau, e.step_s, e.drive, e.rows) for e in pairs])
-    mean, sd = priors.gains_at(priors.log_tau)
-    columns = np.concatenate([sign * units / _PAIR_SD_K, np.diag(1.0 / sd)])
-    target = np.concatenate([*(e.target / _PAIR_SD_K for e in pairs), mean / sd])
-    return np.asarray(nnls(columns, target)[0])
+def fitted_modes(pairs: Sequence[RegressionData], priors: ModePriors, sign: int) -> tuple[Array, Array]:
+    """ln(τ/h) (r,) and [slope, G_2 … G_r] (r,), none negative, most likely given pairs and the priors."""
+    target = np.concatenate([e.target / _PAIR_SD_K for e in pairs])
+
+    def gains_at(log_tau: Array) -> tuple[Array, float]:
+        units = np.concatenate([unit_responses(log_tau, e.step_s, e.drive, e.rows) for e in pairs])
+        mean, sd = priors.gains_at(log_tau)
+        columns = np.concatenate([sign * units / _PAIR_SD_K, np.diag(1.0 / sd)])
+        gains, distance = nnls(columns, np.concatenate([target, mean / sd]))
+        apart = (log_tau - priors.log_tau) / priors.log_tau_sd
+        return np.asarray(gains), float(distance**2 + apart @ apart)
+
+    found = minimize(
+        lambda log_tau: gains_at(log_tau)[1],
+        priors.log_tau,
+        method="L-BFGS-B",
+        bounds=np.log(bounds_h(priors.log_tau)),
+    )
+    return np.asarray(found.x), gains_at(found.x)[0]
 
 
 def _mean(history: Record, free: RcParameters) -> Array:

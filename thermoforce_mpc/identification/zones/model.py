@@ -17,7 +17,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.effects.level_laws import level_shape
 from thermoforce_mpc.identification.estimation.modes import bounds_h, centred_priors, to_operator
 from thermoforce_mpc.identification.estimation.regression import RegressionData
-from thermoforce_mpc.identification.estimation.rest import fitted_gains
+from thermoforce_mpc.identification.estimation.rest import fitted_modes
 from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
 from thermoforce_mpc.identification.validation.competence import Trial, judge
@@ -111,11 +111,11 @@ def _network_estimate(data: ZoneData, effects: ZoneEffects) -> Estimate:
 
 
 def _fold(regressions: Sequence[RegressionData], effects: Effects, sign: int) -> Fold:
-    """The effect that the network has, its gains fitted to what pairs show beside it: no loop biases a difference."""
+    """The effect that the network has, its modes fitted to what pairs show beside it: no loop biases a difference."""
     log_tau, gains = effects.modes.log_tau, effects.modes.gains[0]
     priors, pairs = centred_priors(log_tau, gains, _PAIRS_SD), [e for e in seen_rows(regressions) if e.is_pair]
     if pairs:
-        gains = fitted_gains(pairs, priors, sign)
+        log_tau, gains = fitted_modes(pairs, priors, sign)
     gains = np.maximum(gains, _LEAST_GAIN)
     return Fold(regressions, log_tau, gains, priors, effects.heat_inputs[0], effects.free, effects.alone)
 

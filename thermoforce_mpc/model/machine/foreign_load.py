@@ -90,7 +90,8 @@ def foreign_load(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> For
         return None
     load_W, T = meter_W[settled], T_out_C[settled]
     mean_W = float(load_W.mean())
-    if mean_W <= _LEAST_SHARE * float(np.percentile(meter_W[known & ~off], 90.0)):
+    # A meter against the machine's direction has none, and a machine that never ran tells none.
+    if mean_W <= max(0.0, _LEAST_SHARE * float(np.percentile(meter_W[known & ~off], 90.0))):
         return None
     reference_C = float(T.mean())
     design = np.zeros((load_W.size, HOURS + 1))
