@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from forecasting import boundary_of, history_of
 
 from controllers.mpc.config import FreeResponseConfig
 from controllers.registry import controller_config
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
+from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.registry import (
     build_free_response,
     check_free_response,
+    needs_identified,
     own_options,
 )
 from thermoforce_mpc.plants.testcases import load_testcase
@@ -28,6 +32,34 @@ def test_the_default_of_the_mpc_is_the_weather_model_with_the_forecaster_calibra
     assert isinstance(built, CalibratedFreeResponse)
     assert isinstance(built.inner, ChronosFreeResponse)
     assert built.inner.backbone == "shipped_weather"
+
+
+def test_the_default_is_the_mean_with_the_models_own_free_part_where_it_has_one() -> None:
+    own = RcParameters(
+        np.array([0.97]), np.array([[0.03, 1e-3, 0.0, 0, 0, 0, 0, 0]]), 3600.0, np.eye(1), 100.0 * np.eye(1)
+    )
+    n, ahead = 72, 12
+    t = np.arange(n + ahead + 1)
+    outdoor, solar = 5.0 + 4.0 * np.sin(t / 24.0), np.maximum(0.0, 300.0 * np.sin(2 * np.pi * t / 24.0))
+    free = 8.0 + np.sin(t[: n + 1] / 9.0)
+    history = history_of(free, T_out_C=outdoor[: n + 1], solar_W_m2=solar[: n + 1])
+    boundary = boundary_of(n, ahead, T_out_C=outdoor[n:], solar_W_m2=solar[n:])
+    alone, of_model, mean = (
+        method.forecast(free, history, boundary)
+        for method in (
+            build_free_response("residual", calibrate=False),
+            build_free_response("rc", rc=own),
+            build_free_response("residual", calibrate=False, rc=own),
+        )
+    )
+    np.testing.assert_allclose(mean.quantiles_C, 0.5 * (alone.quantiles_C + of_model.quantiles_C))
+    assert np.abs(alone.median_C - of_model.median_C).max() > 0.1, "else the mean proves nothing"
+    assert alone.note in mean.note
+    calibrated = build_free_response("residual", rc=own)
+    assert calibrated.name == "residual"
+    assert calibrated.weight_hash() == build_free_response("residual").weight_hash()  # type: ignore[attr-defined]
+    assert not needs_identified("residual")
+    assert needs_identified("rc")
 
 
 def test_calibration_is_an_option_of_the_default_alone() -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy.special import ndtri
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
@@ -147,39 +148,61 @@ class RcFreeResponse:
         """
         free_C = checked_free(free_C, history)
         past = self._params.resampled(history.step_s if history.n_steps else boundary.step_s)
-        mean, covariance = _filter(past, free_C, history)
+        drive = past.drive(history.time_s, history.T_out_C, history.solar_W_m2)
+        if not np.isfinite(drive).all():
+            raise DataError("weather of the history has values that are not finite")
+        mean = past.beginning(drive) if len(drive) else np.zeros(past.order)
+        covariance = past.start_K2.copy()
+        _filter(past.poles, past.process_K2, past.sensor_sd_K**2, drive, free_C, mean, covariance)
         ahead = self._params.resampled(boundary.step_s)
         drive = ahead.drive(boundary.time_s, boundary.T_out_C, boundary.solar_W_m2)
         if not np.isfinite(drive).all():
             raise DataError("weather forecast has values that are not finite")
-        n = boundary.n_steps
-        center, spread = np.empty(n), np.empty(n)
-        for t in range(n):
-            mean, covariance = _predict(ahead, mean, covariance, drive[t])
-            center[t], spread[t] = mean.sum(), np.sqrt(covariance.sum())
-        quantiles = center + ndtri(LEVELS)[:, None] * spread
+        center, variance = np.empty(boundary.n_steps), np.empty(boundary.n_steps)
+        _simulate(ahead.poles, ahead.process_K2, drive, mean, covariance, center, variance)
+        quantiles = center + ndtri(LEVELS)[:, None] * np.sqrt(variance)
         note = f"linear free model of order {ahead.order}, weather-driven"
         return FreeForecast(levels=LEVELS, quantiles_C=quantiles, note=note)
 
 
-def _predict(params: RcParameters, mean: Array, covariance: Array, drive: Array) -> tuple[Array, Array]:
-    a = params.poles
-    return a * mean + drive, a[:, None] * covariance * a[None, :] + params.process_K2
+@njit(cache=True)
+def _simulate(
+    poles: Array, process: Array, drive: Array, mean: Array, covariance: Array, center: Array, variance: Array
+) -> None:
+    """Mean and variance (n,) of the temperature after each step of `drive` (n, q); moves mean and covariance."""
+    q = poles.size
+    for t in range(drive.shape[0]):
+        center[t] = variance[t] = 0.0
+        for i in range(q):
+            mean[i] = poles[i] * mean[i] + drive[t, i]
+            center[t] += mean[i]
+            for j in range(q):
+                covariance[i, j] = poles[i] * poles[j] * covariance[i, j] + process[i, j]
+                variance[t] += covariance[i, j]
 
 
-def _filter(params: RcParameters, free_C: Array, history: Record) -> tuple[Array, Array]:
-    """Return mean (q,) and covariance (q, q) of the modes now, given the control-free history."""
-    drive = params.drive(history.time_s, history.T_out_C, history.solar_W_m2)
-    if not np.isfinite(drive).all():
-        raise DataError("weather of the history has values that are not finite")
-    mean = params.beginning(drive) if len(drive) else np.zeros(params.order)
-    covariance = params.start_K2
-    for t, value in enumerate(free_C):
-        if np.isfinite(value):
-            gain = covariance.sum(axis=1) / (covariance.sum() + params.sensor_sd_K**2)
-            mean = mean + gain * (value - mean.sum())
-            covariance = covariance - np.outer(gain, covariance.sum(axis=0))
-            covariance = 0.5 * (covariance + covariance.T)
-        if t < len(drive):
-            mean, covariance = _predict(params, mean, covariance, drive[t])
-    return mean, covariance
+@njit(cache=True)
+def _filter(
+    poles: Array, process: Array, noise: float, drive: Array, free_C: Array, mean: Array, covariance: Array
+) -> None:
+    """Move mean (q,) and covariance (q, q) of the modes to the last of `free_C` (n + 1,), by each that is known."""
+    q, n = poles.size, drive.shape[0]
+    with_sum = np.zeros(q)  # covariance of each mode with the temperature
+    for t in range(free_C.size):
+        if not np.isnan(free_C[t]):
+            error, total = free_C[t], noise
+            for i in range(q):
+                error -= mean[i]
+                with_sum[i] = 0.0
+                for j in range(q):
+                    with_sum[i] += covariance[i, j]
+                total += with_sum[i]
+            for i in range(q):
+                mean[i] += with_sum[i] * error / total
+                for j in range(q):
+                    covariance[i, j] -= with_sum[i] * with_sum[j] / total
+        if t < n:
+            for i in range(q):
+                mean[i] = poles[i] * mean[i] + drive[t, i]
+                for j in range(q):
+                    covariance[i, j] = poles[i] * poles[j] * covariance[i, j] + process[i, j]

@@ -1,8 +1,8 @@
 """Registry of free responses by name. A new method needs one file and one entry here.
 
 Each name stands for a function or class whose parameters are the method's options, all with defaults, and that returns
-a `FreeResponse`. A keyword `rc` gets the identified linear free part. Other distributions announce theirs in the group
-`thermoforce_mpc.free_responses`, see docs/how-to/plugins.md.
+a `FreeResponse`. A keyword `rc` gets the identified linear free part, None where there is none. Other distributions
+announce theirs in the group `thermoforce_mpc.free_responses`, see docs/how-to/plugins.md.
 """
 
 from __future__ import annotations
@@ -20,12 +20,20 @@ if TYPE_CHECKING:
     from thermoforce_mpc.model.free_response.rc import RcParameters
 
 
-def _residual(backbone: str = "shipped_weather", calibrate: bool = True) -> FreeResponse:
-    """Linear weather models plus a frozen forecaster on what they leave over: the default, for every building."""
+def _residual(
+    backbone: str = "shipped_weather", calibrate: bool = True, *, rc: RcParameters | None = None
+) -> FreeResponse:
+    """Linear weather models plus a frozen forecaster on what they leave over, and the model's own linear free part, in
+    equal shares: the default, for every building.
+    """
     from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
     from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
+    from thermoforce_mpc.model.free_response.mean import MeanFreeResponse
+    from thermoforce_mpc.model.free_response.rc import RcFreeResponse
 
-    method = ChronosFreeResponse(backbone, after_linear_weather=True)
+    method: FreeResponse = ChronosFreeResponse(backbone, after_linear_weather=True)
+    if rc is not None:
+        method = MeanFreeResponse(method, RcFreeResponse(rc))
     return CalibratedFreeResponse(method) if calibrate else method
 
 
@@ -83,7 +91,7 @@ def options_of(build: Callable[..., FreeResponse]) -> dict[str, Any]:
 
 
 def build_free_response(name: str, *, rc: RcParameters | None = None, **options: Any) -> FreeResponse:
-    """Build a free response by name; `rc` is the identified linear free part, needed by 'rc'.
+    """Build a free response by name; `rc` is the identified linear free part, needed by 'rc' and used by 'residual'.
 
     Raises:
         ConfigError: unknown name or option, or 'rc' without a linear free part.
@@ -91,12 +99,13 @@ def build_free_response(name: str, *, rc: RcParameters | None = None, **options:
     """
     check_free_response(name, options)
     build = REGISTRY.find(name)
-    return build(rc=rc, **options) if needs_identified(name) else build(**options)
+    return build(rc=rc, **options) if "rc" in inspect.signature(build).parameters else build(**options)
 
 
 def needs_identified(name: str) -> bool:
-    """Whether a free response is built from the identified linear free part."""
-    return "rc" in inspect.signature(REGISTRY.find(name)).parameters
+    """Whether a free response cannot be built without the identified linear free part."""
+    rc = inspect.signature(REGISTRY.find(name)).parameters.get("rc")
+    return rc is not None and rc.default is inspect.Parameter.empty
 
 
 def may_be_file(name: str, key: str, value: object) -> bool:
