@@ -16,7 +16,7 @@ from thermoforce_mpc.identification.estimation.differences import jacobian
 from thermoforce_mpc.identification.estimation.modes import unit_steps
 from thermoforce_mpc.identification.network.building import RESPONSE_H
 
-# Time constants, h: shortest, longest, least ratio of neighbours.
+# Time constants, h: shortest, longest of any building, least ratio of neighbours.
 _SHORTEST_H, _LONGEST_H, _APART = 0.05, 1000.0, 1.5
 # Range of the logarithm of how far ln τ is above its least, and most steps of the search.
 _RANGE, _MOST_STEPS = (-4.0, 2.2), 200
@@ -51,16 +51,22 @@ class Modes:
         return np.array([_covariance(self.log_tau, g, c) for g, c in zip(self.gains, of_responses, strict=True)])
 
 
-def projected(responses: Array, own: int, signs: Array, order: int) -> Modes:
+def projected(responses: Array, own: int, signs: Array, order: int, longest_h: float = _LONGEST_H) -> Modes:
     """The step responses (A, T) K of a zone at `RESPONSE_H` as `order` modes; the time constants are those that suit
     actuator `own`.
+
+    None is longer than `longest_h`, the network's own: what rises on after the last of `RESPONSE_H` would otherwise
+    have any steady state.
     """
+    # At the longest, neighbours stay apart: equal poles would be one.
+    most = np.log(min(longest_h, _LONGEST_H)) - np.log(_APART) * np.arange(order)[::-1]
     means = responses * np.asarray(signs)[:, None]
     target = means[own] / np.abs(means[own]).max()
 
     def tau_of(x: Array) -> Array:
-        """ln τ from x in `_RANGE`: each is at least `_APART` times the one before."""
-        return np.asarray(np.log(_SHORTEST_H) + np.cumsum(np.exp(x)) + np.log(_APART) * np.arange(order))
+        """ln τ from x in `_RANGE`: each is at least `_APART` times the one before, and at most its longest."""
+        log_tau = np.log(_SHORTEST_H) + np.cumsum(np.exp(x)) + np.log(_APART) * np.arange(order)
+        return np.asarray(np.minimum(log_tau, most))
 
     def misfit(x: Array) -> Array:
         units = unit_steps(tau_of(x), RESPONSE_H)
@@ -71,9 +77,7 @@ def projected(responses: Array, own: int, signs: Array, order: int) -> Modes:
         steps = np.diff(np.log(hours), prepend=np.log(_SHORTEST_H)) - np.log(_APART) * (np.arange(order) > 0)
         start = np.clip(np.log(np.maximum(steps, 0.0) + 1e-9), *_RANGE)
         found.append(least_squares(misfit, start, bounds=_RANGE, max_nfev=_MOST_STEPS))
-    # At the longest, neighbours stay apart: equal poles would be one.
-    most = np.log(_LONGEST_H) - np.log(_APART) * np.arange(order)[::-1]
-    log_tau = np.minimum(tau_of(min(found, key=lambda result: result.cost).x), most)
+    log_tau = tau_of(min(found, key=lambda result: result.cost).x)
     units = unit_steps(log_tau, RESPONSE_H)
     gains = np.array([nnls(units, mean)[0] for mean in means])
     errors = np.sqrt(np.mean((gains @ units.T - means) ** 2, axis=1) / np.maximum(np.mean(means**2, axis=1), 1e-12))
