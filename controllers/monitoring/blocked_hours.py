@@ -68,6 +68,8 @@ class BlockedHours:
     def after(self, asked: Sequence[tuple[float, float]], history: Record, sign: int) -> BlockedHours:
         """What is known after the last step of a record (one zone and actuator), where an hour ends with it.
 
+        An hour with a step whose level is not known (NaN) tells nothing.
+
         `asked`: (start of the step s, mean level) of the last plans, NaN for native control; `sign`: of the actuator.
         """
         now, steps = float(history.time_s[-1]), max(1, round(HOUR_S / history.step_s)) if history.n_steps else 0
@@ -76,6 +78,8 @@ class BlockedHours:
         last = history.last(steps)
         got, hour = float(np.mean(np.abs(last.u[0]))), _hour(float(last.time_s[0]))
         levels = [level for time_s, level in asked if time_s >= last.time_s[0] - 1.0]
+        if math.isnan(got):
+            return self
         if got >= _WORKS:
             kept = tuple(item for item in self.refused if item[0] != hour)
             return replace(self, refused=kept, since_C=math.nan, worked_s=now)
