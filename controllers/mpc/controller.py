@@ -228,7 +228,8 @@ class ThermoForceMPC(ActuatedController):
         """
         before, actuation = self._resume(observation, state, MPCState)
         if before is None:
-            before = MPCState.begin(observation.time_s, self._layout.names, self._readings.meters.begin)
+            watch = self._watched.begin(observation.time_s)
+            before = MPCState.begin(observation.time_s, self._layout.names, watch, self._readings.meters.begin)
         before = replace(before, actuation=actuation, last_s=observation.time_s)
         try:
             return (yield from self._step(observation, before))

@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from controllers.actuation.actuators import Actuators
-from controllers.monitoring.blocked_hours import BlockedHours
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.margins import Bounds, MarginRules, Margins
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import Cooling, MPCProblem, PowerCap, Weights
 from thermoforce_mpc.data import DAY_S, J_PER_KWH, Array, Boundary, Record
+from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OperatorParameters

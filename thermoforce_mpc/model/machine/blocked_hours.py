@@ -9,7 +9,7 @@ noticed. A schedule that differs by weekday is taken for one of every day.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -43,6 +43,22 @@ class BlockedHours:
     days: int = 0
     since_C: float = math.nan
     worked_s: float = -math.inf
+
+    @classmethod
+    def known(cls, hours: Collection[int], now_s: float) -> BlockedHours:
+        """Hours that were found before `now_s`, s."""
+        if not hours:
+            return cls()
+        return cls(tuple((hour, -math.inf) for hour in sorted(hours)), last_s=now_s, days=2, worked_s=now_s)
+
+    @classmethod
+    def found(cls, asked: Array, record: Record, sign: int) -> BlockedHours:
+        """What a record (one zone and actuator, n steps) of levels that were `asked` for (n,), NaN for none, tells."""
+        known, each = cls(), max(1, round(HOUR_S / record.step_s)) if record.n_steps else 1
+        requests = list(zip(record.time_s[:-1].tolist(), asked.tolist(), strict=True))
+        for n in range(each, record.n_steps + 1):
+            known = known.after(requests[n - each : n], record.slice(n - each, n), sign)
+        return known
 
     @cached_property
     def hours(self) -> frozenset[int]:
