@@ -34,7 +34,6 @@ from controllers.monitoring.single_actuator import SingleActuatorContext
 from controllers.monitoring.watch_state import IN_USE, Issued, Judged, Track, WatchConfig, WatchState
 from controllers.monitoring.watch_tests import (
     LEVELS_H,
-    NOT_FOLLOWING,
     applied_levels,
     heat_ratio,
     level_fault,
@@ -143,11 +142,12 @@ class Watch:
         now = float(history.time_s[-1])
         levels = cache(partial(applied_levels, state.asked, history))
         state = replace(state, tracks=tuple(self._validate_due(track, history, levels) for track in state.tracks))
-        if state.news and state.alarm.startswith(NOT_FOLLOWING) and not _not_following(state, history):
+        if state.news and state.of_levels and not _not_following(state, history):
             return self._returned(state, state.tracks[0], now, f"{state.news}; control returns")
         if state.alarm:
             return self._return_if_holding(self._update_candidate(state, history), history)
-        fault, state = self._direct_fault(state, history)
+        unfollowed = _not_following(state, history)
+        fault, state = (unfollowed, state) if unfollowed else self._machine_fault(state, history)
         fault = fault or self._broken_promise(state.tracks[0]) or self._less_effect(state, now)
         if not fault:
             return state
@@ -162,7 +162,7 @@ class Watch:
             tracks.append(Track("the model as identified", ScaledModel(self._model), _without_force(in_use.predictor)))
         relapse = now - state.returned_s < _RELAPSE_H * HOUR_S
         wait_h = min(2 * state.wait_h, _LONGEST_WAIT_H) if relapse else self.config.return_h
-        return replace(state, tracks=tuple(tracks), alarm=fault, since_s=now, wait_h=wait_h)
+        return replace(state, tracks=tuple(tracks), alarm=fault, of_levels=bool(unfollowed), since_s=now, wait_h=wait_h)
 
     def record_request(self, state: WatchState, time_s: float, level: float) -> WatchState:
         """The state with the mean `level` requested in the step from `time_s` (NaN: native control)."""
@@ -257,12 +257,11 @@ class Watch:
             return ""
         return watch_effect.effect_fault(last.error_K, last.effect_K, last.promise_K, self._share)
 
-    def _direct_fault(self, state: WatchState, history: Record) -> tuple[str, WatchState]:
-        """What levels and meters say against the machine, and the state with the ratio of this hour."""
-        fault = _not_following(state, history)
+    def _machine_fault(self, state: WatchState, history: Record) -> tuple[str, WatchState]:
+        """What meters say against the machine, and the state with the ratio of this hour."""
         now = float(history.time_s[-1])
-        if fault or not self.due(now):
-            return fault, state
+        if not self.due(now):
+            return "", state
         recent = [item for item in state.asked if now - item[0] <= LEADS_H[-1] * HOUR_S]
         comparison = machine_ratio(recent, history, self._model.operator.heat_input.law, self._power)
         if comparison is None:
@@ -359,7 +358,9 @@ class Watch:
     def _returned(self, state: WatchState, best: Track, now: float, news: str) -> WatchState:
         in_use = replace(best.cleared(), name=IN_USE, adaptation=best.adaptation, predictor=best.predictor)
         # The machine as it is now is the new reference of its meters.
-        return replace(state, tracks=(in_use,), ratios=(), asked=(), alarm="", returned_s=now, news=news)
+        return replace(
+            state, tracks=(in_use,), ratios=(), asked=(), alarm="", of_levels=False, returned_s=now, news=news
+        )
 
     def _recent(self, track: Track, now: float) -> Judged:
         return Judged.of(track.judged[now - track.judged[:, 0] < self.config.return_h * HOUR_S - 1.0])

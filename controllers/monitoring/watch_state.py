@@ -119,8 +119,8 @@ class WatchState:
     `tracks`: the model in use; while standing back also its candidates for return. `blocked`: hours in which nothing
     comes whatever is asked for. `asked`: (start s, mean level) that the last plans requested. `ratios`: (time s,
     measured heat or power over modelled). `alarm`: why control was handed back at `since_s`, empty while the model is
-    in use. `wait_h`: shortest time of standing back; `returned_s`: last return, and `news` what to say of it in this
-    step's plan.
+    in use; `of_levels`: for levels that were not followed. `wait_h`: shortest time of standing back; `returned_s`: last
+    return, and `news` what to say of it in this step's plan.
     """
 
     tracks: tuple[Track, ...] = (Track(),)
@@ -128,6 +128,7 @@ class WatchState:
     asked: tuple[tuple[float, float], ...] = ()
     ratios: tuple[tuple[float, float], ...] = ()
     alarm: str = ""
+    of_levels: bool = False
     since_s: float = -math.inf
     wait_h: float = 0.0
     returned_s: float = -math.inf

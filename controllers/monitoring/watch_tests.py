@@ -18,8 +18,6 @@ _SAME = 0.1
 # day runs at a level of 0.1 to 0.2, less than an hour at full level in 6 h, where the plan wanted nothing.
 _DIFFERENT_H, _DIFFERENT_SHARE = 1.0, 0.25
 _WINDOWS_H = (6.0, 24.0)
-NOT_FOLLOWING = "the actuator does not follow"
-"""How the fault of `level_fault` begins."""
 # Hours of requested levels that are compared.
 LEVELS_H = _WINDOWS_H[-1]
 # Full-load hours that a comparison of meters needs.
@@ -76,7 +74,7 @@ def level_fault(requests: Sequence[tuple[float, float]], history: Record) -> str
         off_h = float(off[off > _SAME].sum()) * hours
         if off_h >= max(_DIFFERENT_H, _DIFFERENT_SHARE * float(np.maximum(requested, measured).sum()) * hours):
             return (
-                f"{NOT_FOLLOWING}: {requested.mean():.2f} was asked for on average in the last"
+                f"the actuator does not follow: {requested.mean():.2f} was asked for on average in the last"
                 f" {requested.size * hours:g} h, {measured.mean():.2f} was measured"
             )
     return ""

@@ -40,7 +40,6 @@ from controllers.safety.overrides import (
     decide,
 )
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Observation, Plan, Record
-from thermoforce_mpc.data.plan import NO_DECISION
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.model.free_response.substitute import WithSubstitutes
 from thermoforce_mpc.model.machine.part_load import level_costs
@@ -234,7 +233,7 @@ class ThermoForceMPC(ActuatedController):
         try:
             return (yield from self._step(observation, before))
         except Exception as error:  # whatever is wrong, the building is not left without control
-            return self._realisation.release(before, f"{NO_DECISION} ({message_of(error)})")
+            return self._realisation.release(before, message_of(error))
 
     def _step(self, observation: Observation, state: MPCState) -> Computation[Plan]:
         """One control step: each line a station, from what is believed to what is applied."""

@@ -19,6 +19,7 @@ from controllers.mpc.state import MPCState
 from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan
 from controllers.safety.overrides import ComfortGuard, Override, Situation, unplanned_status
 from thermoforce_mpc.data import Plan, PlanStatus
+from thermoforce_mpc.data.plan import UNDECIDED
 
 # From the first rung to the last: of several actuators the plan is named after the lowest.
 _LADDER = (
@@ -110,11 +111,12 @@ class Realisation:
         )
         return self.realise(plan, [override.level for override in fallen], overrides, situation)
 
-    def release(self, state: MPCState, reason: str) -> Plan:
-        """A step of native control for all, the last rung."""
+    def release(self, state: MPCState, error: str) -> Plan:
+        """A step of native control for all, the last rung, after an error that there is no answer to."""
         names = self._layout.names
         state = replace(state, good=None, failures=state.failures + 1)
-        plan = Plan((), PlanStatus.NATIVE, f"{reason}: native control", names=names, state=state)
+        why = f"no decision was made ({error}): native control"
+        plan = Plan((), PlanStatus.NATIVE, why, solver_status=f"{UNDECIDED}: {error}", names=names, state=state)
         return self._with_blocks(plan, [None] * len(names.actuators), {})
 
     def _fallen(self, a: int, good: GoodPlan | None, situation: Situation) -> Override:

@@ -19,8 +19,8 @@ if TYPE_CHECKING:  # loaded only where tables go out
 
 NOT_ECONOMICAL = "cannot be avoided economically"
 """What a plan says of discomfort that it accepts though heat could avoid it."""
-NO_DECISION = "no decision was made"
-"""How a plan of native control begins where the controller met an error that it has no answer to."""
+UNDECIDED = "undecided"
+"""First word of `Plan.solver_status`, before a colon and the error, where a controller has no answer to one."""
 
 # Arrays of a `Plan` over its horizon.
 _PLANNED = ("u", "T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "slack_K", "power_W", "lower_C", "upper_C")

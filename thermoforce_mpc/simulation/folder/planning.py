@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S
-from thermoforce_mpc.data.plan import NO_DECISION, NOT_ECONOMICAL
+from thermoforce_mpc.data.plan import NOT_ECONOMICAL, UNDECIDED
 from thermoforce_mpc.errors import counted
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
 
@@ -72,7 +72,7 @@ class Planning:
             words += " over the exported operator" if self.export_calls else ""
             words += f": {counted(self.trained, 'trained parameter')}, {self.used} used" if self.trained else ""
         if self.undecided >= _A_FEW:
-            alarm = f"{NO_DECISION} in {self.undecided} of {self.steps} steps, native control acted instead".upper()
+            alarm = f"NO DECISION WAS MADE IN {self.undecided} OF {self.steps} STEPS, NATIVE CONTROL ACTED INSTEAD"
             words = f"{alarm} ({self.why_undecided}); {words}"
         words += f"; {counted(self.failed, 'solve')} without a plan" if self.failed else ""
         if self.uncomfortable > _WORTH_TELLING * self.steps:
@@ -100,10 +100,10 @@ def planning_of(result: RunResult, model: ThermalModel | None) -> Planning:
             plans[solver or "another solver"] += 1
             calls += step.plan.export_calls
             uncomfortable += NOT_ECONOMICAL in step.plan.why and _beyond_K(step) > _NOTICED_K
+        elif solver == UNDECIDED:
+            undecided[how.strip()] += 1
         else:
             failed += bool(how) or solver == "raised"
-            if step.plan.why.startswith(NO_DECISION):
-                undecided[step.plan.why.removeprefix(f"{NO_DECISION} (").removesuffix("): native control")] += 1
     operator = None if model is None else model.operator
     return Planning(
         steps=len(result.steps),
