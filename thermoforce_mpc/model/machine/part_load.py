@@ -14,6 +14,7 @@ from scipy.optimize import nnls
 
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.machine.water_warmth import COMPARED_AT
 
 # Excess of power per heat at half level from which a machine of several actuators is switched. Below it is what a few
 # days of data leave uncertain: an exponent of a radiator that is wrong by 0.2 looks like a fixed part of 8 %.
@@ -87,19 +88,25 @@ class PowerShape:
         return cls(*(parts / parts.sum()))
 
     def of(self, power: PowerModel) -> PowerModel:
-        """A machine's power with this shape, and at full level as it is."""
-        load = power.load
+        """A machine's power with this shape, and at full level as it is.
+
+        What warm water takes is not in the shape, which compares levels in the same water, and is added to it.
+        """
+        load, water_W = power.load, power.load.curve_W if power.water_s else 0.0
         low, high = load.T_out_range_C
         (fixed_low, per_low), (fixed_high, per_high) = load.parts(low), load.parts(high)
-        full_low, full_high = (float(x) + load.curve_W for x in (fixed_low + per_low, fixed_high + per_high))
+        other_W = load.curve_W - (1.0 - COMPARED_AT) * water_W
+        full_low, full_high = (float(x) + other_W for x in (fixed_low + per_low, fixed_high + per_high))
         curve_W = self.curve * min(full_low, full_high)
         slope = (full_high - full_low) / max(high - low, 1e-9)
         # What the part in u², which has no slope over the outdoor temperature, lacks is in the part per level.
         total = (full_low - curve_W - slope * low, slope)
         share = self.fixed / max(self.fixed + self.per_u, 1e-9)
-        coefficients = tuple(part * value for part in (share, 1.0 - share) for value in total)
-        shaped = MachineLoad(coefficients, load.T_out_range_C, load.lowest_level, curve_W=curve_W)  # type: ignore[arg-type]
-        return replace(power, load=shaped)
+        fixed, per_u = ([part * value for value in total] for part in (share, 1.0 - share))
+        cold_W = min(COMPARED_AT * water_W, (1.0 - share) * (min(full_low, full_high) - curve_W))
+        coefficients = (*fixed, per_u[0] - cold_W, per_u[1])
+        curve_W += cold_W / COMPARED_AT
+        return replace(power, load=MachineLoad(coefficients, load.T_out_range_C, load.lowest_level, curve_W=curve_W))
 
 
 @dataclass(frozen=True)
