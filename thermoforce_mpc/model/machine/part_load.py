@@ -20,7 +20,7 @@ from thermoforce_mpc.model.machine.water_warmth import COMPARED_AT
 # days of data leave uncertain: an exponent of a radiator that is wrong by 0.2 looks like a fixed part of 8 %.
 SWITCH_FROM = 0.1
 # Excess of the cost of heat over that of full level, and over that of the cheapest level, up to which a lower one is
-# taken all the same: it moves a room less, and in the long run its water is cooler than in the few steps of a trial.
+# taken all the same: it moves a room less.
 _SAME_AS_FULL, _SAME_AS_CHEAPEST = 0.03, 0.02
 # Names on the model card (`ModelCard.uncertainty`).
 _COST, _COST_SD = "cost_of_heat_at_level_", "cost_of_heat_sd_at_level_"
