@@ -102,9 +102,10 @@ class PowerShape:
         # What the part in u², which has no slope over the outdoor temperature, lacks is in the part per level.
         total = (full_low - curve_W - slope * low, slope)
         share = self.fixed / max(self.fixed + self.per_u, 1e-9)
-        fixed, per_u = ([part * value for value in total] for part in (share, 1.0 - share))
-        cold_W = min(COMPARED_AT * water_W, (1.0 - share) * (min(full_low, full_high) - curve_W))
-        coefficients = (*fixed, per_u[0] - cold_W, per_u[1])
+        rest = 1.0 - share
+        # A little of the part per level is left, so that rounding cannot make it negative.
+        cold_W = min(COMPARED_AT * water_W, 0.99 * rest * (min(full_low, full_high) - curve_W))
+        coefficients = (share * total[0], share * total[1], rest * total[0] - cold_W, rest * total[1])
         curve_W += cold_W / COMPARED_AT
         return replace(power, load=MachineLoad(coefficients, load.T_out_range_C, load.lowest_level, curve_W=curve_W))
 
