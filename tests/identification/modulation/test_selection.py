@@ -10,8 +10,11 @@ from houses import House, make_pair, random_levels, record
 
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification import IdentificationConfig, identify
+from thermoforce_mpc.identification.modulation import candidate
 from thermoforce_mpc.identification.modulation.training import with_network
+from thermoforce_mpc.model.forced_history import forced_history, heat_drive
 from thermoforce_mpc.model.operator import certificate
+from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import linear_operator
 
@@ -55,6 +58,18 @@ def test_linear_trains_no_network():
     assert counts(model) == (6, 6, 6)
     assert model.operator.heat_input.kind == "heat"
     assert model.operator.constant_modulation == 1.0
+
+
+def test_runs_do_not_say_the_size_of_the_effect(monkeypatch):
+    """Training that takes half of it away keeps its shape: over the record the gain is 1 in the mean."""
+    trained = candidate.train
+    monkeypatch.setattr(candidate, "train", lambda *given: replace(trained(*given), output_bias=-1.0))
+    run = record(HOUSE, 3.0, noise_K=0.01)
+    operator = found(run).operator
+    free_C = run.T_zone_C[0] - forced_history(single(operator), run).sum(axis=(0, 1, 3))
+    features = feature_matrix(free_C[:-1], run.T_out_C[:-1], run.solar_W_m2[:-1], run.time_s[:-1])
+    heat = heat_drive(single(operator), run, 0, run.n_steps)[0]
+    assert heat @ operator.modulation(features) / heat.sum() == pytest.approx(1.0, abs=0.02)
 
 
 def changing_house():

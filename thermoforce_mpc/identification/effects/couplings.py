@@ -9,6 +9,7 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.estimation.modes import bounds_h, in_steps
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H, Effect, step_response
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -60,7 +61,7 @@ def assembled(
             if sds_K[of_day] > _UNKNOWN * means_K[of_day]:
                 notes.append(f"the record does not tell what {name} does to {layout.names.zones[home]}")
             if means_K[of_day] >= _LEAST_EFFECT_K:
-                pairs[home][b] = _pair(effect.gains, zones[a].operator, zones[b].operator, layout.signs[b])
+                pairs[home][b] = _pair(effect, zones[b].operator, layout.signs[b])
         cards[a] = replace(cards[a], uncertainty=uncertainty, notes=tuple(notes))
     operator = BuildingOperator(
         layout.names.zones, layout.names.actuators, tuple(tuple(row) for row in pairs), layout.home
@@ -78,11 +79,10 @@ def assembled(
     )
 
 
-def _pair(gains: Array, own: OperatorParameters, head: OperatorParameters, sign: int) -> OperatorParameters:
-    """The operator of another actuator, that delivers as `head`, on a zone, with `gains` (r,) at the modes of `own`."""
-    tau = own.time_constants_h
-    steady = np.concatenate([[tau[0] * (gains[0] - (gains[1:] / tau[1:]).sum())], gains[1:]])
-    return replace(head, poles=own.poles, gains=sign * steady * (1.0 - own.poles), pole_bounds=own.pole_bounds)
+def _pair(effect: Effect, head: OperatorParameters, sign: int) -> OperatorParameters:
+    """The operator of another actuator, that delivers as `head`, on a zone."""
+    a, gains, bounds = in_steps(effect.log_tau, effect.gains, head.step_s, bounds_h(effect.log_tau))
+    return replace(head, poles=a, gains=sign * gains, pole_bounds=bounds)
 
 
 def with_metered_shares(layout: Layout, heat_inputs: Sequence[HeatInput], histories: Sequence[Record]) -> Layout:

@@ -111,6 +111,15 @@ def lags_of_gains(log_tau: Array) -> tuple[Array, Array]:
     return own, lead
 
 
+def in_steps(log_tau: Array, gains: Array, step_s: float, bounds_h: Array) -> tuple[Array, Array, Array]:
+    """Poles (r,), gains of a step (r,), K, and bounds of the poles (r, 2), of [slope, G_2 … G_r] (r,)."""
+    tau, a = np.exp(log_tau), poles(log_tau, step_s)
+    steady = np.concatenate([[tau[0] * (gains[0] - (gains[1:] / tau[1:]).sum())], gains[1:]])
+    bounds = np.exp(-step_s / HOUR_S / bounds_h)
+    within = np.stack([np.minimum(bounds[:, 0], a), np.maximum(bounds[:, 1], a)], axis=1)
+    return a, steady * (1.0 - a), within
+
+
 def to_operator(
     log_tau: Array,
     gains: Array,
@@ -125,14 +134,12 @@ def to_operator(
     feature_scale: Array,
 ) -> OperatorParameters:
     """Return the linear operator (m = 1) with these time constants and nonnegative [slope, G_2 … G_r]."""
-    tau, a = np.exp(log_tau), poles(log_tau, step_s)
-    steady = np.concatenate([[tau[0] * (gains[0] - (gains[1:] / tau[1:]).sum())], gains[1:]])
-    bounds = np.exp(-step_s / HOUR_S / bounds_h)
+    a, of_step, bounds = in_steps(log_tau, gains, step_s, bounds_h)
     return linear_operator(
         a,
-        sign * steady * (1.0 - a),
+        sign * of_step,
         step_s=step_s,
-        pole_bounds=np.stack([np.minimum(bounds[:, 0], a), np.maximum(bounds[:, 1], a)], axis=1),
+        pole_bounds=bounds,
         sign=sign,
         gamma=gamma,
         hidden=hidden,

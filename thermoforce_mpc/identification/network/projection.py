@@ -1,7 +1,7 @@
 """Step responses as a few parallel modes, the operator's form: least squares over time constants and gains.
 
 A room with its structure, its envelope and one emitter has four modes, of which three are enough to within a per cent
-or so. What more rooms and emitters add is fitted to the nearest response of that form, too.
+or so. What other rooms' actuators do comes through walls, later: their responses share time constants of their own.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ _LEAST_SHARE, _LEAST_GAIN = 0.01, 1e-3
 
 @dataclass(frozen=True)
 class Modes:
-    """Responses of a zone to its actuators as r modes of common time constants.
+    """Responses of a zone to its actuators as r modes each.
 
-    `log_tau` (r,): ln(τ/h), rising; `gains` (A, r): [slope K/h, G_2 … G_r K] of each actuator in the direction of its
-    sign; `misfit` (A,): root mean square error over that of the response.
+    `log_tau` (A, r): ln(τ/h), rising, common to all but its own actuator; `gains` (A, r): [slope K/h, G_2 … G_r K] of
+    each actuator in the direction of its sign; `misfit` (A,): root mean square error over that of the response.
     """
 
     log_tau: Array
@@ -48,20 +48,34 @@ class Modes:
         """Covariance (A, 2r, 2r) of [ln τ, gains] of each actuator that gives its response that of the network,
         (A, T, T).
         """
-        return np.array([_covariance(self.log_tau, g, c) for g, c in zip(self.gains, of_responses, strict=True)])
+        each = zip(self.log_tau, self.gains, of_responses, strict=True)
+        return np.array([_covariance(log_tau, gains, of_response) for log_tau, gains, of_response in each])
 
 
 def projected(responses: Array, own: int, signs: Array, order: int, longest_h: float = _LONGEST_H) -> Modes:
-    """The step responses (A, T) K of a zone at `RESPONSE_H` as `order` modes; the time constants are those that suit
-    actuator `own`.
+    """The step responses (A, T) K of a zone at `RESPONSE_H` as `order` modes each: those of its `own` actuator, and
+    those that suit all others.
 
     None is longer than `longest_h`, the network's own: what rises on after the last of `RESPONSE_H` would otherwise
     have any steady state.
     """
+    means = responses * np.asarray(signs)[:, None]
+    others = np.arange(len(means)) != own
+    log_tau = np.tile(_time_constants(means[[own]], order, longest_h), (len(means), 1))
+    if others.any():
+        log_tau[others] = _time_constants(means[others], order, longest_h)
+    gains, errors = np.empty((len(means), order)), np.empty(len(means))
+    for a, mean in enumerate(means):
+        gains[a], error = nnls(unit_steps(log_tau[a], RESPONSE_H), mean)
+        errors[a] = error / np.sqrt(max(float(mean @ mean), mean.size * 1e-12))
+    return Modes(log_tau, gains, errors)
+
+
+def _time_constants(means: Array, order: int, longest_h: float) -> Array:
+    """ln τ (r,) of the modes that suit the responses (K, T), K, best; none is longer than `longest_h`."""
     # At the longest, neighbours stay apart: equal poles would be one.
     most = np.log(min(longest_h, _LONGEST_H)) - np.log(_APART) * np.arange(order)[::-1]
-    means = responses * np.asarray(signs)[:, None]
-    target = means[own] / np.abs(means[own]).max()
+    targets = means / max(float(np.abs(means).max()), _LEAST_GAIN)
 
     def tau_of(x: Array) -> Array:
         """ln τ from x in `_RANGE`: each is at least `_APART` times the one before, and at most its longest."""
@@ -70,18 +84,14 @@ def projected(responses: Array, own: int, signs: Array, order: int, longest_h: f
 
     def misfit(x: Array) -> Array:
         units = unit_steps(tau_of(x), RESPONSE_H)
-        return np.asarray(units @ nnls(units, target)[0] - target)
+        return np.concatenate([units @ nnls(units, target)[0] - target for target in targets])
 
     found = []
     for hours in _STARTS_H[order]:
         steps = np.diff(np.log(hours), prepend=np.log(_SHORTEST_H)) - np.log(_APART) * (np.arange(order) > 0)
         start = np.clip(np.log(np.maximum(steps, 0.0) + 1e-9), *_RANGE)
         found.append(least_squares(misfit, start, bounds=_RANGE, max_nfev=_MOST_STEPS))
-    log_tau = tau_of(min(found, key=lambda result: result.cost).x)
-    units = unit_steps(log_tau, RESPONSE_H)
-    gains = np.array([nnls(units, mean)[0] for mean in means])
-    errors = np.sqrt(np.mean((gains @ units.T - means) ** 2, axis=1) / np.maximum(np.mean(means**2, axis=1), 1e-12))
-    return Modes(log_tau, gains, errors)
+    return tau_of(min(found, key=lambda result: result.cost).x)
 
 
 def _covariance(log_tau: Array, gains: Array, of_response: Array) -> Array:

@@ -113,7 +113,7 @@ class ZoneData:
     def knowing(self, effects: Effects) -> list[RegressionData]:
         """The regressions with what the network says of levels, without what it says that the other actuators did."""
         own, *others = effects.heat_inputs
-        log_tau, gains = effects.modes.log_tau, effects.modes.gains[1:]
+        log_tau, gains = effects.modes.log_tau[-1], effects.modes.gains[1:]
         regressions = replace(self, heat_input=own).regressions
         return [without_others(e, others, self.other_signs, log_tau, gains) for e in regressions]
 

@@ -42,8 +42,8 @@ class ZoneEffects:
     def known(self) -> list[Effect]:
         """The effects of the `whole` (1 + K,) with their covariance."""
         modes = self.whole.modes
-        covariances = modes.covariance(self.of_responses)
-        return [Effect(modes.log_tau, gains, c) for gains, c in zip(modes.gains, covariances, strict=True)]
+        each = zip(modes.log_tau, modes.gains, modes.covariance(self.of_responses), strict=True)
+        return [Effect(log_tau, gains, covariance) for log_tau, gains, covariance in each]
 
 
 def zone_effects(

@@ -112,7 +112,7 @@ def _network_estimate(data: ZoneData, effects: ZoneEffects) -> Estimate:
 
 def _fold(regressions: Sequence[RegressionData], effects: Effects, sign: int) -> Fold:
     """The effect that the network has, its modes fitted to what pairs show beside it: no loop biases a difference."""
-    log_tau, gains = effects.modes.log_tau, effects.modes.gains[0]
+    log_tau, gains = effects.modes.log_tau[0], effects.modes.gains[0]
     priors, pairs = centred_priors(log_tau, gains, _PAIRS_SD), [e for e in seen_rows(regressions) if e.is_pair]
     if pairs:
         log_tau, gains = fitted_modes(pairs, priors, sign)
