@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cholesky
 from scipy.optimize import minimize, nnls
 
 from thermoforce_mpc.data import Array, Record
@@ -35,11 +35,6 @@ class Rest:
     def factor(self) -> Array:
         """L (rows, rows), K."""
         return np.asarray(cholesky(self.covariance, lower=True, check_finite=False))
-
-    @cached_property
-    def whitener(self) -> Array:
-        """L⁻¹ (rows, rows)."""
-        return np.asarray(solve_triangular(self.factor, np.eye(self.mean.size), lower=True, check_finite=False))
 
 
 def rest_of(regression: RegressionData, free: RcParameters | None) -> Rest:
