@@ -2,13 +2,13 @@
 
 First stage: steps with the actuator off are passive and give (a, c, d, e) of paper eq:arx by least squares under
 physical box constraints. Second stage: with these fixed, the residual of the steps with the actuator on is regressed on
-the drive, and the gain clipped to its physical sign. The model is of order 1; the joint estimator
-(`identification.joint`) also models delay and drift.
+the drive, and the gain clipped to its physical sign. The model is of order 1. Pairs, if any, correct pole and gain.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,11 @@ from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.estimation.differences import jacobian
+from thermoforce_mpc.identification.estimation.regression import RegressionData
+from thermoforce_mpc.identification.estimation.uncertainty import Effect
+from thermoforce_mpc.identification.validation.errors_ahead import Fold
+from thermoforce_mpc.identification.zones.data import Estimate, ZoneData, fold_of
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
@@ -63,6 +68,16 @@ class TwoStageFit:
             sign=self.sign,
             heat_input=self.heat_input,
         )
+
+    def modes(self) -> tuple[Array, Array]:
+        """ln(τ/h) (1,) and the slope of the step response (1,), K/h, in the direction of the sign."""
+        log_tau, slope = _modes(np.array([self.a, abs(self.g)]), self.step_s)
+        return np.array([log_tau]), np.array([slope])
+
+    def covariance(self) -> Array:
+        """Covariance (2, 2) of the `modes`: the standard errors of a and g are those of different steps."""
+        slopes = jacobian(lambda ag: _modes(ag, self.step_s), np.array([self.a, abs(self.g)]))
+        return np.asarray((slopes * np.array([self.a_sd, self.g_sd]) ** 2) @ slopes.T)
 
     def free_model(self) -> RcParameters:
         """Return the free part, one mode (paper eq:free-evol)."""
@@ -163,3 +178,51 @@ def _columns(runs: Sequence[Record]) -> tuple[Array, Array, Array, Array, Array]
         parts.append((T[:-1][kept], np.diff(T)[kept], T_out[kept], solar[kept], run.u[0, kept]))
     T, rise, T_out, solar, u = (np.concatenate(part) for part in zip(*parts, strict=True))
     return T, rise, T_out, solar, u
+
+
+def _modes(ag: Array, step_s: float) -> Array:
+    """[ln(τ/h), slope K/h] of [a, g] (2,)."""
+    a, g = ag
+    tau_h = -step_s / HOUR_S / np.log(a)
+    return np.array([np.log(tau_h), g / (1.0 - a) / tau_h])
+
+
+def two_stage_estimate(data: ZoneData) -> Estimate:
+    """The two stages as the estimate of a zone, judged on held-out rows of pairs if there are any, else of runs.
+
+    Raises:
+        DataError: there are no runs, or too few off or on steps.
+    """
+    if not data.runs:
+        raise DataError("method two_stage needs single runs, none were given; for pairs only use method joint")
+    fit, judged = fit_two_stage(data.runs, heat_input=data.heat_input, sign=data.sign), data
+    if data.pairs:
+        judged = replace(data, runs=())
+
+    def fold(name: str) -> Fold:
+        heat_input = data.heat_input_of(name)
+        regressions = judged.of_fold(name, heat_input)
+        seen = [e.histories[0].slice(0, int(e.rows[e.seen - 1])) for e in regressions if not e.is_pair and e.seen]
+        runs = seen or data.runs
+        return _fold(regressions, fit_two_stage(runs, heat_input=heat_input, sign=fit.sign), runs)
+
+    everything, unjudged, before = _fold(judged.of_fold("whole", data.heat_input), fit, data.runs), "", None
+    try:
+        last = fold("training")
+    except DataError as error:
+        last, unjudged = everything, f"it cannot be judged without its held-out rows: {error}"
+    with suppress(DataError):  # there is no earlier part then
+        before = fold("earlier")
+    scores = {
+        "one_step_rmse_K": fit.rmse_K,
+        "off_steps": fit.n_off,
+        "on_steps": fit.n_on,
+        "acts_log_odds": 0.5 * (fit.g / fit.g_sd) ** 2,
+    }
+    effect = Effect(everything.log_tau, everything.gains, fit.covariance())
+    return Estimate(everything, last, before, [effect], scores, unjudged=unjudged)
+
+
+def _fold(regressions: Sequence[RegressionData], fit: TwoStageFit, runs: Sequence[Record]) -> Fold:
+    alone = fit_passive(runs).free_model()
+    return fold_of(regressions, *fit.modes(), fit.sign, fit.heat_input, fit.free_model(), alone)

@@ -14,7 +14,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.pipeline import identify
-from thermoforce_mpc.identification.two_stage import fit_two_stage
+from thermoforce_mpc.identification.zones.two_stage import fit_two_stage
 
 A, C, D, E, G = 0.96, 0.03, 4e-4, 0.25, 0.5
 
