@@ -95,19 +95,3 @@ def test_another_actuator_shares_the_time_constants():
     assert modes.misfit[0] < 0.01
     late = RESPONSE_H >= 2.0
     np.testing.assert_allclose(response_at(modes, 1)[late], -found[1][late], rtol=0.1)
-
-
-@pytest.mark.parametrize("variance", [0.005, 0.02])
-def test_the_covariance_gives_the_response_its_band(variance):
-    building = building_of(ONE.mean, variance)
-    modes, of_responses = projected(building.responses[0], 0, SIGNS, 3), building.covariance[0]
-    slopes = []
-    for step in np.eye(6) * 1e-5:
-        up, down = (
-            unit_steps(modes.log_tau + s * step[:3], RESPONSE_H) @ (modes.gains[0] + s * step[3:]) for s in (1.0, -1.0)
-        )
-        slopes.append((up - down) / 2e-5)
-    again = np.sqrt(np.einsum("it,ij,jt->t", slopes, modes.covariance(of_responses)[0], slopes))
-    expected = np.sqrt(np.diag(of_responses[0]))
-    later = (RESPONSE_H >= 3.0) & (RESPONSE_H <= 48.0)
-    np.testing.assert_allclose(again[later], expected[later], rtol=0.2)

@@ -12,7 +12,6 @@ import numpy as np
 from scipy.optimize import least_squares, nnls
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.identification.estimation.differences import jacobian
 from thermoforce_mpc.identification.estimation.modes import unit_steps
 from thermoforce_mpc.identification.network.building import RESPONSE_H
 
@@ -26,10 +25,6 @@ _STARTS_H: dict[int, tuple[tuple[float, ...], ...]] = {
     2: ((1.0, 30.0), (5.0, 80.0)),
     3: ((0.3, 3.0, 60.0), (1.0, 8.0, 100.0), (0.1, 0.5, 30.0)),
 }
-# Standard deviation of log time constants and relative gains before the responses are seen.
-_LOG_TAU_SD, _GAIN_SD = 0.5, 1.0
-# Least standard deviations: of a response, as a share of the largest, and of a gain, K or K/h.
-_LEAST_SHARE, _LEAST_GAIN = 0.01, 1e-3
 
 
 @dataclass(frozen=True)
@@ -43,12 +38,6 @@ class Modes:
     log_tau: Array
     gains: Array
     misfit: Array
-
-    def covariance(self, of_responses: Array) -> Array:
-        """Covariance (A, 2r, 2r) of [ln τ, gains] of each actuator that gives its response that of the network,
-        (A, T, T).
-        """
-        return np.array([_covariance(self.log_tau, g, c) for g, c in zip(self.gains, of_responses, strict=True)])
 
 
 def projected(responses: Array, own: int, signs: Array, order: int) -> Modes:
@@ -78,18 +67,3 @@ def projected(responses: Array, own: int, signs: Array, order: int) -> Modes:
     gains = np.array([nnls(units, mean)[0] for mean in means])
     errors = np.sqrt(np.mean((gains @ units.T - means) ** 2, axis=1) / np.maximum(np.mean(means**2, axis=1), 1e-12))
     return Modes(log_tau, gains, errors)
-
-
-def _covariance(log_tau: Array, gains: Array, of_response: Array) -> Array:
-    """Covariance (2r, 2r) of [ln τ, gains] that gives the response its covariance (T, T)."""
-    r = log_tau.size
-
-    def steps(p: Array) -> Array:
-        return np.asarray(unit_steps(p[:r], RESPONSE_H) @ p[r:])
-
-    p = np.concatenate([log_tau, gains])
-    slopes = jacobian(steps, p)
-    size = max(float(gains.sum()), _LEAST_GAIN)
-    prior = np.concatenate([np.full(r, _LOG_TAU_SD), np.full(r, _GAIN_SD * size)]) ** -2.0
-    noise = of_response + np.diag(np.full(len(of_response), (_LEAST_SHARE * size) ** 2))
-    return np.asarray(np.linalg.inv(slopes.T @ np.linalg.solve(noise, slopes) + np.diag(prior)))

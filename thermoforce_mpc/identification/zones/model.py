@@ -15,7 +15,6 @@ import numpy as np
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.effects.level_laws import level_shape
 from thermoforce_mpc.identification.estimation.modes import to_operator
-from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
 from thermoforce_mpc.identification.validation.competence import Trial, judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
@@ -108,7 +107,7 @@ def _modelled(data: ZoneData, estimate: Estimate, say: Callable[[str], None]) ->
         modulated = modulate(everything, last, before, linear, config, data.power)
         operator, trials = modulated.operator, (modulated.last, modulated.before)
         scores, notes = scores | modulated.scores, [*notes, *modulated.notes]
-    certainty = uncertainty(estimate.effects[0], data.level_sd) | {"sensor_resolution_K": data.grid_K}
+    certainty = estimate.effects[0].uncertainty(data.level_sd) | {"sensor_resolution_K": data.grid_K}
     operator = operator.resampled(data.step_s or step_s)
     shape, shape_notes = level_shape(estimate.laws, histories, config, data.power, everything.heat_input)
     verdict = judge(*trials, operator, certainty, scores["acts_log_odds"], data.heat_W_m2)

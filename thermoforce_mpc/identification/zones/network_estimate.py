@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -11,17 +10,23 @@ from thermoforce_mpc.data import Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.couplings import others_of
 from thermoforce_mpc.identification.effects.level_laws import Estimates, LevelLaw, laws_of, weather_of, with_outdoors
+from thermoforce_mpc.identification.estimation.modes import unit_steps
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.estimation.regression import without_others
-from thermoforce_mpc.identification.estimation.uncertainty import Effect
-from thermoforce_mpc.identification.network.building import BuildingFit
+from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H, Effect
+from thermoforce_mpc.identification.network.building import RESPONSE_H, BuildingFit
 from thermoforce_mpc.identification.network.effects import Actuators, building_fit, room_pair, room_run
 from thermoforce_mpc.identification.network.estimate import RoomFit, Run
 from thermoforce_mpc.identification.network.free_part import free_part
-from thermoforce_mpc.identification.network.projection import projected
+from thermoforce_mpc.identification.network.projection import Modes, projected
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData, fold_of
 from thermoforce_mpc.model.operator.heat_input import HeatInput
+
+# What a few modes do not follow of a response, as a share of its largest.
+_MODES_SD = 0.01
+# Where in `RESPONSE_H` the responses stand whose certainty is stored.
+_STORED = np.searchsorted(RESPONSE_H, STEP_RESPONSE_H)
 
 
 def network_estimates(
@@ -69,21 +74,22 @@ def _estimate(
     home, order = layout.home[a], [a, *others_of(layout, a, data.config)]
     k, signs = layout.actuators_of(home).index(a), [layout.signs[b] for b in order]
     folds: dict[str, Fold] = {}
-    without = {name: fit.without(home, k) for name, fit in by_fold.items()}
+    modes, without = dict[str, Modes](), {name: fit.without(home, k) for name, fit in by_fold.items()}
     for name, fit in by_fold.items():
-        modes = projected(fit.responses[home, order], 0, signs, data.config.modes)
-        own, *others = (inputs[name][b] for b in order)
-        regressions = [
-            without_others(e, others, signs[1:], modes.log_tau, modes.gains[1:]) for e in data.of_fold(name, own)
-        ]
+        modes[name] = projected(fit.responses[home, order], 0, signs, data.config.modes)
+        log_tau, gains, (own, *others) = modes[name].log_tau, modes[name].gains, (inputs[name][b] for b in order)
+        regressions = [without_others(e, others, signs[1:], log_tau, gains[1:]) for e in data.of_fold(name, own)]
         if regressions:
             free, alone = free_part(fit, home), free_part(without[name], home)
-            folds[name] = fold_of(regressions, modes.log_tau, modes.gains[0], layout.signs[a], own, free, alone)
+            folds[name] = fold_of(regressions, log_tau, gains[0], layout.signs[a], own, free, alone)
     whole, everything = by_fold["whole"], folds["whole"]
-    modes = projected(whole.responses[home, order], 0, signs, data.config.modes)
-    covariances = modes.covariance(whole.covariance[home, order])
-    effects = [Effect(modes.log_tau, gains, c) for gains, c in zip(modes.gains, covariances, strict=True)]
-    effects[0] = replace(effects[0], gains=everything.gains)
+    own = everything.log_tau, everything.gains
+    found = [own, *((modes["whole"].log_tau, gains) for gains in modes["whole"].gains[1:])]
+    variances = np.diagonal(whole.covariance[home, order], axis1=-2, axis2=-1)[:, _STORED]
+    effects = []
+    for (log_tau, gains), variance in zip(found, variances, strict=True):
+        floor_K = _MODES_SD * float(unit_steps(log_tau, RESPONSE_H).max(axis=0) @ gains)
+        effects.append(Effect(log_tau, gains, np.sqrt(variance + floor_K**2)))
     scores = {"acts_log_odds": without["whole"].rooms[home].value - whole.rooms[home].value}
     return Estimate(everything, folds["training"], folds.get("earlier"), effects, scores, _estimates(whole, a, laws))
 

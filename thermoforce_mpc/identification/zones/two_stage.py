@@ -16,9 +16,8 @@ from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.estimation.differences import jacobian
 from thermoforce_mpc.identification.estimation.regression import RegressionData
-from thermoforce_mpc.identification.estimation.uncertainty import Effect
+from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H, Effect
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData, fold_of
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
@@ -69,15 +68,23 @@ class TwoStageFit:
             heat_input=self.heat_input,
         )
 
-    def modes(self) -> tuple[Array, Array]:
-        """ln(τ/h) (1,) and the slope of the step response (1,), K/h, in the direction of the sign."""
-        log_tau, slope = _modes(np.array([self.a, abs(self.g)]), self.step_s)
-        return np.array([log_tau]), np.array([slope])
+    @property
+    def log_tau(self) -> Array:
+        """ln(τ/h) (1,)."""
+        return np.log([-self.step_s / HOUR_S / np.log(self.a)])
 
-    def covariance(self) -> Array:
-        """Covariance (2, 2) of the `modes`: the standard errors of a and g are those of different steps."""
-        slopes = jacobian(lambda ag: _modes(ag, self.step_s), np.array([self.a, abs(self.g)]))
-        return np.asarray((slopes * np.array([self.a_sd, self.g_sd]) ** 2) @ slopes.T)
+    @property
+    def slope(self) -> Array:
+        """Slope of the step response (1,), K/h, in the direction of the sign."""
+        return np.abs([self.g]) / (1.0 - self.a) / np.exp(self.log_tau)
+
+    @property
+    def sd_K(self) -> Array:
+        """Standard deviations of the step response at `STEP_RESPONSE_H`: those of a and g are of different steps."""
+        n = np.maximum(np.round(np.array(STEP_RESPONSE_H) * HOUR_S / self.step_s), 1.0)
+        by_g = (1.0 - self.a**n) / (1.0 - self.a)
+        by_a = abs(self.g) * (by_g - n * self.a ** (n - 1.0)) / (1.0 - self.a)
+        return np.hypot(by_g * self.g_sd, by_a * self.a_sd)
 
     def free_model(self) -> RcParameters:
         """Return the free part, one mode (paper eq:free-evol)."""
@@ -180,13 +187,6 @@ def _columns(runs: Sequence[Record]) -> tuple[Array, Array, Array, Array, Array]
     return T, rise, T_out, solar, u
 
 
-def _modes(ag: Array, step_s: float) -> Array:
-    """[ln(τ/h), slope K/h] of [a, g] (2,)."""
-    a, g = ag
-    tau_h = -step_s / HOUR_S / np.log(a)
-    return np.array([np.log(tau_h), g / (1.0 - a) / tau_h])
-
-
 def two_stage_estimate(data: ZoneData) -> Estimate:
     """The two stages as the estimate of a zone, judged on held-out rows of pairs if there are any, else of runs.
 
@@ -219,10 +219,10 @@ def two_stage_estimate(data: ZoneData) -> Estimate:
         "on_steps": fit.n_on,
         "acts_log_odds": 0.5 * (fit.g / fit.g_sd) ** 2,
     }
-    effect = Effect(everything.log_tau, everything.gains, fit.covariance())
+    effect = Effect(everything.log_tau, everything.gains, fit.sd_K)
     return Estimate(everything, last, before, [effect], scores, unjudged=unjudged)
 
 
 def _fold(regressions: Sequence[RegressionData], fit: TwoStageFit, runs: Sequence[Record]) -> Fold:
     alone = fit_passive(runs).free_model()
-    return fold_of(regressions, *fit.modes(), fit.sign, fit.heat_input, fit.free_model(), alone)
+    return fold_of(regressions, fit.log_tau, fit.slope, fit.sign, fit.heat_input, fit.free_model(), alone)
