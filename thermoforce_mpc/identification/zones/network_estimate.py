@@ -24,7 +24,7 @@ from thermoforce_mpc.identification.zones.data import Estimate, ZoneData, fold_o
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # What a few modes do not follow of a response, as a share of its largest.
-_MODES_SD = 0.01
+_MODES_SD = 0.006
 # Where in `RESPONSE_H` the responses stand whose certainty is stored.
 _STORED = np.searchsorted(RESPONSE_H, STEP_RESPONSE_H)
 
