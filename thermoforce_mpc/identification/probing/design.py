@@ -49,8 +49,9 @@ def choose(
     *,
     centre_C: float,
     sign: float,
-) -> Draws:
-    """Return the best candidate for the hours of `ahead`.
+    acts: NDArray[np.bool_] | None = None,
+) -> tuple[Draws, Array]:
+    """Return the best candidate for the hours of `ahead`, and the levels (n,) that are expected of it.
 
     Args:
         history: the record so far, one instant or more.
@@ -59,8 +60,9 @@ def choose(
         candidates: candidates to choose from.
         centre_C: centre of the excursions, °C.
         sign: +1 heating, −1 cooling.
+        acts: steps (n,) in which levels are drawn, all by default; in the others the zone is held, their level is NaN.
     """
-    past, step_s = history.n_steps, ahead.step_s
+    past, n, step_s = history.n_steps, ahead.n_steps, ahead.step_s
     time_s, T_out_C, solar_W_m2 = (
         np.concatenate([getattr(history, name), getattr(ahead, name)[1:]])
         for name in ("time_s", "T_out_C", "solar_W_m2")
@@ -68,11 +70,12 @@ def choose(
     whitener, rows = _whitener(time_s, T_out_C, solar_W_m2, step_s)
     holding = float(history.u[0].mean()) if past >= _KNOWN_FROM else _HOLDING_SHARE
     start_K = sign * (centre_C - float(history.T_zone_C[0, -1]))
-    worth = []
-    for candidate in candidates:
-        levels = _simulated_levels(excitation.resumed(candidate), ahead.n_steps, step_s, start_K, holding)
-        worth.append(_criterion(np.concatenate([history.u[0], levels]), step_s, whitener, rows))
-    return candidates[int(np.argmax(worth))]
+    acts = np.ones(n, dtype=bool) if acts is None else acts
+    drawn = [_simulated_levels(excitation.resumed(each), acts, step_s, start_K, holding) for each in candidates]
+    held = [np.where(acts, levels, holding) for levels in drawn]
+    worth = [_criterion(np.concatenate([history.u[0], levels]), step_s, whitener, rows) for levels in held]
+    best = int(np.argmax(worth))
+    return candidates[best], drawn[best]
 
 
 def information(history: Record) -> float:
@@ -153,11 +156,19 @@ def _units(u: Array, step_s: float, tau_h: Array) -> Array:
     return unit_responses(np.log(tau_h), step_s, u) * np.append(np.ones(tau_h.size - 1), tau_h[-1])
 
 
-def _simulated_levels(excitation: Excitation, n: int, step_s: float, start_K: float, holding: float) -> Array:
-    """Return the levels of an excitation simulated on the prior mean with constant weather, shape (n,)."""
+def _simulated_levels(
+    excitation: Excitation, acts: NDArray[np.bool_], step_s: float, start_K: float, holding: float
+) -> Array:
+    """Return the levels of an excitation simulated on the prior mean with constant weather, (n,); NaN where none
+    `acts` (n,).
+    """
+    n = acts.size
     unit = expected_rise_K(np.eye(1, n)[0], step_s)
-    levels, rise = np.zeros(n), np.zeros(n + 1)
+    levels, rise = np.full(n, np.nan), np.zeros(n + 1)
     for t in range(n):
+        if not acts[t]:
+            excitation.left = 0
+            continue
         levels[t] = excitation.next(start_K - rise[t])
         rise[t + 1 :] += (levels[t] - holding) * unit[1 : n + 1 - t]
     return levels

@@ -251,7 +251,7 @@ class _Levels:
         centre = self._centre_C(band)
         if ahead is not None:
             candidates = _candidates(c, self._seed, record.n_steps)
-            chosen = choose(record, ahead, self._excitation, candidates, centre_C=centre, sign=self._sign)
+            chosen, _ = choose(record, ahead, self._excitation, candidates, centre_C=centre, sign=self._sign)
             self._excitation = self._excitation.resumed(chosen)
         # Positive if the zone is too cold (heating) or too warm (cooling).
         level = self._excitation.next(self._sign * (centre - float(record.T_zone_C[0, -1])))
