@@ -210,7 +210,8 @@ def two_stage_estimate(data: ZoneData) -> Estimate:
     try:
         last = fold("training")
     except DataError as error:
-        last, unjudged = everything, f"it cannot be judged without its held-out rows: {error}"
+        last = _fold(judged.of_fold("training", data.heat_input), fit, data.runs)
+        unjudged = f"it cannot be judged without its held-out rows: {error}"
     with suppress(DataError):  # there is no earlier part then
         before = fold("earlier")
     scores = {
