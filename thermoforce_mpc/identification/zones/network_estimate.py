@@ -76,18 +76,17 @@ def _estimate(
     folds: dict[str, Fold] = {}
     modes, without = dict[str, Modes](), {name: fit.without(home, k) for name, fit in by_fold.items()}
     for name, fit in by_fold.items():
-        modes[name] = projected(fit.responses[home, order], 0, signs, data.config.modes)
+        modes[name] = projected(fit.responses[home, order], 0, np.array(signs), data.config.modes)
         log_tau, gains, (own, *others) = modes[name].log_tau, modes[name].gains, (inputs[name][b] for b in order)
         regressions = [without_others(e, others, signs[1:], log_tau, gains[1:]) for e in data.of_fold(name, own)]
         if regressions:
             free, alone = free_part(fit, home), free_part(without[name], home)
             folds[name] = fold_of(regressions, log_tau, gains[0], layout.signs[a], own, free, alone)
     whole, everything = by_fold["whole"], folds["whole"]
-    own = everything.log_tau, everything.gains
-    found = [own, *((modes["whole"].log_tau, gains) for gains in modes["whole"].gains[1:])]
+    of_others = [(modes["whole"].log_tau, gains) for gains in modes["whole"].gains[1:]]
     variances = np.diagonal(whole.covariance[home, order], axis1=-2, axis2=-1)[:, _STORED]
     effects = []
-    for (log_tau, gains), variance in zip(found, variances, strict=True):
+    for (log_tau, gains), variance in zip([(everything.log_tau, everything.gains), *of_others], variances, strict=True):
         floor_K = _MODES_SD * float(unit_steps(log_tau, RESPONSE_H).max(axis=0) @ gains)
         effects.append(Effect(log_tau, gains, np.sqrt(variance + floor_K**2)))
     scores = {"acts_log_odds": without["whole"].rooms[home].value - whole.rooms[home].value}
