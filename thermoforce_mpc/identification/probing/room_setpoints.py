@@ -22,7 +22,7 @@ _HEAT, _COOL = 0.4, 0.4
 
 @dataclass
 class RoomExcitation:
-    """Excites a zone by room set-points, equal ones for equal seeds and temperatures; `lowest`: level of full cooling."""
+    """Excites a zone by room set-points, equal ones for equal seeds and readings. `lowest`: level of full cooling."""
 
     rng: np.random.Generator
     hold_steps: tuple[int, ...]
