@@ -118,7 +118,6 @@ def identify(
             [p.part(home, order, [m]) for p in records.pairs],
             heat_inputs[a],
             layout.signs[a],
-            [layout.signs[b] for b in order[1:]],
             step_s,
             source,
             records.hashes,
@@ -130,9 +129,7 @@ def identify(
         )
         data_of.append(zone_data)
     days = sum(h.n_steps * h.step_s for h in records.histories) / DAY_S
-    say(
-        f"fitting {'two stages' if config.method == 'two_stage' else 'a network of heat capacities'} to {days:.3g} days"
-    )
+    say(f"fitting what acting does to {days:.3g} days of records")
     estimates = _estimates(runs, records, layout, data_of, config)
     zones = []
     for a, zone_data in enumerate(data_of):

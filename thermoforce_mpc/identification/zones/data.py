@@ -44,7 +44,6 @@ class ZoneData:
             actuator, the rest are those of the others.
         heat_input: what the own actuator delivers.
         sign: +1 if it heats, −1 if it cools.
-        other_signs: signs of the other actuators of the building.
         step_s: step of the operator, s; None: that of the data.
         source, data, notes: for the model card.
         power: of the machine, where it feeds this actuator alone.
@@ -60,7 +59,6 @@ class ZoneData:
     pairs: Sequence[Pair]
     heat_input: HeatInput
     sign: int
-    other_signs: Sequence[int] = ()
     step_s: float | None = None
     source: str = "identified"
     data: Mapping[str, str] = field(default_factory=dict)
