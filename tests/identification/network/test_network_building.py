@@ -83,7 +83,7 @@ def test_a_wall_is_the_one_that_the_surer_room_saw():
 
 @pytest.mark.slow
 def test_bands_are_those_of_the_parameters():
-    """Against responses at parameters drawn from their covariance; what the nodes are not adds 5 %."""
+    """Against responses at parameters drawn from their covariance; what the nodes are not adds 3.5 %."""
     rng, sd = np.random.default_rng(0), 0.1
     building = fit_of(variances=(sd**2, sd**2))
     found, covariance = building.responses, building.covariance
@@ -91,7 +91,7 @@ def test_bands_are_those_of_the_parameters():
     for z in (0, 1):
         sample = np.array([one.responses[z] for one in drawn])
         for a in range(3):
-            expected = np.hypot(sample[:, a].std(axis=0), 0.05 * np.abs(found[z][a]))
+            expected = np.hypot(sample[:, a].std(axis=0), 0.035 * np.abs(found[z][a]))
             np.testing.assert_allclose(np.sqrt(np.diag(covariance[z, a])), expected, rtol=0.25)
 
 
@@ -99,7 +99,7 @@ def test_less_certain_parameters_make_wider_bands():
     sds = [np.sqrt(np.diag(fit_of(variances=(v, v)).covariance[0, 0])) for v in (0.0025, 0.01, 0.04)]
     assert (sds[0] < sds[1]).all()
     assert (sds[1] < sds[2]).all()
-    least = np.abs(fit_of(variances=(1e-12, 1e-12)).responses[0][0]) * 0.05
+    least = np.abs(fit_of(variances=(1e-12, 1e-12)).responses[0][0]) * 0.035
     np.testing.assert_allclose(np.sqrt(np.diag(fit_of(variances=(1e-12,) * 2).covariance[0, 0])), least, rtol=1e-3)
 
 

@@ -115,7 +115,7 @@ def test_bands_of_the_effect_hold_the_truth_as_often_as_they_say():
     """Of rooms of all kinds under a thermostat, 90 % bands of the effect of 2, 8 and 48 h."""
     room, off = Room(), []
     for seed in range(20):
-        truth = random_theta(room, np.random.default_rng(seed), 0.7)
+        truth = random_theta(room, np.random.default_rng(seed), 0.9)
         fit = estimate_room(room, [simulated(room, truth, (thermostat,), 5.0, seed, 0.5)])
         for hours in (2.0, 8.0, 48.0):
             error = np.log(effect_K(room, fit.theta, hours) / effect_K(room, truth, hours))

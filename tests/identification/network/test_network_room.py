@@ -41,12 +41,12 @@ def test_heat_of_a_node_cools_no_other(room, seed):
 @pytest.mark.parametrize("room", ROOMS)
 @pytest.mark.parametrize("seed", range(5))
 def test_a_room_in_steady_state_is_a_mean_of_its_surroundings(room, seed):
-    """Outdoors, neighbours that are measured, and those that are not, at 20 °C: their weights add up to one."""
+    """Outdoors, neighbours that are measured, and those that are not, at 12 °C: their weights add up to one."""
     theta = random_theta(room, np.random.default_rng(seed))
     theta[room.place["gains"]] = -40.0
     theta[len(room.names) :] = 0.0
     gains = steady(room, theta)
-    weights = [gains[0, OUTDOOR], gains[0, CONSTANT] / 20.0, *gains[0, len(INPUTS) : room.drive(0)]]
+    weights = [gains[0, OUTDOOR], gains[0, CONSTANT] / 12.0, *gains[0, len(INPUTS) : room.drive(0)]]
     assert min(weights) > 0.0
     assert sum(weights) == pytest.approx(1.0, rel=1e-9)
 

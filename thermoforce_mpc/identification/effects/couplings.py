@@ -9,11 +9,12 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.estimation.modes import in_steps
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H, Effect
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, bounds_between
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.model.zone_model import ZoneModel
 
@@ -59,7 +60,7 @@ def assembled(
             if sds_K[of_day] > _UNKNOWN * means_K[of_day]:
                 notes.append(f"the record does not tell what {name} does to {layout.names.zones[home]}")
             if means_K[of_day] >= _LEAST_EFFECT_K:
-                pairs[home][b] = _pair(effect.gains, zones[a].operator, zones[b].operator, layout.signs[b])
+                pairs[home][b] = _pair(effect, zones[b].operator, layout.signs[b])
         cards[a] = replace(cards[a], uncertainty=uncertainty, notes=tuple(notes))
     operator = BuildingOperator(
         layout.names.zones, layout.names.actuators, tuple(tuple(row) for row in pairs), layout.home
@@ -77,11 +78,10 @@ def assembled(
     )
 
 
-def _pair(gains: Array, own: OperatorParameters, head: OperatorParameters, sign: int) -> OperatorParameters:
-    """The operator of another actuator, that delivers as `head`, on a zone, with `gains` (r,) at the modes of `own`."""
-    tau = own.time_constants_h
-    steady = np.concatenate([[tau[0] * (gains[0] - (gains[1:] / tau[1:]).sum())], gains[1:]])
-    return replace(head, poles=own.poles, gains=sign * steady * (1.0 - own.poles), pole_bounds=own.pole_bounds)
+def _pair(effect: Effect, head: OperatorParameters, sign: int) -> OperatorParameters:
+    """The operator of another actuator, that delivers as `head`, on a zone."""
+    a, gains = in_steps(effect.log_tau, effect.gains, head.step_s)
+    return replace(head, poles=a, gains=sign * gains, pole_bounds=bounds_between(a))
 
 
 def with_metered_shares(layout: Layout, heat_inputs: Sequence[HeatInput], histories: Sequence[Record]) -> Layout:

@@ -51,6 +51,13 @@ def lags_of_gains(log_tau: Array) -> tuple[Array, Array]:
     return own, lead
 
 
+def in_steps(log_tau: Array, gains: Array, step_s: float) -> tuple[Array, Array]:
+    """Poles (r,) and gains of a step (r,), K, of [slope, G_2 … G_r] (r,)."""
+    tau, a = np.exp(log_tau), poles(log_tau, step_s)
+    steady = np.concatenate([[tau[0] * (gains[0] - (gains[1:] / tau[1:]).sum())], gains[1:]])
+    return a, steady * (1.0 - a)
+
+
 def to_operator(
     log_tau: Array,
     gains: Array,
@@ -64,11 +71,10 @@ def to_operator(
     feature_scale: Array,
 ) -> OperatorParameters:
     """Return the linear operator (m = 1) with these time constants and nonnegative [slope, G_2 … G_r]."""
-    tau, a = np.exp(log_tau), poles(log_tau, step_s)
-    steady = np.concatenate([[tau[0] * (gains[0] - (gains[1:] / tau[1:]).sum())], gains[1:]])
+    a, of_step = in_steps(log_tau, gains, step_s)
     return linear_operator(
         a,
-        sign * steady * (1.0 - a),
+        sign * of_step,
         step_s=step_s,
         sign=sign,
         gamma=gamma,

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.optimize import brentq
 
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
@@ -24,6 +25,8 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 # A held-out comparison decides at this probability (Student's t, one-sided), if the RMS is below this share.
 _SIGNIFICANT, _RELEVANT = 0.95, 0.98
+# Largest output bias of the network: beyond it m(x) is at an end of its range.
+_LARGEST_BIAS = 5.0
 
 
 @dataclass(frozen=True)
@@ -72,10 +75,30 @@ class Candidate:
 
     @cached_property
     def trained(self) -> OperatorParameters:
-        """The operator with the network trained on the rows that the fold sees."""
+        """The operator with the network trained on the rows that the fold sees.
+
+        Runs say by what the gain changes, not its size: that is the linear fit's, which follows the building's rooms.
+        """
         heat_input = self.untrained.heat_input
         start = replace(self.untrained, heat_input=heat_input.by_level if self._is_level else heat_input)
-        return train(start, self.data, self.config)
+        operator = train(start, self.data, self.config)
+        pairs_only = all(e.is_pair for e in self.fold.regressions)
+        return operator if pairs_only or self.config.method == "two_stage" else self._as_large(operator)
+
+    def _as_large(self, operator: OperatorParameters) -> OperatorParameters:
+        """`operator` with the bias at which it gives as much in all, in the rows that the fold sees, as m = 1."""
+        seen = []
+        for e, driven, xs in zip(self.fold.regressions, self.driven, self.features, strict=True):
+            n = int(e.rows[e.seen - 1]) if e.seen else 0
+            seen += [(v[:n], w[:n], x[:n]) for (_, v), (_, w), x in zip(e.drives, driven.drives, xs, strict=True)]
+        linear, driving, x = (np.concatenate(column) for column in zip(*seen, strict=True))
+
+        def more(bias: float) -> float:
+            return float(np.abs(driving) @ replace(operator, output_bias=bias).modulation(x) - np.abs(linear).sum())
+
+        if not more(-_LARGEST_BIAS) < 0.0 < more(_LARGEST_BIAS):
+            return operator
+        return replace(operator, output_bias=float(brentq(more, -_LARGEST_BIAS, _LARGEST_BIAS)))
 
     @cached_property
     def scores(self) -> dict[str, float]:

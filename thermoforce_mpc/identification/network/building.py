@@ -20,10 +20,12 @@ from thermoforce_mpc.identification.network.estimate import RoomFit
 from thermoforce_mpc.identification.network.room import neighbours_of
 from thermoforce_mpc.model.free_response.rc import INPUTS
 
-RESPONSE_H = np.array([0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 36.0, 48.0, 72.0, 96.0])
+RESPONSE_H = np.array(
+    [0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 36.0, 48.0, 72.0, 96.0, 144.0, 240.0]
+)
 """Times after a step to full level at which responses are compared, h."""
 # Relative standard deviation of any effect by what a few nodes are not: surfaces, layers, a lag of the sensor, water.
-_STRUCTURE_SD = 0.05
+_STRUCTURE_SD = 0.035
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ ROOM_PRIORS: dict[str, Prior] = {
     "C_envelope": Prior(15.0, 1.0),
     "H_envelope": Prior(2.0, 0.9),
     "H_envelope_outdoors": Prior(1.0, 0.9),
-    "H_neighbours": Prior(0.1, 1.8),
+    "H_neighbours": Prior(0.1, 1.5),
     "sun": Prior(0.04, 1.0),
     "sun_structure": Prior(0.04, 1.0),
     "gains": Prior(4.0, 0.7),

@@ -1,7 +1,7 @@
 """Step responses as a few parallel modes, the operator's form: least squares over time constants and gains.
 
 A room with its structure, its envelope and one emitter has four modes, of which three are enough to within a per cent
-or so. What more rooms and emitters add is fitted to the nearest response of that form, too.
+or so. What other rooms' actuators do comes through walls, later: their responses share time constants of their own.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from thermoforce_mpc.identification.network.building import RESPONSE_H
 _SHORTEST_H, _LONGEST_H, _APART = 0.05, 1000.0, 1.5
 # Range of the logarithm of how far ln τ is above its least, and most steps of the search.
 _RANGE, _MOST_STEPS = (-4.0, 2.2), 200
+# Least size of responses, K.
+_LEAST_K = 1e-3
 # Time constants of the starts of the search, h, by order.
 _STARTS_H: dict[int, tuple[tuple[float, ...], ...]] = {
     1: ((10.0,), (50.0,)),
@@ -29,10 +31,10 @@ _STARTS_H: dict[int, tuple[tuple[float, ...], ...]] = {
 
 @dataclass(frozen=True)
 class Modes:
-    """Responses of a zone to its actuators as r modes of common time constants.
+    """Responses of a zone to its actuators as r modes each.
 
-    `log_tau` (r,): ln(τ/h), rising; `gains` (A, r): [slope K/h, G_2 … G_r K] of each actuator in the direction of its
-    sign; `misfit` (A,): root mean square error over that of the response.
+    `log_tau` (A, r): ln(τ/h), rising, common to all but its own actuator; `gains` (A, r): [slope K/h, G_2 … G_r K] of
+    each actuator in the direction of its sign; `misfit` (A,): root mean square error over that of the response.
     """
 
     log_tau: Array
@@ -41,11 +43,24 @@ class Modes:
 
 
 def projected(responses: Array, own: int, signs: Array, order: int) -> Modes:
-    """The step responses (A, T) K of a zone at `RESPONSE_H` as `order` modes; the time constants are those that suit
-    actuator `own`.
+    """The step responses (A, T) K of a zone at `RESPONSE_H` as `order` modes each: those of its `own` actuator, and
+    those that suit all others.
     """
     means = responses * np.asarray(signs)[:, None]
-    target = means[own] / np.abs(means[own]).max()
+    others = np.arange(len(means)) != own
+    log_tau = np.tile(_time_constants(means[[own]], order), (len(means), 1))
+    if others.any():
+        log_tau[others] = _time_constants(means[others], order)
+    gains, errors = np.empty((len(means), order)), np.empty(len(means))
+    for a, mean in enumerate(means):
+        gains[a], error = nnls(unit_steps(log_tau[a], RESPONSE_H), mean)
+        errors[a] = error / np.sqrt(max(float(mean @ mean), mean.size * 1e-12))
+    return Modes(log_tau, gains, errors)
+
+
+def _time_constants(means: Array, order: int) -> Array:
+    """ln τ (r,) of the modes that suit the responses (K, T), K, best."""
+    targets = means / max(float(np.abs(means).max()), _LEAST_K)
 
     def tau_of(x: Array) -> Array:
         """ln τ from x in `_RANGE`: each is at least `_APART` times the one before."""
@@ -53,7 +68,7 @@ def projected(responses: Array, own: int, signs: Array, order: int) -> Modes:
 
     def misfit(x: Array) -> Array:
         units = unit_steps(tau_of(x), RESPONSE_H)
-        return np.asarray(units @ nnls(units, target)[0] - target)
+        return np.concatenate([units @ nnls(units, target)[0] - target for target in targets])
 
     found = []
     for hours in _STARTS_H[order]:
@@ -62,8 +77,4 @@ def projected(responses: Array, own: int, signs: Array, order: int) -> Modes:
         found.append(least_squares(misfit, start, bounds=_RANGE, max_nfev=_MOST_STEPS))
     # At the longest, neighbours stay apart: equal poles would be one.
     most = np.log(_LONGEST_H) - np.log(_APART) * np.arange(order)[::-1]
-    log_tau = np.minimum(tau_of(min(found, key=lambda result: result.cost).x), most)
-    units = unit_steps(log_tau, RESPONSE_H)
-    gains = np.array([nnls(units, mean)[0] for mean in means])
-    errors = np.sqrt(np.mean((gains @ units.T - means) ** 2, axis=1) / np.maximum(np.mean(means**2, axis=1), 1e-12))
-    return Modes(log_tau, gains, errors)
+    return np.minimum(tau_of(min(found, key=lambda result: result.cost).x), most)

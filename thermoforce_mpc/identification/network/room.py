@@ -44,9 +44,8 @@ ROOM, STRUCTURE, ENVELOPE, EMITTER = 0, 1, 2, 3
 """States: room, structure, envelope, then the emitters (the nodes), then the disturbances."""
 SUN_ON_SENSOR = "sun_on_sensor"
 """Parameter: how much too high a sensor reads in full sun on its facade, K."""
-# Temperature of neighbours that were not measured, and of the ground, °C.
-_NEIGHBOURS_C = 20.0
-
+# Temperature of the ground and of unheated rooms that were not measured, °C.
+_NEIGHBOURS_C = 12.0
 
 OUTDOOR, SUN, _ONE = (INPUTS.index(name) for name in ("outdoor", "solar", "constant"))
 """Inputs: outdoor temperature °C, irradiance W/m²."""

@@ -78,12 +78,13 @@ def _estimate(
     for name, fit in by_fold.items():
         modes[name] = projected(fit.responses[home, order], 0, np.array(signs), data.config.modes)
         log_tau, gains, (own, *others) = modes[name].log_tau, modes[name].gains, (inputs[name][b] for b in order)
-        regressions = [without_others(e, others, signs[1:], log_tau, gains[1:]) for e in data.of_fold(name, own)]
+        # The others share time constants.
+        regressions = [without_others(e, others, signs[1:], log_tau[-1], gains[1:]) for e in data.of_fold(name, own)]
         if regressions:
             free, alone = free_part(fit, home), free_part(without[name], home)
-            folds[name] = fold_of(regressions, log_tau, gains[0], layout.signs[a], own, free, alone)
+            folds[name] = fold_of(regressions, log_tau[0], gains[0], layout.signs[a], own, free, alone)
     whole, everything = by_fold["whole"], folds["whole"]
-    of_others = [(modes["whole"].log_tau, gains) for gains in modes["whole"].gains[1:]]
+    of_others = list(zip(modes["whole"].log_tau, modes["whole"].gains, strict=True))[1:]
     variances = np.diagonal(whole.covariance[home, order], axis1=-2, axis2=-1)[:, _STORED]
     effects = []
     for (log_tau, gains), variance in zip([(everything.log_tau, everything.gains), *of_others], variances, strict=True):
