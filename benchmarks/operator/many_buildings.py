@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.two_stage import (
+from thermoforce_mpc.identification.zones.two_stage import (
     MIN_OFF_STEPS,
     MIN_ON_STEPS,
     SCALE,

@@ -15,7 +15,7 @@ from benchmarks.operator.score import PairScores, score_pairs
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.two_stage import fit_two_stage
+from thermoforce_mpc.identification.zones.two_stage import fit_two_stage
 from thermoforce_mpc.simulation.comparison.results_json import Target
 
 # Targets, K unless stated otherwise.

@@ -14,13 +14,10 @@ from benchmarks.operator.speed import Comparison, median_s, must_agree, random_o
 from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.estimation.rest import Rest
-from thermoforce_mpc.identification.modulation.misfit import Misfit, TrainingData
-from thermoforce_mpc.identification.modulation.training import minimise
-from thermoforce_mpc.identification.two_stage import TwoStageFit, fit_two_stage
-from thermoforce_mpc.model.operator import OperatorParameters
+from thermoforce_mpc.identification.modulation.training import Misfit, TrainingData, minimise
+from thermoforce_mpc.identification.zones.two_stage import TwoStageFit, fit_two_stage
 
 # Noise of the synthetic targets, K, so that the final loss is not zero.
 _NOISE_K = 0.05
@@ -39,8 +36,8 @@ class _Task:
         features, heat = rng.normal(size=(rollouts, n_steps, 4)), rng.uniform(size=(rollouts, n_steps))
         self.features, self.heat = torch.tensor(features), torch.tensor(heat)
         base = random_operator(3, 1)
-        # Initial operator, always the same, with gains and weights that differ from the target operator.
-        self._start = OperatorParameters(**{**vars(base), "gains": 0.5 * base.gains})
+        # Initial operator, always the same, with weights that differ from the target operator.
+        self._start = base
         with torch.no_grad():
             clean = torch.stack(self._states(ForcedResponseOperator(random_operator(3, 7))), dim=1)
         self.target = clean + _NOISE_K * torch.tensor(rng.normal(size=(rollouts, n_steps)))
@@ -51,8 +48,7 @@ class _Task:
             )
             for target, v, x in zip(self.target.numpy(), heat, features, strict=True)
         ]
-        unknown = ModePriors(np.zeros(3), _WEAK, np.zeros(3), np.full(3, _WEAK), (0.0, _WEAK))
-        self.misfit = Misfit(self._start, data, unknown, modulation_sd=_WEAK)
+        self.misfit = Misfit(self._start, data, modulation_sd=_WEAK)
 
     def start(self) -> ForcedResponseOperator:
         """Initial operator."""
@@ -67,16 +63,22 @@ class _Task:
 
     def _states(self, operator: ForcedResponseOperator) -> list[Tensor]:
         """Forced response after each step, (rollouts,) each."""
+        poles, gains = operator.poles.detach(), operator.gains.detach()
         state, found = torch.zeros(self.rollouts, 3, dtype=torch.float64), []
         for t in range(self.n):
             drive = operator.modulation(self.features[:, t]) * self.heat[:, t]
-            state = operator.poles * state + operator.gains * drive[:, None]
+            state = poles * state + gains * drive[:, None]
             found.append(state.sum(-1))
         return found
 
 
+def _network(operator: ForcedResponseOperator) -> list[Tensor]:
+    """The parameters that are trained."""
+    return [*operator.hidden.parameters(), *operator.output.parameters()]
+
+
 def _vector(operator: ForcedResponseOperator) -> Tensor:
-    return parameters_to_vector(operator.parameters()).detach()
+    return parameters_to_vector(_network(operator)).detach()
 
 
 def compare_training(n_steps: int, rollouts: int, repeats: int = 9) -> Comparison:
@@ -109,9 +111,9 @@ def compare_training_to_loss(n_steps: int, rollouts: int, epochs: int = 300) -> 
     began = perf_counter()
 
     def by_loop(parameters: Array) -> tuple[float, Array]:
-        vector_to_parameters(torch.from_numpy(parameters), plain.parameters())
+        vector_to_parameters(torch.from_numpy(parameters), _network(plain))
         found = task.loop(plain)
-        gradients = torch.autograd.grad(found, list(plain.parameters()))
+        gradients = torch.autograd.grad(found, _network(plain))
         return float(found.detach()), torch.cat([gradient.ravel() for gradient in gradients]).numpy()
 
     aim = min(minimise(by_loop, _vector(plain).numpy(), config)[1])

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from thermoforce_mpc.data import Layout, Record
+from thermoforce_mpc.data import DAY_S, Layout, Record
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.checks import Remark, remarks
@@ -38,9 +38,10 @@ from thermoforce_mpc.identification.estimation.records import (
 from thermoforce_mpc.identification.network.sensor import without_sun
 from thermoforce_mpc.identification.validation.held_out import identified_heat_input, named, power_of_machine
 from thermoforce_mpc.identification.validation.warnings import unexplained
-from thermoforce_mpc.identification.zones.data import ZoneData
-from thermoforce_mpc.identification.zones.effects import ZoneEffects, zone_effects
+from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
 from thermoforce_mpc.identification.zones.model import identify_zone
+from thermoforce_mpc.identification.zones.network_estimate import network_estimates
+from thermoforce_mpc.identification.zones.two_stage import two_stage_estimate
 from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
@@ -117,7 +118,6 @@ def identify(
             [p.part(home, order, [m]) for p in records.pairs],
             heat_inputs[a],
             layout.signs[a],
-            [layout.signs[b] for b in order[1:]],
             step_s,
             source,
             records.hashes,
@@ -128,22 +128,23 @@ def identify(
             area_m2=float(layout.floor_area_m2[home]),
         )
         data_of.append(zone_data)
-    effects = zone_effects(runs, records.pairs, layout, data_of, config, say)
+    days = sum(h.n_steps * h.step_s for h in records.histories) / DAY_S
+    say(f"fitting what acting does to {days:.3g} days of records")
+    estimates = _estimates(runs, records, layout, data_of, config)
     zones = []
     for a, zone_data in enumerate(data_of):
         advice = ""
         if levels_only(heat_inputs[a], layout, a, config):
-            zone_data, advice = _with_unknown_heat(zone_data, runs, layout, a, effects[a], config)
+            zone_data, advice = _with_unknown_heat(zone_data, runs, layout, a, estimates[a], config)
         with _told(records, layout, a) as prefix:
 
             def tell(text: str, prefix: str = prefix) -> None:
                 say(prefix + text)
 
-            zone = identify_zone(zone_data, effects[a], tell)
+            zone = identify_zone(zone_data, estimates[a], tell)
         zone = replace(zone, card=replace(zone.card, foreign_heat=records.foreign.heat[a]))
         zones.append(_barred(_with_advice(zone, advice), a, records.doubts))
-    others = [of_zone.known[1:] if of_zone else [] for of_zone in effects]
-    return assembled(layout, zones, others, power, config)
+    return assembled(layout, zones, [estimate.effects[1:] for estimate in estimates], power, config)
 
 
 @dataclass(frozen=True)
@@ -204,6 +205,19 @@ def _heat_input(records: _Records, layout: Layout, a: int, config: Identificatio
     parts = [h.part(layout.home[a], [a], [layout.machine_of[a]]) for h in records.histories]
     with _told(records, layout, a):
         return identified_heat_input(parts, config, layout.signs[a], layout.lowest[a], alone=len(layout.home) == 1)
+
+
+def _estimates(
+    runs: Sequence[Record], records: _Records, layout: Layout, data: Sequence[ZoneData], config: IdentificationConfig
+) -> list[Estimate]:
+    """Linear estimate of each actuator's home zone (A,), from the runs without sun."""
+    if config.method == "joint":
+        return network_estimates(runs, records.pairs, layout, data, config)
+    found = []
+    for a, of_zone in enumerate(data):
+        with _told(records, layout, a):
+            found.append(two_stage_estimate(of_zone))
+    return found
 
 
 @contextmanager
@@ -279,13 +293,13 @@ def _with_unknown_heat(
     runs: Sequence[Record],
     layout: Layout,
     a: int,
-    effects: ZoneEffects | None,
+    estimate: Estimate,
     config: IdentificationConfig,
 ) -> tuple[ZoneData, str]:
     """`data` with what is not known of the heat of actuator `a`, whose levels alone were recorded, and advice on it."""
     beside = confounding(runs, layout, a, config)
     unknown, notes, advice = [beside.relative_sd, shared_sd(layout, a)], [], beside.in_words()
-    weather, laws = weather_of(runs, a), effects.laws if effects else {}
+    weather, laws = weather_of(runs, a), estimate.laws
     if weather is not None and OUTDOORS in laws:
         unknown.append(laws[OUTDOORS][1] * weather.spread_K)
         notes.append(outdoors_in_words(laws, weather))

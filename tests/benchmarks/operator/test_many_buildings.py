@@ -10,7 +10,7 @@ from houses import House, record
 
 from benchmarks.operator.many_buildings import box_minimisers, fit_two_stage_many
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.two_stage import fit_two_stage
+from thermoforce_mpc.identification.zones.two_stage import fit_two_stage
 
 
 def _runs(n: int):

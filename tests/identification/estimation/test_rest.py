@@ -45,12 +45,6 @@ def test_a_reading_given_those_before_is_what_the_filter_forecasts(run, start):
     np.testing.assert_allclose(ahead, forecast.median_C[regression.rows[before:] - start - 1], atol=1e-6)
 
 
-def test_innovations_are_whitened(run):
-    rest = rest_of(run_regression(run, IDENTITY), FREE)
-    np.testing.assert_allclose(rest.whitener @ rest.covariance @ rest.whitener.T, np.eye(rest.mean.size), atol=1e-7)
-    np.testing.assert_allclose(rest.factor @ rest.whitener, np.eye(rest.mean.size), atol=1e-7)
-
-
 def test_a_pair_needs_no_free_part():
     a = record(House(), 0.5, seed=3)
     pair = pair_regression(Pair(a, record(House(), 0.5, seed=3, u=np.zeros(a.n_steps))), IDENTITY)

@@ -12,7 +12,7 @@ from thermoforce_mpc.data import DAY_S, Layout
 from thermoforce_mpc.identification import IdentificationConfig, Pair
 from thermoforce_mpc.identification.validation.held_out import identified_heat_input
 from thermoforce_mpc.identification.zones.data import ZoneData
-from thermoforce_mpc.identification.zones.effects import zone_effects
+from thermoforce_mpc.identification.zones.network_estimate import network_estimates
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 LAYOUT, CONFIG = Layout.single(floor_area_m2=190.0), IdentificationConfig(modulation="linear")
@@ -21,8 +21,8 @@ LAYOUT, CONFIG = Layout.single(floor_area_m2=190.0), IdentificationConfig(modula
 def folds_of(run, pairs=(), config=CONFIG):
     """What the network says of a house from a run and pairs, fold by fold."""
     data = ZoneData(config, [run], pairs, IDENTITY, 1)
-    (effects,) = zone_effects([run], pairs, LAYOUT, [data], config, lambda said: None)
-    return data, effects
+    (estimate,) = network_estimates([run], pairs, LAYOUT, [data], config)
+    return data, estimate
 
 
 def changed_from(run, step):
@@ -41,7 +41,7 @@ def later(pair, days):
 
 def same(a, b):
     """Whether two folds say the same, bit for bit."""
-    modes = [(getattr(a.modes, name), getattr(b.modes, name)) for name in ("log_tau", "gains", "misfit")]
+    modes = [(getattr(a, name), getattr(b, name)) for name in ("log_tau", "gains")]
     free = [(getattr(a.free, name), getattr(b.free, name)) for name in ("poles", "weights", "process_K2")]
     return all(np.array_equal(*pair) for pair in modes + free)
 
@@ -55,12 +55,12 @@ def test_held_out_rows_are_not_seen():
     assert seen["training"] == pytest.approx(0.75 * run.n_steps, abs=1)
     assert seen["earlier"] == pytest.approx(0.5 * run.n_steps, abs=1)
     _, late = folds_of(changed_from(run, seen["training"]))
-    assert same(late.training, before.training)
-    assert same(late.earlier, before.earlier)
-    assert not same(late.whole, before.whole)
+    assert same(late.last, before.last)
+    assert same(late.before, before.before)
+    assert not same(late.everything, before.everything)
     _, middle = folds_of(changed_from(run, seen["earlier"]))
-    assert same(middle.earlier, before.earlier)
-    assert not same(middle.training, before.training)
+    assert same(middle.before, before.before)
+    assert not same(middle.last, before.last)
 
 
 def test_held_out_pairs_are_not_seen():
@@ -69,13 +69,6 @@ def test_held_out_pairs_are_not_seen():
     assert data.last_steps("whole") == [24] * 4
     assert sorted(data.last_steps("training")) == [0, 24, 24, 24]
     assert data.last_steps("earlier") == [0] * 4
-
-
-def test_the_two_stages_need_no_network():
-    config = CONFIG.model_copy(update={"method": "two_stage", "order": 1})
-    run = record(House(), 2.0, 3600.0)
-    data = ZoneData(config, [run], [], IDENTITY, 1)
-    assert zone_effects([run], [], LAYOUT, [data], config, lambda said: None) == [None]
 
 
 def test_the_law_of_a_heat_meter_is_that_of_the_rows_that_are_seen():

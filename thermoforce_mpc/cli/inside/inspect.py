@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from thermoforce_mpc.model.operator.parameters import OperatorParameters
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
-_SDS = (("time_constant", "h"), ("steady_gain", "K"))
 _LAGS_H = (1, 2, 4, 8, 12, 24, 48)
 _CERTIFIED_H = 48
 # Meaning of the scores of a model card, in printing order.
@@ -115,9 +114,8 @@ def _show_operator(name: str, operator: OperatorParameters, card: ModelCard, con
     say(f"source: {card.source}")
     modes = plain_table(["mode", "time constant, h", "steady gain, K"])
     for i, (tau, gain) in enumerate(zip(operator.time_constants_h, operator.steady_gains_K, strict=True), start=1):
-        tau_sd, gain_sd = (card.uncertainty.get(f"{name}_{i}_sd_{unit}") for name, unit in _SDS)
-        modes.add_row(str(i), f"{tau:.2f}{_give_or_take(tau_sd)}", f"{gain:.2f}{_give_or_take(gain_sd)}")
-    _titled("Modes of the forced response (± one standard deviation)", modes, console)
+        modes.add_row(str(i), f"{tau:.2f}", f"{gain:.2f}")
+    _titled("Modes of the forced response", modes, console)
     if operator.order > 1 and operator.steady_gains_K[0] * operator.sign < 0:
         say("  the first gain has the opposite sign: it represents the delay of the heat of the other modes")
     _show_step_response(card.uncertainty, operator.sign, console)
@@ -234,10 +232,6 @@ def _show_competence(card: ModelCard, console: Console) -> None:
         console.print(f"  missed: {reason}", soft_wrap=True)
     for advice in verdict.advice:
         console.print(f"  advice: {advice}", soft_wrap=True)
-
-
-def _give_or_take(sd: float | None) -> str:
-    return "" if sd is None else f" ± {sd:.2f}"
 
 
 def _show_step_response(uncertainty: Mapping[str, float], sign: int, console: Console) -> None:

@@ -25,7 +25,7 @@ class Remark:
         words: what was found, with its numbers.
         remedy: what to do.
         sure: the statistic that found it, as a number of its standard deviations; inf where a physical limit is
-            exceeded.
+            exceeded, as of units.
         actuators: numbers of the actuators whose model it bars; none where the record may serve all the same.
     """
 
@@ -33,7 +33,7 @@ class Remark:
     where: str
     words: str
     remedy: str
-    sure: float
+    sure: float = float("inf")
     actuators: tuple[int, ...] = ()
 
     def in_words(self) -> str:

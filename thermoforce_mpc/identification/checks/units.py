@@ -90,7 +90,7 @@ def _of_temperature(
         if usual_C[0] <= value_C <= usual_C[1]:
             words = f"{outside.size} readings of {sent:.4g}: {unit}?"
             remedy = "until the plant gives the unit that is expected (a map: `unit`), they count as not measured"
-            return Remark("unit of temperature", where, words, remedy, float("inf"))
+            return Remark("unit of temperature", where, words, remedy)
     return None
 
 
@@ -112,7 +112,7 @@ def _beside_model(record: Record, layout: Layout, model: ThermalModel) -> Iterat
                 ratio = float(np.median(load_W[rows] / expected_W[rows]))
                 if unit := _unit_by(ratio, record.step_s / HOUR_S):
                     words = f"{ratio:.3g} of what the model expects at these levels"
-                    yield Remark("unit of power", where, words, f"{unit}: convert it at the meter", float("inf"))
+                    yield Remark("unit of power", where, words, f"{unit}: convert it at the meter")
 
 
 def _unit_by(ratio: float, step_h: float) -> str:
@@ -146,7 +146,7 @@ def _of_machine(record: Record, layout: Layout, m: int, machine: str) -> list[Re
     for what, load in ((record.names.label("power_W", m), power), (of_heat, heat)):
         size = _size(load, _area_m2(layout, fed)) if _runs(record, fed, load) else None
         if size:
-            found.append(Remark("unit of power", what, *size, float("inf")))
+            found.append(Remark("unit of power", what, *size))
     if found or not fed:
         return found
     both = np.isfinite(heat) & np.isfinite(power)
@@ -207,7 +207,6 @@ def _ratio_remark(ratio: float, step_h: float, where: str, why: str) -> Remark:
         where,
         f"{ratio:.3g} units of heat come from one of energy; {why}",
         f"one is {unit} taken for W, or the reverse (factor {factor:g}): check which, by the size of the machine",
-        float("inf"),
     )
 
 
@@ -227,7 +226,6 @@ def _of_loss(record: Record, layout: Layout, fed: list[int], heat: Array, where:
             where,
             f"{loss:.2g} W for each m² and K to outdoors, more than {_MOST_LOSS_W_M2K:g}",
             f"W taken for Wh per step is likely (factor {1.0 / step_h:g}), or the floor area is too small",
-            float("inf"),
         )
     ]
 
@@ -254,7 +252,6 @@ def _of_outdoors(record: Record, layout: Layout) -> list[Remark]:
             f"{100 * share:.0f} % of the heating happens while it is as warm outdoors as in the rooms "
             f"(median {np.median(T_out[rows]):.0f} °C)",
             f"°F is likelier, a median of {as_fahrenheit:.0f} °C: set unit: °F, or give (x − 32) / 1.8",
-            float("inf"),
         )
     ]
 

@@ -9,12 +9,12 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.modes import bounds_h, in_steps
-from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H, Effect, step_response
+from thermoforce_mpc.identification.estimation.modes import in_steps
+from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H, Effect
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, bounds_between
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.model.zone_model import ZoneModel
 
@@ -54,10 +54,9 @@ def assembled(
             if layout.home[b] == home:
                 continue
             name, of_day = layout.names.actuators[b], STEP_RESPONSE_H.index(24)
-            means_K, sds_K = step_response(effect)
-            for hours, mean_K, sd_K in zip(STEP_RESPONSE_H, means_K, sds_K, strict=True):
-                uncertainty[f"step_response_{hours}h_K[{name}]"] = layout.signs[b] * float(mean_K)
-                uncertainty[f"step_response_{hours}h_sd_K[{name}]"] = float(sd_K)
+            means_K, sds_K = effect.step_K, effect.sd_K
+            for key, value in effect.uncertainty().items():
+                uncertainty[f"{key}[{name}]"] = value if "_sd_" in key else layout.signs[b] * value
             if sds_K[of_day] > _UNKNOWN * means_K[of_day]:
                 notes.append(f"the record does not tell what {name} does to {layout.names.zones[home]}")
             if means_K[of_day] >= _LEAST_EFFECT_K:
@@ -81,8 +80,8 @@ def assembled(
 
 def _pair(effect: Effect, head: OperatorParameters, sign: int) -> OperatorParameters:
     """The operator of another actuator, that delivers as `head`, on a zone."""
-    a, gains, bounds = in_steps(effect.log_tau, effect.gains, head.step_s, bounds_h(effect.log_tau))
-    return replace(head, poles=a, gains=sign * gains, pole_bounds=bounds)
+    a, gains = in_steps(effect.log_tau, effect.gains, head.step_s)
+    return replace(head, poles=a, gains=sign * gains, pole_bounds=bounds_between(a))
 
 
 def with_metered_shares(layout: Layout, heat_inputs: Sequence[HeatInput], histories: Sequence[Record]) -> Layout:

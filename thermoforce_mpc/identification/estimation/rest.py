@@ -11,17 +11,20 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cholesky
 from scipy.optimize import minimize, nnls
 
 from thermoforce_mpc.data import Array, Record
-from thermoforce_mpc.identification.estimation.modes import ModePriors, bounds_h, lagged, unit_responses
+from thermoforce_mpc.identification.estimation.modes import lagged, unit_responses
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.model.free_response.rc import RcParameters
 
 # Pairs cancel all drift; the rest is the model error of a few hundredths of a K. It is correlated over about an hour,
 # so the standard deviation per row is ten times as large.
 _PAIR_SD_K = 0.3
+# Relative standard deviation of the gains and time constants of a fit without pairs, and the least of a gain, K or K/h;
+# farthest that a time constant may move, logarithm.
+_PRIOR_SD, _LEAST_GAIN_SD, _REACH = 0.5, 1e-3, np.log(10.0)
 
 
 @dataclass(frozen=True)
@@ -36,11 +39,6 @@ class Rest:
         """L (rows, rows), K."""
         return np.asarray(cholesky(self.covariance, lower=True, check_finite=False))
 
-    @cached_property
-    def whitener(self) -> Array:
-        """L⁻¹ (rows, rows)."""
-        return np.asarray(solve_triangular(self.factor, np.eye(self.mean.size), lower=True, check_finite=False))
-
 
 def rest_of(regression: RegressionData, free: RcParameters | None) -> Rest:
     """The rest of a run by the `free` part of its zone, at the step of the run; that of a pair needs none."""
@@ -50,25 +48,28 @@ def rest_of(regression: RegressionData, free: RcParameters | None) -> Rest:
     return Rest(_mean(regression.histories[0], free)[regression.rows], _covariance(regression, free))
 
 
-def fitted_modes(pairs: Sequence[RegressionData], priors: ModePriors, sign: int) -> tuple[Array, Array]:
-    """ln(τ/h) (r,) and [slope, G_2 … G_r] (r,), none negative, most likely given pairs and the priors."""
+def fitted_to_pairs(pairs: Sequence[RegressionData], log_tau: Array, gains: Array, sign: int) -> tuple[Array, Array]:
+    """ln(τ/h) (r,) and [slope, G_2 … G_r] (r,), none negative, most likely given pairs and a fit without them."""
     target = np.concatenate([e.target / _PAIR_SD_K for e in pairs])
+    sd = np.maximum(_PRIOR_SD * np.abs(gains), _LEAST_GAIN_SD)
 
-    def gains_at(log_tau: Array) -> tuple[Array, float]:
-        units = np.concatenate([unit_responses(log_tau, e.step_s, e.drive, e.rows) for e in pairs])
-        mean, sd = priors.gains_at(log_tau)
-        columns = np.concatenate([sign * units / _PAIR_SD_K, np.diag(1.0 / sd)])
-        gains, distance = nnls(columns, np.concatenate([target, mean / sd]))
-        apart = (log_tau - priors.log_tau) / priors.log_tau_sd
-        return np.asarray(gains), float(distance**2 + apart @ apart)
+    def gains_at(x: Array) -> tuple[Array, float]:
+        units = np.concatenate([unit_responses(x, e.step_s, e.drive, e.rows) for e in pairs])
+        # Of the slowest of several modes the fit knows the rate G/τ rather than the gain.
+        slower = np.ones(x.size)
+        slower[1:][-1:] = np.exp(x - log_tau)[-1]
+        columns = np.concatenate([sign * units / _PAIR_SD_K, np.diag(1.0 / (slower * sd))])
+        found, distance = nnls(columns, np.concatenate([target, gains / sd]))
+        apart = (x - log_tau) / _PRIOR_SD
+        return np.asarray(found), float(distance**2 + apart @ apart)
 
-    found = minimize(
-        lambda log_tau: gains_at(log_tau)[1],
-        priors.log_tau,
-        method="L-BFGS-B",
-        bounds=np.log(bounds_h(priors.log_tau)),
+    # Neighbours meet half way.
+    middle = 0.5 * (log_tau[:-1] + log_tau[1:])
+    edges = np.concatenate([[log_tau[0] - _REACH], middle, [log_tau[-1] + _REACH]])
+    best = minimize(
+        lambda x: gains_at(x)[1], log_tau, method="L-BFGS-B", bounds=np.stack([edges[:-1], edges[1:]], axis=1)
     )
-    return np.asarray(found.x), gains_at(found.x)[0]
+    return np.asarray(best.x), gains_at(best.x)[0]
 
 
 def _mean(history: Record, free: RcParameters) -> Array:

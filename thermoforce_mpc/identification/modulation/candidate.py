@@ -7,15 +7,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import brentq
 
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.modes import centred_priors
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.estimation.rest import rest_of
-from thermoforce_mpc.identification.modulation.misfit import TrainingData, responses
-from thermoforce_mpc.identification.modulation.training import train
+from thermoforce_mpc.identification.modulation.training import TrainingData, train
 from thermoforce_mpc.identification.validation.blocks import block_numbers, is_significant, standard_errors_saved
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.validation.held_out import LEAST_SCALE
@@ -26,8 +25,6 @@ from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 # A held-out comparison decides at this probability (Student's t, one-sided), if the RMS is below this share.
 _SIGNIFICANT, _RELEVANT = 0.95, 0.98
-# Relative prior standard deviation of gains and time constants while the network is trained on runs.
-_LINEAR_HELD_SD = 0.02
 # Largest output bias of the network: beyond it m(x) is at an end of its range.
 _LARGEST_BIAS = 5.0
 
@@ -82,12 +79,10 @@ class Candidate:
 
         Runs say by what the gain changes, not its size: that is the linear fit's, which follows the building's rooms.
         """
-        fold, heat_input = self.fold, self.untrained.heat_input
-        # The linear fit assumed larger disturbances; training must not change its slow gain.
-        pairs_only = all(e.is_pair for e in fold.regressions)
-        priors = fold.priors if pairs_only else centred_priors(fold.log_tau, fold.gains, _LINEAR_HELD_SD)
+        heat_input = self.untrained.heat_input
         start = replace(self.untrained, heat_input=heat_input.by_level if self._is_level else heat_input)
-        operator = train(start, self.data, priors, self.config)
+        operator = train(start, self.data, self.config)
+        pairs_only = all(e.is_pair for e in self.fold.regressions)
         return operator if pairs_only or self.config.method == "two_stage" else self._as_large(operator)
 
     def _as_large(self, operator: OperatorParameters) -> OperatorParameters:
@@ -134,25 +129,21 @@ class Candidate:
 
     def _left(self, *, kept: bool) -> Array:
         """Held-out residuals (rows,), standard deviations, each given the rows before it."""
-        return np.concatenate(
-            [
-                data.rest.whitener[data.regression.seen :] @ (data.regression.target - data.rest.mean - effect)
-                for data, effect in zip(self.data, self.effects(kept=kept), strict=True)
-            ]
-        )
+        left = []
+        for data, effect in zip(self.data, self.effects(kept=kept), strict=True):
+            e, rest = data.regression, data.rest
+            left.append(solve_triangular(rest.factor, e.target - rest.mean - effect, lower=True)[e.seen :])
+        return np.concatenate(left)
 
     def effects(self, *, kept: bool) -> list[Array]:
         """What the actions did, K, at the rows of each regression, by the network where it is `kept`, else m = 1."""
         if not kept:
             return self.fold.linear_effects(self.untrained.sign)
-        operator, effects = self.trained, []
+        operator, driven = self.trained, []
         for e, xs in zip(self.driven, self.features, strict=True):
-            drive = np.sum(
-                [sign * v * operator.modulation(x) for (sign, v), x in zip(e.drives, xs, strict=True)], axis=0
-            )
-            modes, _ = responses(drive[None], operator.poles)
-            effects.append((modes[0] @ operator.gains)[e.rows])
-        return effects
+            drives = tuple((sign, v * operator.modulation(x)) for (sign, v), x in zip(e.drives, xs, strict=True))
+            driven.append(replace(e, drives=drives))
+        return replace(self.fold, regressions=driven).linear_effects(operator.sign)
 
     @property
     def _is_level(self) -> bool:

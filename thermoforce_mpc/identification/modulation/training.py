@@ -1,22 +1,24 @@
-"""Training of the monotone-neural operator on multi-step rollouts (paper eq:operator, eq:paired).
+"""Training of the modulation m(x) on multi-step rollouts (paper eq:operator to eq:mod) of modes that are known.
 
-The loss and its gradient are those of `misfit`. Training starts from the linear fit with priors on modes and weights.
-m(x) starts at 1; where heat was measured beside v = u, at the measured heat of full level over T_out: the meter knows
-that better than a few days of temperatures, also in weather that they did not see.
+The forced response is linear in the drive m(x) v, so that a run is one matrix: whitened responses at the training rows
+to the drive of each step. m(x) starts at 1; where heat was measured beside v = u, at the measured heat of full level
+over T_out: the meter knows that better than a few days of temperatures, also in weather that they did not see. Tests
+compare the gradient with automatic differentiation by torch.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.modes import ModePriors
-from thermoforce_mpc.identification.modulation.misfit import Misfit, TrainingData
+from thermoforce_mpc.identification.estimation.regression import RegressionData
+from thermoforce_mpc.identification.estimation.rest import Rest
 from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
@@ -34,13 +36,102 @@ _LEARNING_RATE = 0.01  # of Adam
 _MEMORY, _FLAT, _SETTLED = 30, 1e-6, 1e-9
 
 
+@dataclass(frozen=True)
+class TrainingData:
+    """Regression with its features x_t (n, 4) of each run, in the order of its drives, and what is left of it."""
+
+    regression: RegressionData
+    features: tuple[Array, ...]
+    rest: Rest
+
+
+class Misfit:
+    """Σ of squared whitened residuals of the training rows and of the network's prior, per row, of its parameters (P,).
+
+    Parameters, in this order: hidden weights (H, 4) and biases (H,), output weights (H,) and bias.
+
+    Args:
+        start: operator that gives all but these parameters; where they are expected.
+        data: runs and pairs.
+        modulation_sd: prior standard deviation of m(x) around that of `start`.
+    """
+
+    def __init__(self, start: OperatorParameters, data: Sequence[TrainingData], modulation_sd: float) -> None:
+        self._start = start
+        data = [e for e in data if e.regression.seen]
+        runs = [(s * v, x) for e in data for (s, v), x in zip(e.regression.drives, e.features, strict=True)]
+        self._heat = np.concatenate([drive for drive, _ in runs])
+        self._x = (np.concatenate([x for _, x in runs]) - start.feature_mean) / start.feature_scale
+        self._matrices = [_responses(start, e) for e in data]
+        self._targets = [_whitened(e, e.regression.target - e.rest.mean) for e in data]
+        self._n = sum(target.size for target in self._targets)
+        weights = 0.0 if start.gamma == 0.0 else (start.gamma / modulation_sd) ** 2
+        # Output weights are such that m has `modulation_sd`, hidden ones have sd 1, or as much less as they move m.
+        # Both about 0 instead of the start would take units that the data say little of to exactly nothing.
+        H, hidden = start.hidden_bias.size, 1.0 + weights * start.output_weight**2
+        self._precision = np.concatenate([np.repeat(hidden, 4), hidden, np.full(H, H * weights), [weights]])
+        self.begin = np.concatenate(
+            [start.hidden_weight.ravel(), start.hidden_bias, start.output_weight, [start.output_bias]]
+        )
+
+    def __call__(self, network: Array) -> tuple[float, Array]:
+        """The misfit and its gradient (P,)."""
+        H, gamma = self._start.hidden_bias.size, self._start.gamma
+        output = network[5 * H : 6 * H]
+        hidden = np.tanh(self._x @ network[: 4 * H].reshape(H, 4).T + network[4 * H : 5 * H])
+        out = np.tanh(hidden @ output + network[6 * H])
+        drive, by_drive = (1.0 + gamma * out) * self._heat, np.empty(out.size)
+        squares, first = 0.0, 0
+        for matrix, target in zip(self._matrices, self._targets, strict=True):
+            steps = slice(first, first + matrix.shape[1])
+            residual = target - matrix @ drive[steps]
+            squares += float(residual @ residual)
+            by_drive[steps] = -2.0 * (residual @ matrix)
+            first = steps.stop
+        by_out = by_drive * self._heat * gamma * (1.0 - out**2)
+        by_hidden = by_out[:, None] * output * (1.0 - hidden**2)
+        away = network - self.begin
+        gradient = np.concatenate(
+            [(by_hidden.T @ self._x).ravel(), by_hidden.sum(axis=0), by_out @ hidden, [by_out.sum()]]
+        )
+        value = squares + float(self._precision @ away**2)
+        return value / self._n, (gradient + 2.0 * self._precision * away) / self._n
+
+    def operator(self, network: Array) -> OperatorParameters:
+        """The operator with these parameters (P,)."""
+        H = self._start.hidden_bias.size
+        weight, bias, output = np.split(network[: 6 * H], [4 * H, 5 * H])
+        return replace(
+            self._start,
+            hidden_weight=weight.reshape(H, 4),
+            hidden_bias=bias,
+            output_weight=output,
+            output_bias=float(network[-1]),
+        )
+
+
+def _responses(operator: OperatorParameters, data: TrainingData) -> Array:
+    """Whitened responses (rows, k n), K, of the training rows to the drive of each step of the k runs."""
+    e = data.regression
+    impulse = operator.impulse(e.n_steps)
+    lags = e.rows[: e.seen, None] - 1 - np.arange(e.n_steps)
+    response = _whitened(data, np.where(lags >= 0, impulse[lags], 0.0))
+    return np.tile(response, (1, len(e.drives)))
+
+
+def _whitened(data: TrainingData, values: Array) -> Array:
+    """L⁻¹ of values at the rows (rows, ...), of those that are seen."""
+    seen = data.regression.seen
+    return np.asarray(solve_triangular(data.rest.factor[:seen, :seen], values[:seen], lower=True, check_finite=False))
+
+
 def train(
-    linear: OperatorParameters, regressions: Sequence[TrainingData], priors: ModePriors, config: IdentificationConfig
+    linear: OperatorParameters, regressions: Sequence[TrainingData], config: IdentificationConfig
 ) -> OperatorParameters:
-    """Train from the `linear` operator for at most the configured number of epochs."""
+    """Train the network of the `linear` operator for at most the configured number of epochs."""
     metered = linear.heat_input.law is not None
     start = with_network(linear, config.seed)
-    misfit = Misfit(start, regressions, priors, _MODULATION_SD_METERED if metered else _MODULATION_SD)
+    misfit = Misfit(start, regressions, _MODULATION_SD_METERED if metered else _MODULATION_SD)
     end, _ = minimise(misfit, misfit.begin, config)
     return misfit.operator(end)
 

@@ -1,24 +1,29 @@
 """A probing schedule to run by hand: the fewest days of levels after which a record can tell the effect of acting.
 
 Only the actuators whose effect the record cannot tell are probed: those of which a model is not competent or, where
-none was fitted, is not expected to be.
+none was fitted, is not expected to be. Days are added one by one, as probing chooses them (`design.choose`), but that
+levels change on the hour and only while people are awake; at night the building's own control acts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.probing.hand_planner import HOLDS_H, HandPlanner
+from thermoforce_mpc.identification.probing.design import choose, expected_rise_K
+from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
 from thermoforce_mpc.identification.probing.operation import Telling, tellings
 from thermoforce_mpc.model.gaps import bridged
 
 # Longest schedule, days.
 _MOST_DAYS = 7
+# Holding times by hand, h, and draws that are compared a day.
+_HOLDS_H, _CANDIDATES = (1, 2, 3, 4, 6), 24
 # Half width of a comfort band that nobody named, around the usual temperature, K.
 _BAND_K = 1.5
 
@@ -101,17 +106,84 @@ def probe_schedule(
     probed = [a for a, enough in enumerate(sufficient) if not enough]
     morning = np.ceil((float(record.time_s[-1]) - awake[0] * HOUR_S) / DAY_S) * DAY_S + awake[0] * HOUR_S
     begin = morning if start_s is None else start_s
-    planner = HandPlanner(_hourly(filled), layout, begin, tuple(levels), awake, usual, lower, upper, seed)
-    after = before
-    while probed and planner.days < _MOST_DAYS and not (planner.days and all(after[a].tells for a in probed)):
-        planner.add_day(probed)
-        after = tellings(planner.record(), layout)
+    future = _continued(_hourly(filled), begin, usual)
+    first, after = future.n_steps - 24 * _MOST_DAYS, before
+    u = np.empty((len(layout.home), 0))
+    while probed and u.shape[1] < 24 * _MOST_DAYS and not (u.size and all(after[a].tells for a in probed)):
+        history, warmer_K = _planned(future, first, u), _rise_K(future, layout, u)[:, -1]
+        ahead = future.slice(history.n_steps, history.n_steps + 24)
+        day = np.full((len(u), 24), np.nan)
+        for a in probed:
+            home, draws = layout.home[a], [Draws(_HOLDS_H, (seed, a, u.shape[1], k)) for k in range(_CANDIDATES)]
+            _, day[a] = choose(
+                history.part(home, [a]),
+                Boundary.measured(ahead.part(home, [a])),
+                Excitation(tuple(levels), _HOLDS_H, np.random.default_rng(seed)),
+                draws,
+                # The record goes on at the usual temperature.
+                centre_C=0.5 * float(lower[home] + upper[home]) - float(warmer_K[home]),
+                sign=layout.signs[a],
+                acts=_are_awake(ahead.time_s[:-1], awake),
+            )
+        u = np.concatenate([u, day], axis=1)
+        after = tellings(_planned(future, first, u), layout)
+    rise = _rise_K(future, layout, u)
+    T = usual[:, None] + rise
+    outside = np.maximum(lower[:, None] - T, 0.0) + np.maximum(T - upper[:, None], 0.0)
     names = tuple(layout.names.actuators[a] for a in probed)
-    time_s = np.asarray(begin + np.arange(planner.u.shape[1] + 1) * HOUR_S)
+    time_s = np.asarray(begin + np.arange(u.shape[1] + 1) * HOUR_S)
     return ProbeSchedule(
-        record, time_s, planner.u, names, lower, upper, tuple(before), tuple(after),
-        planner.discomfort_Kh(), planner.excursion_K(),
+        record, time_s, u, names, lower, upper, tuple(before), tuple(after), outside[:, 1:].sum(axis=1),
+        np.abs(rise).max(axis=1),
     )  # fmt: skip
+
+
+def _continued(record: Record, begin_s: float, usual_C: Array) -> Record:
+    """An hourly record as it may go on until the last day that may be probed: as usual, its last week's weather again.
+
+    It goes on to `begin_s` of the next day; a schedule of later days may as well begin then.
+    """
+    n = round((begin_s - float(record.time_s[-1])) / HOUR_S) % 24 + 24 * _MOST_DAYS
+    week = min(7 * 24, record.n_steps)
+    back = np.arange(n) % week - week
+    usual_u = np.nanmean(record.u, axis=1, keepdims=True)
+
+    def unknown(rows: int) -> Array:
+        return np.full((rows, record.n_steps + n), np.nan)
+
+    return Record(
+        np.concatenate([record.time_s, record.time_s[-1] + np.arange(1, n + 1) * HOUR_S]),
+        np.concatenate([record.T_zone_C, np.repeat(usual_C[:, None], n, axis=1)], axis=1),
+        np.concatenate([record.T_out_C, record.T_out_C[back]]),
+        np.concatenate([record.solar_W_m2, record.solar_W_m2[back]]),
+        np.concatenate([record.u, np.repeat(usual_u, n, axis=1)], axis=1),
+        unknown(len(record.names.machines)),
+        unknown(len(record.names.actuators)),
+        origin=record.origin,
+        names=record.names,
+    )
+
+
+def _planned(future: Record, first: int, u: Array) -> Record:
+    """The record until the end of the levels `u` (A, n) that begin at step `first`, NaN for own control."""
+    until = future.slice(0, first + u.shape[1])
+    levels = np.array(until.u)
+    levels[:, first:] = np.where(np.isfinite(u), u, levels[:, first:])
+    return replace(until, u=levels)
+
+
+def _rise_K(future: Record, layout: Layout, u: Array) -> Array:
+    """Expected change of the zones by levels `u` (A, n) against own control, (Z, n + 1), K."""
+    rise = np.zeros((len(layout.names.zones), u.shape[1] + 1))
+    extra = np.where(np.isfinite(u), u - future.u[:, -1:], 0.0)
+    for home, sign, levels in zip(layout.home, layout.signs, extra, strict=True):
+        rise[home] += sign * expected_rise_K(levels, HOUR_S)
+    return rise
+
+
+def _are_awake(time_s: Array, awake: tuple[int, int]) -> NDArray[np.bool_]:
+    of_day = (time_s % DAY_S) / HOUR_S
+    return np.asarray((of_day >= awake[0]) & (of_day < awake[1]))
 
 
 def _hourly(record: Record) -> Record:
@@ -134,8 +206,8 @@ def _band(band: Array | None, default: Array) -> Array:
 def _check(layout: Layout, levels: Sequence[float], awake: tuple[int, int]) -> None:
     if levels[0] != 0.0 or len(set(levels)) < 2 or not all(0.0 <= level <= 1.0 for level in levels):
         raise DataError(f"levels to probe are {list(levels)}: start with 0, and give another one in (0, 1]")
-    if not 0 <= awake[0] < awake[1] <= 24 or awake[1] - awake[0] < max(HOLDS_H):
-        raise DataError(f"hours from {awake[0]} to {awake[1]}: give at least {max(HOLDS_H)} h of a day, as in 7 to 22")
+    if not 0 <= awake[0] < awake[1] <= 24 or awake[1] - awake[0] < max(_HOLDS_H):
+        raise DataError(f"hours from {awake[0]} to {awake[1]}: give at least {max(_HOLDS_H)} h of a day, as in 7 to 22")
     signed = [name for name, low in zip(layout.names.actuators, layout.lowest, strict=True) if low < 0.0]
     if signed:
         raise DataError(

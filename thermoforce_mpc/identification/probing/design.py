@@ -15,13 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
-from thermoforce_mpc.identification.estimation.modes import (
-    TIME_CONSTANTS_H,
-    ModePriors,
-    lagged,
-    poles,
-    unit_responses,
-)
+from thermoforce_mpc.identification.estimation.modes import lagged, poles, unit_responses
 from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 
@@ -33,17 +27,14 @@ _HOLDING_SHARE = 0.3
 _KNOWN_FROM = 48
 # Distance of the rows, h: the response to an action takes hours.
 _ROW_H = 1.0
-# The house that probing expects: one heated through its floor, where effects are the last to show.
-_HOUSE = ModePriors(
-    log_tau=np.log(TIME_CONSTANTS_H),
-    log_tau_sd=0.25,
-    gain_mean=np.array([0.0, 2.0, 0.0]),
-    gain_sd=np.array([0.1, 2.0, 0.0]),
-    slowest_rate=(0.5, 0.5),
-)
+# The house that probing expects, one heated through its floor, where effects are the last to show: time constants, h,
+# of emitter, room against structure and structure against outdoors; [slope K/h, G_2 K, rate G_3/τ_3 K/h]; relative
+# standard deviation of the time constants, and standard deviations of the gains.
+_TAU_H, _GAINS = np.array([0.6, 3.5, 50.0]), np.array([0.0, 2.0, 0.5])
+_TAU_SD, _GAIN_SD = 0.25, np.array([0.1, 2.0, 0.5])
 # Time constants of the free part, h: the house's and that of soil and neighbours; standard deviations of what its modes
 # gain from each input (per K, 100 W/m² and unit of the daily waves), of its level and of its modes at the start, K.
-_FREE_H = (*TIME_CONSTANTS_H[1:], 400.0)
+_FREE_H = (*_TAU_H[1:], 400.0)
 _FREE_SD = dict(zip(INPUTS, (0.3, 0.01, 50.0, 0.01, 0.01, 0.3, 0.3, 0.01), strict=True))
 _START_SD_K = (3.0, 20.0, 50.0, 50.0)
 # Disturbances: standard deviations, K, and time constants, h; noise of a reading, K.
@@ -58,8 +49,9 @@ def choose(
     *,
     centre_C: float,
     sign: float,
-) -> Draws:
-    """Return the best candidate for the hours of `ahead`.
+    acts: NDArray[np.bool_] | None = None,
+) -> tuple[Draws, Array]:
+    """Return the best candidate for the hours of `ahead`, and the levels (n,) that are expected of it.
 
     Args:
         history: the record so far, one instant or more.
@@ -68,8 +60,9 @@ def choose(
         candidates: candidates to choose from.
         centre_C: centre of the excursions, °C.
         sign: +1 heating, −1 cooling.
+        acts: steps (n,) in which levels are drawn, all by default; in the others the zone is held, their level is NaN.
     """
-    past, step_s = history.n_steps, ahead.step_s
+    past, n, step_s = history.n_steps, ahead.n_steps, ahead.step_s
     time_s, T_out_C, solar_W_m2 = (
         np.concatenate([getattr(history, name), getattr(ahead, name)[1:]])
         for name in ("time_s", "T_out_C", "solar_W_m2")
@@ -77,11 +70,12 @@ def choose(
     whitener, rows = _whitener(time_s, T_out_C, solar_W_m2, step_s)
     holding = float(history.u[0].mean()) if past >= _KNOWN_FROM else _HOLDING_SHARE
     start_K = sign * (centre_C - float(history.T_zone_C[0, -1]))
-    worth = []
-    for candidate in candidates:
-        levels = _simulated_levels(excitation.resumed(candidate), ahead.n_steps, step_s, start_K, holding)
-        worth.append(_criterion(np.concatenate([history.u[0], levels]), step_s, whitener, rows))
-    return candidates[int(np.argmax(worth))]
+    acts = np.ones(n, dtype=bool) if acts is None else acts
+    drawn = [_simulated_levels(excitation.resumed(each), acts, step_s, start_K, holding) for each in candidates]
+    held = [np.where(acts, levels, holding) for levels in drawn]
+    worth = [_criterion(np.concatenate([history.u[0], levels]), step_s, whitener, rows) for levels in held]
+    best = int(np.argmax(worth))
+    return candidates[best], drawn[best]
 
 
 def information(history: Record) -> float:
@@ -113,9 +107,9 @@ def expected_sd(history: Record, weights: Sequence[float] = (1.0,)) -> float:
     return float(np.sqrt(slope @ np.linalg.solve(precision, slope))) / effect_K
 
 
-def expected_rise_K(levels: Array, step_s: float, log_tau: Array = _HOUSE.log_tau) -> Array:
+def expected_rise_K(levels: Array, step_s: float, tau_h: Array = _TAU_H) -> Array:
     """Change of the zone that `levels` (n,) make in a building as the priors expect it, shape (n + 1,), K."""
-    return np.asarray(unit_responses(log_tau, step_s, levels) @ _HOUSE.gains_at(log_tau)[0])
+    return np.asarray(_units(levels, step_s, tau_h) @ _GAINS)
 
 
 def _whitener_of(history: Record) -> tuple[Array, NDArray[np.intp]]:
@@ -134,7 +128,7 @@ def _whitener(time_s: Array, T_out_C: Array, solar_W_m2: Array, step_s: float) -
     del weather["constant"]
     slow = poles(np.log(_FREE_H), hourly_s)
     columns = [_FREE_SD[name] * lagged(values, pole) for name, values in weather.items() for pole in slow]
-    fading = np.append(poles(np.log(TIME_CONSTANTS_H[:1]), hourly_s), slow) ** rows[:, None]
+    fading = np.append(poles(np.log(_TAU_H[:1]), hourly_s), slow) ** rows[:, None]
     unknown = np.column_stack([*columns, np.full(rows.size, _FREE_SD["constant"]), fading * _START_SD_K])
     apart_h = np.abs(time_s[:, None] - time_s) / HOUR_S
     disturbed = sum(sd**2 * np.exp(-apart_h / hours) for sd, hours in _DISTURBANCES)
@@ -149,21 +143,32 @@ def _criterion(u: Array, step_s: float, whitener: Array, rows: NDArray[np.intp])
 
 def _sensitivities(u: Array, step_s: float) -> Array:
     """Return dF/d(gains, ln τ) times the priors' standard deviations, shape (n + 1, 2r), K."""
-    p = _HOUSE
-    gains = unit_responses(p.log_tau, step_s, u) * p.gains_at(p.log_tau)[1]
     slower = []
-    for shift in _STEP * np.eye(p.order):
-        # The prior is on the rate of the slowest mode, so its gain scales with its time constant.
-        up, down = (expected_rise_K(u, step_s, p.log_tau + d) for d in (shift, -shift))
-        slower.append((up - down) / (2.0 * _STEP) * p.log_tau_sd)
+    for shift in np.exp(_STEP * np.eye(_TAU_H.size)):
+        up, down = (expected_rise_K(u, step_s, tau_h) for tau_h in (_TAU_H * shift, _TAU_H / shift))
+        slower.append((up - down) / (2.0 * _STEP) * _TAU_SD)
+    gains = _units(u, step_s, _TAU_H) * _GAIN_SD
     return np.concatenate([gains, np.stack(slower, axis=1)], axis=1)
 
 
-def _simulated_levels(excitation: Excitation, n: int, step_s: float, start_K: float, holding: float) -> Array:
-    """Return the levels of an excitation simulated on the prior mean with constant weather, shape (n,)."""
+def _units(u: Array, step_s: float, tau_h: Array) -> Array:
+    """Response per unit of `_GAINS` (n + 1, r): the slowest mode's gain is its rate times its time constant."""
+    return unit_responses(np.log(tau_h), step_s, u) * np.append(np.ones(tau_h.size - 1), tau_h[-1])
+
+
+def _simulated_levels(
+    excitation: Excitation, acts: NDArray[np.bool_], step_s: float, start_K: float, holding: float
+) -> Array:
+    """Return the levels of an excitation simulated on the prior mean with constant weather, (n,); NaN where none
+    `acts` (n,).
+    """
+    n = acts.size
     unit = expected_rise_K(np.eye(1, n)[0], step_s)
-    levels, rise = np.zeros(n), np.zeros(n + 1)
+    levels, rise = np.full(n, np.nan), np.zeros(n + 1)
     for t in range(n):
+        if not acts[t]:
+            excitation.left = 0
+            continue
         levels[t] = excitation.next(start_K - rise[t])
         rise[t + 1 :] += (levels[t] - holding) * unit[1 : n + 1 - t]
     return levels

@@ -131,11 +131,12 @@ class Probing:
         self.record, self.asked = Record.beginning(now), np.empty((len(self._layout.home), 0))
         # The past bounds the effect of a level; rooms need none.
         past = plant.past(c.step_s) if any(lowest >= 0.0 for lowest in self._layout.lowest) else self.record
-        self._excites: list[_Levels | _Rooms] = []
+        self._excites: list[_Levels | RoomExcitation] = []
         for a, (zone, lowest) in enumerate(zip(self._layout.home, self._layout.lowest, strict=True)):
             draws = (seed,) if a == 0 else (seed, a)
             if lowest < 0.0:
-                self._excites.append(_Rooms(c, draws, lowest))
+                rng = np.random.default_rng(_seed(draws))
+                self._excites.append(RoomExcitation(rng, c.hold_steps, lowest, c.step_s))
             else:
                 own = past.part(zone, [a])
                 self._excites.append(_Levels(c, draws, self._layout.signs[a], own))
@@ -175,7 +176,7 @@ class Probing:
     def _step(self, end: int) -> None:
         """Apply the next step to all actuators; `end`: steps after which probing ends."""
         c, plant, done = self.config, self._plant, self.record.n_steps
-        by_rooms = [isinstance(excites, _Rooms) for excites in self._excites]
+        by_rooms = [isinstance(excites, RoomExcitation) for excites in self._excites]
         # What holds during the step decides set-points of rooms, the tightest band of a day the levels.
         soon = plant.forecast(c.step_s, c.step_s) if any(by_rooms) else None
         day = plant.forecast(_BAND_AHEAD_S, HOUR_S) if not all(by_rooms) else None
@@ -207,24 +208,6 @@ class Probing:
             excites.learn(self.record.last(1).part(zone, [a]))
 
 
-class _Rooms:
-    """Excites a zone by room set-points."""
-
-    def __init__(self, c: ProbingConfig, seed: tuple[int, ...], lowest: float) -> None:
-        self._step_s = c.step_s
-        self._excitation = RoomExcitation(np.random.default_rng(_seed(seed)), c.hold_steps, lowest)
-
-    def next(self, record: Record, band: Boundary, ahead: Boundary | None) -> Block:
-        """Room set-points of the next step, for which `band` holds the bounds; `ahead` counts for levels only."""
-        return self._excitation.next(float(record.T_zone_C[0, -1]), band.lower_C[0], band.upper_C[0], self._step_s)
-
-    def withheld(self) -> None:
-        """Room set-points exclude nothing, and nothing excludes them."""
-
-    def learn(self, step: Record) -> None:
-        """Nothing is learned: the plant's own loops keep the bounds."""
-
-
 class _Levels:
     """Excites a zone by the levels of an actuator; `past`: its record before the probing."""
 
@@ -252,7 +235,7 @@ class _Levels:
         centre = self._centre_C(band)
         if ahead is not None:
             candidates = _candidates(c, self._seed, record.n_steps)
-            chosen = choose(record, ahead, self._excitation, candidates, centre_C=centre, sign=self._sign)
+            chosen, _ = choose(record, ahead, self._excitation, candidates, centre_C=centre, sign=self._sign)
             self._excitation = self._excitation.resumed(chosen)
         # Positive if the zone is too cold (heating) or too warm (cooling).
         level = self._excitation.next(self._sign * (centre - float(record.T_zone_C[0, -1])))

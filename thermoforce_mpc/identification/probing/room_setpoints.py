@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, Block
+from thermoforce_mpc.data import Block, Boundary, Record
 
 # Distance of the set-points from the zone temperature when they are drawn, K: enough to set a loop to work.
 _NEAREST_K, _FARTHEST_K = 0.5, 3.0
@@ -22,24 +22,20 @@ _HEAT, _COOL = 0.4, 0.4
 
 @dataclass
 class RoomExcitation:
-    """Generator of room set-points; equal seeds and temperatures give equal ones. `lowest`: level of full cooling."""
+    """Excites a zone by room set-points, equal ones for equal seeds and readings. `lowest`: level of full cooling."""
 
     rng: np.random.Generator
     hold_steps: tuple[int, ...]
     lowest: float
+    step_s: float
     left: int = 0
     sign: int = 0
     target_C: float = 0.0
 
-    def next(self, T_zone_C: float, lower_C: Array, upper_C: Array, step_s: float) -> Block:
-        """Return the block of the next step.
-
-        Args:
-            T_zone_C: zone temperature now, °C.
-            lower_C, upper_C: comfort bounds at the start and the end of the step, shape (2,), °C.
-            step_s: length of the step, s.
-        """
-        lower, upper = float(lower_C.max()), float(upper_C.min())
+    def next(self, record: Record, band: Boundary, ahead: Boundary | None) -> Block:
+        """Room set-points of the next step, for which `band` holds the bounds; `ahead` counts for levels only."""
+        lower, upper = float(band.lower_C[0].max()), float(band.upper_C[0].min())
+        T_zone_C, step_s = float(record.T_zone_C[0, -1]), self.step_s
         if self.left == 0:
             self.left = int(self.rng.choice(self.hold_steps))
             kind, away = self.rng.random(), self.rng.uniform(_NEAREST_K, _FARTHEST_K)
@@ -52,3 +48,9 @@ class RoomExcitation:
         if self.sign < 0 and T_zone_C > lower + _APART_K:
             return Block(self.lowest, step_s, (lower, max(target, lower + _APART_K)))
         return Block(0.0, step_s, (lower, upper))
+
+    def withheld(self) -> None:
+        """Room set-points exclude nothing, and nothing excludes them."""
+
+    def learn(self, step: Record) -> None:
+        """Nothing is learned: the plant's own loops keep the bounds."""

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.estimation.modes import ModePriors
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.estimation.rest import rest_of
@@ -31,7 +30,6 @@ class Fold:
 
     Attributes:
         log_tau, gains: of the own actuator (r,): ln(τ/h), and [slope K/h, G_2 … G_r K], positive.
-        priors: of these, while a network is trained on pairs.
         heat_input: what the actuator delivers, by the rows that the fit has seen.
         free: free part of the zone, None without runs; `alone`: that of a fit as if the actuator did nothing.
     """
@@ -39,7 +37,6 @@ class Fold:
     regressions: Sequence[RegressionData]
     log_tau: Array
     gains: Array
-    priors: ModePriors
     heat_input: HeatInput
     free: RcParameters | None
     alone: RcParameters | None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -11,36 +11,27 @@ import numpy as np
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.effects.level_laws import Estimates
 from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
-from thermoforce_mpc.identification.estimation.regression import (
-    RegressionData,
-    pair_regression,
-    run_regression,
-    without_others,
-)
-from thermoforce_mpc.identification.network.projection import Modes
+from thermoforce_mpc.identification.estimation.regression import RegressionData, pair_regression, run_regression
+from thermoforce_mpc.identification.estimation.rest import fitted_to_pairs
+from thermoforce_mpc.identification.estimation.uncertainty import Effect
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
-from thermoforce_mpc.identification.validation.held_out import before_held_out, held_out, identified_heat_input
+from thermoforce_mpc.identification.validation.held_out import (
+    before_held_out,
+    held_out,
+    identified_heat_input,
+    seen_rows,
+)
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 
 # Noise of a sensor without a resolution, K.
 _SENSOR_SD_K = 0.01
-
-
-@dataclass(frozen=True)
-class Effects:
-    """What the network says of a zone: the effects of its actuators (1 + K,), its own first, and v of each; its free
-    part, and that of a fit as if its own actuator did nothing, None without runs.
-    """
-
-    modes: Modes
-    heat_inputs: tuple[HeatInput, ...]
-    free: RcParameters | None
-    alone: RcParameters | None
+# Least gain, K or K/h: an effect that the record denies keeps the sign of its actuator.
+_LEAST_GAIN = 1e-12
 
 
 @dataclass(frozen=True)
@@ -53,7 +44,6 @@ class ZoneData:
             actuator, the rest are those of the others.
         heat_input: what the own actuator delivers.
         sign: +1 if it heats, −1 if it cools.
-        other_signs: signs of the other actuators of the building.
         step_s: step of the operator, s; None: that of the data.
         source, data, notes: for the model card.
         power: of the machine, where it feeds this actuator alone.
@@ -69,7 +59,6 @@ class ZoneData:
     pairs: Sequence[Pair]
     heat_input: HeatInput
     sign: int
-    other_signs: Sequence[int] = ()
     step_s: float | None = None
     source: str = "identified"
     data: Mapping[str, str] = field(default_factory=dict)
@@ -110,12 +99,12 @@ class ZoneData:
         pairs = [pair_regression(pair, self.heat_input) for pair in self.pairs]
         return held_out([*runs, *pairs], self.config)
 
-    def knowing(self, effects: Effects) -> list[RegressionData]:
-        """The regressions with what the network says of levels, without what it says that the other actuators did."""
-        own, *others = effects.heat_inputs
-        log_tau, gains = effects.modes.log_tau[-1], effects.modes.gains[1:]
-        regressions = replace(self, heat_input=own).regressions
-        return [without_others(e, others, self.other_signs, log_tau, gains) for e in regressions]
+    def of_fold(self, fold: str, heat_input: HeatInput) -> list[RegressionData]:
+        """The regressions of a fold (`last_steps`) with v of the own actuator, its held-out rows marked."""
+        regressions = replace(self, heat_input=heat_input).regressions
+        if fold == "whole":
+            return [replace(e, held=0) for e in regressions]
+        return before_held_out(regressions, self.config) if fold == "earlier" else regressions
 
     @property
     def histories(self) -> list[Record]:
@@ -158,22 +147,35 @@ class Estimate:
     Attributes:
         everything: the fit to all rows.
         last, before: the fits without the held-out rows and without an earlier part, None where there is none.
-        bounds_h: bounds of the time constants (r, 2), h, while a network is trained, by ln τ (r,).
-        gamma: bound of the modulation.
-        trains: whether a network is trained.
-        free: linear free part, None without runs.
+        effects: of the own actuator and of others (1 + K,) by all rows.
         scores: for the model card; `acts_log_odds` that the actuator acts.
-        certainty: estimates and their standard deviations by name, by the operator that was made of it.
+        laws: what was found of the level of the own actuator.
         unjudged: why the model cannot be judged, empty where it can.
     """
 
     everything: Fold
     last: Fold
     before: Fold | None
-    bounds_h: Callable[[Array], Array]
-    gamma: float
-    trains: bool
-    free: RcParameters | None
+    effects: Sequence[Effect]
     scores: Mapping[str, float]
-    certainty: Callable[[OperatorParameters], dict[str, float]]
+    laws: Estimates = field(default_factory=dict)
     unjudged: str = ""
+
+
+def fold_of(
+    regressions: Sequence[RegressionData],
+    log_tau: Array,
+    gains: Array,
+    sign: int,
+    heat_input: HeatInput,
+    free: RcParameters | None,
+    alone: RcParameters | None,
+) -> Fold:
+    """A fold with modes ln(τ/h) and [slope, G_2 … G_r], fitted to what pairs show beside: no loop biases a difference.
+
+    For the rest see `Fold`.
+    """
+    pairs = [e for e in seen_rows(regressions) if e.is_pair]
+    if pairs:
+        log_tau, gains = fitted_to_pairs(pairs, log_tau, gains, sign)
+    return Fold(regressions, log_tau, np.maximum(gains, _LEAST_GAIN), heat_input, free, alone)

@@ -7,27 +7,21 @@ refused, whatever the method. The zone's own actuator is the first of its record
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.effects.level_laws import level_shape
-from thermoforce_mpc.identification.estimation.modes import bounds_h, centred_priors, to_operator
-from thermoforce_mpc.identification.estimation.regression import RegressionData
-from thermoforce_mpc.identification.estimation.rest import fitted_modes
-from thermoforce_mpc.identification.estimation.uncertainty import uncertainty
+from thermoforce_mpc.identification.estimation.modes import to_operator
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
 from thermoforce_mpc.identification.validation.competence import Trial, judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
-from thermoforce_mpc.identification.validation.held_out import before_held_out, normalisation, ranges, seen_rows
+from thermoforce_mpc.identification.validation.held_out import normalisation, ranges
 from thermoforce_mpc.identification.validation.reasons import UNJUDGED
 from thermoforce_mpc.identification.validation.warnings import uncertain
-from thermoforce_mpc.identification.zones.data import Effects, Estimate, ZoneData
-from thermoforce_mpc.identification.zones.effects import ZoneEffects
-from thermoforce_mpc.identification.zones.two_stage_estimate import two_stage_estimate
+from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -36,26 +30,19 @@ from thermoforce_mpc.model.zone_model import ZoneModel
 # Least log odds that the actuator acts: of 84 random houses with the levels of another one, 2 had more
 # (`python -m benchmarks.zones.placebo` for houses of rooms).
 _LEAST_LOG_ODDS = 5.0
-# Relative standard deviation of the network's gains and time constants where pairs are fitted.
-_PAIRS_SD = 0.5
-# Least gain, K or K/h: an effect that the record denies keeps the sign of its actuator.
-_LEAST_GAIN = 1e-12
 _ACTS_NOT = "nothing in the record shows that the actuator does anything to the room"
 _LEVEL_FOR_HEAT = (
     "without the held-out rows too little heat was metered for a law of it: the verdict takes the level for heat there"
 )
 
 
-def identify_zone(data: ZoneData, effects: ZoneEffects | None, say: Callable[[str], None]) -> ZoneModel:
-    """Return the zone's model; method two_stage needs no `effects`.
+def identify_zone(data: ZoneData, estimate: Estimate, say: Callable[[str], None]) -> ZoneModel:
+    """The zone's model from a linear estimate.
 
     Raises:
         DataError: nothing shows that the actuator acts (where it is alone), or its effect has no proven sign.
     """
-    days = sum(h.n_steps * h.step_s for h in data.histories) / DAY_S
-    say(f"fitting the forced response to {days:.3g} days at {data.histories[0].step_s:g} s")
-    estimate = two_stage_estimate(data) if effects is None else _network_estimate(data, effects)
-    model = _accepted(_modelled(data, estimate, effects, say), data)
+    model = _accepted(_modelled(data, estimate, say), data)
     say(f"identified an operator of order {model.operator.order}")
     return model
 
@@ -91,49 +78,19 @@ def _without_effect(log_odds: float, data: ZoneData) -> str:
     )
 
 
-def _network_estimate(data: ZoneData, effects: ZoneEffects) -> Estimate:
-    """What the network says of the zone, and its folds."""
-    config = data.config
-    earlier = before_held_out(data.knowing(effects.earlier), config)
-    everything = _fold([replace(e, held=0) for e in data.knowing(effects.whole)], effects.whole, data.sign)
-    effect, free = replace(effects.known[0], gains=everything.gains), effects.whole.free
-    return Estimate(
-        everything=everything,
-        last=_fold(data.knowing(effects.training), effects.training, data.sign),
-        before=_fold(earlier, effects.earlier, data.sign) if earlier else None,
-        bounds_h=bounds_h,
-        gamma=config.gamma,
-        trains=config.modulation != "linear",
-        free=None if free is None else free.resampled(data.step_s or data.histories[0].step_s),
-        scores={"acts_log_odds": effects.log_odds},
-        certainty=lambda operator: uncertainty(effect, data.level_sd) | {"sensor_resolution_K": data.grid_K},
-    )
-
-
-def _fold(regressions: Sequence[RegressionData], effects: Effects, sign: int) -> Fold:
-    """The effect that the network has, its modes fitted to what pairs show beside it: no loop biases a difference."""
-    log_tau, gains = effects.modes.log_tau[0], effects.modes.gains[0]
-    priors, pairs = centred_priors(log_tau, gains, _PAIRS_SD), [e for e in seen_rows(regressions) if e.is_pair]
-    if pairs:
-        log_tau, gains = fitted_modes(pairs, priors, sign)
-    gains = np.maximum(gains, _LEAST_GAIN)
-    return Fold(regressions, log_tau, gains, priors, effects.heat_inputs[0], effects.free, effects.alone)
-
-
-def _modelled(data: ZoneData, estimate: Estimate, effects: ZoneEffects | None, say: Callable[[str], None]) -> ZoneModel:
+def _modelled(data: ZoneData, estimate: Estimate, say: Callable[[str], None]) -> ZoneModel:
     """The zone's model of an estimate, with its network and its verdict."""
     config, everything, last, before = data.config, estimate.everything, estimate.last, estimate.before
-    histories, sign = data.histories, data.sign
+    histories, sign, step_s = data.histories, data.sign, data.histories[0].step_s
     mean, scale = normalisation(histories)
 
     def linear(fold: Fold) -> OperatorParameters:
         return to_operator(
             fold.log_tau,
             fold.gains,
-            step_s=histories[0].step_s,
-            bounds_h=estimate.bounds_h(fold.log_tau),
+            step_s=step_s,
             sign=sign,
-            gamma=estimate.gamma,
+            gamma=config.gamma,
             hidden=config.hidden,
             heat_input=fold.heat_input,
             feature_mean=mean,
@@ -145,23 +102,21 @@ def _modelled(data: ZoneData, estimate: Estimate, effects: ZoneEffects | None, s
     if everything.heat_input.law is not None and last.heat_input.law is None:
         notes.append(_LEVEL_FOR_HEAT)
     trials = Trial.linear(last, sign), None if before is None else Trial.linear(before, sign)
-    if estimate.trains:
+    if config.modulation != "linear":
         say("training the modulation of the gain")
         modulated = modulate(everything, last, before, linear, config, data.power)
         operator, trials = modulated.operator, (modulated.last, modulated.before)
         scores, notes = scores | modulated.scores, [*notes, *modulated.notes]
-    certainty, shape = estimate.certainty(operator), dict[str, float]()
-    operator = operator.resampled(data.step_s or histories[0].step_s)
-    if effects is not None:
-        shape, shape_notes = level_shape(effects.laws, histories, config, data.power, everything.heat_input)
-        notes += shape_notes
+    certainty = estimate.effects[0].uncertainty(data.level_sd) | {"sensor_resolution_K": data.grid_K}
+    operator = operator.resampled(data.step_s or step_s)
+    shape, shape_notes = level_shape(estimate.laws, histories, config, data.power, everything.heat_input)
     verdict = judge(*trials, operator, certainty, scores["acts_log_odds"], data.heat_W_m2)
     if estimate.unjudged:
         verdict = Competence(False, (estimate.unjudged,), plainly=UNJUDGED)
     return ZoneModel(
         operator=operator,
         power=data.power,
-        free=estimate.free,
+        free=everything.free and everything.free.resampled(data.step_s or step_s),
         card=ModelCard(
             source=data.source,
             data=data.data,
@@ -169,7 +124,7 @@ def _modelled(data: ZoneData, estimate: Estimate, effects: ZoneEffects | None, s
             scores=scores,
             uncertainty=certainty | shape,
             config=config.model_dump(mode="json"),
-            notes=(*notes, *uncertain(certainty)),
+            notes=(*notes, *shape_notes, *uncertain(certainty)),
             competence=verdict,
             sun_on_sensor=data.sun,
         ),

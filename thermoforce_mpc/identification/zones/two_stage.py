@@ -2,13 +2,13 @@
 
 First stage: steps with the actuator off are passive and give (a, c, d, e) of paper eq:arx by least squares under
 physical box constraints. Second stage: with these fixed, the residual of the steps with the actuator on is regressed on
-the drive, and the gain clipped to its physical sign. The model is of order 1; the joint estimator
-(`identification.joint`) also models delay and drift.
+the drive, and the gain clipped to its physical sign. The model is of order 1. Pairs, if any, correct pole and gain.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,10 @@ from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.estimation.regression import RegressionData
+from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H, Effect
+from thermoforce_mpc.identification.validation.errors_ahead import Fold
+from thermoforce_mpc.identification.zones.data import Estimate, ZoneData, fold_of
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcParameters
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
@@ -63,6 +67,24 @@ class TwoStageFit:
             sign=self.sign,
             heat_input=self.heat_input,
         )
+
+    @property
+    def log_tau(self) -> Array:
+        """ln(τ/h) (1,)."""
+        return np.log([-self.step_s / HOUR_S / np.log(self.a)])
+
+    @property
+    def slope(self) -> Array:
+        """Slope of the step response (1,), K/h, in the direction of the sign."""
+        return np.abs([self.g]) / (1.0 - self.a) / np.exp(self.log_tau)
+
+    @property
+    def sd_K(self) -> Array:
+        """Standard deviations of the step response at `STEP_RESPONSE_H`: those of a and g are of different steps."""
+        n = np.maximum(np.round(np.array(STEP_RESPONSE_H) * HOUR_S / self.step_s), 1.0)
+        by_g = (1.0 - self.a**n) / (1.0 - self.a)
+        by_a = abs(self.g) * (by_g - n * self.a ** (n - 1.0)) / (1.0 - self.a)
+        return np.hypot(by_g * self.g_sd, by_a * self.a_sd)
 
     def free_model(self) -> RcParameters:
         """Return the free part, one mode (paper eq:free-evol)."""
@@ -163,3 +185,45 @@ def _columns(runs: Sequence[Record]) -> tuple[Array, Array, Array, Array, Array]
         parts.append((T[:-1][kept], np.diff(T)[kept], T_out[kept], solar[kept], run.u[0, kept]))
     T, rise, T_out, solar, u = (np.concatenate(part) for part in zip(*parts, strict=True))
     return T, rise, T_out, solar, u
+
+
+def two_stage_estimate(data: ZoneData) -> Estimate:
+    """The two stages as the estimate of a zone, judged on held-out rows of pairs if there are any, else of runs.
+
+    Raises:
+        DataError: there are no runs, or too few off or on steps.
+    """
+    if not data.runs:
+        raise DataError("method two_stage needs single runs, none were given; for pairs only use method joint")
+    fit, judged = fit_two_stage(data.runs, heat_input=data.heat_input, sign=data.sign), data
+    if data.pairs:
+        judged = replace(data, runs=())
+
+    def fold(name: str) -> Fold:
+        heat_input = data.heat_input_of(name)
+        regressions = judged.of_fold(name, heat_input)
+        seen = [e.histories[0].slice(0, int(e.rows[e.seen - 1])) for e in regressions if not e.is_pair and e.seen]
+        runs = seen or data.runs
+        return _fold(regressions, fit_two_stage(runs, heat_input=heat_input, sign=fit.sign), runs)
+
+    everything, unjudged, before = _fold(judged.of_fold("whole", data.heat_input), fit, data.runs), "", None
+    try:
+        last = fold("training")
+    except DataError as error:
+        last = _fold(judged.of_fold("training", data.heat_input), fit, data.runs)
+        unjudged = f"it cannot be judged without its held-out rows: {error}"
+    with suppress(DataError):  # there is no earlier part then
+        before = fold("earlier")
+    scores = {
+        "one_step_rmse_K": fit.rmse_K,
+        "off_steps": fit.n_off,
+        "on_steps": fit.n_on,
+        "acts_log_odds": 0.5 * (fit.g / fit.g_sd) ** 2,
+    }
+    effect = Effect(everything.log_tau, everything.gains, fit.sd_K)
+    return Estimate(everything, last, before, [effect], scores, unjudged=unjudged)
+
+
+def _fold(regressions: Sequence[RegressionData], fit: TwoStageFit, runs: Sequence[Record]) -> Fold:
+    alone = fit_passive(runs).free_model()
+    return fold_of(regressions, fit.log_tau, fit.slope, fit.sign, fit.heat_input, fit.free_model(), alone)

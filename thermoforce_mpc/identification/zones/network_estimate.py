@@ -1,66 +1,45 @@
-"""The network of a building from its records, fold by fold, as what each zone's fit begins from."""
+"""What the network of a building, fitted to its records fold by fold, says of each zone."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from thermoforce_mpc.data import Array, Layout, Record
+from thermoforce_mpc.data import Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.couplings import others_of
 from thermoforce_mpc.identification.effects.level_laws import Estimates, LevelLaw, laws_of, weather_of, with_outdoors
+from thermoforce_mpc.identification.estimation.modes import unit_steps
 from thermoforce_mpc.identification.estimation.records import Pair
-from thermoforce_mpc.identification.estimation.uncertainty import Effect
-from thermoforce_mpc.identification.network.building import BuildingFit
+from thermoforce_mpc.identification.estimation.regression import without_others
+from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H, Effect
+from thermoforce_mpc.identification.network.building import RESPONSE_H, BuildingFit
 from thermoforce_mpc.identification.network.effects import Actuators, building_fit, room_pair, room_run
 from thermoforce_mpc.identification.network.estimate import RoomFit, Run
 from thermoforce_mpc.identification.network.free_part import free_part
-from thermoforce_mpc.identification.network.projection import projected
-from thermoforce_mpc.identification.zones.data import Effects, ZoneData
+from thermoforce_mpc.identification.network.projection import Modes, projected
+from thermoforce_mpc.identification.validation.errors_ahead import Fold
+from thermoforce_mpc.identification.zones.data import Estimate, ZoneData, fold_of
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
-
-@dataclass(frozen=True)
-class ZoneEffects:
-    """What the network of the building says of a zone's actuators, from all rows, from those before the held-out ones,
-    and from those before an earlier part.
-
-    `of_responses` (1 + K, T, T) K²: covariance of the step responses of the `whole`; `laws`: what was found of the
-    level of its own actuator; `log_odds` that this acts on it at all.
-    """
-
-    whole: Effects
-    training: Effects
-    earlier: Effects
-    of_responses: Array
-    laws: Estimates
-    log_odds: float
-
-    @property
-    def known(self) -> list[Effect]:
-        """The effects of the `whole` (1 + K,) with their covariance."""
-        modes = self.whole.modes
-        each = zip(modes.log_tau, modes.gains, modes.covariance(self.of_responses), strict=True)
-        return [Effect(log_tau, gains, covariance) for log_tau, gains, covariance in each]
+# What a few modes do not follow of a response, as a share of its largest.
+_MODES_SD = 0.006
+# Where in `RESPONSE_H` the responses stand whose certainty is stored.
+_STORED = np.searchsorted(RESPONSE_H, STEP_RESPONSE_H)
 
 
-def zone_effects(
+def network_estimates(
     runs: Sequence[Record],
     pairs: Sequence[Pair],
     layout: Layout,
     data: Sequence[ZoneData],
     config: IdentificationConfig,
-    say: Callable[[str], None],
-) -> list[ZoneEffects | None]:
-    """What the network says of each actuator's home zone (A,), fold by fold; None with method two_stage.
+) -> list[Estimate]:
+    """What the network says of each actuator's home zone (A,), fold by fold.
 
     Without cross effects the neighbours are not part of the network.
     """
-    if config.method == "two_stage":
-        return [None] * len(data)
-    say("fitting the building as a network of heat capacities and conductances")
     by_fold: dict[str, BuildingFit] = {}
     inputs: dict[str, list[HeatInput]] = {}
     fit: BuildingFit | None = None
@@ -78,22 +57,41 @@ def zone_effects(
         inputs[fold] = [
             with_outdoors(v, _found(fit, a, laws[a]), weather_of(seen, a)) for a, v in enumerate(heat_inputs)
         ]
-    whole = by_fold["whole"]
-    estimates = [_estimates(whole, a, laws[a]) for a in range(len(heat_inputs))]
-    effects: list[ZoneEffects | None] = []
-    for a, home in enumerate(layout.home):
-        order, k = [a, *others_of(layout, a, config)], layout.actuators_of(home).index(a)
-        signs, folds = np.array([layout.signs[b] for b in order]), {}
-        without = {fold: fit.without(home, k) for fold, fit in by_fold.items()}
-        for fold, fit in by_fold.items():
-            modes = projected(fit.responses[home, order], 0, signs, config.modes, fit.longest_h)
-            free, alone = free_part(fit, home), free_part(without[fold], home)
-            folds[fold] = Effects(modes, tuple(inputs[fold][b] for b in order), free, alone)
-        of_responses = whole.covariance[home, order]
-        log_odds = without["whole"].rooms[home].value - whole.rooms[home].value
-        training, earlier = folds["training"], folds.get("earlier", folds["training"])
-        effects.append(ZoneEffects(folds["whole"], training, earlier, of_responses, estimates[a], log_odds))
-    return effects
+    if not runs:
+        by_fold["earlier"], inputs["earlier"] = by_fold["training"], inputs["training"]
+    return [_estimate(a, data[a], layout, by_fold, inputs, laws[a]) for a in range(len(data))]
+
+
+def _estimate(
+    a: int,
+    data: ZoneData,
+    layout: Layout,
+    by_fold: Mapping[str, BuildingFit],
+    inputs: Mapping[str, Sequence[HeatInput]],
+    laws: Sequence[LevelLaw],
+) -> Estimate:
+    """What the fits of all folds, with v of each actuator in `inputs`, say of the home zone of actuator `a`."""
+    home, order = layout.home[a], [a, *others_of(layout, a, data.config)]
+    k, signs = layout.actuators_of(home).index(a), [layout.signs[b] for b in order]
+    folds: dict[str, Fold] = {}
+    modes, without = dict[str, Modes](), {name: fit.without(home, k) for name, fit in by_fold.items()}
+    for name, fit in by_fold.items():
+        modes[name] = projected(fit.responses[home, order], 0, np.array(signs), data.config.modes, fit.longest_h)
+        log_tau, gains, (own, *others) = modes[name].log_tau, modes[name].gains, (inputs[name][b] for b in order)
+        # The others share time constants.
+        regressions = [without_others(e, others, signs[1:], log_tau[-1], gains[1:]) for e in data.of_fold(name, own)]
+        if regressions:
+            free, alone = free_part(fit, home), free_part(without[name], home)
+            folds[name] = fold_of(regressions, log_tau[0], gains[0], layout.signs[a], own, free, alone)
+    whole, everything = by_fold["whole"], folds["whole"]
+    of_others = list(zip(modes["whole"].log_tau, modes["whole"].gains, strict=True))[1:]
+    variances = np.diagonal(whole.covariance[home, order], axis1=-2, axis2=-1)[:, _STORED]
+    effects = []
+    for (log_tau, gains), variance in zip([(everything.log_tau, everything.gains), *of_others], variances, strict=True):
+        floor_K = _MODES_SD * float(unit_steps(log_tau, RESPONSE_H).max(axis=0) @ gains)
+        effects.append(Effect(log_tau, gains, np.sqrt(variance + floor_K**2)))
+    scores = {"acts_log_odds": without["whole"].rooms[home].value - whole.rooms[home].value}
+    return Estimate(everything, folds["training"], folds.get("earlier"), effects, scores, _estimates(whole, a, laws))
 
 
 def _places(fit: BuildingFit, a: int, laws: Sequence[LevelLaw]) -> tuple[RoomFit, dict[str, int]]:
