@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Any
 
 from controllers.actuation.actuator import ActuationState
-from controllers.monitoring.blocked_hours import BlockedHours
 from controllers.monitoring.meters import MeterState
 from controllers.monitoring.scaled_model import ScaledModel
 from controllers.monitoring.sun_on_sensors import SunState
@@ -30,6 +29,7 @@ from thermoforce_mpc.model.forced_state import ForcedState
 from thermoforce_mpc.model.free_response.calibrated import CalibratedState, IssuedForecasts, Scores
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.substitute import SubstituteState
+from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
 from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel

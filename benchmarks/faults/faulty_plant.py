@@ -133,7 +133,7 @@ class FaultyPlant:
         n = 1 if u is not None else max(1, round(duration_s / _NATIVE_S))
         parts, wanted = [], []
         for _ in range(n):
-            s = self.plant.snapshot().scalars
+            s = self.plant.snapshot().values["_scalars"]
             error = s[kernel.SETPOINT] - s[kernel.T_OPERATIVE] + s[kernel.INTEGRAL]
             wanted.append(u if u is not None else min(max(kernel.NATIVE_GAIN * error, 0.0), 1.0))
             parts.append((duration_s / n, self.plant.advance(0.5 * wanted[-1], duration_s / n)))
@@ -148,7 +148,8 @@ class FaultyPlant:
             measurement = self.plant.advance(u, duration_s / n)
             parts.append((duration_s / n, measurement))
             here = self.plant.snapshot()
-            here.scalars[kernel.T_AIR] += share * (measurement.T_out_C + ZERO_C_K - here.scalars[kernel.T_AIR])
+            scalars = here.values["_scalars"]
+            scalars[kernel.T_AIR] += share * (measurement.T_out_C + ZERO_C_K - scalars[kernel.T_AIR])
             self.plant.restore(here)
         return parts[-1][1].averaged_with(parts)
 

@@ -40,6 +40,7 @@ from controllers.monitoring.watch_tests import (
     machine_ratio,
 )
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.operator.rollout import forced_rollout
@@ -104,6 +105,10 @@ class Watch:
         self._least_K = config.least_K * np.sqrt(np.array(self.leads) * self.step_s / HOUR_S)
         self._gain_sd = np.array([_relative_gain_sd(model, n * self.step_s / HOUR_S) for n in self.leads])
         self._n_steps = n_steps
+
+    def begin(self, time_s: float) -> WatchState:
+        """The state at the begin of a run: hours that were blocked while probing are known."""
+        return WatchState(blocked=BlockedHours.known(self._model.card.blocked_hours, time_s))
 
     def due(self, time_s: float) -> bool:
         """Whether a prediction is to be recorded at `time_s`."""

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from controllers.monitoring.blocked_hours import BlockedHours
 from controllers.monitoring.scaled_model import ScaledModel
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import PredictorState
 from thermoforce_mpc.scenario.settings import StrictModel

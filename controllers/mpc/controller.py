@@ -227,7 +227,8 @@ class ThermoForceMPC(ActuatedController):
         """
         before, actuation = self._resume(observation, state, MPCState)
         if before is None:
-            before = MPCState.begin(observation.time_s, self._layout.names, self._readings.meters.begin)
+            watch = self._watched.begin(observation.time_s)
+            before = MPCState.begin(observation.time_s, self._layout.names, watch, self._readings.meters.begin)
         before = replace(before, actuation=actuation, last_s=observation.time_s)
         try:
             return (yield from self._step(observation, before))
@@ -245,7 +246,7 @@ class ThermoForceMPC(ActuatedController):
             plan = self._realisation.stand_back(overrides, state)
         else:
             forecast = yield from self._prediction.predict(readings, state)
-            instance = self._formulate(forecast, readings, state)
+            instance = self._formulate(forecast, readings, state, overrides)
             result = yield from self._solve(instance, forecast, readings)
             plan = self._realise(result, readings, overrides, situation)
         return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
@@ -274,7 +275,9 @@ class ThermoForceMPC(ActuatedController):
         )
         return replace(state, margins=margins, peak_W=state.peak_after(readings.observation))
 
-    def _formulate(self, forecast: Forecast | Failure, readings: Readings, state: MPCState) -> Instance | Failure:
+    def _formulate(
+        self, forecast: Forecast | Failure, readings: Readings, state: MPCState, overrides: Mapping[int, Override]
+    ) -> Instance | Failure:
         """The numbers of the problem.
 
         The level of an overridden actuator stays a variable: what acts in its place is a loop that answers to its zone,
@@ -285,7 +288,9 @@ class ThermoForceMPC(ActuatedController):
         operator, context = forecast.planner.operator, forecast.context
         try:
             blocked = [watch.blocked for watch in state.watch]
-            return self._formulation.instance(operator, context, readings.history, state.margins, state.peak_W, blocked)
+            return self._formulation.instance(
+                operator, context, readings.history, state.margins, state.peak_W, blocked, overrides
+            )
         except Exception as error:  # of a forecast that lacks what the problem needs
             return Failure(f"no prediction ({message_of(error)})", state)
 

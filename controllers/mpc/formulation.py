@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from controllers.actuation.actuators import Actuators
-from controllers.monitoring.blocked_hours import BlockedHours
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.margins import Bounds, MarginRules, Margins
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import Cooling, MPCProblem, PowerCap, Weights
 from thermoforce_mpc.data import DAY_S, J_PER_KWH, Array, Boundary, Record
+from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -84,6 +85,7 @@ class Formulation:
         margins: Margins,
         peak_W: float = 0.0,
         blocked: Sequence[BlockedHours] = (),
+        overridden: Collection[int] = (),
     ) -> Instance:
         """Return the instance of one step.
 
@@ -94,6 +96,7 @@ class Formulation:
             margins: what was learned of bounds, predictions and capacities.
             peak_W: highest mean power of the building over a step so far, W.
             blocked: hours in which nothing comes from each actuator (A,); by default none.
+            overridden: numbers of the actuators that will not follow the plan.
 
         Raises:
             DataError: a bound or price of the boundary is missing.
@@ -138,6 +141,7 @@ class Formulation:
         dearest = price.max(axis=1)[fed_by]
         comfort, news = self._comfort_weights(operator, context.features[:, -1], dearest * highest_W)
         bounds = self.margins.bounds(operator, context.free, boundary, margins.learned)
+        bounds = self._left_to_others(bounds, boundary, history.T_zone_C[:, -1], overridden)
         problem = MPCProblem(
             forced_state_K=context.forced_K,
             features=context.features,
@@ -160,6 +164,21 @@ class Formulation:
             available=self._available(boundary, blocked),
         )
         return Instance(problem, bounds, float(left_W[0]), news)
+
+    def _left_to_others(
+        self, bounds: Bounds, boundary: Boundary, T_zone_C: Array, overridden: Collection[int]
+    ) -> Bounds:
+        """Bounds of zones none of whose actuators follow the plan: no more is asked of them than what holds now.
+
+        Otherwise neighbours would be heated for a zone that its own control leaves outside the comfort band.
+        """
+        lower_C, upper_C = bounds.lower_C.copy(), bounds.upper_C.copy()
+        for z, now_C in enumerate(T_zone_C):
+            own = self._layout.actuators_of(z)
+            if own and set(own) <= set(overridden):
+                lower_C[z] = np.fmin(boundary.lower_C[z, 1:], now_C)
+                upper_C[z] = np.fmax(boundary.upper_C[z, 1:], now_C)
+        return replace(bounds, lower_C=lower_C, upper_C=upper_C)
 
     def _available(self, boundary: Boundary, blocked: Sequence[BlockedHours]) -> Array | None:
         """Share of each step in which heat comes from each actuator (A, N); None: always."""

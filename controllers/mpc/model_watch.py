@@ -13,7 +13,7 @@ from controllers.checks import message_of
 from controllers.monitoring.scaled_model import ScaledModel
 from controllers.monitoring.single_actuator import single_actuator_context, single_actuator_records
 from controllers.monitoring.watch import Watch
-from controllers.monitoring.watch_state import Track
+from controllers.monitoring.watch_state import Track, WatchState
 from controllers.mpc.planner import Planner
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import Array, Observation, Plan, Record
@@ -44,6 +44,10 @@ class WatchedPredictions:
     ) -> None:
         self._watches, self._planner, self._model = tuple(watches), planner, model
         self.enabled = enabled
+
+    def begin(self, time_s: float) -> tuple[WatchState, ...]:
+        """The state of each watch at the begin of a run (A,)."""
+        return tuple(watch.begin(time_s) for watch in self._watches)
 
     def validate(self, now: MPCState, history: Record, forced_K: Array | None) -> MPCState:
         """The state with the predictions that came due compared; where control returns, with the model that held.

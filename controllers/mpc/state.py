@@ -46,13 +46,15 @@ class MPCState:
     last_s: float | None = None
 
     @classmethod
-    def begin(cls, time_s: float, names: Names, meters: tuple[MeterState, ...]) -> MPCState:
+    def begin(
+        cls, time_s: float, names: Names, watch: tuple[WatchState, ...], meters: tuple[MeterState, ...]
+    ) -> MPCState:
         """The state at the begin of a run of a building."""
         actuators, zones = len(names.actuators), len(names.zones)
         return cls(
             time_s,
             adaptation=(None,) * actuators,
-            watch=(WatchState(),) * actuators,
+            watch=watch,
             margins=Margins.nothing(zones, len(names.machines)),
             sensors=(SensorState(),) * zones,
             meters=meters,

@@ -25,7 +25,8 @@ class ModelCard:
     data, `scores` and `uncertainty` hold numbers by name, `config` is the configuration of the identification.
     `competence` is the verdict on held-out data; None: not judged (given by hand, or identified before there was one).
     `sun_on_sensor` is the sun in the readings of the zone sensor, which is no warmth of the room; `foreign_heat`
-    what the heat meter of the actuator shows beside its heat. None: none was found.
+    what the heat meter of the actuator shows beside its heat. None: none was found. `blocked_hours`: hours of the day
+    in which nothing came while it was probed, whatever was asked for (`machine.blocked_hours`).
     """
 
     source: str = _GIVEN
@@ -38,6 +39,7 @@ class ModelCard:
     competence: Competence | None = None
     sun_on_sensor: SunOnSensor | None = None
     foreign_heat: ForeignLoad | None = None
+    blocked_hours: tuple[int, ...] = ()
 
     @property
     def unfit(self) -> str:

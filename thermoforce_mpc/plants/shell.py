@@ -5,17 +5,20 @@ A plant of its own physics extends `PlantShell`; one that is reached otherwise n
 
 from __future__ import annotations
 
+import copy
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from types import TracebackType
-from typing import Generic, Protocol, Self, TypeVar, cast
+from typing import Any, Generic, Protocol, Self, TypeVar, cast
 
 import numpy as np
 
 from thermoforce_mpc.data import SINGLE, Array, Bands, Block, Boundary, Levels, Measurement, Names, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import check_levels, check_start, forecast_times, record_times
+from thermoforce_mpc.plants.kpis import CountedKpis
 from thermoforce_mpc.scenario.building import PRICES, Price
 
 # Smallest time difference between two samples, s.
@@ -167,33 +170,93 @@ class RoomSetpointShell(PlantShell):
         return self._advanced(check_levels(u, duration_s, band_C, names=self._names, lowest=self._lowest))
 
 
+@dataclass
+class _Kept:
+    """Arrays of samples with room for more, of which the first `n` are taken."""
+
+    times: Array
+    rows: Array
+    n: int
+
+
 class Samples:
-    """Rows (n, k) of k signals at n rising times, s, in arrays that grow by doubling: steps are many and short."""
+    """Rows (n, k) of k signals at n rising times, s, in arrays that grow by doubling: steps are many and short.
+
+    Copies share the arrays, until two of them add samples.
+    """
 
     def __init__(self, time_s: float, row: Array) -> None:
-        self._times, self._rows, self._n = np.array([time_s]), row[None].copy(), 1
+        self._kept, self._n = _Kept(np.array([time_s]), row[None].copy(), 1), 1
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return copy.copy(self)
 
     @property
     def times(self) -> Array:
         """Times (n,), s."""
-        return self._times[: self._n]
+        return self._kept.times[: self._n]
 
     @property
     def rows(self) -> Array:
         """Rows (n, k)."""
-        return self._rows[: self._n]
+        return self._kept.rows[: self._n]
 
     def append(self, time_s: Array, rows: Array) -> None:
         """Add samples."""
-        n = self._n + len(rows)
-        if n > self._times.size:
-            room = max(2 * self._times.size, n) - self._times.size
-            self._rows = np.concatenate([self._rows, np.empty((room, rows.shape[1]))])
-            self._times = np.concatenate([self._times, np.empty(room)])
-        self._rows[self._n : n], self._times[self._n : n] = rows, time_s
-        self._n = n
+        begin, n = self._n, self._n + len(rows)
+        if n > self._kept.times.size or begin < self._kept.n:
+            size = max(2 * begin, n)
+            kept = _Kept(np.empty(size), np.empty((size, rows.shape[1])), n)
+            kept.times[:begin], kept.rows[:begin] = self.times, self.rows
+            self._kept = kept
+        self._kept.times[begin:n], self._kept.rows[begin:n] = time_s, rows
+        self._kept.n = self._n = n
 
     def between(self, start_s: float, final_s: float) -> tuple[Array, Array]:
         """Times and rows between two times, both included."""
         first, last = np.searchsorted(self.times, [start_s - CLOCK_S, final_s + CLOCK_S])
         return self.times[first:last], self.rows[first:last]
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """State, clock and record of a plant at one instant; opaque, for `BranchingShell.restore`."""
+
+    values: Mapping[str, Any]
+
+
+class BranchingShell(PlantShell):
+    """A plant that keeps its samples, and can be put back to an instant."""
+
+    _samples: Samples
+    # KPIs so far, by tariff.
+    _counted: dict[str, CountedKpis]
+    # Names of what changes as time goes on.
+    _changing: tuple[str, ...] = ("_now_s", "_begin_s", "_start_s", "_price", "_samples", "_counted")
+
+    def snapshot(self) -> Snapshot:
+        """Return a snapshot, to restore or branch from."""
+        return Snapshot({name: copy.deepcopy(getattr(self, name)) for name in self._changing})
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Restore a snapshot of this plant, or of another one of the same building and weather."""
+        vars(self).update(copy.deepcopy(dict(snapshot.values)))
+
+    def _begin(self) -> None:
+        self._samples, self._counted = Samples(self._begin_s, self._first_row()), {}
+
+    def _kpis_so_far(self, between: Callable[[float, float], dict[str, float]]) -> dict[str, float]:
+        """KPIs since the end of the warm-up, from those of the samples `between` two times, both included.
+
+        Sums are cached: later calls read only the new samples, and those of a 15-min peak window that is not over or
+        ends between two samples.
+        """
+        counted = self._counted.get(self._price, CountedKpis(self._start_s))
+        recent = self._samples.times[np.searchsorted(self._samples.times, counted.until_s) :]
+        counted = counted.counting(counted.latest_edge_s(recent, self._start_s), between)
+        self._counted[self._price] = counted
+        return counted.up_to(self._now_s, between)
+
+    @abstractmethod
+    def _first_row(self) -> Array:
+        """The sample at the begin, with the machine off; puts the state there."""

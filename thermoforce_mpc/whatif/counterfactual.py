@@ -13,16 +13,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Boundary, FreeForecast, Names, Observation, Record
+from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Boundary, FreeForecast, Names, Record
 from thermoforce_mpc.data.dataframes import seconds_at, table
 from thermoforce_mpc.data.names import check_same_building
-from thermoforce_mpc.data.superposition import compose, control_free
+from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
 from thermoforce_mpc.identification.validation.report import BAND, step_response_of
+from thermoforce_mpc.model.forced_state import followed
 from thermoforce_mpc.model.free_response.checks import LEVELS
-from thermoforce_mpc.model.gaps import bridged
-from thermoforce_mpc.model.predictor import Predictor
+from thermoforce_mpc.model.gaps import WEATHER, bridged
+from thermoforce_mpc.model.operator.features import feature_matrix
+from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
@@ -89,19 +91,6 @@ class Counterfactual:
         return table(self.time_s, self.origin, **columns)
 
 
-class _Recorded:
-    """`FreeResponse` of a stretch that is already known."""
-
-    name = "recorded"
-
-    def __init__(self, free_C: Array) -> None:
-        self._free_C = free_C
-
-    def forecast(self, free_C: Array, history: Record, boundary: object) -> FreeForecast:
-        """See `FreeResponse.forecast`."""
-        return FreeForecast(LEVELS, np.tile(self._free_C, (LEVELS.size, 1)), "as recorded")
-
-
 def counterfactual(
     model: ThermalModel, record: Record, u: Array | float, *, start: pd.Timestamp | str | float, hours: float = 24.0
 ) -> Counterfactual:
@@ -136,16 +125,8 @@ def counterfactual(
                 "there is nothing to compare with; choose a stretch in which it was"
             )
     whole, _ = bridged(model.own_heat(record.slice(0, first + n)))
-    past, stretch = whole.slice(0, first), whole.slice(first, first + n)
-    forced_K = Predictor(model.operator, [_Recorded(np.empty(0))] * len(record.names.zones)).forced_history(whole)
-    free_C = control_free(whole.T_zone_C, forced_K.sum(axis=(1, 3)))
-    filled = np.array([_without_gaps(row, name) for row, name in zip(free_C, record.names.zones, strict=True)])
-    recorded = [_Recorded(row[first + 1 :]) for row in filled]
-    history = Record(
-        past.time_s, compose(filled, forced_K.sum(axis=(1, 3)))[:, : first + 1], past.T_out_C, past.solar_W_m2,
-        past.u, past.power_W, past.heat_W, past.T_return_C, past.origin, past.names,
-    )  # fmt: skip
-    context = Predictor(model.operator, recorded).context(Observation(history, Boundary.measured(stretch)))
+    context = _known_from(model, whole, first)
+    stretch = whole.slice(first, first + n)
     applied = np.clip(stretch.u, model.operator.lowest[:, None], 1.0)
     effect = context.effect(levels, applied)
     levels = levels if levels.ndim == 2 else levels[None]
@@ -163,6 +144,25 @@ def counterfactual(
         certified_high_K=high,
         energy_kWh=_energy_kWh(model, applied, stretch),
         energy_other_kWh=_energy_kWh(model, levels, stretch),
+    )
+
+
+def _known_from(model: ThermalModel, whole: Record, first: int) -> PredictionContext:
+    """The instant `first` of a record without gaps, with the free response that followed in the place of a forecast."""
+    forced_K = followed(model.operator, None, whole).forced_K
+    free_C = control_free(whole.T_zone_C, forced_K.sum(axis=(1, 3)))
+    filled = np.array([_without_gaps(row, name) for row, name in zip(free_C, whole.names.zones, strict=True)])
+    boundary = Boundary.measured(whole.slice(first, whole.n_steps))
+    boundary.check(*WEATHER)
+    return PredictionContext(
+        operator=model.operator.resampled(whole.step_s),
+        forced_K=forced_K[:, :, first],
+        free=FreeForecast(LEVELS, np.repeat(filled[None, :, first + 1 :], LEVELS.size, axis=0), "as recorded"),
+        features=feature_matrix(
+            filled[:, first:-1], boundary.T_out_C[:-1], boundary.solar_W_m2[:-1], boundary.time_s[:-1]
+        ),
+        boundary=boundary,
+        names=whole.names,
     )
 
 

@@ -75,8 +75,10 @@ def test_what_heat_costs_at_the_levels_that_were_tried_is_told(tmp_path):
     tried = LevelCost(0.25, 0.88, 0.1, 1.57, 0.17).numbers()
     model = building(GOOD, GOOD)
     cards = tuple(replace(card, uncertainty={**card.uncertainty, **tried}) for card in model.cards)
-    folder = replace(model, cards=cards).save(tmp_path / "model")
+    warm = PowerModel(MachineLoad((100.0, 0.0, 900.0, 0.0), (-20.0, 30.0), 0.25, curve_W=50.0), water_s=3600.0)
+    folder = replace(model, cards=cards, power=(warm,)).save(tmp_path / "model")
     told = CliRunner().invoke(cli, ["inspect", str(folder)], catch_exceptions=False).output
+    assert "+ u^2 x 50 W, the last part in water that follows u in 1 h" in " ".join(told.split())
     assert (
         told.count("Tried: at level 0.25 heat costs 0.88 ± 0.10 times as much as at full level; heat per level 1.57")
         == 2

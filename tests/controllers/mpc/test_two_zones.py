@@ -123,6 +123,20 @@ def test_a_condemned_model_of_one_leaves_the_other_to_the_plan(closed):
     assert not plan.state.actuation[other].native
 
 
+def test_no_zone_is_heated_for_another_whose_own_actuator_does_not_follow_the_plan():
+    """The radiator warms the hall too, whose floor is left to native control however far below its bound it stays."""
+    plain = two_model((None, CONDEMNED))
+    ((radiator, _), (_, floor)) = plain.operator.pairs
+    operator = replace(plain.operator, pairs=((radiator, None), (radiator, floor)))
+    levels = []
+    for lower_K in (2.0, 8.0):
+        plan = mpc(replace(plain, operator=operator)).plan(two_observation(houses=TwoHouses(lower_K=lower_K)))
+        assert plan.acting == (PlanStatus.SOLVED, PlanStatus.GATE)
+        levels.append(level(plan, RADIATOR))
+    assert levels[1] == pytest.approx(levels[0], abs=0.01)
+    assert levels[0] < 1.0
+
+
 def test_where_all_stand_back_each_has_its_own_reason_and_level():
     controller = mpc(two_model((None, CONDEMNED)), fallback={"stand_back": "rule"})
     seen = two_observation()

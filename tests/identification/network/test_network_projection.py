@@ -65,6 +65,23 @@ def test_modes_beyond_the_longest_stay_apart():
     assert np.exp(modes.log_tau[0, -1]) <= 1000.0 + 1e-6
 
 
+def test_what_rises_after_the_last_response_ends_where_the_network_does():
+    """A room that first warms faster than its own modes, by its neighbours': free poles end a quarter too high."""
+    tau_h, gains, much_later_h = (1.0, 8.0, 30.0, 85.0), np.array([0.1, 8.0, -6.0, 18.0]), np.array([400.0])
+    mean = unit_steps(np.log(tau_h), RESPONSE_H) @ gains
+    modes = projected(mean[None], 0, SIGNS, 3, longest_h=85.0)
+    assert modes.misfit[0] < 0.03
+    expected = unit_steps(np.log(tau_h), much_later_h) @ gains
+    np.testing.assert_allclose(response_at(modes, hours=much_later_h), expected, rtol=0.1)
+
+
+def test_the_longest_time_constant_is_that_of_all_of_the_building():
+    building = building_of(ONE.mean)
+    hours = building.longest_h * np.array([3.0, 4.0])
+    rest = [effect_K(ONE, ONE.mean, 1e6) - effect_K(ONE, ONE.mean, later) for later in hours]
+    assert rest[1] / rest[0] == pytest.approx(np.exp(-1.0), rel=0.02)
+
+
 def test_rooms_of_all_kinds_are_met_within_a_few_per_cent():
     rng = np.random.default_rng(7)
     misfits = [projected(responses_of(random_theta(ONE, rng)), 0, SIGNS, 3).misfit[0] for _ in range(12)]

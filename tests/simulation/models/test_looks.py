@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from simple_house import simple_model
 
+from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, PlantInfo, Record
+from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.validation.competence import SETTLED_SD, lacking
 from thermoforce_mpc.model.competence import Competence
-from thermoforce_mpc.simulation.models.probing import Look
+from thermoforce_mpc.simulation.models.probing import Identifying, Look, Probed
 
 KNOWN = Competence(True, effect_K=2.0, effect_sd_K=0.2)
 POOR = Competence(True, effect_K=2.0, effect_sd_K=0.7)
@@ -58,3 +62,20 @@ def test_probing_ends_early_only_where_every_actuator_is_known_well():
     well = Competence(True, effect_K=2.0, effect_sd_K=0.1)
     assert look(bath=well, hall=well).is_well_known
     assert not look(bath=well, hall=KNOWN).is_well_known
+
+
+def test_hours_in_which_nothing_came_while_probing_stand_on_the_card():
+    """Two days from midnight on, in which the machine works from 5:00 on only."""
+    time_s = 30 * DAY_S + HOUR_S * np.arange(49)
+    asked, got = np.ones((1, 48)), (time_s[:-1] % DAY_S >= 5 * HOUR_S).astype(float)
+    zeros = np.zeros(49)
+    record = Record(time_s, zeros + 20.0, zeros, zeros, got, zeros[1:], zeros[1:])
+    plant = PlantInfo("kind", "case", "words", "weather", "version")
+    testcase = SimpleNamespace(layout=Layout.single(), step_s=HOUR_S, currency="EUR")
+    identifying = Identifying(testcase, IdentificationConfig())  # type: ignore[arg-type]
+    for levels, hours in ((asked, (0, 1, 2, 3, 4)), (np.full((1, 48), np.nan), ())):
+        card = identifying.conclude(
+            Probed(record, levels, plant, "enough is known"), Look(2.0, simple_model())
+        ).only.card
+        assert card.blocked_hours == hours
+        assert ("nothing comes from 0:00 to 5:00" in " ".join(card.notes)) is bool(hours)

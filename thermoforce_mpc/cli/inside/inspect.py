@@ -157,9 +157,11 @@ def _show_power(what: str, power: PowerModel | None, console: Console) -> None:
         return
     c0, c1, c2, c3 = power.coefficients
     water = power.water
+    bend = f" + u^2 x {power.load.curve_W:.0f}" if power.load.curve_W else ""
+    follows = f", the last part in water that follows u in {power.water_s / 3600:g} h" if power.water_s else ""
     times = f", times 1 {water.per_K:+.4f} (T_return - {water.reference_C:.1f})" if water else ""
     console.print(
-        f"{what}: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out) W{times}; "
+        f"{what}: on x ({c0:.0f} {c1:+.1f} T_out) + u x ({c2:.0f} {c3:+.1f} T_out){bend} W{follows}{times}; "
         f"RMSE {power.rmse_W:.0f} W, R2 {power.r2:.4f}"
     )
 

@@ -9,7 +9,7 @@ the building (`network.room`), estimated beside all others.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -21,6 +21,7 @@ from thermoforce_mpc.model.machine.heat_capacity import KINDS, kinds_for
 from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
 from thermoforce_mpc.model.machine.part_load import LevelCost
 from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.machine.water_warmth import COMPARED_AT, squares_of
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 OUTDOORS, RADIATOR = "heat_per_K", "heat_of_radiator"
@@ -193,6 +194,9 @@ def _costs(found: Estimates, histories: Sequence[Record], power: PowerModel, hea
     full, level = u >= 1.0 - LEVEL_EDGE, np.maximum(u, LEVEL_EDGE)
     if np.count_nonzero(full) < _LEAST_STEPS:
         return []
+    if power.water_s is not None:  # levels are compared in the same water
+        power_W = power_W - power.load.curve_W * (squares_of(histories, power.water_s)[kept] - COMPARED_AT * u)
+        power = replace(power, load=replace(power.load, curve_W=COMPARED_AT * power.load.curve_W))
     # Per level, relative to full level in the same weather; the laws say how full level depends on it.
     power_per_level = _relative(power_W / level, power(np.ones(u.size), T_out), full)
     heat_per_level = None if law is None else _relative(heat_W / level, law(np.ones(u.size), T_out), full)

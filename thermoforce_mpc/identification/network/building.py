@@ -74,6 +74,11 @@ class BuildingFit:
             covariance += np.einsum("zati,ij,zasj->zats", by_theta, fit.covariance[:known, :known], by_theta)
         return np.asarray(covariance)
 
+    @property
+    def longest_h(self) -> float:
+        """Longest time constant of the building, h."""
+        return float(1.0 / self.network.modes[0].min())
+
     def without(self, zone: int, actuator: int) -> BuildingFit:
         """The building with the best fit of a room as if one of its actuators did nothing."""
         rooms = list(self.rooms)

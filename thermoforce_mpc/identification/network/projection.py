@@ -16,7 +16,7 @@ from thermoforce_mpc.identification.estimation.differences import jacobian
 from thermoforce_mpc.identification.estimation.modes import unit_steps
 from thermoforce_mpc.identification.network.building import RESPONSE_H
 
-# Time constants, h: shortest, longest, least ratio of neighbours.
+# Time constants, h: shortest, longest of any building, least ratio of neighbours.
 _SHORTEST_H, _LONGEST_H, _APART = 0.05, 1000.0, 1.5
 # Range of the logarithm of how far ln τ is above its least, and most steps of the search.
 _RANGE, _MOST_STEPS = (-4.0, 2.2), 200
@@ -52,15 +52,18 @@ class Modes:
         return np.array([_covariance(log_tau, gains, of_response) for log_tau, gains, of_response in each])
 
 
-def projected(responses: Array, own: int, signs: Array, order: int) -> Modes:
+def projected(responses: Array, own: int, signs: Array, order: int, longest_h: float = _LONGEST_H) -> Modes:
     """The step responses (A, T) K of a zone at `RESPONSE_H` as `order` modes each: those of its `own` actuator, and
     those that suit all others.
+
+    None is longer than `longest_h`, the network's own: what rises on after the last of `RESPONSE_H` would otherwise
+    have any steady state.
     """
     means = responses * np.asarray(signs)[:, None]
     others = np.arange(len(means)) != own
-    log_tau = np.tile(_time_constants(means[[own]], order), (len(means), 1))
+    log_tau = np.tile(_time_constants(means[[own]], order, longest_h), (len(means), 1))
     if others.any():
-        log_tau[others] = _time_constants(means[others], order)
+        log_tau[others] = _time_constants(means[others], order, longest_h)
     gains, errors = np.empty((len(means), order)), np.empty(len(means))
     for a, mean in enumerate(means):
         gains[a], error = nnls(unit_steps(log_tau[a], RESPONSE_H), mean)
@@ -68,13 +71,16 @@ def projected(responses: Array, own: int, signs: Array, order: int) -> Modes:
     return Modes(log_tau, gains, errors)
 
 
-def _time_constants(means: Array, order: int) -> Array:
+def _time_constants(means: Array, order: int, longest_h: float) -> Array:
     """ln τ (r,) of the modes that suit the responses (K, T), K, best."""
     targets = means / max(float(np.abs(means).max()), _LEAST_GAIN)
+    # At the longest, neighbours stay apart: equal poles would be one.
+    most = np.log(min(longest_h, _LONGEST_H)) - np.log(_APART) * np.arange(order)[::-1]
 
     def tau_of(x: Array) -> Array:
-        """ln τ from x in `_RANGE`: each is at least `_APART` times the one before."""
-        return np.asarray(np.log(_SHORTEST_H) + np.cumsum(np.exp(x)) + np.log(_APART) * np.arange(order))
+        """ln τ from x in `_RANGE`: each is at least `_APART` times the one before, and at most its longest."""
+        log_tau = np.log(_SHORTEST_H) + np.cumsum(np.exp(x)) + np.log(_APART) * np.arange(order)
+        return np.asarray(np.minimum(log_tau, most))
 
     def misfit(x: Array) -> Array:
         units = unit_steps(tau_of(x), RESPONSE_H)
@@ -85,9 +91,7 @@ def _time_constants(means: Array, order: int) -> Array:
         steps = np.diff(np.log(hours), prepend=np.log(_SHORTEST_H)) - np.log(_APART) * (np.arange(order) > 0)
         start = np.clip(np.log(np.maximum(steps, 0.0) + 1e-9), *_RANGE)
         found.append(least_squares(misfit, start, bounds=_RANGE, max_nfev=_MOST_STEPS))
-    # At the longest, neighbours stay apart: equal poles would be one.
-    most = np.log(_LONGEST_H) - np.log(_APART) * np.arange(order)[::-1]
-    return np.minimum(tau_of(min(found, key=lambda result: result.cost).x), most)
+    return tau_of(min(found, key=lambda result: result.cost).x)
 
 
 def _covariance(log_tau: Array, gains: Array, of_response: Array) -> Array:

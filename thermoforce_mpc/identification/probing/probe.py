@@ -105,7 +105,7 @@ def probe(
 
 
 class Probing:
-    """A probing that can be continued; `record` is what was measured so far.
+    """A probing that can be continued; `record` is what was measured so far, `asked` the levels asked for (A, n).
 
     Each actuator has draws of its own, so that their effects can be told apart, and follows the comfort band of the
     zone that it serves.
@@ -128,7 +128,7 @@ class Probing:
         self.config = c = config or ProbingConfig()
         self._plant, self._layout = plant, layout or Layout.single()
         now = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
-        self.record = Record.beginning(now)
+        self.record, self.asked = Record.beginning(now), np.empty((len(self._layout.home), 0))
         # The past bounds the effect of a level; rooms need none.
         past = plant.past(c.step_s) if any(lowest >= 0.0 for lowest in self._layout.lowest) else self.record
         self._excites: list[_Levels | _Rooms] = []
@@ -196,6 +196,7 @@ class Probing:
             blocks[a] = Block(0.0, c.step_s)
             self._excites[a].withheld()
         levels = tuple(block.u[0] for block in blocks)
+        self.asked = np.concatenate([self.asked, np.array([levels], dtype=np.float64).T], axis=1)
         bands = tuple(block.band_C[0] for block in blocks)
         if any(bands):
             now = cast(RoomSetpointPlant, plant).advance(levels, c.step_s, bands)

@@ -86,7 +86,7 @@ def zone_effects(
         signs, folds = np.array([layout.signs[b] for b in order]), {}
         without = {fold: fit.without(home, k) for fold, fit in by_fold.items()}
         for fold, fit in by_fold.items():
-            modes = projected(fit.responses[home, order], 0, signs, config.modes)
+            modes = projected(fit.responses[home, order], 0, signs, config.modes, fit.longest_h)
             free, alone = free_part(fit, home), free_part(without[fold], home)
             folds[fold] = Effects(modes, tuple(inputs[fold][b] for b in order), free, alone)
         of_responses = whole.covariance[home, order]

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
-from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution.cooperative import Computation, run
 from thermoforce_mpc.model.free_response.checks import checked_free
 from thermoforce_mpc.model.free_response.following import following
@@ -98,13 +97,8 @@ class CalibratedFreeResponse:
         """Wrap `inner`, which keeps no state; its own intervals are used until enough errors are known."""
         self.inner = inner
         self.name = inner.name
-
-    def weight_hash(self) -> str:
-        """Return the hash of the weights of the wrapped method; raises `DataError` if it has none."""
-        hashed = getattr(self.inner, "weight_hash", None)
-        if hashed is None:
-            raise DataError(f"free response '{self.name}' has no weights")
-        return str(hashed())
+        if hasattr(inner, "weight_hash"):
+            self.weight_hash = inner.weight_hash
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; raises what the wrapped method raises."""

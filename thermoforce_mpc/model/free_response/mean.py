@@ -7,7 +7,6 @@ Their errors differ, so the mean errs less than either in most buildings, by equ
 from __future__ import annotations
 
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
-from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution.cooperative import Computation, run
 from thermoforce_mpc.model.free_response.following import following
 from thermoforce_mpc.protocols import FreeResponse
@@ -18,13 +17,8 @@ class MeanFreeResponse:
 
     def __init__(self, first: FreeResponse, second: FreeResponse) -> None:
         self.name, self._each = first.name, (first, second)
-
-    def weight_hash(self) -> str:
-        """Return the hash of the weights of the first; raises `DataError` if it has none."""
-        hashed = getattr(self._each[0], "weight_hash", None)
-        if hashed is None:
-            raise DataError(f"free response '{self.name}' has no weights")
-        return str(hashed())
+        if hasattr(first, "weight_hash"):
+            self.weight_hash = first.weight_hash
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; raises what either raises."""

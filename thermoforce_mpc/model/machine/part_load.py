@@ -14,12 +14,13 @@ from scipy.optimize import nnls
 
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.machine.water_warmth import COMPARED_AT
 
 # Excess of power per heat at half level from which a machine of several actuators is switched. Below it is what a few
 # days of data leave uncertain: an exponent of a radiator that is wrong by 0.2 looks like a fixed part of 8 %.
 SWITCH_FROM = 0.1
 # Excess of the cost of heat over that of full level, and over that of the cheapest level, up to which a lower one is
-# taken all the same: it moves a room less, and in the long run its water is cooler than in the few steps of a trial.
+# taken all the same: it moves a room less.
 _SAME_AS_FULL, _SAME_AS_CHEAPEST = 0.03, 0.02
 # Names on the model card (`ModelCard.uncertainty`).
 _COST, _COST_SD = "cost_of_heat_at_level_", "cost_of_heat_sd_at_level_"
@@ -87,19 +88,26 @@ class PowerShape:
         return cls(*(parts / parts.sum()))
 
     def of(self, power: PowerModel) -> PowerModel:
-        """A machine's power with this shape, and at full level as it is."""
-        load = power.load
+        """A machine's power with this shape, and at full level as it is.
+
+        What warm water takes is not in the shape, which compares levels in the same water, and is added to it.
+        """
+        load, water_W = power.load, power.load.curve_W if power.water_s else 0.0
         low, high = load.T_out_range_C
         (fixed_low, per_low), (fixed_high, per_high) = load.parts(low), load.parts(high)
-        full_low, full_high = (float(x) + load.curve_W for x in (fixed_low + per_low, fixed_high + per_high))
+        other_W = load.curve_W - (1.0 - COMPARED_AT) * water_W
+        full_low, full_high = (float(x) + other_W for x in (fixed_low + per_low, fixed_high + per_high))
         curve_W = self.curve * min(full_low, full_high)
         slope = (full_high - full_low) / max(high - low, 1e-9)
         # What the part in u², which has no slope over the outdoor temperature, lacks is in the part per level.
         total = (full_low - curve_W - slope * low, slope)
         share = self.fixed / max(self.fixed + self.per_u, 1e-9)
-        coefficients = tuple(part * value for part in (share, 1.0 - share) for value in total)
-        shaped = MachineLoad(coefficients, load.T_out_range_C, load.lowest_level, curve_W=curve_W)  # type: ignore[arg-type]
-        return replace(power, load=shaped)
+        rest = 1.0 - share
+        # A little of the part per level is left, so that rounding cannot make it negative.
+        cold_W = min(COMPARED_AT * water_W, 0.99 * rest * (min(full_low, full_high) - curve_W))
+        coefficients = (share * total[0], share * total[1], rest * total[0] - cold_W, rest * total[1])
+        curve_W += cold_W / COMPARED_AT
+        return replace(power, load=MachineLoad(coefficients, load.T_out_range_C, load.lowest_level, curve_W=curve_W))
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,9 @@
 
 P(u, T_out, T_return) = [on·(c0 + c1·T_out) + u·(c2 + c3·T_out)]·(1 + κ (T_return − reference)), the last factor if the
 return water temperature is measured (`return_water.py`). Without the fixed part the model underestimates the power at
-part load; on a machine with speed-independent losses that costs a controller 25 % of the energy. Where the plan sets
-the temperature of the water, power per heat rises with the level instead, and a term in u² is fitted.
+part load; on a machine with speed-independent losses that costs a controller 25 % of the energy. Water is the warmer
+the higher the level of the last hours was, or the plan sets it, and the warmer the more power heat takes: a term in u²
+is fitted (`water_warmth.py`).
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from thermoforce_mpc.model.machine.load_regression import (
 )
 from thermoforce_mpc.model.machine.return_water import ReturnWater, fit_return_water
 from thermoforce_mpc.model.machine.running import running_share
+from thermoforce_mpc.model.machine.water_warmth import AS_GOOD, LONGEST_S, MOST_LEFT, WATER_S, squares_of
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,8 @@ class PowerModel:
     `water`: dependence on the return water temperature; None if that was not measured. `cooling`: load over −u at
     levels below 0, where levels are signed; `load` then holds above 0. The level of a machine that feeds several is
     what they take together, as a share of its capacity; below `load.lowest_level` it cycles (`running_share`).
-    `foreign`: what else is on its meter, which is in none of these.
+    `foreign`: what else is on its meter, which is in none of these. `water_s`: time over which the water follows the
+    level, s, where the part in u² is that of warm water; else None.
     """
 
     load: MachineLoad
@@ -74,6 +77,7 @@ class PowerModel:
     water: ReturnWater | None = None
     cooling: MachineLoad | None = None
     foreign: ForeignLoad | None = None
+    water_s: float | None = None
 
     def metered(self, u: Array, time_s: Array, T_out_C: Array, T_return_C: Array | float = float("nan")) -> Array:
         """Return what the meter shows over steps that start at `time_s`, s since 1 January; others as `__call__`."""
@@ -130,7 +134,11 @@ def fit_power(
     running: Sequence[tuple[float, Array]] | None = None,
     squares: Array | None = None,
 ) -> PowerModel:
-    """Fit the power model to the measured power of records; see `fit_load` for arguments and errors."""
+    """Fit the power model to the measured power of records; see `fit_load` for arguments and errors.
+
+    Where warm water explains most of what level and weather leave over, it is in the part in u², which plans see;
+    else, where it is measured, in a factor of the return water.
+    """
     u, T_out, power, T_return, T_zone = (
         np.concatenate([values(history) for history in histories])
         for values in (
@@ -142,7 +150,7 @@ def fit_power(
         )
     )
 
-    def fit(factor: Array) -> LoadFit:
+    def fit(factor: Array, squares: Array | None = squares) -> LoadFit:
         what = "electric power"
         return fit_load(
             u,
@@ -156,14 +164,24 @@ def fit_power(
             squares=squares,
         )
 
+    def modelled(best: LoadFit, water: ReturnWater | None, water_s: float | None = None) -> PowerModel:
+        quality = best.quality
+        source = f"fitted to {quality.n_samples} steps"
+        return PowerModel(best.load, quality.rmse_W, quality.r2, source, water, water_s=water_s)
+
     plain = fit(np.ones_like(u))
     full_W = float(np.nanmax(power))
     water = fit_return_water(
         T_return, T_zone, u, lambda factor: fit(factor).quality.rmse_W ** 2 * plain.quality.n_running, full_W=full_W
     )
     best = plain if water is None else fit(water.factor(T_return))
-    quality = best.quality
-    return PowerModel(best.load, quality.rmse_W, quality.r2, f"fitted to {quality.n_samples} steps", water)
+    if squares is None and running is None:
+        warm = {time_s: fit(np.ones_like(u), squares_of(histories, time_s)) for time_s in WATER_S}
+        water_s = min(warm, key=lambda time_s: warm[time_s].quality.rmse_W)
+        most_W = min(MOST_LEFT * plain.quality.rmse_W, AS_GOOD * best.quality.rmse_W)
+        if water_s <= LONGEST_S and warm[water_s].quality.rmse_W <= most_W:
+            return modelled(warm[water_s], None, water_s)
+    return modelled(best, water)
 
 
 def fit_both_directions(histories: Sequence[Record], heating: Array, cooling: Array) -> PowerModel:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 from abc import abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -17,7 +14,7 @@ from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import check_start
 from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S, STEP_S
 from thermoforce_mpc.plants.drawn_houses.weeks import week_or_day
-from thermoforce_mpc.plants.shell import PlantShell, Samples
+from thermoforce_mpc.plants.shell import BranchingShell
 from thermoforce_mpc.version import VERSION
 
 # The baseline thermostats' set-points above the lower bounds in use, K, as in the shipped test case (21.3 for 21 °C).
@@ -35,14 +32,7 @@ class _House(Protocol):
     def design_load_W(self) -> float: ...
 
 
-@dataclass(frozen=True)
-class HouseSnapshot:
-    """State, clock and record of a drawn house at one instant; opaque, for `DrawnHousePlant.restore`."""
-
-    values: Mapping[str, Any]
-
-
-class DrawnHousePlant(PlantShell):
+class DrawnHousePlant(BranchingShell):
     """A drawn house. Deterministic: same house and inputs, same bytes.
 
     Attributes:
@@ -54,8 +44,6 @@ class DrawnHousePlant(PlantShell):
     weather: Weather
     _kind: str
     _tariffs: dict[str, tariffs.Tariff]
-    # Names of what changes as time goes on.
-    _changing: tuple[str, ...] = ("_now_s", "_begin_s", "_start_s", "_price", "_samples")
 
     @property
     def info(self) -> PlantInfo:
@@ -84,21 +72,10 @@ class DrawnHousePlant(PlantShell):
             grid_s=GRID_S,
         )
 
-    def snapshot(self) -> HouseSnapshot:
-        """Return a snapshot, to restore or branch from."""
-        return HouseSnapshot({name: copy.deepcopy(getattr(self, name)) for name in self._changing})
-
-    def restore(self, snapshot: HouseSnapshot) -> None:
-        """Restore a snapshot of this house, or of another plant of the same house."""
-        vars(self).update(copy.deepcopy(dict(snapshot.values)))
-
     def _check_reset(self, start_s: float, warmup_s: float, price: str) -> None:
         check_start(start_s, warmup_s)
         if price not in self._tariffs:
             raise InputError(f"tariff '{price}': expected one of {', '.join(self._tariffs)}")
-
-    def _begin(self) -> None:
-        self._samples = Samples(self._begin_s, self._first_row())
 
     def _run(self, block: Block) -> None:
         before_s = self._now_s
@@ -110,10 +87,6 @@ class DrawnHousePlant(PlantShell):
     @abstractmethod
     def _heat_year(self) -> tuple[Array, Array, Array]:
         """Outdoor temperature, °C, irradiance, W/m², and heat losses at 20 °C less gains and sun, W, every `GRID_S`."""
-
-    @abstractmethod
-    def _first_row(self) -> Array:
-        """The sample at the begin, with the machine off; puts the state there."""
 
     @abstractmethod
     def _simulate(self, forced: Array, before_s: float, dt_s: float, rows: Array) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -32,10 +30,10 @@ from thermoforce_mpc.plants.embedded import exposure, kernel, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.plants.embedded.counting import integrals
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
-from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, CountedKpis, peak_power
+from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, peak_power
 from thermoforce_mpc.plants.people import live
 from thermoforce_mpc.plants.records import interval_means
-from thermoforce_mpc.plants.shell import CLOCK_S, PlantShell
+from thermoforce_mpc.plants.shell import CLOCK_S, BranchingShell
 from thermoforce_mpc.scenario.building import Price
 from thermoforce_mpc.version import VERSION
 
@@ -67,26 +65,7 @@ MEASUREMENTS = {
 }
 
 
-@dataclass(frozen=True)
-class Snapshot:
-    """State, clock and record of the plant at one instant, for `EmbeddedPlant.restore`.
-
-    `scalars`: states of air, water and control, by the indices of `kernel`.
-    """
-
-    nodes: Array
-    scalars: Array
-    now_s: float
-    begin_s: float
-    start_s: float
-    price: Price
-    record: tuple[Array, ...]
-    times: tuple[Array, ...]
-    first: Array
-    counted: Mapping[str, CountedKpis]
-
-
-class EmbeddedPlant(PlantShell):
+class EmbeddedPlant(BranchingShell):
     """Emulator behind the `Plant` protocol. Deterministic: same inputs, same bytes.
 
     ```python
@@ -97,6 +76,8 @@ class EmbeddedPlant(PlantShell):
 
     The weather year is periodic: time may run over its end.
     """
+
+    _changing = (*BranchingShell._changing, "_nodes", "_scalars")
 
     def __init__(
         self,
@@ -148,17 +129,16 @@ class EmbeddedPlant(PlantShell):
             self._periods = published_windows(self.weather.fingerprint) or heating_windows(self.native_power_W())
         return self._periods[name] if name in self._periods else day_period(name, self._periods)
 
-    def _begin(self) -> None:
+    def _first_row(self) -> Array:
         self._nodes = self._network.start_K.copy()
         self._scalars = np.zeros(kernel.N_SCALARS)
         self._scalars[[kernel.T_AIR, kernel.T_SUPPLY, kernel.T_RETURN, kernel.T_OPERATIVE]] = 293.15
         self._scalars[kernel.LAST_T_PIPE] = self._nodes[self._network.pipe]
         self._scalars[kernel.T_EVAPORATOR] = 278.15
         self._scalars[kernel.CO2_PPM] = 400.0
-        self._record: list[Array] = []
-        self._times: list[Array] = []
-        self._first = self._sample()
-        self._counted: dict[str, CountedKpis] = {}
+        row = np.empty(len(kernel.RECORD))
+        kernel.sample(self._scalars, self._now_s, np.full(len(OVERWRITES), math.nan), self._scheduled[0], row)
+        return row
 
     def _run(self, block: Block) -> None:
         self._advance(_overrides(block), block.duration_s)
@@ -217,29 +197,14 @@ class EmbeddedPlant(PlantShell):
         )
 
     def kpis(self) -> dict[str, float]:
-        """Return BOPTEST's KPIs since the end of the warm-up, except the computing time, which the loop measures.
-
-        Sums are cached per tariff. Later calls read only the new samples, and those of a 15-min peak window that is
-        not over or ends between two samples.
-        """
+        """Return BOPTEST's KPIs since the end of the warm-up, except the computing time, which the loop measures."""
         if self._now_s - self._start_s < CLOCK_S:  # no step simulated yet: BOPTEST returns zeros
             return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot", "idis_tot", "pele_tot"), 0.0)
-        counted = self._counted.get(self._price, CountedKpis(self._start_s))
-        counted = counted.counting(self._latest_edge(counted), self._kpis_between)
-        self._counted[self._price] = counted
-        return counted.up_to(self._now_s, self._kpis_between)
-
-    def _latest_edge(self, counted: CountedKpis) -> float:
-        """Return `CountedKpis.latest_edge_s` of the record, which is read from its end."""
-        for time_s in reversed(self._times):
-            edge_s = counted.latest_edge_s(time_s, self._start_s)
-            if edge_s > counted.until_s or time_s[0] <= counted.until_s + CLOCK_S:
-                return edge_s
-        return counted.until_s
+        return self._kpis_so_far(self._kpis_between)
 
     def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
         """Return the KPIs of the samples between two times, both included."""
-        time_s, rows = self._rows_between(start_s, final_s)
+        time_s, rows = self._samples.between(start_s, final_s)
         Wh, cost, discomfort_Kh, excess_ppm_h = integrals(time_s, rows, self._tariffs[self._price](time_s)).tolist()
         span_s = final_s - start_s
         # The mean over one window, as after every step of a quarter of an hour.
@@ -291,44 +256,14 @@ class EmbeddedPlant(PlantShell):
         length is a multiple of 30 s), or one sample if it is shorter. The record starts with the warm-up and ends now;
         arrays are empty if nothing was recorded.
         """
-        time_s, values = self._rows_between(start_s, final_s)
+        time_s, values = self._samples.between(start_s, final_s)
         return {"time": time_s} | {name: values[:, i] for name, i in _COLUMN.items()}
 
-    def _rows_between(self, start_s: float, final_s: float) -> tuple[Array, Array]:
-        """Return the times (n,) and samples (n, 17) between two times, see `recorded`."""
-        if len(self._times) > 1 and start_s == self._times[-2][-1] and final_s == self._now_s:  # the last step
-            latest = [self._times[-2][-1:], self._times[-1]], [self._record[-2][-1:], self._record[-1]]
-            return np.concatenate(latest[0]), np.concatenate(latest[1])
-        # From the latest backwards, so that a request for recent samples does not read the whole record.
-        times, parts = [np.empty(0)], [self._first[:0]]
-        for time_s, rows in zip(
-            itertools.chain(reversed(self._times), [np.array([self._begin_s])]),
-            itertools.chain(reversed(self._record), [self._first]),
-            strict=True,
-        ):
-            if time_s[-1] < start_s - CLOCK_S:
-                break
-            first, last = np.searchsorted(time_s, [start_s - CLOCK_S, final_s + CLOCK_S])
-            times.append(time_s[first:last])
-            parts.append(rows[first:last])
-        return np.concatenate(times[::-1]), np.concatenate(parts[::-1])
+    def _advance(self, overrides: Mapping[str, float], duration_s: float) -> None:
+        self._samples.append(*self._simulated(overrides, duration_s))
 
-    def snapshot(self) -> Snapshot:
-        """Return a snapshot, to restore or branch from."""
-        return Snapshot(
-            self._nodes.copy(), self._scalars.copy(), self._now_s, self._begin_s, self._start_s, self._price,
-            tuple(self._record), tuple(self._times), self._first, dict(self._counted),
-        )  # fmt: skip
-
-    def restore(self, snapshot: Snapshot) -> None:
-        """Restore a snapshot of this plant, or of another one with the same weather."""
-        s = snapshot
-        self._nodes, self._scalars = s.nodes.copy(), s.scalars.copy()
-        self._now_s, self._begin_s, self._start_s, self._price = s.now_s, s.begin_s, s.start_s, s.price
-        self._record, self._times, self._first = list(s.record), list(s.times), s.first
-        self._counted = dict(s.counted)
-
-    def _advance(self, overrides: Mapping[str, float], duration_s: float) -> Array:
+    def _simulated(self, overrides: Mapping[str, float], duration_s: float) -> tuple[Array, Array]:
+        """Simulate, and set the clock to the end; times (n,) and samples (n, 17)."""
         before_s = self._now_s
         # As in BOPTEST: the number of equal steps is that of whole 30 s in the duration, at least one.
         time_s = self._spaced(duration_s, kernel.STEP_S)
@@ -340,10 +275,7 @@ class EmbeddedPlant(PlantShell):
             self._nodes, self._scalars, before_s, n, duration_s / n, forced, *self._lived, net.capacity, net.coupling,
             net.outside, net.inside, net.pipe, net.slab, rows,
         )  # fmt: skip
-        rows.setflags(write=False)
-        self._record.append(rows)
-        self._times.append(time_s)
-        return rows
+        return time_s, rows
 
     def native_power_W(self) -> Array:
         """Return 15-min means of the compressor power over a year of native control, W, shape (35040,).
@@ -354,7 +286,7 @@ class EmbeddedPlant(PlantShell):
         self._lived = self._scheduled
         try:
             self.reset(0.0, 0.0)
-            rows = self._advance({}, YEAR_S)
+            _, rows = self._simulated({}, YEAR_S)
             return np.asarray(rows[:, _COLUMN["P_heat_pump"]].reshape(-1, 30).mean(axis=1))
         finally:
             self._lived = lived
@@ -362,10 +294,10 @@ class EmbeddedPlant(PlantShell):
 
     def _measured(self, before_s: float) -> Measurement:
         """Return the last sample, with means since `before_s`, the last advance."""
-        last = (self._record[-1][-1] if self._record else self._first[0]).tolist()
+        last = self._samples.rows[-1].tolist()
         means: list[Any] = [math.nan] * len(kernel.RECORD)
         if before_s < self._now_s:
-            rows = self._record[-1]
+            rows = self._samples.between(before_s, self._now_s)[1][1:]
             means = (np.add.reduce(rows, axis=0) / len(rows)).tolist()
         points = {name: last[_COLUMN[column]] for name, column in MEASUREMENTS.items()}
         return Measurement(
@@ -379,14 +311,6 @@ class EmbeddedPlant(PlantShell):
             T_return_C=means[_COLUMN["T_return"]] - ZERO_C_K,
             points=points,
         )
-
-    def _sample(self) -> Array:
-        """Return the sample at the first instant under native control, shape (1, 17)."""
-        rows = np.empty((1, len(kernel.RECORD)))
-        native = np.full(len(OVERWRITES), math.nan)
-        kernel.sample(self._scalars, self._now_s, native, self._scheduled[0], rows[0])
-        rows.setflags(write=False)
-        return rows
 
 
 def _overrides(block: Block) -> dict[str, float]:

@@ -25,6 +25,8 @@ from thermoforce_mpc.plants.energyplus.zone import GAINS, HVAC, ZONE, ZoneSpec
 R = TypeVar("R")
 R_contra = TypeVar("R_contra", contravariant=True)
 
+# PI loop of a zone's own control: u per K, and reset time, s.
+_U_PER_K, _RESET_S = 0.35, 5400.0
 # The engine's number for a run under a weather file.
 _RUN_PERIOD = 3
 WEATHER_SENSORS = {
@@ -79,18 +81,6 @@ ZONE_WIRING: Wiring[Reading] = Wiring(
 
 
 @dataclass(frozen=True)
-class PI:
-    """Parameters of the PI loop on the set-point error, signed for heating or cooling.
-
-    `proportional` is u per K, `integral_s` the reset time, s. The integral is clamped while u is at a limit
-    (conditional integration, anti-windup).
-    """
-
-    proportional: float = 0.35
-    integral_s: float = 5400.0
-
-
-@dataclass(frozen=True)
 class Job:
     """Simulation job from midnight of `first_day`.
 
@@ -103,7 +93,6 @@ class Job:
     first_day: int
     setpoint_C: Array
     gains: Array
-    pi: PI = PI()
 
     @property
     def n_steps(self) -> int:
@@ -112,7 +101,10 @@ class Job:
 
 
 class PiPolicy:
-    """`Policy` of the PI loop that tracks the set-points of a job."""
+    """PI loop that tracks the set-points of a job, signed for heating or cooling.
+
+    The integral is clamped while u is at a limit (conditional integration, anti-windup).
+    """
 
     def __init__(self, job: Job) -> None:
         self._job, self._sign = job, 1.0 if job.spec.mode == "heating" else -1.0
@@ -122,8 +114,8 @@ class PiPolicy:
         """Return u of this step."""
         job = self._job
         error = self._sign * (float(job.setpoint_C[max(step, 0)]) - T_zone_C)
-        proposed = self._integral + error * job.pi.proportional * job.spec.step_s / job.pi.integral_s
-        u = job.pi.proportional * error + proposed
+        proposed = self._integral + error * _U_PER_K * job.spec.step_s / _RESET_S
+        u = _U_PER_K * error + proposed
         if 0.0 <= u <= 1.0:
             self._integral = proposed
         elif u > 1.0:

@@ -38,7 +38,7 @@ from thermoforce_mpc.plants.records import (
     past_record,
     recorded_levels,
 )
-from thermoforce_mpc.plants.shell import RoomSetpointShell, WithProcess
+from thermoforce_mpc.plants.shell import RoomSetpointShell, Samples, WithProcess
 from thermoforce_mpc.plants.waiting import PATIENCE_S
 from thermoforce_mpc.scenario.testcase import TestCase
 
@@ -143,7 +143,8 @@ class FmuPlant(WithProcess[FmuRun], RoomSetpointShell):
         self._end()
         folder = Path(self._folder.name)
         self._process = FmuRun(self._archive.job(folder / "fmu", self._kept), folder / "work", self._patience_s)
-        self._stretches = [self._process.start(self._now_s)]
+        first = self._process.start(self._now_s)
+        self._samples, self._final = Samples(self._now_s, first.rows[0]), first.final
 
     def _boundary(self, time_s: Array) -> Boundary:
         self._check_started()
@@ -176,29 +177,25 @@ class FmuPlant(WithProcess[FmuRun], RoomSetpointShell):
         asked = inputs(self._points, block, self._T_zone_C, self._last)
         stretch = self._running.advance(asked, block.duration_s, self._told_restarts)
         self._told_restarts = ()
-        self._stretches.append(stretch)
-        self._now_s = float(stretch.time_s[-1])
+        self._samples.append(stretch.time_s, stretch.rows)
+        self._now_s, self._final = float(stretch.time_s[-1]), stretch.final
 
     def _measured(self, before_s: float) -> Measurement:
         """See `PlantShell`; the zone temperature serves the actuator's map next."""
-        stretch, acting = self._stretches[-1], None
+        acting = None
         if before_s < self._now_s:
-            edges = np.array([before_s, self._now_s])
-            last = self._stretches[-2]
-            record = self._columns(
-                np.concatenate([last.time_s[-1:], stretch.time_s]), np.vstack([last.rows[-1:], stretch.rows])
+            edges, record = (
+                np.array([before_s, self._now_s]),
+                self._columns(*self._samples.between(before_s, self._now_s)),
             )
             acting = acting_means(record, self._points, self._levels(record, edges), edges)
-        self._last = measurement(self._now_s, stretch.final, self._points, acting)
+        self._last = measurement(self._now_s, self._final, self._points, acting)
         self._T_zone_C = self._last.T_zone_C
         return self._last
 
     def _record(self) -> dict[str, Array]:
         self._check_started()
-        return self._columns(
-            np.concatenate([stretch.time_s for stretch in self._stretches]),
-            np.vstack([stretch.rows for stretch in self._stretches]),
-        )
+        return self._columns(self._samples.times, self._samples.rows)
 
     def _columns(self, time_s: Array, rows: Array) -> dict[str, Array]:
         """Return recorded signals by name, with 'time'."""

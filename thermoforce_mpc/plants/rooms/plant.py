@@ -23,7 +23,7 @@ from thermoforce_mpc.plants.drawn_houses.envelope import (
 )
 from thermoforce_mpc.plants.drawn_houses.occupants import PERSON_W
 from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K, DrawnHousePlant
-from thermoforce_mpc.plants.kpis import CountedKpis, Supply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.people import live
 from thermoforce_mpc.plants.records import means_between
 from thermoforce_mpc.plants.rooms import physics, schedule
@@ -73,9 +73,8 @@ class HouseOfRooms(DrawnHousePlant):
     """
 
     house: DrawnHouse
-    _counted: CountedKpis
     _kind = "house of rooms"
-    _changing = (*DrawnHousePlant._changing, "_T", "_on", "_counted")
+    _changing = (*DrawnHousePlant._changing, "_T", "_on")
 
     def __init__(self, house: DrawnHouse, people: int | None = None) -> None:
         self.house = house
@@ -146,18 +145,11 @@ class HouseOfRooms(DrawnHousePlant):
         )
 
     def kpis(self) -> dict[str, float]:
-        """Return BOPTEST's KPIs of the house since the end of the warm-up; discomfort is the mean over rooms.
-
-        Sums are cached, as in the embedded plant.
-        """
+        """Return BOPTEST's KPIs of the house since the end of the warm-up; discomfort is the mean over rooms."""
         if self._now_s - self._start_s < CLOCK_S:
             of_rooms = [f"tdis_tot[{name}]" for name in self.zones] if len(self.zones) > 1 else []
             return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot", *of_rooms), 0.0)
-        times = self._samples.times
-        recent = times[np.searchsorted(times, self._counted.until_s) :]
-        edge_s = self._counted.latest_edge_s(recent, self._start_s)
-        self._counted = self._counted.counting(edge_s, self._kpis_between)
-        return self._counted.up_to(self._now_s, self._kpis_between)
+        return self._kpis_so_far(self._kpis_between)
 
     def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
         """Return the KPIs of the samples between two times, both included."""
@@ -231,7 +223,6 @@ class HouseOfRooms(DrawnHousePlant):
         n = len(self.zones)
         self._T = np.tile([room.lower_C for room in self.house.rooms], physics.N_BLOCKS)
         self._on = np.zeros(n)
-        self._counted = CountedKpis(self._start_s)
         row = np.zeros(physics.ROOMS + 3 * n)
         now = np.array([self._now_s])
         rooms, _, _ = self._blocks()

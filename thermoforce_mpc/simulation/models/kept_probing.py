@@ -12,6 +12,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from thermoforce_mpc.data import DAY_S, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import storage_errors
@@ -28,7 +30,7 @@ from thermoforce_mpc.simulation.journal.journal import (
     making_sense,
     read_journal,
 )
-from thermoforce_mpc.simulation.journal.journal_values import Json, measurement_of, names_of
+from thermoforce_mpc.simulation.journal.journal_values import Json, block_of, measurement_of, names_of
 from thermoforce_mpc.simulation.journal.recorded_plant import RecordedPlant
 from thermoforce_mpc.simulation.models.probing import Probed
 from thermoforce_mpc.version import VERSION
@@ -73,7 +75,8 @@ class ToldProbing:
         plant, end = self.head["plant"], self.entries[-1].content
         with making_sense(self.path):
             why = str(end["why"]) if self.has_ended else "its run was ended before its time"
-            return Probed(_record(self.entries), PlantInfo(**plant), why)
+            asked = [block_of(entry.content["asked"]).as_array() for entry in self.entries if entry.kind == "advance"]
+            return Probed(_record(self.entries), np.stack(asked, axis=1), PlantInfo(**plant), why)
 
 
 def _record(entries: Sequence[Entry]) -> Record:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Period, PlantInfo, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array, Layout, Period, PlantInfo, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.testcase import TestCase
@@ -17,6 +17,7 @@ from thermoforce_mpc.simulation.unit_doubts import UnitDoubts
 if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig
+    from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
 _LOG = logging.getLogger(__name__)
@@ -26,11 +27,21 @@ _LEAST_DAYS = 1.5
 
 @dataclass(frozen=True)
 class Probed:
-    """A probing that has ended: its record, the `plant` it was made on, and `why` it ended, in words."""
+    """A probing that has ended: its record (n steps), the levels `asked` for in it (A, n), NaN where none was, the
+    `plant` it was made on, and `why` it ended, in words.
+    """
 
     record: Record
+    asked: Array
     plant: PlantInfo
     why: str
+
+    def blocked(self, layout: Layout) -> list[BlockedHours]:
+        """What it tells of the hours in which each actuator is kept off (A,)."""
+        from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
+
+        each = enumerate(zip(layout.home, layout.signs, strict=True))
+        return [BlockedHours.found(self.asked[a], self.record.part(z, [a]), sign) for a, (z, sign) in each]
 
 
 @dataclass(frozen=True)
@@ -138,10 +149,13 @@ class Identifying:
             self._say(said)
         if look.model is None:
             raise DataError(f"{look.refused} ({ended})")
-        cards = []
-        for name, card in zip(look.model.operator.actuators, look.model.cards, strict=True):
-            note = f"{ended}; {look.lacks[name]}" if name in look.lacks else ended
-            cards.append(replace(card, notes=(*card.notes, note)))
+        cards, blocked = [], probed.blocked(self.testcase.layout)
+        for name, card, off in zip(look.model.operator.actuators, look.model.cards, blocked, strict=True):
+            notes = (
+                f"{ended}; {look.lacks[name]}" if name in look.lacks else ended,
+                *[off.in_words()] * bool(off.hours),
+            )
+            cards.append(replace(card, notes=(*card.notes, *notes), blocked_hours=tuple(sorted(off.hours))))
         return replace(look.model, cards=tuple(cards))
 
 
@@ -184,7 +198,7 @@ def probe_until_known(
     why = "enough is known"
     if look.lacks:
         why = "the most days are over" if latest == most_days else f"{ahead} begins"
-    return Probed(run.record, plant.info, why), look
+    return Probed(run.record, run.asked, plant.info, why), look
 
 
 class _Progress:

@@ -9,7 +9,7 @@ noticed. A schedule that differs by weekday is taken for one of every day.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -44,6 +44,22 @@ class BlockedHours:
     since_C: float = math.nan
     worked_s: float = -math.inf
 
+    @classmethod
+    def known(cls, hours: Collection[int], now_s: float) -> BlockedHours:
+        """Hours that were found before `now_s`, s."""
+        if not hours:
+            return cls()
+        return cls(tuple((hour, -math.inf) for hour in sorted(hours)), last_s=now_s, days=2, worked_s=now_s)
+
+    @classmethod
+    def found(cls, asked: Array, record: Record, sign: int) -> BlockedHours:
+        """What a record (one zone and actuator, n steps) of levels that were `asked` for (n,), NaN for none, tells."""
+        known, each = cls(), max(1, round(HOUR_S / record.step_s)) if record.n_steps else 1
+        requests = list(zip(record.time_s[:-1].tolist(), asked.tolist(), strict=True))
+        for n in range(each, record.n_steps + 1):
+            known = known.after(requests[n - each : n], record.slice(n - each, n), sign)
+        return known
+
     @cached_property
     def hours(self) -> frozenset[int]:
         """Hours that are blocked: refused before the actuator worked again, and refused ones beside these."""
@@ -68,6 +84,8 @@ class BlockedHours:
     def after(self, asked: Sequence[tuple[float, float]], history: Record, sign: int) -> BlockedHours:
         """What is known after the last step of a record (one zone and actuator), where an hour ends with it.
 
+        An hour with a step whose level is not known (NaN) tells nothing.
+
         `asked`: (start of the step s, mean level) of the last plans, NaN for native control; `sign`: of the actuator.
         """
         now, steps = float(history.time_s[-1]), max(1, round(HOUR_S / history.step_s)) if history.n_steps else 0
@@ -76,6 +94,8 @@ class BlockedHours:
         last = history.last(steps)
         got, hour = float(np.mean(np.abs(last.u[0]))), _hour(float(last.time_s[0]))
         levels = [level for time_s, level in asked if time_s >= last.time_s[0] - 1.0]
+        if math.isnan(got):
+            return self
         if got >= _WORKS:
             kept = tuple(item for item in self.refused if item[0] != hour)
             return replace(self, refused=kept, since_C=math.nan, worked_s=now)

@@ -1,18 +1,11 @@
-"""Hours in which a plant's own schedule keeps its machine off: noticed, said, planned without, and noticed to end."""
+"""Hours in which a plant's own schedule keeps its machine off: noticed, said, left out, and noticed to end."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-from faults import FaultyHouse
-from simple_house import OutdoorResponse, simple_model
 
-from controllers import ThermoForceMPC
-from controllers.monitoring.blocked_hours import BlockedHours
-from controllers.mpc.config import MPCConfig
-from thermoforce_mpc.data import DAY_S, HOUR_S, PlanStatus, Record
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+from thermoforce_mpc.data import DAY_S, HOUR_S, Record
+from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
 
 
 def told(asked, got, T_C, first_hour=0, known=None, step_s=1800.0, sign=1) -> BlockedHours:
@@ -52,6 +45,8 @@ def test_what_is_no_schedule_blocks_nothing():
     assert told([1, 1, 1], [1, 1, 1], [20, 20, 20]).hours == frozenset()
     warm = told([1, np.nan, np.nan, np.nan], [0, 0, 0, 1], [20.0, 20.4, 21.0, 20.0])
     assert warm.hours == {0}, "native control need not heat a zone that is warmer than when heat was asked for"
+    unknown = told([1, 1, 1], [np.nan, np.nan, 1], [20, 20, 20])
+    assert unknown.hours == frozenset(), "what several actuators take of a machine that is too small is not known"
     outage = told([1] * 14 + [1], [0] * 14 + [1], [20.0] * 15)
     assert outage.hours == frozenset(), "most of a day is an outage"
 
@@ -67,15 +62,18 @@ def test_an_hour_that_works_is_free_again_and_a_longer_schedule_is_believed_at_o
     assert "no hour" in BlockedHours().in_words()
 
 
-def test_the_night_is_kept_though_the_plant_sleeps():
-    """From 0:00 to 5:00 nothing comes."""
-    house = FaultyHouse(gives=lambda house, u: 0.0 if house.began_s % DAY_S < 5 * HOUR_S else u)
-    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
-    result = run_closed_loop(house, mpc, replace(house.period("x"), scored_s=2.25 * DAY_S))
-    nights = [step for step in result.steps if step.time_s >= 11 * DAY_S and step.time_s % DAY_S <= 6 * HOUR_S]
-    assert max(float(np.max(step.boundary.lower_C[:, 0] - step.T_zone_C)) for step in nights) < 0.1, "0.8 K without"
-    standing_back = [step.time_s for step in result.steps if step.plan.status is PlanStatus.WATCH]
-    assert standing_back, "the first night may be a fault"
-    assert max(standing_back) < 10.3 * DAY_S, "it has worked again at 5:00"
-    (news,) = [step.plan.news for step in result.steps if step.plan.news]
-    assert news.startswith("watch: nothing comes from 0:00 to 5:00, whatever is asked for")
+def test_a_record_tells_all_at_once_and_later_it_is_known():
+    asked, got, T_C = (np.repeat(np.asarray(values, dtype=float), 2) for values in NIGHT)
+    time_s = 30 * DAY_S + 1800.0 * np.arange(asked.size + 1)
+    nothing = np.zeros(time_s.size)
+    record = Record(time_s, np.append(T_C[:1], T_C), nothing, nothing, got, nothing[1:], nothing[1:])
+    found = BlockedHours.found(asked, record, 1)
+    assert found == told(*NIGHT)
+    assert BlockedHours.found(np.full(asked.size, np.nan), record, 1).hours == frozenset(), "nothing was asked for"
+    known = BlockedHours.known(found.hours, 40 * DAY_S)
+    assert known.hours == found.hours
+    assert BlockedHours.known((), 40 * DAY_S) == BlockedHours()
+    a_week = 40 * DAY_S + DAY_S * np.array([[6.9], [7.1]]) + 900.0 * np.arange(2)
+    assert [known.available(instants, 900.0)[0] for instants in a_week] == [1.0, 1.0]
+    midnight = 40 * DAY_S + DAY_S * np.array([[6.0], [8.0]]) + 900.0 * np.arange(2)
+    assert [known.available(instants, 900.0)[0] for instants in midnight] == [0.0, 1.0], "tried again after a week"

@@ -1,0 +1,51 @@
+"""Nights in which a plant's own schedule keeps its machine off: kept by plans, from the first on where it is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from faults import FaultyHouse
+from simple_house import OutdoorResponse, simple_model
+
+from controllers import ThermoForceMPC
+from controllers.mpc.config import MPCConfig
+from thermoforce_mpc.data import DAY_S, HOUR_S, PlanStatus
+from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+
+
+def asleep_at_night() -> FaultyHouse:
+    """A house in which nothing comes from 0:00 to 5:00."""
+    return FaultyHouse(gives=lambda house, u: 0.0 if house.began_s % DAY_S < 5 * HOUR_S else u)
+
+
+def run_of(model, start_s: float, days: float):
+    """The steps of a run."""
+    house = asleep_at_night()
+    mpc = ThermoForceMPC(model, MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    return run_closed_loop(house, mpc, replace(house.period("x"), start_s=start_s, scored_s=days * DAY_S)).steps
+
+
+def coldest_K(steps) -> float:
+    """Most that the zone was below its bound at night, from 0:00 to 6:00."""
+    nights = [step for step in steps if step.time_s % DAY_S <= 6 * HOUR_S]
+    return max(float(np.max(step.boundary.lower_C[:, 0] - step.T_zone_C)) for step in nights)
+
+
+def test_what_probing_has_found_keeps_the_first_night():
+    model = simple_model()
+    known = replace(model, cards=(replace(model.only.card, blocked_hours=tuple(range(5))),))
+    steps = run_of(known, 10.5 * DAY_S, 0.75)
+    assert coldest_K(steps) < 0.1
+    assert PlanStatus.WATCH not in {step.plan.status for step in steps}
+    assert coldest_K(run_of(model, 10.5 * DAY_S, 0.75)) > 0.5, "without it the night is cold"
+
+
+def test_the_night_is_kept_though_the_plant_sleeps():
+    steps = run_of(simple_model(), 10 * DAY_S, 2.25)
+    assert coldest_K([step for step in steps if step.time_s >= 11 * DAY_S]) < 0.1, "0.8 K without"
+    standing_back = [step.time_s for step in steps if step.plan.status is PlanStatus.WATCH]
+    assert standing_back, "the first night may be a fault"
+    assert max(standing_back) < 10.3 * DAY_S, "it has worked again at 5:00"
+    (news,) = [step.plan.news for step in steps if step.plan.news]
+    assert news.startswith("watch: nothing comes from 0:00 to 5:00, whatever is asked for")
