@@ -72,10 +72,10 @@ def projected(responses: Array, own: int, signs: Array, order: int, longest_h: f
 
 
 def _time_constants(means: Array, order: int, longest_h: float) -> Array:
-    """ln τ (r,) of the modes that suit the responses (K, T), K, best."""
-    targets = means / max(float(np.abs(means).max()), _LEAST_GAIN)
+    """ln τ (r,) of the modes that suit the responses (K, T), K, best; none is longer than `longest_h`."""
     # At the longest, neighbours stay apart: equal poles would be one.
     most = np.log(min(longest_h, _LONGEST_H)) - np.log(_APART) * np.arange(order)[::-1]
+    targets = means / max(float(np.abs(means).max()), _LEAST_GAIN)
 
     def tau_of(x: Array) -> Array:
         """ln τ from x in `_RANGE`: each is at least `_APART` times the one before, and at most its longest."""
