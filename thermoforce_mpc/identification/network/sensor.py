@@ -28,8 +28,8 @@ _AZIMUTHS_DEG, _WINDOWS_DEG = (90.0, 135.0, 180.0, 225.0, 270.0), (90.0, 180.0, 
 _LAGS_S, _LATITUDE_DEG = (120.0, 900.0), 50.0
 # The most that a sensor shows in full sun, K, and where the search for it begins, in prior standard deviations.
 _MOST_K, _START = 8.0, 0.5
-# Relative error of the posterior at which a search ends: some hundredths of a nat.
-_TOLERANCE = 1e-6
+# Relative error of the posterior at which a search ends, and the least gain that is more than that, nats.
+_TOLERANCE, _LEAST_GAIN = 1e-6, 0.02
 # Share of the largest irradiance from which it is day: clouds move the middle of the light, not that of the day.
 _DAYLIGHT = 0.02
 
@@ -51,7 +51,7 @@ class _Explanation:
 
         The mean of a Gaussian that gains g over 0 lies √(2 g) standard deviations from it.
         """
-        gained = max(without - self.value, 1e-9)
+        gained = max(without - self.value, _LEAST_GAIN)
         return float(np.clip(abs(self.full_K) / np.sqrt(2.0 * gained), 1e-3, SENSOR_SD_K))
 
     def gained(self, without: float) -> float:
