@@ -43,7 +43,7 @@ def choose(power: MachineLoad, heat: MachineLoad | None = None, costs=(), *, sha
     return choose_actuation(ActuationConfig(**options), PowerModel(power), heat_input, costs, shared=shared)
 
 
-FIXED_SPEED = law(1300, 1700)
+FIXED_SPEED, INVERTER = law(1300, 1700), law(0, 3000)
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,8 @@ FIXED_SPEED = law(1300, 1700)
     ids=["by the laws", "fixed speed", "inverter", "hot water", "the same but for noise", "dearer"],
 )
 def test_a_machine_is_switched_where_heat_costs_least(costs, lowest, words):
-    choice = choose(FIXED_SPEED, None, [cost(*one) for one in costs])
+    power = FIXED_SPEED if lowest is None else INVERTER
+    choice = choose(power, None, [cost(*one) for one in costs])
     assert words in choice.why
     assert choice.actuation.modulates is (lowest is not None)
     assert choice.actuation.block_level == (lowest or 1.0)
@@ -67,19 +68,28 @@ def test_a_machine_is_switched_where_heat_costs_least(costs, lowest, words):
         assert choice.power.load == FIXED_SPEED, "blocks at full level draw what was identified there"
 
 
+def test_a_fixed_part_on_the_meter_counts_more_than_heat_guessed_from_temperatures():
+    fan, costs = law(350, 2650), [cost(0.5, 0.87), cost(0.25, 1.03)]
+    choice = choose(fan, None, costs)
+    assert "on/off blocks at 1.00: 12 % of full power" in choice.why
+    assert choice.power.load == fan
+    assert choose(fan, law(1700, 8300), costs).actuation.modulates, "measured heat says what it costs"
+    assert choose(law(200, 2800), None, costs).actuation.modulates, "a small one may be an error of the law"
+
+
 @pytest.mark.parametrize("heat", [None, law(1700, 8300)], ids=["levels", "measured heat"])
 def test_plans_count_with_the_cost_of_heat_that_was_found(heat):
     costs = [cost(0.5, 0.85), cost(0.25, 0.8)]
-    choice = choose(FIXED_SPEED, heat, costs)
+    choice = choose(INVERTER, heat, costs)
     full_W, share = 3000.0, (lambda u: u) if heat is None else (lambda u: float(heat(u, 0.0)) / 10000.0)
     assert choice.power.at_lowest_level(0.25)(np.array(1.0), 0.0) == pytest.approx(full_W, rel=1e-3)
     for one in costs:
         planned_W = float(choice.power.at_lowest_level(0.25)(np.array(one.level), 0.0))
         assert planned_W == pytest.approx(one.cost * share(one.level) * full_W, rel=0.03)
-    named = choose(FIXED_SPEED, heat, costs, mode="modulating", lowest_level=0.5)
+    named = choose(INVERTER, heat, costs, mode="modulating", lowest_level=0.5)
     assert named.power.load == choice.power.load
     for stays in ({"mode": "duty"}, {"mode": "modulating", "lowest_level": 0.0}):
-        assert choose(FIXED_SPEED, heat, costs, **stays).power.load == FIXED_SPEED
+        assert choose(INVERTER, heat, costs, **stays).power.load == INVERTER
 
 
 @pytest.mark.parametrize(
