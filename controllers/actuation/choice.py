@@ -19,15 +19,12 @@ from thermoforce_mpc.model.machine.part_load import (
     SWITCH_FROM,
     LevelCost,
     PowerShape,
+    at_its_limit,
     cheapest,
     part_load,
 )
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-
-# Share of full power by which a middle level is above the line from the lowest to full level where a machine is at its
-# limit; a fixed part, and water that gets hotter, leave none.
-_BENT = 0.1
 
 
 @dataclass(frozen=True)
@@ -76,15 +73,15 @@ def choose_actuation(
         return ActuationChoice(actuation, f"{actuation.in_words}, as configured", planned)
     # Blocks at full level are the choice here, not all that the actuator can do; a meter shows heat at a part level.
     blocks = Actuation(config.model_copy(update={"mode": "duty"}), part_levels=heat_input.law is not None)
+    laws = part_load(power, heat_input.law)
     if shared or not costs:
-        laws = part_load(power, heat_input.law)
         if laws is None:
             return ActuationChoice(blocks, f"{blocks.in_words}: the data hold off and full level only", power)
         if laws.at_half <= 1.0 + SWITCH_FROM:
             blocks = Actuation(config.model_copy(update={"mode": "modulating", "lowest_level": 0.0}))
         return ActuationChoice(blocks, f"{blocks.in_words}: {laws}", power)
-    best, laws = cheapest(costs), part_load(power, heat_input.law)
-    guessed = heat_input.law is None and not _at_its_limit(costs)
+    best = cheapest(costs)
+    guessed = heat_input.law is None and not at_its_limit(costs)
     if best and laws and guessed and laws.power_fixed * (1.0 / best.level - 1.0) > SWITCH_FROM:
         # The meter knows the fixed part; the heat of a level from temperatures alone is known to a fifth at best.
         return ActuationChoice(blocks, f"{blocks.in_words}: {laws}", power)
@@ -93,13 +90,3 @@ def choose_actuation(
         return ActuationChoice(blocks, f"{blocks.in_words}: {told}", power)
     actuation = Actuation(config.model_copy(update={"mode": "modulating", "lowest_level": best.level}))
     return ActuationChoice(actuation, f"{actuation.in_words}: {best}", planned)
-
-
-def _at_its_limit(costs: Sequence[LevelCost]) -> bool:
-    """Whether power hardly rises above a middle level: a machine at a limit gives no more heat there either."""
-    levels = [one.level for one in costs] + [1.0]
-    power = [one.cost * one.heat * one.level for one in costs] + [1.0]
-    return any(
-        middle > np.interp(level, [levels[0], 1.0], [power[0], 1.0]) + _BENT
-        for level, middle in zip(levels[1:-1], power[1:-1], strict=True)
-    )

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import lfilter
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
 
@@ -28,6 +27,8 @@ COMPARED_AT = 0.5
 
 def warmth(u: Array, step_s: float, water_s: float) -> Array:
     """Mean over each step of the level that the water follows over `water_s`, (n,); it begins at the mean of `u`."""
+    from scipy.signal import lfilter  # takes half a second to import; loading a model does not need it
+
     keep, levels = float(np.exp(-step_s / water_s)), np.nan_to_num(u)
     start = float(levels.mean())
     ends, _ = lfilter([1.0 - keep], [1.0, -keep], levels, zi=[keep * start])
