@@ -140,8 +140,9 @@ class Formulation:
         left_W = np.maximum(1000.0 * cap_kW - foreign_W, 0.0)
         dearest = price.max(axis=1)[fed_by]
         comfort, news = self._comfort_weights(operator, context.features[:, -1], dearest * highest_W)
-        bounds = self.margins.bounds(operator, context.free, boundary, margins.learned)
-        bounds = self._left_to_others(bounds, boundary, history.T_zone_C[:, -1], overridden)
+        T_C = history.T_zone_C[:, -1]
+        bounds = self.margins.bounds(operator, context.free, boundary, margins.learned, T_C)
+        bounds = self._left_to_others(bounds, boundary, T_C, overridden)
         problem = MPCProblem(
             forced_state_K=context.forced_K,
             features=context.features,

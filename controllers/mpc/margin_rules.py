@@ -177,7 +177,8 @@ class LearnedMargin:
             Below 0: so much less than what is kept beforehand.
         tightest_C: the highest lower and the lowest upper bound of each zone that it has met (2, Z), °C.
         nearest_K: how near readings were to each bound, from inside, while there was more to give, since `since_s`, s.
-        recovery_K: reserve inside each bound at the instant at which it begins, after a setback (2, Z), K.
+        recovery_K: reserve inside each bound at the instant at which it begins, after a setback (2, Z), K, besides
+            what the uncertainty of the effect asks for.
         now_C: the bounds at the last step (2, Z), °C, NaN where they are not known.
     """
 
@@ -225,12 +226,15 @@ class LearnedMargin:
         """Where a lower and an upper bound (2, …), °C, are tighter than before."""
         return np.stack([bounds_C[0] - before_C[0], before_C[1] - bounds_C[1]]) > _SET_BACK_K
 
-    def at_begin_K(self, z: int, now_C: Array, bounds_C: Array) -> Array:
-        """Reserve inside the bounds (2, N) of zone `z`, °C, where they begin, K; 0 elsewhere. `now_C` (2,): of now."""
+    def at_begin_K(self, z: int, now_C: Array, bounds_C: Array, unsure_K: Array) -> Array:
+        """Reserve inside the bounds (2, N) of zone `z`, °C, where they begin, K; 0 elsewhere.
+
+        `now_C` (2,): bounds of now. `unsure_K` (2, N): standard deviation of the recovery, K.
+        """
         begins = self.begins(np.column_stack([now_C, bounds_C[:, :-1]]), bounds_C)
         # One column for all zones: a state from before it was learned.
         recovery_K = np.broadcast_to(self.recovery_K, self.reserve_K.shape)[:, z, None]
-        return np.where(begins, recovery_K, 0.0)
+        return np.where(begins, np.minimum(recovery_K + unsure_K, _MOST_RECOVERY_K), 0.0)
 
     def after_reading(
         self, inside_K: Array, spare: NDArray[np.bool_], planned_K: Array, left_K: Array, time_s: float

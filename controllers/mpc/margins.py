@@ -6,7 +6,8 @@
 | back-off | each bound, by lead time | chance levels below 0.5, or `backoff_violation_K` | band of the free forecast |
 | reserve | the bound that actuation protects | fast zones, unless loops keep room set-points | card of the model |
 | learned | each bound | more: readings were beyond it while there was more to give; less: a day had room to spare | this run |
-| recovery | each bound, where it begins after a setback | the zone was not there in time; less where it was beyond | this run |
+| recovery | each bound, where it begins after a setback | how far the zone has to come times the uncertainty of the effect | card of the model |
+| | | more: the zone was not there in time | this run |
 | offset | the prediction | `offset_h` | errors of the last plans, one step ahead |
 | unused capacity | the capacity of a machine | several metered actuators share it | heat that they lacked in this run |
 
@@ -98,6 +99,12 @@ class MarginRules:
         self._half_K = np.zeros(len(model.names.zones))
         for card, z in zip(model.cards, model.layout.home, strict=True):
             self._half_K[z] = max(self._half_K[z], 0.5 * card.uncertainty.get("sensor_resolution_K", 0.0))
+        # Relative standard deviation of the effect of what protects the lower and the upper bound of each zone (2, Z).
+        self._unsure = np.zeros((2, len(model.names.zones)))
+        for card, z, sign in zip(model.cards, model.layout.home, model.layout.signs, strict=True):
+            if card.competence and np.isfinite(card.competence.relative_sd):
+                side = 0 if sign > 0 else 1
+                self._unsure[side, z] = max(self._unsure[side, z], card.competence.relative_sd)
 
     def learn(
         self,
@@ -135,7 +142,7 @@ class MarginRules:
         )
 
     def bounds(
-        self, operator: BuildingOperator, free: FreeForecast, boundary: Boundary, learned: LearnedMargin
+        self, operator: BuildingOperator, free: FreeForecast, boundary: Boundary, learned: LearnedMargin, T_C: Array
     ) -> Bounds:
         """Comfort bounds at the end of each step with all margins inside: the only place where they are added.
 
@@ -144,6 +151,7 @@ class MarginRules:
             free: the free forecast of all zones.
             boundary: the bounds, N steps.
             learned: what was learned of them.
+            T_C: temperatures of the zones now (Z,), °C.
         """
         c, rows, soon = self._config, [], steps_soon(self._step_s)
         for z in range(len(operator.zones)):
@@ -178,7 +186,9 @@ class MarginRules:
             reserves_K = np.array([self._reserve_K(operator, z, sign) for sign in (1, -1)])
             inside_K = c.comfort_margin_K + np.stack([below, above]) + reserves_K[:, None] + learned_K
             now_C = np.array([boundary.lower_C[z, 0], boundary.upper_C[z, 0]])
-            inside_K += learned.at_begin_K(z, now_C, np.stack([lower_C, upper_C]))
+            outside_K = np.array([boundary.lower_C[z, 1:] - T_C[z], T_C[z] - boundary.upper_C[z, 1:]])
+            unsure_K = self._unsure[:, z, None] * np.maximum(np.nan_to_num(outside_K), 0.0)
+            inside_K += learned.at_begin_K(z, now_C, np.stack([lower_C, upper_C]), unsure_K)
             protected = np.array([1 in signs, -1 in signs]) & (c.reserve and not by_loops)
             inside_K = np.clip(inside_K, np.minimum(protected[:, None] * self._half_K[z], half), half)
             rows.append(

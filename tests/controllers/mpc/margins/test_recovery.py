@@ -17,6 +17,7 @@ from controllers.mpc.margin_rules import LearnedMargin
 from controllers.mpc.margins import MarginRules, Margins
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Measurement, Observation
+from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
@@ -78,10 +79,11 @@ def test_each_zone_learns_for_itself():
     assert learned.recovery_K.tolist() == [[0.5, 0.0], [0.0, 0.0]]
 
 
-def problem(margins: Margins | None, start_h: float = 0.0):
+def problem(margins: Margins | None, start_h: float = 0.0, model: ThermalModel | None = None, at_C: float = 21.0):
     """One of the next 24 h; the band of the simple house is wide from 7 to 20 h."""
-    mpc = ThermoForceMPC(simple_model(), MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
-    house = SimpleHouse()
+    model = model or simple_model()
+    mpc = ThermoForceMPC(model, MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
+    house = SimpleHouse(at_C)
     house.reset(10 * DAY_S + start_h * HOUR_S, DAY_S)
     seen = Observation(house.past(HOUR_S), house.forecast(mpc.horizon_s, HOUR_S))
     return mpc.instance(mpc.predictor.context(seen), seen.history, margins)
@@ -95,6 +97,19 @@ def test_it_is_kept_where_a_bound_begins_and_not_in_the_rest_of_the_day(start_h,
     expected[begins_in_h - 1] = 1.0
     np.testing.assert_allclose(kept.lower_C[0] - plain.lower_C[0], 0.4 * expected, atol=1e-9)
     np.testing.assert_allclose(plain.upper_C[0] - kept.upper_C[0], 0.3 * expected, atol=1e-9)
+
+
+def test_the_uncertainty_of_the_effect_is_kept_of_what_a_zone_has_to_come():
+    model = simple_model()
+    card = replace(model.only.card, competence=Competence(True, effect_K=5.0, effect_sd_K=0.5))
+    plain, kept = problem(None, at_C=10.0), problem(None, model=replace(model, cards=(card,)), at_C=10.0)
+    house = SimpleHouse(10.0)
+    house.reset(10 * DAY_S, DAY_S)
+    expected = np.zeros(24)
+    expected[19] = 0.1 * (21.0 - house.T)
+    assert 0.1 < expected[19] < 0.9
+    np.testing.assert_allclose(kept.lower_C[0] - plain.lower_C[0], expected, atol=1e-9)
+    np.testing.assert_array_equal(kept.upper_C, plain.upper_C)
 
 
 def test_a_state_from_before_it_was_learned_is_planned_with():
