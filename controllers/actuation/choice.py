@@ -3,7 +3,7 @@
 Each machine gives heat most cheaply at one level: one with a fixed loss while it runs at a high one, one whose water
 gets hotter with the level at a low one. What heat costs at the levels that were tried is on the model card
 (`LevelCost`). At the cheapest of them the machine is switched, and higher levels are held where they are needed. Where
-nothing is known of part load it is switched at full level.
+nothing is known of part load, or power is measured and has a fixed part and heat is not, it is switched at full level.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from thermoforce_mpc.model.machine.part_load import (
     SWITCH_FROM,
     LevelCost,
     PowerShape,
+    at_its_limit,
     cheapest,
     part_load,
 )
@@ -80,6 +81,10 @@ def choose_actuation(
             blocks = Actuation(config.model_copy(update={"mode": "modulating", "lowest_level": 0.0}))
         return ActuationChoice(blocks, f"{blocks.in_words}: {laws}", power)
     best = cheapest(costs)
+    guessed = heat_input.law is None and not at_its_limit(costs)
+    if best and laws and guessed and laws.power_fixed * (1.0 / best.level - 1.0) > SWITCH_FROM:
+        # The meter knows the fixed part; the heat of a level from temperatures alone is known to a fifth at best.
+        return ActuationChoice(blocks, f"{blocks.in_words}: {laws}", power)
     if best is None:
         told = min(costs, key=lambda one: one.cost)
         return ActuationChoice(blocks, f"{blocks.in_words}: {told}", power)

@@ -68,6 +68,17 @@ def test_a_machine_is_switched_where_heat_costs_least(costs, lowest, words):
         assert choice.power.load == FIXED_SPEED, "blocks at full level draw what was identified there"
 
 
+def test_a_fixed_part_on_the_meter_counts_more_than_heat_guessed_from_temperatures():
+    fan, costs = law(350, 2650), [cost(0.5, 0.87), cost(0.25, 1.03)]
+    choice = choose(fan, None, costs)
+    assert "on/off blocks at 1.00: 12 % of full power" in choice.why
+    assert choice.power.load == fan
+    assert choose(fan, law(1700, 8300), costs).actuation.modulates, "measured heat says what it costs"
+    assert choose(law(200, 2800), None, costs).actuation.modulates, "a small one may be an error of the law"
+    limited = [LevelCost(0.25, 1.0, 0.03, 1.67, 0.1), LevelCost(0.5, 1.0, 0.03, 1.67, 0.1)]
+    assert choose(law(1000, 2000), None, limited).actuation.modulates, "full level gives little more than a half"
+
+
 @pytest.mark.parametrize("heat", [None, law(1700, 8300)], ids=["levels", "measured heat"])
 def test_plans_count_with_the_cost_of_heat_that_was_found(heat):
     costs = [cost(0.5, 0.85), cost(0.25, 0.8)]

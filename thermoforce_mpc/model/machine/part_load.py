@@ -25,6 +25,9 @@ _SAME_AS_FULL, _SAME_AS_CHEAPEST = 0.03, 0.02
 # Names on the model card (`ModelCard.uncertainty`).
 _COST, _COST_SD = "cost_of_heat_at_level_", "cost_of_heat_sd_at_level_"
 _HEAT, _HEAT_SD = "heat_per_level_at_level_", "heat_per_level_sd_at_level_"
+# Share of full power by which a middle level is above the line from the lowest to full level where a machine is at its
+# limit; a fixed part, and water that gets hotter, leave none.
+_BENT = 0.1
 # Weight of full level, which is 1 by definition, in the fit of the shape.
 _EXACT = 1e3
 
@@ -65,6 +68,16 @@ def cheapest(costs: Sequence[LevelCost]) -> LevelCost | None:
     least = min([1.0 + _SAME_AS_FULL - _SAME_AS_CHEAPEST, *(one.cost for one in costs)])
     as_cheap = [one for one in costs if one.cost <= least + _SAME_AS_CHEAPEST]
     return min(as_cheap, key=lambda one: one.level, default=None)
+
+
+def at_its_limit(costs: Sequence[LevelCost]) -> bool:
+    """Whether power hardly rises above a middle level: a machine at a limit gives no more heat there either."""
+    levels = [one.level for one in costs] + [1.0]
+    power = [one.cost * one.heat * one.level for one in costs] + [1.0]
+    return any(
+        middle > np.interp(level, [levels[0], 1.0], [power[0], 1.0]) + _BENT
+        for level, middle in zip(levels[1:-1], power[1:-1], strict=True)
+    )
 
 
 @dataclass(frozen=True)
