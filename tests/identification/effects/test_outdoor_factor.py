@@ -70,7 +70,7 @@ def test_where_heat_is_known_nothing_is_estimated():
     house, run = operated(0.03)
     metered = replace(run, heat_W=house.heat_W(run.u[0], run.T_out_C[:-1])[None])
     assert identify(metered, config=CONFIG).only.operator.heat_input.per_K == 0.0
-    for options in ({"heat_input": "identity"}, {"radiator_exponent": 1.3}, {"method": "two_stage", "order": 1}):
+    for options in ({"heat_input": "identity"}, {"method": "two_stage", "order": 1}):
         assert not levels_only(IDENTITY, Layout.single(), 0, CONFIG.model_copy(update=options))
     assert not levels_only(HeatInput(lowest=-1.0), Layout.single("both", -1.0), 0, CONFIG)
     assert levels_only(IDENTITY, Layout.single(), 0, CONFIG)

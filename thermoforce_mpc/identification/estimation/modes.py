@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.model.operator.heat_input import HeatInput
-from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
 
 def poles(log_tau: Array, step_s: float) -> Array:
@@ -56,30 +54,3 @@ def in_steps(log_tau: Array, gains: Array, step_s: float) -> tuple[Array, Array]
     tau, a = np.exp(log_tau), poles(log_tau, step_s)
     steady = np.concatenate([[tau[0] * (gains[0] - (gains[1:] / tau[1:]).sum())], gains[1:]])
     return a, steady * (1.0 - a)
-
-
-def to_operator(
-    log_tau: Array,
-    gains: Array,
-    *,
-    step_s: float,
-    sign: int,
-    gamma: float,
-    hidden: int,
-    heat_input: HeatInput,
-    feature_mean: Array,
-    feature_scale: Array,
-) -> OperatorParameters:
-    """Return the linear operator (m = 1) with these time constants and nonnegative [slope, G_2 … G_r]."""
-    a, of_step = in_steps(log_tau, gains, step_s)
-    return linear_operator(
-        a,
-        sign * of_step,
-        step_s=step_s,
-        sign=sign,
-        gamma=gamma,
-        hidden=hidden,
-        heat_input=heat_input,
-        feature_mean=feature_mean,
-        feature_scale=feature_scale,
-    )

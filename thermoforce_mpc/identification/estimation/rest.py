@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cholesky
+from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize, nnls
 
 from thermoforce_mpc.data import Array, Record
@@ -38,6 +38,11 @@ class Rest:
     def factor(self) -> Array:
         """L (rows, rows), K."""
         return np.asarray(cholesky(self.covariance, lower=True, check_finite=False))
+
+    def white(self, left: Array) -> Array:
+        """L⁻¹ `left` (n, …), K at the first n rows: what each says beyond those before it, in standard deviations."""
+        n = len(left)
+        return np.asarray(solve_triangular(self.factor[:n, :n], left, lower=True, check_finite=False))
 
 
 def rest_of(regression: RegressionData, free: RcParameters | None) -> Rest:

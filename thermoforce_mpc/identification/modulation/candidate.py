@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.optimize import brentq
 
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.regression import RegressionData
-from thermoforce_mpc.identification.estimation.rest import rest_of
 from thermoforce_mpc.identification.modulation.training import TrainingData, train
 from thermoforce_mpc.identification.validation.blocks import block_numbers, is_significant, standard_errors_saved
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
@@ -68,12 +66,6 @@ class Candidate:
         return found
 
     @cached_property
-    def data(self) -> list[TrainingData]:
-        """What the network is trained on, and compared with m = 1."""
-        pairs = zip(self.driven, self.features, strict=True)
-        return [TrainingData(e, x, rest_of(e, self.fold.free)) for e, x in pairs]
-
-    @cached_property
     def trained(self) -> OperatorParameters:
         """The operator with the network trained on the rows that the fold sees.
 
@@ -81,7 +73,8 @@ class Candidate:
         """
         heat_input = self.untrained.heat_input
         start = replace(self.untrained, heat_input=heat_input.by_level if self._is_level else heat_input)
-        operator = train(start, self.data, self.config)
+        data = [TrainingData(*each) for each in zip(self.driven, self.features, self.fold.rests, strict=True)]
+        operator = train(start, data, self.config)
         pairs_only = all(e.is_pair for e in self.fold.regressions)
         return operator if pairs_only or self.config.method == "two_stage" else self._as_large(operator)
 
@@ -101,23 +94,40 @@ class Candidate:
         return replace(operator, output_bias=float(brentq(more, -_LARGEST_BIAS, _LARGEST_BIAS)))
 
     @cached_property
+    def modulated(self) -> Fold:
+        """The fold with what the actions did by the network."""
+        operator, driven = self.trained, []
+        for e, xs in zip(self.driven, self.features, strict=True):
+            drives = tuple((sign, v * operator.modulation(x)) for (sign, v), x in zip(e.drives, xs, strict=True))
+            driven.append(replace(e, drives=drives))
+        return replace(self.fold, modulated=replace(self.fold, regressions=driven).effects)
+
+    @cached_property
+    def left(self) -> tuple[Array, Array]:
+        """Held-out residuals (rows,) with m = 1 and with the network, standard deviations, each given those before."""
+        both = []
+        for effects in (self.fold.effects, self.modulated.effects):
+            each = zip(self.fold.regressions, self.fold.rests, effects, strict=True)
+            both.append(np.concatenate([rest.white(e.target - rest.mean - k)[e.seen :] for e, rest, k in each]))
+        return both[0], both[1]
+
+    @property
     def scores(self) -> dict[str, float]:
         """Held-out errors without and with the network, standard deviations, and whether it is kept."""
-        linear, neural = (_rms(self._left(kept=kept)) for kept in (False, True))
-        kept = self.config.modulation == "always" or not self.worse
-        return {"held_out_linear": linear, "held_out_neural": neural, "modulation_kept": float(kept)}
+        linear, neural = (_rms(left) for left in self.left)
+        return {"held_out_linear": linear, "held_out_neural": neural, "modulation_kept": float(self.kept)}
 
     @property
     def kept(self) -> bool:
         """Whether the network is kept in the place of m = 1."""
-        return bool(self.scores["modulation_kept"])
+        return self.config.modulation == "always" or not self.worse
 
     @cached_property
     def worse(self) -> str:
         """In what m = 1 predicts the held-out rows better, in words; empty unless by 2 % and significantly, block by
         block.
         """
-        linear, neural = (self._left(kept=kept) for kept in (False, True))
+        linear, neural = self.left
         blocks = [block_numbers(i, e.rows[e.seen :], e.step_s) for i, e in enumerate(self.fold.regressions)]
         statistic = standard_errors_saved(neural, linear, np.concatenate(blocks))
         if _rms(linear) >= _RELEVANT * _rms(neural) or not is_significant(*statistic, _SIGNIFICANT):
@@ -126,24 +136,6 @@ class Candidate:
             f"held-out data are predicted better with it: error {_rms(linear):.3g} instead of {_rms(neural):.3g} "
             "standard deviations"
         )
-
-    def _left(self, *, kept: bool) -> Array:
-        """Held-out residuals (rows,), standard deviations, each given the rows before it."""
-        left = []
-        for data, effect in zip(self.data, self.effects(kept=kept), strict=True):
-            e, rest = data.regression, data.rest
-            left.append(solve_triangular(rest.factor, e.target - rest.mean - effect, lower=True)[e.seen :])
-        return np.concatenate(left)
-
-    def effects(self, *, kept: bool) -> list[Array]:
-        """What the actions did, K, at the rows of each regression, by the network where it is `kept`, else m = 1."""
-        if not kept:
-            return self.fold.linear_effects(self.untrained.sign)
-        operator, driven = self.trained, []
-        for e, xs in zip(self.driven, self.features, strict=True):
-            drives = tuple((sign, v * operator.modulation(x)) for (sign, v), x in zip(e.drives, xs, strict=True))
-            driven.append(replace(e, drives=drives))
-        return replace(self.fold, regressions=driven).linear_effects(operator.sign)
 
     @property
     def _is_level(self) -> bool:

@@ -11,7 +11,6 @@ from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.modulation.candidate import Candidate
-from thermoforce_mpc.identification.validation.competence import Trial
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
@@ -39,8 +38,8 @@ class Modulated:
     operator: OperatorParameters
     scores: dict[str, float]
     notes: list[str]
-    last: Trial
-    before: Trial | None
+    last: Fold
+    before: Fold | None
 
 
 def modulate(
@@ -76,8 +75,8 @@ def modulate(
         replace(operator, feedback=config.feedback),
         of_last.scores,
         notes,
-        Trial(last, of_last.effects(kept=of_before is None or of_before.kept)),
-        None if of_before is None else Trial(of_before.fold, of_before.effects(kept=True)),
+        of_last.modulated if of_before is None or of_before.kept else last,
+        None if of_before is None else of_before.modulated,
     )
 
 

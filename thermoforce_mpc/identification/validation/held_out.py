@@ -12,7 +12,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.estimation.regression import RegressionData
-from thermoforce_mpc.model.machine.heat_capacity import KINDS, HeatFit, fit_heat, kinds_for
+from thermoforce_mpc.model.machine.heat_capacity import HeatFit, fit_heat, kinds_for
 from thermoforce_mpc.model.machine.load_regression import LEAST_RUNNING, LEVEL_EDGE
 from thermoforce_mpc.model.machine.power import PowerModel, fit_both_directions, fit_power
 from thermoforce_mpc.model.machine.running import running_share
@@ -67,7 +67,7 @@ def identified_heat_input(
         u,
         T_out_C,
         heat,
-        kinds=kinds_for(sign) if config.machine == "auto" else (KINDS[config.machine],),
+        kinds=kinds_for(sign),
         step_s=histories[0].step_s,
         lowest_level=config.lowest_level,
     )

@@ -178,4 +178,4 @@ def fold_of(
     pairs = [e for e in seen_rows(regressions) if e.is_pair]
     if pairs:
         log_tau, gains = fitted_to_pairs(pairs, log_tau, gains, sign)
-    return Fold(regressions, log_tau, np.maximum(gains, _LEAST_GAIN), heat_input, free, alone)
+    return Fold(regressions, log_tau, np.maximum(gains, _LEAST_GAIN), sign, heat_input, free, alone)

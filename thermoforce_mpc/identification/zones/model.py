@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.effects.level_laws import level_shape
-from thermoforce_mpc.identification.estimation.modes import to_operator
+from thermoforce_mpc.identification.effects.level_laws import part_load_costs
+from thermoforce_mpc.identification.estimation.modes import in_steps
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
-from thermoforce_mpc.identification.validation.competence import Trial, judge
+from thermoforce_mpc.identification.validation.competence import judge
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.validation.held_out import normalisation, ranges
 from thermoforce_mpc.identification.validation.reasons import UNJUDGED
@@ -24,7 +24,7 @@ from thermoforce_mpc.identification.validation.warnings import uncertain
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 from thermoforce_mpc.model.zone_model import ZoneModel
 
 # Least log odds that the actuator acts: of 84 random houses with the levels of another one, 2 had more
@@ -85,9 +85,10 @@ def _modelled(data: ZoneData, estimate: Estimate, say: Callable[[str], None]) ->
     mean, scale = normalisation(histories)
 
     def linear(fold: Fold) -> OperatorParameters:
-        return to_operator(
-            fold.log_tau,
-            fold.gains,
+        poles, gains = in_steps(fold.log_tau, fold.gains, step_s)
+        return linear_operator(
+            poles,
+            sign * gains,
             step_s=step_s,
             sign=sign,
             gamma=config.gamma,
@@ -101,16 +102,16 @@ def _modelled(data: ZoneData, estimate: Estimate, say: Callable[[str], None]) ->
     scores, notes = dict(estimate.scores), list(data.said)
     if everything.heat_input.law is not None and last.heat_input.law is None:
         notes.append(_LEVEL_FOR_HEAT)
-    trials = Trial.linear(last, sign), None if before is None else Trial.linear(before, sign)
     if config.modulation != "linear":
         say("training the modulation of the gain")
         modulated = modulate(everything, last, before, linear, config, data.power)
-        operator, trials = modulated.operator, (modulated.last, modulated.before)
+        operator, last, before = modulated.operator, modulated.last, modulated.before
         scores, notes = scores | modulated.scores, [*notes, *modulated.notes]
     certainty = estimate.effects[0].uncertainty(data.level_sd) | {"sensor_resolution_K": data.grid_K}
     operator = operator.resampled(data.step_s or step_s)
-    shape, shape_notes = level_shape(estimate.laws, histories, config, data.power, everything.heat_input)
-    verdict = judge(*trials, operator, certainty, scores["acts_log_odds"], data.heat_W_m2)
+    for cost in part_load_costs(estimate.laws, histories, data.power, everything.heat_input):
+        certainty |= cost.numbers()
+    verdict = judge(last, before, operator, certainty, scores["acts_log_odds"], data.heat_W_m2)
     if estimate.unjudged:
         verdict = Competence(False, (estimate.unjudged,), plainly=UNJUDGED)
     return ZoneModel(
@@ -122,9 +123,9 @@ def _modelled(data: ZoneData, estimate: Estimate, say: Callable[[str], None]) ->
             data=data.data,
             ranges=ranges(histories),
             scores=scores,
-            uncertainty=certainty | shape,
+            uncertainty=certainty,
             config=config.model_dump(mode="json"),
-            notes=(*notes, *shape_notes, *uncertain(certainty)),
+            notes=(*notes, *uncertain(certainty)),
             competence=verdict,
             sun_on_sensor=data.sun,
         ),
