@@ -139,13 +139,13 @@ def weather_of(runs: Sequence[Record], a: int) -> LevelWeather | None:
     return LevelWeather(mean_C, (float(T_out_C.min()), float(T_out_C.max())), spread_K)
 
 
-def with_outdoors(heat_input: HeatInput, found: Mapping[str, float], weather: LevelWeather | None) -> HeatInput:
+def with_outdoors(heat_input: HeatInput, found: Estimates, weather: LevelWeather | None) -> HeatInput:
     """The heat input with what was `found` of it over the outdoor temperature."""
     if OUTDOORS not in found or weather is None:
         return heat_input
     low, high = weather.range_C
     most = min(_MOST_PER_K, (1.0 - _LEAST_FACTOR) / max(high - weather.mean_C, weather.mean_C - low, 1.0))
-    per_K = float(np.clip(found[OUTDOORS], -most, most))
+    per_K = float(np.clip(found[OUTDOORS][0], -most, most))
     return HeatInput(reference_C=weather.mean_C, per_K=per_K, T_out_range_C=weather.range_C)
 
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.model.lag import lagged
 
 
 def poles(log_tau: Array, step_s: float) -> Array:
@@ -34,11 +34,6 @@ def unit_steps(log_tau: Array, hours: Array) -> Array:
     rising = -np.expm1(-hours[:, None] / np.exp(log_tau))
     own, lead = lags_of_gains(log_tau)
     return np.asarray(own * rising + lead * rising[:, :1])
-
-
-def lagged(signal: Array, pole: float) -> Array:
-    """States (n + 1,) of a first-order lag of steady gain 1 of `signal` (n,), from zero."""
-    return np.append(0.0, lfilter([1.0 - pole], [1.0, -pole], signal))
 
 
 def lags_of_gains(log_tau: Array) -> tuple[Array, Array]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,14 +14,16 @@ from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.modulation.training import TrainingData, train
 from thermoforce_mpc.identification.validation.blocks import block_numbers, is_significant, standard_errors_saved
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
-from thermoforce_mpc.identification.validation.held_out import LEAST_SCALE
 from thermoforce_mpc.model.forced_history import forced_history
+from thermoforce_mpc.model.gaps import interpolated
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 # A held-out comparison decides at this probability (Student's t, one-sided), if the RMS is below this share.
 _SIGNIFICANT, _RELEVANT = 0.95, 0.98
+# Lower limit of the features' scale: °C, °C, W/m², 1.
+_LEAST_SCALE = np.array([5.0, 8.0, 150.0, 0.5])
 # Largest output bias of the network: beyond it m(x) is at an end of its range.
 _LARGEST_BIAS = 5.0
 
@@ -32,14 +33,13 @@ class Candidate:
     """The network of a fold, trained when it is asked for; `by_level`: whether v = u where heat was measured."""
 
     fold: Fold
-    linear: Callable[[Fold], OperatorParameters]
     config: IdentificationConfig
     by_level: bool
 
     @cached_property
     def features(self) -> list[tuple[Array, ...]]:
         """x_t (n, 4) of each record; control-free temperatures are those of the linear fit."""
-        base = self.linear(self.fold)
+        base = self.fold.operator(self.config)
         return [tuple(_features(base, h, self.config.feedback) for h in e.histories) for e in self.fold.regressions]
 
     @cached_property
@@ -47,8 +47,8 @@ class Candidate:
         """The linear operator; its features are normalised by the rows that the fold sees."""
         pairs = [(e, x) for e, xs in zip(self.fold.regressions, self.features, strict=True) for x in xs if e.seen]
         stacked = np.concatenate([x[: int(e.rows[e.seen - 1])] for e, x in pairs])
-        scale = np.maximum(stacked.std(axis=0), LEAST_SCALE)
-        return replace(self.linear(self.fold), feature_mean=stacked.mean(axis=0), feature_scale=scale)
+        scale = np.maximum(stacked.std(axis=0), _LEAST_SCALE)
+        return replace(self.fold.operator(self.config), feature_mean=stacked.mean(axis=0), feature_scale=scale)
 
     @cached_property
     def driven(self) -> list[RegressionData]:
@@ -146,10 +146,7 @@ def _features(operator: OperatorParameters, history: Record, feedback: bool) -> 
     """Return the features x_t (n, 4) of a run, with T − F (no gradient through F) or, with feedback, measured T."""
     # Of a zone's own actuator, summed over modes.
     forced = 0.0 if feedback else forced_history(single(operator), history.part(0, [0])).sum(axis=(0, 1, 3))
-    free = history.T_zone_C[0] - forced
-    steps = np.arange(free.size)
-    finite = np.isfinite(free)
-    free = np.interp(steps, steps[finite], free[finite])
+    free = interpolated(history.T_zone_C[0] - forced)
     return feature_matrix(free[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,7 +45,6 @@ def modulate(
     everything: Fold,
     last: Fold,
     before: Fold | None,
-    linear: Callable[[Fold], OperatorParameters],
     config: IdentificationConfig,
     power: PowerModel | None = None,
 ) -> Modulated:
@@ -62,8 +60,8 @@ def modulate(
         held_levels = _held_levels(heat, everything, power)
         by_level = not held_levels
         notes.append("heat input: the level, v = u" if by_level else f"heat input: measured heat, since {held_levels}")
-    of_all, of_last = (Candidate(fold, linear, config, by_level) for fold in (everything, last))
-    of_before = None if before is None else Candidate(before, linear, config, by_level)
+    of_all, of_last = (Candidate(fold, config, by_level) for fold in (everything, last))
+    of_before = None if before is None else Candidate(before, config, by_level)
     if of_last.kept:
         # With feedback, training uses measured temperatures, so there is no recursion; prediction uses predicted ones.
         operator = of_all.trained

@@ -14,6 +14,7 @@ from thermoforce_mpc.identification.network.building import BuildingFit
 from thermoforce_mpc.identification.network.estimate import Run, estimate_room
 from thermoforce_mpc.identification.network.room import Law, Room, neighbours_of
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
+from thermoforce_mpc.model.gaps import interpolated
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # A part of a run with fewer readings says nothing.
@@ -95,6 +96,5 @@ def _run(inputs: Array, readings: Array, step_s: float, grid_K: float, *, pair: 
 
 def _mean_of_step(values: Array) -> Array:
     """Means of the samples at both ends of each step (n,); gaps are bridged."""
-    steps, known = np.arange(values.size), np.isfinite(values)
-    values = np.interp(steps, steps[known], values[known]) if known.any() else np.zeros(values.size)
+    values = interpolated(values)
     return np.asarray(0.5 * (values[:-1] + values[1:]))

@@ -8,16 +8,15 @@ far and the hours the candidate adds: twice the information gain, in nats. It ne
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
-from thermoforce_mpc.identification.estimation.modes import lagged, poles, unit_responses
+from thermoforce_mpc.identification.estimation.modes import poles, unit_responses
 from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
+from thermoforce_mpc.model.lag import lagged
 
 # Step of the derivative with respect to ln τ.
 _STEP = 0.02
@@ -83,28 +82,18 @@ def information(history: Record) -> float:
     return _criterion(history.u[0], history.step_s, *_whitener_of(history))
 
 
-def expected_sd(history: Record, weights: Sequence[float] = (1.0,)) -> float:
+def expected_sd(history: Record) -> float:
     """Return the relative standard deviation that is expected of the effect of a day at full level after a record.
 
     It is that of the first actuator, for a building as the priors expect it and disturbances of the assumed size;
-    actual ones are mostly smaller. The effects of the others on the zone are unknown too.
-
-    Args:
-        history: one zone with A actuators or more.
-        weights: standard deviation of each actuator's parameters as a share of the first one's prior (A,); only so many
-            actuators count.
+    actual ones are mostly smaller.
     """
     whitener, rows = _whitener_of(history)
-    each = zip(weights, history.u, strict=False)
-    S = np.concatenate([weight * _sensitivities(u, history.step_s)[rows] for weight, u in each], axis=1)
-    S = solve_triangular(whitener, S, lower=True)
-    precision = np.eye(S.shape[1]) + S.T @ S
+    S = solve_triangular(whitener, _sensitivities(history.u[0], history.step_s)[rows], lower=True)
     day = np.ones(round(DAY_S / history.step_s))
-    slope = np.zeros(S.shape[1])
-    own = _sensitivities(day, history.step_s)[-1]
-    slope[: own.size] = own
+    slope = _sensitivities(day, history.step_s)[-1]
     effect_K = float(expected_rise_K(day, history.step_s)[-1])
-    return float(np.sqrt(slope @ np.linalg.solve(precision, slope))) / effect_K
+    return float(np.sqrt(slope @ np.linalg.solve(np.eye(slope.size) + S.T @ S, slope))) / effect_K
 
 
 def expected_rise_K(levels: Array, step_s: float, tau_h: Array = _TAU_H) -> Array:

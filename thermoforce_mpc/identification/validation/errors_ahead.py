@@ -17,12 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.estimation.modes import in_steps
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.estimation.rest import Rest, rest_of
 from thermoforce_mpc.identification.validation.blocks import PER_REGRESSION
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,20 @@ class Fold:
         if self.modulated is not None:
             return self.modulated
         return [e.effect(self.log_tau, self.gains, self.sign) for e in self.regressions]
+
+    def operator(self, config: IdentificationConfig) -> OperatorParameters:
+        """The operator with m = 1, at the step of the data."""
+        step_s = self.regressions[0].step_s
+        poles, gains = in_steps(self.log_tau, self.gains, step_s)
+        return linear_operator(
+            poles,
+            self.sign * gains,
+            step_s=step_s,
+            sign=self.sign,
+            gamma=config.gamma,
+            hidden=config.hidden,
+            heat_input=self.heat_input,
+        )
 
     @cached_property
     def rests(self) -> list[Rest]:

@@ -16,7 +16,7 @@ from thermoforce_mpc.identification.estimation.regression import without_others
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H, Effect
 from thermoforce_mpc.identification.network.building import RESPONSE_H, BuildingFit
 from thermoforce_mpc.identification.network.effects import Actuators, building_fit, room_pair, room_run
-from thermoforce_mpc.identification.network.estimate import RoomFit, Run
+from thermoforce_mpc.identification.network.estimate import Run
 from thermoforce_mpc.identification.network.free_part import free_part
 from thermoforce_mpc.identification.network.projection import Modes, projected
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
@@ -91,25 +91,14 @@ def _estimate(
         floor_K = _MODES_SD * float(unit_steps(log_tau, RESPONSE_H).max(axis=0) @ gains)
         effects.append(Effect(log_tau, gains, np.sqrt(variance + floor_K**2)))
     scores = {"acts_log_odds": without["whole"].rooms[home].value - whole.rooms[home].value}
-    return Estimate(everything, folds["training"], folds.get("earlier"), effects, scores, _estimates(whole, a, laws))
+    return Estimate(everything, folds["training"], folds.get("earlier"), effects, scores, _found(whole, a, laws))
 
 
-def _places(fit: BuildingFit, a: int, laws: Sequence[LevelLaw]) -> tuple[RoomFit, dict[str, int]]:
-    """The room of actuator `a`, and where its laws stand in θ."""
+def _found(fit: BuildingFit, a: int, laws: Sequence[LevelLaw]) -> Estimates:
+    """What a fit says of the laws of actuator `a`."""
     home = fit.layout.home[a]
     room, k = fit.rooms[home], fit.layout.actuators_of(home).index(a)
-    return room, {law.name: room.room.place[f"{law.name}_{k}"] for law in laws}
-
-
-def _found(fit: BuildingFit, a: int, laws: Sequence[LevelLaw]) -> dict[str, float]:
-    """What a fit says of the laws of actuator `a`."""
-    room, places = _places(fit, a, laws)
-    return {name: float(room.theta[place]) for name, place in places.items()}
-
-
-def _estimates(fit: BuildingFit, a: int, laws: Sequence[LevelLaw]) -> Estimates:
-    """`_found` with standard deviations."""
-    room, places = _places(fit, a, laws)
+    places = {law.name: room.room.place[f"{law.name}_{k}"] for law in laws}
     return {name: (float(room.theta[i]), float(np.sqrt(room.covariance[i, i]))) for name, i in places.items()}
 
 
