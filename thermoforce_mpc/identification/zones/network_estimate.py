@@ -15,7 +15,7 @@ from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.estimation.regression import without_others
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H, Effect
 from thermoforce_mpc.identification.network.building import RESPONSE_H, BuildingFit
-from thermoforce_mpc.identification.network.effects import Actuators, building_fit, room_pair, room_run
+from thermoforce_mpc.identification.network.effects import Actuators, building_fit, room_run
 from thermoforce_mpc.identification.network.estimate import Run
 from thermoforce_mpc.identification.network.free_part import free_part
 from thermoforce_mpc.identification.network.projection import Modes, projected
@@ -103,19 +103,12 @@ def _found(fit: BuildingFit, a: int, laws: Sequence[LevelLaw]) -> Estimates:
 
 
 def _seen(
-    runs: Sequence[Record],
-    pairs: Sequence[Pair],
-    zone: int,
-    actuators: Actuators,
-    data: ZoneData,
-    fold: str,
+    runs: Sequence[Record], pairs: Sequence[Pair], zone: int, actuators: Actuators, data: ZoneData, fold: str
 ) -> list[Run]:
     """What a fold may see of a zone."""
-    found, steps = [], data.last_steps(fold)
-    for run, n in zip(runs, steps, strict=False):
-        if n > 1:
-            found.append(room_run(run.slice(0, n), zone, actuators, data.grid_K))
-    for pair, n in zip(pairs, steps[len(runs) :], strict=True):
-        if n > 1:
-            found.append(room_pair(pair, zone, actuators, data.grid_K))
-    return found
+    records: list[tuple[Record, Record | None]] = [*((run, None) for run in runs), *((p.a, p.b) for p in pairs)]
+    return [
+        room_run(record.slice(0, n), zone, actuators, data.grid_K, less and less.slice(0, n))
+        for (record, less), n in zip(records, data.last_steps(fold), strict=True)
+        if n > 1
+    ]
