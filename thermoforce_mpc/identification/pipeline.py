@@ -42,6 +42,7 @@ from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
 from thermoforce_mpc.identification.zones.model import identify_zone
 from thermoforce_mpc.identification.zones.network_estimate import network_estimates
 from thermoforce_mpc.identification.zones.two_stage import two_stage_estimate
+from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.screening import Limits
@@ -105,6 +106,14 @@ def identify(
     data_of = []
     for a, home in enumerate(layout.home):
         m, order = layout.machine_of[a], [a, *others_of(layout, a, config)]
+        card = ModelCard(
+            source,
+            records.hashes,
+            config=config.model_dump(mode="json"),
+            notes=(*notes[a], *of_power[m], *([sun[home].in_words()] if home in sun else [])),
+            sun_on_sensor=sun.get(home),
+            foreign_heat=records.foreign.heat[a],
+        )
         zone_data = ZoneData(
             config,
             [h.part(home, order, [m]) for h in runs],
@@ -112,14 +121,10 @@ def identify(
             heat_inputs[a],
             layout.signs[a],
             step_s,
-            source,
-            records.hashes,
-            [*notes[a], *of_power[m], *([sun[home].in_words()] if home in sun else [])],
+            card,
             power[m] if len(layout.fed_by(m)) == 1 else None,
             alone=len(layout.home) == 1,
             bars=[remark for remark in records.doubts if a in remark.actuators],
-            sun=sun.get(home),
-            foreign_heat=records.foreign.heat[a],
             area_m2=float(layout.floor_area_m2[home]),
         )
         data_of.append(zone_data)
@@ -130,7 +135,8 @@ def identify(
     for a, (zone_data, estimate) in enumerate(zip(data_of, estimates, strict=True)):
         if levels_only(heat_inputs[a], layout, a, config):
             unknown, said, advice = unknown_heat(runs, layout, a, estimate.laws, config)
-            zone_data = replace(zone_data, level_sd=unknown, notes=[*zone_data.notes, *said], advice=advice)
+            card = replace(zone_data.card, notes=(*zone_data.card.notes, *said))
+            zone_data = replace(zone_data, card=card, level_sd=unknown, advice=advice)
         with _told(records, layout, a, say) as tell:
             zones.append(identify_zone(zone_data, estimate, tell))
     return assembled(layout, zones, [estimate.effects[1:] for estimate in estimates], power, config)

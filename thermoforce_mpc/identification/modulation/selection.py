@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,33 +26,21 @@ _NEARLY_FULL, _OFTEN = 0.9, 0.25
 _PLAN_STEP_S, _PLAN_H = 900.0, 48.0
 
 
-@dataclass(frozen=True)
-class Modulated:
-    """An operator with its network: trained on all rows, and as it is judged.
-
-    `operator`: what is returned, with held-out `scores` and `notes` in words. `last`: the same procedure without the
-    held-out rows. `before`: that without an earlier part, network kept; None where there is no earlier part.
-    """
-
-    operator: OperatorParameters
-    scores: dict[str, float]
-    notes: list[str]
-    last: Fold
-    before: Fold | None
-
-
 def modulate(
     everything: Fold,
     last: Fold,
     before: Fold | None,
     config: IdentificationConfig,
     power: PowerModel | None = None,
-) -> Modulated:
+) -> tuple[OperatorParameters, tuple[Fold, Fold | None], dict[str, float], list[str]]:
     """Train m(x) on the training rows, compare it with m = 1 on the held-out ones, and train it on `everything`.
 
     Where heat was measured, v = u unless levels are held. The operator is that with m = 1 where the network is
     significantly worse than that and is not kept `always`. Whether what is judged on the rows that `last` holds out has
     a network is chosen on those of `before`: rows may not judge what they chose.
+
+    Returns:
+        The operator; `last` and `before` (None where there is none) as they are judged; held-out scores; notes.
     """
     by_level, notes = False, []
     heat = everything.heat_input.heat
@@ -69,13 +57,9 @@ def modulate(
         notes.append(f"network not kept: m = 1 instead, since {of_last.worse}")
         dropped = of_last.trained
         operator = replace(of_all.untrained, hidden_weight=dropped.hidden_weight, hidden_bias=dropped.hidden_bias)
-    return Modulated(
-        replace(operator, feedback=config.feedback),
-        of_last.scores,
-        notes,
-        of_last.modulated if of_before is None or of_before.kept else last,
-        None if of_before is None else of_before.modulated,
-    )
+    last = of_last.modulated if of_before is None or of_before.kept else last
+    before = None if of_before is None else of_before.modulated
+    return replace(operator, feedback=config.feedback), (last, before), of_last.scores, notes
 
 
 def _held_levels(heat: MachineLoad, everything: Fold, power: PowerModel | None) -> str:

@@ -24,11 +24,10 @@ from thermoforce_mpc.identification.validation.held_out import (
     identified_heat_input,
     seen_rows,
 )
+from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
-from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
-from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 
 # Least gain, K or K/h: an effect that the record denies keeps the sign of its actuator.
 _LEAST_GAIN = 1e-12
@@ -45,11 +44,10 @@ class ZoneData:
         heat_input: what the own actuator delivers.
         sign: +1 if it heats, −1 if it cools.
         step_s: step of the operator, s; None: that of the data.
-        source, data, notes: for the model card.
+        card: what the model card says already.
         power: of the machine, where it feeds this actuator alone.
         level_sd: relative standard deviation of the effect that comes from heat that was not measured; `advice` on it.
         bars: what says that the level is none, so that the model may not act.
-        sun: what shone on the zone sensor, already taken off the records; `foreign_heat` likewise, off the heat meter.
         alone: whether the building has no other actuator. Of several, one without an effect must not refuse the rest:
             its model is returned, not competent.
         area_m2: floor area of the zone, m², NaN where it is not known.
@@ -61,16 +59,12 @@ class ZoneData:
     heat_input: HeatInput
     sign: int
     step_s: float | None = None
-    source: str = "identified"
-    data: Mapping[str, str] = field(default_factory=dict)
-    notes: Sequence[str] = ()
+    card: ModelCard = field(default_factory=lambda: ModelCard("identified"))
     power: PowerModel | None = None
     alone: bool = True
     level_sd: float = 0.0
     advice: str = ""
     bars: Sequence[Remark] = ()
-    sun: SunOnSensor | None = None
-    foreign_heat: ForeignLoad | None = None
     area_m2: float = float("nan")
 
     @property
@@ -82,11 +76,6 @@ class ZoneData:
     def grid_K(self) -> float:
         """Resolution of the sensor, K; 0 where it has none."""
         return resolution_K(self.runs)
-
-    @property
-    def said(self) -> list[str]:
-        """The notes, and the resolution of the sensor."""
-        return [*self.notes, *([f"the zone sensor reads in steps of {self.grid_K:.2g} K"] if self.grid_K else [])]
 
     @cached_property
     def regressions(self) -> list[RegressionData]:

@@ -20,7 +20,6 @@ from thermoforce_mpc.identification.validation.held_out import ranges
 from thermoforce_mpc.identification.validation.reasons import UNJUDGED
 from thermoforce_mpc.identification.validation.warnings import uncertain
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
-from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.zone_model import ZoneModel
 
@@ -86,14 +85,15 @@ def _modelled(data: ZoneData, estimate: Estimate, say: Callable[[str], None]) ->
     config, everything, last, before = data.config, estimate.everything, estimate.last, estimate.before
     histories, step_s = data.histories, data.histories[0].step_s
     operator = replace(everything.operator(config), feedback=config.feedback)
-    scores, notes = dict(estimate.scores), list(data.said)
+    scores, notes = dict(estimate.scores), list(data.card.notes)
+    if data.grid_K:
+        notes.append(f"the zone sensor reads in steps of {data.grid_K:.2g} K")
     if everything.heat_input.law is not None and last.heat_input.law is None:
         notes.append(_LEVEL_FOR_HEAT)
     if config.modulation != "linear":
         say("training the modulation of the gain")
-        modulated = modulate(everything, last, before, config, data.power)
-        operator, last, before = modulated.operator, modulated.last, modulated.before
-        scores, notes = scores | modulated.scores, [*notes, *modulated.notes]
+        operator, (last, before), found, said = modulate(everything, last, before, config, data.power)
+        scores, notes = scores | found, [*notes, *said]
     certainty = estimate.effects[0].uncertainty(data.level_sd) | {"sensor_resolution_K": data.grid_K}
     operator = operator.resampled(data.step_s or step_s)
     for cost in part_load_costs(estimate.laws, histories, data.power, everything.heat_input):
@@ -103,16 +103,12 @@ def _modelled(data: ZoneData, estimate: Estimate, say: Callable[[str], None]) ->
         operator=operator,
         power=data.power,
         free=everything.free and everything.free.resampled(data.step_s or step_s),
-        card=ModelCard(
-            source=data.source,
-            data=data.data,
+        card=replace(
+            data.card,
             ranges=ranges(histories),
             scores=scores,
             uncertainty=certainty,
-            config=config.model_dump(mode="json"),
             notes=(*notes, *uncertain(certainty)),
             competence=_verdict(judged, data, estimate),
-            sun_on_sensor=data.sun,
-            foreign_heat=data.foreign_heat,
         ),
     )
