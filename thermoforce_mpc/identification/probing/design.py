@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.identification.estimation.modes import poles, unit_responses
 from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
@@ -79,30 +79,13 @@ def choose(
 
 def information(history: Record) -> float:
     """Return the criterion of a record, nats."""
-    return _criterion(history.u[0], history.step_s, *_whitener_of(history))
-
-
-def expected_sd(history: Record) -> float:
-    """Return the relative standard deviation that is expected of the effect of a day at full level after a record.
-
-    It is that of the first actuator, for a building as the priors expect it and disturbances of the assumed size;
-    actual ones are mostly smaller.
-    """
-    whitener, rows = _whitener_of(history)
-    S = solve_triangular(whitener, _sensitivities(history.u[0], history.step_s)[rows], lower=True)
-    day = np.ones(round(DAY_S / history.step_s))
-    slope = _sensitivities(day, history.step_s)[-1]
-    effect_K = float(expected_rise_K(day, history.step_s)[-1])
-    return float(np.sqrt(slope @ np.linalg.solve(np.eye(slope.size) + S.T @ S, slope))) / effect_K
+    whitened = _whitener(history.time_s, history.T_out_C, history.solar_W_m2, history.step_s)
+    return _criterion(history.u[0], history.step_s, *whitened)
 
 
 def expected_rise_K(levels: Array, step_s: float, tau_h: Array = _TAU_H) -> Array:
     """Change of the zone that `levels` (n,) make in a building as the priors expect it, shape (n + 1,), K."""
     return np.asarray(_units(levels, step_s, tau_h) @ _GAINS)
-
-
-def _whitener_of(history: Record) -> tuple[Array, NDArray[np.intp]]:
-    return _whitener(history.time_s, history.T_out_C, history.solar_W_m2, history.step_s)
 
 
 def _whitener(time_s: Array, T_out_C: Array, solar_W_m2: Array, step_s: float) -> tuple[Array, NDArray[np.intp]]:
