@@ -91,15 +91,18 @@ def _estimate(
         floor_K = _MODES_SD * float(unit_steps(log_tau, RESPONSE_H).max(axis=0) @ gains)
         effects.append(Effect(log_tau, gains, np.sqrt(variance + floor_K**2)))
     scores = {"acts_log_odds": without["whole"].rooms[home].value - whole.rooms[home].value}
-    return Estimate(everything, folds["training"], folds.get("earlier"), effects, scores, _found(whole, a, laws))
+    return Estimate(
+        everything, folds["training"], folds.get("earlier"), effects, scores, _found(whole, a, laws, sd=True)
+    )
 
 
-def _found(fit: BuildingFit, a: int, laws: Sequence[LevelLaw]) -> Estimates:
-    """What a fit says of the laws of actuator `a`."""
+def _found(fit: BuildingFit, a: int, laws: Sequence[LevelLaw], *, sd: bool = False) -> Estimates:
+    """What a fit says of the laws of actuator `a`; standard deviations, which take a while, where asked for, else NaN."""
     home = fit.layout.home[a]
     room, k = fit.rooms[home], fit.layout.actuators_of(home).index(a)
     places = {law.name: room.room.place[f"{law.name}_{k}"] for law in laws}
-    return {name: (float(room.theta[i]), float(np.sqrt(room.covariance[i, i]))) for name, i in places.items()}
+    sds = np.sqrt(np.diagonal(room.covariance)) if sd else np.full(room.theta.size, np.nan)
+    return {name: (float(room.theta[i]), float(sds[i])) for name, i in places.items()}
 
 
 def _seen(
