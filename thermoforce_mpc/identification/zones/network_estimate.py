@@ -97,7 +97,7 @@ def _estimate(
 
 
 def _found(fit: BuildingFit, a: int, laws: Sequence[LevelLaw], *, sd: bool = False) -> Estimates:
-    """What a fit says of the laws of actuator `a`; standard deviations, which take a while, where asked for, else NaN."""
+    """What a fit says of the laws of actuator `a`, with standard deviations, which take a while, where asked for."""
     home = fit.layout.home[a]
     room, k = fit.rooms[home], fit.layout.actuators_of(home).index(a)
     places = {law.name: room.room.place[f"{law.name}_{k}"] for law in laws}
