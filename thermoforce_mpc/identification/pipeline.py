@@ -37,7 +37,6 @@ from thermoforce_mpc.identification.estimation.records import (
 )
 from thermoforce_mpc.identification.network.sensor import without_sun
 from thermoforce_mpc.identification.validation.held_out import identified_heat_input, named, power_of_machine
-from thermoforce_mpc.identification.validation.warnings import unexplained
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
 from thermoforce_mpc.identification.zones.model import identify_zone
 from thermoforce_mpc.identification.zones.network_estimate import network_estimates
@@ -262,7 +261,6 @@ def _powers(
                 raise
             power = None
             said.append(f"{name}: {error}; its power is left out")
-        said += unexplained(power, name)
         if power is not None and power.cooling is not None and len(layout.fed_by(m)) > 1:
             said.append(f"power of {name}: {power.source}")
         powers.append(power and replace(power, foreign=other))

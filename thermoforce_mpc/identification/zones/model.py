@@ -7,7 +7,7 @@ refused, whatever the method. The zone's own actuator is the first of its record
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +18,6 @@ from thermoforce_mpc.identification.modulation.selection import modulate, prove
 from thermoforce_mpc.identification.validation.competence import judge
 from thermoforce_mpc.identification.validation.held_out import ranges
 from thermoforce_mpc.identification.validation.reasons import UNJUDGED
-from thermoforce_mpc.identification.validation.warnings import uncertain
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
 from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.zone_model import ZoneModel
@@ -26,6 +25,8 @@ from thermoforce_mpc.model.zone_model import ZoneModel
 # Least log odds that the actuator acts: of 84 random houses with the levels of another one, 2 had more
 # (`python -m benchmarks.zones.placebo` for houses of rooms).
 _LEAST_LOG_ODDS = 5.0
+# Relative standard deviation of the effect of a day from which a model is called uncertain.
+_UNCERTAIN = 0.15
 _ACTS_NOT = "nothing in the record shows that the actuator does anything to the room"
 _NO_LEVEL = "what was recorded as the actuator's level does not say what it did"
 _LEVEL_FOR_HEAT = (
@@ -65,6 +66,14 @@ def _verdict(judged: Competence, data: ZoneData, estimate: Estimate) -> Competen
     if data.advice and not judged.competent:
         judged = replace(judged, advice=(data.advice, *judged.advice))
     return judged
+
+
+def uncertain(certainty: Mapping[str, float]) -> list[str]:
+    """A note that the effect of a day of action is hardly known."""
+    share = certainty["step_response_24h_sd_K"] / max(certainty["step_response_24h_K"], 1e-9)
+    if share <= _UNCERTAIN:
+        return []
+    return [f"uncertain: the effect of a day of action is known to ± {100 * share:.0f} % only; probe longer or harder"]
 
 
 def _without_effect(log_odds: float, data: ZoneData) -> str:
