@@ -20,6 +20,12 @@ def _tensor(value: Array) -> Tensor:
     return torch.tensor(np.array(value, dtype=np.float64))
 
 
+def bounds_between(poles: Array) -> Array:
+    """Return bounds (r, 2) of eq:pole that divide (0, 1) in the middle between neighbouring poles."""
+    edges = np.concatenate([[0.0], 0.5 * (poles[:-1] + poles[1:]), [1.0]])
+    return np.stack([edges[:-1], edges[1:]], axis=1)
+
+
 class ForcedResponseOperator(nn.Module):
     """Paper eq:operator to eq:mod in float64; trained: ã (r,), g̃ (r,) and the MLP, 195 parameters at order 1."""
 
@@ -29,7 +35,8 @@ class ForcedResponseOperator(nn.Module):
 
     def __init__(self, params: OperatorParameters) -> None:
         super().__init__()
-        low, high = params.pole_bounds[:, 0], params.pole_bounds[:, 1]
+        bounds = bounds_between(params.poles)
+        low, high = bounds[:, 0], bounds[:, 1]
         share = np.clip((params.poles - low) / (high - low), _EDGE, 1.0 - _EDGE)
         weight = initial_weight(params.poles)
         magnitude = params.gains * params.sign
@@ -44,7 +51,7 @@ class ForcedResponseOperator(nn.Module):
             self.hidden.bias.copy_(_tensor(params.hidden_bias))
             self.output.weight.copy_(_tensor(params.output_weight)[None])
             self.output.bias.copy_(_tensor(np.array([params.output_bias])))
-        self.register_buffer("pole_bounds", _tensor(params.pole_bounds))
+        self.register_buffer("pole_bounds", _tensor(bounds))
         self.register_buffer("feature_mean", _tensor(params.feature_mean))
         self.register_buffer("feature_scale", _tensor(params.feature_scale))
         self.gamma = params.gamma
@@ -144,7 +151,6 @@ class ForcedResponseOperator(nn.Module):
             gamma=self.gamma,
             sign=self.sign,
             step_s=self.step_s,
-            pole_bounds=bounds,
             heat_input=self.heat_input,
             feedback=self.feedback,
         )

@@ -12,7 +12,7 @@ import yaml
 from places import ROOT
 
 import thermoforce_mpc as tf
-from thermoforce_mpc.identification.probing.operation import findings, telling_part, tellings
+from thermoforce_mpc.identification.probing.operation import findings, telling_part
 
 PAGE = ROOT / "docs" / "evidence" / "records.md"
 
@@ -36,7 +36,6 @@ def test_the_test_box(folder):
     assert record.n_steps == 232
     assert record.heat_W.max() == pytest.approx(record.u.max() * 2220, rel=1e-3)
     assert not [s.flags for s in found.understood.signals if s.flags]
-    assert tellings(record, found.layout)[0].tells
     verdict = findings(record, found.layout)[0]
     assert verdict.competent, verdict.words
 

@@ -27,9 +27,6 @@ class IdentificationConfig(StrictModel):
         description="input of the modes; identity: u; auto: u, or measured heat where levels between off and full are "
         "held",
     )
-    machine: Literal["auto", "heat pump", "air conditioner", "direct", "other"] = Field(
-        "auto", description="machine type of the heat capacity's prior; auto: chosen by mode and data"
-    )
     lowest_level: float | None = Field(
         None, gt=0, le=1, description="level below which the probed machine cycled; default: estimated from the data"
     )
@@ -37,13 +34,6 @@ class IdentificationConfig(StrictModel):
         False,
         description="estimate heat at part load, and so what it costs, from the temperature where heat is not "
         "measured; set where probing takes trial levels",
-    )
-    radiator_exponent: float | None = Field(
-        None,
-        ge=1,
-        le=2,
-        description="exponent of the radiator map with which the levels were recorded: it is then estimated; "
-        "set from the test case",
     )
     power_curve: bool = Field(
         False,

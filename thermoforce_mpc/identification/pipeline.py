@@ -19,13 +19,13 @@ from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.checks import Remark, remarks
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.effects.confounding import confounding, shared_sd
+from thermoforce_mpc.identification.effects.confounding import unknown_heat
 from thermoforce_mpc.identification.effects.couplings import (
     assembled,
     others_of,
     with_metered_shares,
 )
-from thermoforce_mpc.identification.effects.level_laws import OUTDOORS, levels_only, outdoors_in_words, weather_of
+from thermoforce_mpc.identification.effects.level_laws import levels_only
 from thermoforce_mpc.identification.effects.own_meters import ForeignLoads, foreign_loads
 from thermoforce_mpc.identification.estimation.records import (
     Pair,
@@ -37,22 +37,15 @@ from thermoforce_mpc.identification.estimation.records import (
 )
 from thermoforce_mpc.identification.network.sensor import without_sun
 from thermoforce_mpc.identification.validation.held_out import identified_heat_input, named, power_of_machine
-from thermoforce_mpc.identification.validation.warnings import unexplained
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
 from thermoforce_mpc.identification.zones.model import identify_zone
 from thermoforce_mpc.identification.zones.network_estimate import network_estimates
 from thermoforce_mpc.identification.zones.two_stage import two_stage_estimate
-from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.screening import Limits
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.model.zone_model import ZoneModel
-
-# Relative standard deviation of the heat of full level where nothing near it was seen and no heat metered: what a level
-# gives may sag, or be switched by a machine that cycles.
-_UNSEEN_LEVEL_SD = 0.6
-_NO_LEVEL = "what was recorded as the actuator's level does not say what it did"
 
 
 def identify(
@@ -112,6 +105,14 @@ def identify(
     data_of = []
     for a, home in enumerate(layout.home):
         m, order = layout.machine_of[a], [a, *others_of(layout, a, config)]
+        card = ModelCard(
+            source,
+            records.hashes,
+            config=config.model_dump(mode="json"),
+            notes=(*notes[a], *of_power[m], *([sun[home].in_words()] if home in sun else [])),
+            sun_on_sensor=sun.get(home),
+            foreign_heat=records.foreign.heat[a],
+        )
         zone_data = ZoneData(
             config,
             [h.part(home, order, [m]) for h in runs],
@@ -119,12 +120,10 @@ def identify(
             heat_inputs[a],
             layout.signs[a],
             step_s,
-            source,
-            records.hashes,
-            [*notes[a], *of_power[m], *([sun[home].in_words()] if home in sun else [])],
+            card,
             power[m] if len(layout.fed_by(m)) == 1 else None,
             alone=len(layout.home) == 1,
-            sun=sun.get(home),
+            bars=[remark for remark in records.doubts if a in remark.actuators],
             area_m2=float(layout.floor_area_m2[home]),
         )
         data_of.append(zone_data)
@@ -132,18 +131,13 @@ def identify(
     say(f"fitting what acting does to {days:.3g} days of records")
     estimates = _estimates(runs, records, layout, data_of, config)
     zones = []
-    for a, zone_data in enumerate(data_of):
-        advice = ""
+    for a, (zone_data, estimate) in enumerate(zip(data_of, estimates, strict=True)):
         if levels_only(heat_inputs[a], layout, a, config):
-            zone_data, advice = _with_unknown_heat(zone_data, runs, layout, a, estimates[a], config)
-        with _told(records, layout, a) as prefix:
-
-            def tell(text: str, prefix: str = prefix) -> None:
-                say(prefix + text)
-
-            zone = identify_zone(zone_data, estimates[a], tell)
-        zone = replace(zone, card=replace(zone.card, foreign_heat=records.foreign.heat[a]))
-        zones.append(_barred(_with_advice(zone, advice), a, records.doubts))
+            unknown, said, advice = unknown_heat(runs, layout, a, estimate.laws, config)
+            card = replace(zone_data.card, notes=(*zone_data.card.notes, *said))
+            zone_data = replace(zone_data, card=card, level_sd=unknown, advice=advice)
+        with _told(records, layout, a, say) as tell:
+            zones.append(identify_zone(zone_data, estimate, tell))
     return assembled(layout, zones, [estimate.effects[1:] for estimate in estimates], power, config)
 
 
@@ -221,15 +215,17 @@ def _estimates(
 
 
 @contextmanager
-def _told(records: _Records, layout: Layout, a: int) -> Iterator[str]:
-    """Errors name actuator `a` and its zone, where there are several, and what the records say against themselves.
+def _told(
+    records: _Records, layout: Layout, a: int, say: Callable[[str], None] = lambda text: None
+) -> Iterator[Callable[[str], None]]:
+    """Messages and errors name actuator `a` and its zone, where there are several.
 
-    Gives the beginning of messages about them.
+    Errors also tell what the records say against themselves.
     """
     names = layout.names
     prefix = "" if names.single else f"{names.actuators[a]} on {names.zones[layout.home[a]]}: "
     try:
-        yield prefix
+        yield lambda text: say(prefix + text)
     except DataError as error:
         doubts = [remark.in_words() for remark in records.doubts]
         raise DataError("; ".join([f"{prefix}{error}", *doubts])) from error
@@ -241,21 +237,6 @@ def _doubts(runs: Sequence[Record], layout: Layout) -> list[Remark]:
     for remark in sorted((remark for run in runs for remark in remarks(run, layout)), key=lambda one: one.sure):
         surest[remark.kind, remark.where] = remark
     return list(surest.values())
-
-
-def _barred(zone: ZoneModel, a: int, doubts: Sequence[Remark]) -> ZoneModel:
-    """`zone`, not competent where a check says that the level of actuator `a` is none."""
-    bars = tuple(remark for remark in doubts if a in remark.actuators)
-    if not bars:
-        return zone
-    verdict = replace(
-        zone.card.competence or Competence(False),
-        competent=False,
-        reasons=tuple(f"{remark.kind}: {remark.where}: {remark.words}" for remark in bars),
-        advice=tuple(remark.remedy for remark in bars),
-        plainly=_NO_LEVEL,
-    )
-    return replace(zone, card=replace(zone.card, competence=verdict))
 
 
 def _powers(
@@ -280,41 +261,11 @@ def _powers(
                 raise
             power = None
             said.append(f"{name}: {error}; its power is left out")
-        said += unexplained(power, name)
         if power is not None and power.cooling is not None and len(layout.fed_by(m)) > 1:
             said.append(f"power of {name}: {power.source}")
         powers.append(power and replace(power, foreign=other))
         notes.append(said)
     return powers, notes
-
-
-def _with_unknown_heat(
-    data: ZoneData,
-    runs: Sequence[Record],
-    layout: Layout,
-    a: int,
-    estimate: Estimate,
-    config: IdentificationConfig,
-) -> tuple[ZoneData, str]:
-    """`data` with what is not known of the heat of actuator `a`, whose levels alone were recorded, and advice on it."""
-    beside = confounding(runs, layout, a, config)
-    unknown, notes, advice = [beside.relative_sd, shared_sd(layout, a)], [], beside.in_words()
-    weather, laws = weather_of(runs, a), estimate.laws
-    if weather is not None and OUTDOORS in laws:
-        unknown.append(laws[OUTDOORS][1] * weather.spread_K)
-        notes.append(outdoors_in_words(laws, weather))
-    highest = max((float(np.max(h.u[0])) for h in data.histories), default=1.0)
-    unknown.append(_UNSEEN_LEVEL_SD * max(1.0 - highest, 0.0))
-    notes += [advice] if advice else []
-    return replace(data, level_sd=float(np.linalg.norm(unknown)), notes=[*data.notes, *notes]), advice
-
-
-def _with_advice(zone: ZoneModel, advice: str) -> ZoneModel:
-    """`zone` with this advice first in a verdict that is not competent."""
-    verdict = zone.card.competence
-    if not advice or verdict is None or verdict.competent:
-        return zone
-    return replace(zone, card=replace(zone.card, competence=replace(verdict, advice=(advice, *verdict.advice))))
 
 
 def _times_of(records: Sequence[Record]) -> str:

@@ -51,6 +51,12 @@ def bridged(history: Record, ahead: Boundary | None = None) -> tuple[Record, str
     return (replace(history, **filled), "bridged " + ", ".join(notes)) if filled else (history, "")
 
 
+def interpolated(values: Array) -> Array:
+    """`values` (n,) with gaps interpolated; zeros where none is known."""
+    known = np.flatnonzero(np.isfinite(values))
+    return np.interp(np.arange(values.size), known, values[known]) if known.size else np.zeros(values.size)
+
+
 def gapless(history: Record) -> bool:
     """Whether `bridged` has nothing to fill."""
     return all(bool(np.isfinite(getattr(history, name)).all()) for name in (*WEATHER, "u"))

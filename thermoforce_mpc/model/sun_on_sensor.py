@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.model.lag import lagged
 
 if TYPE_CHECKING:  # pvlib is loaded only where the sun is needed
     from thermoforce_mpc.boundary.weather.solar import Sun
@@ -60,7 +61,7 @@ class SunOnSensor:
         if not measured.all():
             solar_W_m2 = np.interp(time_s, np.asarray(time_s)[measured], np.asarray(solar_W_m2)[measured])
         facade = facade_W_m2(time_s, solar_W_m2, self.latitude_deg, self.noon_s, (self.azimuth_deg,))
-        return np.asarray(self.full_K / FULL_SUN_W_M2 * lagged(facade, time_s, self.lag_s)[:, 0])
+        return np.asarray(self.full_K / FULL_SUN_W_M2 * sensor_lag(facade[:, 0], time_s, self.lag_s))
 
     def in_words(self) -> str:
         """One line."""
@@ -112,16 +113,15 @@ def facade_W_m2(
     return facades
 
 
-def lagged(signals: Array, time_s: Array, lag_s: float) -> Array:
-    """First-order lag of `signals` (n, k), piecewise linear between equally spaced `time_s` (n,), at these instants."""
-    from scipy.signal import lfilter
+def sensor_lag(signal: Array, time_s: Array, lag_s: float) -> Array:
+    """First-order lag of `signal` (n,), piecewise linear between equally spaced `time_s` (n,), at these instants.
 
+    The signal stood still before.
+    """
     if len(time_s) < 2:
-        return signals
+        return signal
     steps = float(time_s[1] - time_s[0]) / lag_s
-    kept = np.exp(-steps)
+    kept = float(np.exp(-steps))
     first = (1.0 - kept) / steps
-    weights = np.array([1.0 - first, first - kept])
-    # The signal stood still before.
-    begin = (weights[1] + kept) * signals[:1]
-    return np.asarray(lfilter(weights, [1.0, -kept], signals, axis=0, zi=begin)[0])
+    over_step = ((1.0 - first) * signal[1:] + (first - kept) * signal[:-1]) / (1.0 - kept)
+    return lagged(over_step, kept, float(signal[0]))

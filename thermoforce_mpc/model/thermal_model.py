@@ -124,7 +124,7 @@ class ThermalModel:
                 return None if pair is None else own
             # Gains are per v, whose heat may be another: K per W stay.
             gains = pair.gains * (own.heat_input.reference_W / pair.heat_input.reference_W)
-            return replace(own, poles=pair.poles, gains=gains, pole_bounds=pair.pole_bounds)
+            return replace(own, poles=pair.poles, gains=gains)
 
         pairs = tuple(
             tuple(changed(z, a, pair) for a, pair in enumerate(row)) for z, row in enumerate(self.operator.pairs)

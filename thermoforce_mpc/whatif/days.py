@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.gaps import interpolated
+from thermoforce_mpc.model.lag import lagged
 
 # Least share of a day's steps with energy and outdoor temperature for it to count, and with sun, where that is metered:
 # a sensor may be silent at night.
@@ -103,26 +104,18 @@ def _low_passes(record: Record, past: Record | None) -> tuple[Array, Array]:
     """Outdoor temperature and irradiance through each low pass, (lags, n + 1)."""
     filtered = []
     for name in ("T_out_C", "solar_W_m2"):
-        values = _interpolated(getattr(record, name))
+        values = interpolated(getattr(record, name))
         before = np.empty(0)
         if past is not None and 0.0 <= record.time_s[0] - past.time_s[-1] <= DAY_S and past.step_s == record.step_s:
-            before = _interpolated(getattr(past, name))
+            before = interpolated(getattr(past, name))
         joined = np.concatenate([before, values])
         rows = []
         for lag in LAGS_H:
             if lag == 0.0:
                 rows.append(values)
                 continue
-            pole = np.exp(-record.step_s / HOUR_S / lag)
-            start = joined[: max(1, round(DAY_S / record.step_s))].mean()
-            rows.append(lfilter([1.0 - pole], [1.0, -pole], joined, zi=[pole * start])[0][before.size :])
+            pole = float(np.exp(-record.step_s / HOUR_S / lag))
+            start = float(joined[: max(1, round(DAY_S / record.step_s))].mean())
+            rows.append(lagged(joined, pole, start)[1 + before.size :])
         filtered.append(np.array(rows))
     return filtered[0], filtered[1]
-
-
-def _interpolated(values: Array) -> Array:
-    """`values` with gaps interpolated; the days in which they lie are left out by their own rule."""
-    finite = np.flatnonzero(np.isfinite(values))
-    if not finite.size:
-        return np.zeros_like(values)
-    return np.asarray(np.interp(np.arange(values.size), finite, values[finite]))

@@ -25,7 +25,6 @@ from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-from thermoforce_mpc.model.operator.parameters import bounds_between
 from thermoforce_mpc.model.predictor import PredictorState
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
@@ -96,7 +95,7 @@ def test_zones_of_different_order_are_controlled_as_those_of_one():
             return pair
         (pole,), (gain,) = pair.poles, pair.gains
         poles = np.array([pole - 1e-9, pole])
-        return replace(pair, poles=poles, gains=0.5 * np.full(2, gain), pole_bounds=bounds_between(poles))
+        return replace(pair, poles=poles, gains=0.5 * np.full(2, gain))
 
     plain, options = two_model(), {"watch": {"enabled": True}}
     other = replace(plain, operator=plain.operator.map_actuators(halved))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -140,32 +139,11 @@ def test_not_knowing_the_heat_makes_part_load_dearer_and_ends_in_blocks():
 
 
 def test_laws_leave_off_and_full_level_as_they_are():
-    u, config = np.array([0.0, 0.1, 0.4, 0.8, 1.0]), CONFIG.model_copy(update={"radiator_exponent": 1.3})
+    u = np.array([0.0, 0.1, 0.4, 0.8, 1.0])
     given = recorded(lambda u: u, levels((0.5, 0.25)), lambda u: 3000.0 * u)
-    low, middle, radiator = laws_of([given], Layout.single(), 0, IDENTITY, config)
+    _, low, middle = laws_of([given], Layout.single(), 0, IDENTITY, CONFIG)
     np.testing.assert_array_equal(low.phi(u, 0.0 * u), [0.0, 0.1, 0.0, 0.0, 0.0])
     np.testing.assert_array_equal(middle.phi(u, 0.0 * u), [0.0, 0.0, 0.4, 0.8, 0.0])
-    # An exponent 1 % larger, to first order.
-    np.testing.assert_allclose(u + 0.01 * radiator.phi(u, 0.0 * u), u**1.01, atol=1e-4)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("true", "days_of_levels", "words"),
-    [
-        (1.3, (0.1, 0.3, 0.6), "in agreement with the 1.3 in use"),
-        (1.6, (0.1, 0.3, 0.6), "write actuator.exponent: 1.[4-6]"),
-        (1.3, (1.0,), "hardly tell it, the 1.3 of the data sheet is kept"),
-    ],
-    ids=["same", "other", "unseen"],
-)
-def test_the_exponent_of_a_radiator_is_found_or_said_to_be_unknown(true, days_of_levels, words):
-    config = CONFIG.model_copy(update={"part_load": False, "radiator_exponent": 1.3, "lowest_level": 0.1})
-    given = recorded(lambda u: u ** (true / 1.3), levels(days_of_levels), lambda u: 3000.0 * u)
-    model = identify(given, config=config).only
-    (note,) = (note for note in model.card.notes if "exponent" in note)
-    assert re.search(words, note), note
-    assert model.card.uncertainty["radiator_exponent_sd"] <= 0.1001
 
 
 def test_a_run_asks_for_what_its_test_case_does_not_meter():
@@ -178,4 +156,4 @@ def test_a_run_asks_for_what_its_test_case_does_not_meter():
     probing, config = identification_settings(scenario, blind)
     assert (probing.trial_levels, probing.trial_steps, config.part_load) == ((0.5, 0.25), 8, True)
     water = load_testcase("bestest_hydronic")
-    assert identification_settings(Scenario(testcase=water.name), water)[1].radiator_exponent == 1.3
+    assert identification_settings(Scenario(testcase=water.name), water)[1].heat_input == "identity"

@@ -9,7 +9,7 @@ import pytest
 from houses import House, make_pair, record
 
 from thermoforce_mpc.data import Layout, Names, Record
-from thermoforce_mpc.identification.network.effects import Actuators, building_fit, room_pair, room_run
+from thermoforce_mpc.identification.network.effects import Actuators, building_fit, room_run
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
@@ -91,7 +91,7 @@ def test_neighbours_are_means_of_their_readings_with_gaps_bridged():
 
 def test_a_pair_is_the_difference_of_its_runs():
     pair = make_pair(HOUSE, 3)
-    run = room_pair(pair, 0, acting(SINGLE, IDENTITY), 0.0)
+    run = room_run(pair.a, 0, acting(SINGLE, IDENTITY), 0.0, pair.b)
     assert run.pair
     assert not np.any(run.inputs[:, : len(INPUTS)])
     np.testing.assert_allclose(run.inputs[:-1, -1], pair.a.u[0] - pair.b.u[0])

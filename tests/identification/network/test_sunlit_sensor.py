@@ -18,7 +18,7 @@ from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.identification.probing.probe import Probing
 from thermoforce_mpc.identification.validation.report import rollouts
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-from thermoforce_mpc.model.sun_on_sensor import SunOnSensor, facade_W_m2, lagged, sun_at
+from thermoforce_mpc.model.sun_on_sensor import SunOnSensor, facade_W_m2, sensor_lag, sun_at
 from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, House, draw_house
 
@@ -130,8 +130,8 @@ def test_irradiance_on_a_facade_is_near_that_of_its_own_components():
 
 def test_lag_of_a_ramp_and_gaps_in_the_irradiance():
     time_s = np.arange(0.0, 6 * HOUR_S, 900.0)
-    ramp = np.maximum(time_s - HOUR_S, 0.0)[:, None]
-    late = lagged(ramp, time_s, 600.0)[:, 0]
+    ramp = np.maximum(time_s - HOUR_S, 0.0)
+    late = sensor_lag(ramp, time_s, 600.0)
     rising = time_s >= HOUR_S
     after = time_s[rising] - HOUR_S
     np.testing.assert_allclose(late[rising], after - 600.0 * (1.0 - np.exp(-after / 600.0)), atol=1e-9)

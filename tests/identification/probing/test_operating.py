@@ -13,7 +13,7 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Names, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.probing.by_hand import as_changes, probe_schedule
-from thermoforce_mpc.identification.probing.operation import findings, telling_part, tellings
+from thermoforce_mpc.identification.probing.operation import findings, telling_part
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
 HEATING = Layout.single("heating")
@@ -51,33 +51,9 @@ def test_the_days_that_tell_most_are_used():
         telling_part(replace(record, T_zone_C=T * np.nan), HEATING)
 
 
-def test_it_is_said_why_a_record_cannot_tell():
-    n = 5 * 24
-    steady = tellings(operated(np.full((1, n), 0.4), 5), HEATING)[0]
-    assert not steady.tells
-    assert "its level hardly changes (0.40 to 0.40)" in steady.in_words()
-    assert tellings(operated(drawn(n)[None], 5), HEATING)[0].tells
-    rarely = np.zeros((1, n))
-    rarely[0, 50] = 1.0
-    assert "it is on for 0.8 % of the time only" in tellings(operated(rarely, 5), HEATING)[0].in_words()
-
-
-def test_actuators_that_go_together_cannot_be_told_apart():
-    n = 14 * 24
-    together = operated(np.array([drawn(n), drawn(n)]), 14)
-    layout = Layout(together.names, (1, 1), (0, 0), (0, 0), (0.0, 0.0), (0.0, 0.0), (np.nan,))
-    found = tellings(together, layout)
-    assert [telling.blurred_by for telling in found] == [("heater_1",), ("heater_0",)]
-    assert "cannot be told apart from heater_1" in found[0].in_words()
-    apart = tellings(operated(np.array([drawn(n), drawn(n, seed=7)]), 14), layout)
-    assert [telling.tells for telling in apart] == [True, True]
-    assert apart[0].relative_sd < found[0].relative_sd
-
-
 def test_levels_are_set_by_day_on_the_hour_and_control_is_given_back():
     record = operated(np.full((1, 72), 0.4), 3)
     plan = probe_schedule(record, HEATING, awake=(8, 20), levels=(0.0, 0.5, 1.0))
-    assert plan.enough
     assert plan.probed == ("actuator",)
     hours = (plan.time_s[:-1] % DAY_S) / HOUR_S
     set_by_hand = np.isfinite(plan.u[0])
@@ -94,23 +70,22 @@ def test_levels_are_set_by_day_on_the_hour_and_control_is_given_back():
 def test_a_month_and_more_can_be_added_to():
     record = operated(np.full((1, 30 * 24), 0.4), 30)
     plan = probe_schedule(record, HEATING, start_s=float(record.time_s[-1]) + 100 * DAY_S + 7 * HOUR_S)
-    assert plan.hours > 0
-    assert plan.after[0].relative_sd < plan.before[0].relative_sd
+    assert np.isfinite(plan.u).any()
     with pytest.raises(DataError, match="zone: its temperature was not measured"):
         probe_schedule(replace(record, T_zone_C=record.T_zone_C * np.nan), HEATING)
 
 
-@pytest.mark.slow
 def test_only_what_is_not_known_is_probed():
     n = 14 * 24
     record = operated(np.array([drawn(n), np.full(n, 0.3)]), 14)
     layout = Layout(record.names, (1, 1), (0, 0), (0, 0), (0.0, 0.0), (0.0, 0.0), (np.nan,))
-    plan = probe_schedule(record, layout)
+    plan = probe_schedule(record, layout, competent=[True, False], days=2)
     assert plan.probed == ("heater_1",)
     assert np.isnan(plan.u[0]).all()
-    assert probe_schedule(record, layout, competent=[True, True]).hours == 0
-    assert probe_schedule(record, layout, competent=[False, True]).probed == ("heater_0",)
-    assert probe_schedule(record, layout, competent=[False, True]).hours >= 24, "a day at least where a model failed"
+    assert plan.u.shape == (2, 48)
+    both = probe_schedule(record, layout)
+    assert both.probed == ("heater_0", "heater_1")
+    assert not np.array_equal(both.u[0], both.u[1], equal_nan=True), "each has draws of its own"
 
 
 @pytest.mark.parametrize(
@@ -120,6 +95,7 @@ def test_only_what_is_not_known_is_probed():
         ({"levels": (0.0,)}, "start with 0"),
         ({"awake": (20, 8)}, "hours from 20 to 8"),
         ({"awake": (8, 10)}, "at least 6 h"),
+        ({"days": 8}, "give 1 to 7"),
     ],
 )
 def test_schedules_that_nobody_can_run_are_refused(changes, message):
@@ -138,7 +114,6 @@ def test_run_by_hand_the_schedule_tells_what_operation_did_not():
     before = findings(record, HEATING)[0]
     assert not before.competent
     plan = probe_schedule(record, HEATING, lower_C=np.array([21.0]), upper_C=np.array([24.0]), competent=[False])
-    assert plan.hours == 24
     assert plan.discomfort_Kh[0] < 5.0
     while record.time_s[-1] < plan.time_s[-1]:
         hour = int((record.time_s[-1] - plan.time_s[0]) // HOUR_S)

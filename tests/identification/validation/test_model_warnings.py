@@ -8,7 +8,7 @@ import numpy as np
 from houses import House, record
 
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.validation.warnings import uncertain
+from thermoforce_mpc.identification.zones.model import uncertain
 
 LINEAR = IdentificationConfig(modulation="linear", order=1, sun_on_sensor=False)
 
@@ -20,10 +20,10 @@ def test_power_that_does_not_follow_the_level_is_a_warning_and_no_reason():
         identify(one, config=LINEAR, floor_area_m2=190.0).only.card
         for one in (run, replace(run, power_W=run.power_W + hot_water))
     )
-    said = [note for note in loaded.notes if note.startswith("warning: level and weather explain")]
+    said = [note for note in loaded.notes if note.startswith("meter holds another load")]
     assert len(said) == 1
     assert "hot water" in said[0]
-    assert not any(note.startswith("warning") for note in clean.notes)
+    assert not any(note.startswith("meter") for note in clean.notes)
     assert loaded.competence.competent
 
 

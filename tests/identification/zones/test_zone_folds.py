@@ -71,6 +71,21 @@ def test_held_out_pairs_are_not_seen():
     assert data.last_steps("earlier") == [0] * 4
 
 
+def test_the_last_part_of_the_only_pair_is_not_seen():
+    pair = make_pair(House(), 0, 2.0)
+    data = ZoneData(CONFIG, [], [pair], IDENTITY, 1)
+    (n,) = data.last_steps("training")
+    assert 0 < n < pair.a.n_steps
+    changed = replace(pair, a=changed_from(pair.a, n))
+    estimates = []
+    for one in (pair, changed):
+        data = ZoneData(CONFIG, [], [one], IDENTITY, 1)
+        estimates += network_estimates([], [one], LAYOUT, [data], CONFIG)
+    before, late = estimates
+    np.testing.assert_array_equal(late.last.gains, before.last.gains)
+    assert not np.array_equal(late.everything.gains, before.everything.gains)
+
+
 def test_the_law_of_a_heat_meter_is_that_of_the_rows_that_are_seen():
     """A meter that reads twice as much from the held-out rows on changes no fold but the whole."""
     run = record(House(), 4.0, noise_K=0.01)

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from machine_history import machine_history
 
-from thermoforce_mpc.identification import IdentificationConfig
-from thermoforce_mpc.identification.effects.level_laws import level_shape
-from thermoforce_mpc.model.machine.part_load import PowerShape, level_costs
+from thermoforce_mpc.identification.effects.level_laws import part_load_costs
+from thermoforce_mpc.model.machine.part_load import PowerShape
 from thermoforce_mpc.model.machine.power import PowerModel, fit_power
 from thermoforce_mpc.model.machine.water_warmth import warmth
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
@@ -69,11 +68,10 @@ def test_levels_are_compared_in_the_same_water(fixed_W, cost):
     record = record_of(fixed_W, HOUR)
     power = fit_power([record])
     found = {"heat_at_middle_level": (0.0, 0.01)}
-    numbers, _ = level_shape(found, [record], IdentificationConfig(), power, IDENTITY)
-    (half,) = level_costs(numbers)
+    (half,) = part_load_costs(found, [record], power, IDENTITY)
     assert half.cost == pytest.approx(cost, rel=0.02)
-    unseen, _ = level_shape(found, [record], IdentificationConfig(), replace(power, water_s=None), IDENTITY)
-    assert level_costs(unseen)[0].cost < cost - 0.03
+    (unseen,) = part_load_costs(found, [record], replace(power, water_s=None), IDENTITY)
+    assert unseen.cost < cost - 0.03
 
 
 @pytest.mark.parametrize("shares", [(0.0, 1.0, 0.0), (0.2, 0.6, 0.2)])

@@ -28,7 +28,6 @@ from thermoforce_mpc.model.operator import (
 from thermoforce_mpc.model.operator.casadi_export import modulation_function, rollout_function, step_function
 
 N = 24
-TWO = np.array([[0.0, 0.7], [0.7, 1.0]])
 
 
 def _loop(params: OperatorParameters, F0, u, features) -> np.ndarray:
@@ -155,16 +154,12 @@ def test_features_are_what_the_docstring_says():
     [
         ({"poles": np.array([1.0])}, "poles"),
         ({"poles": np.array([0.0])}, "poles"),
-        ({"poles": np.array([0.2])}, "poles"),  # outside of its own bounds
         ({"gains": np.array([-0.1])}, "gains"),
         ({"gains": np.array([0.1, 0.1])}, "gains"),
+        ({"poles": np.array([0.8, 0.6]), "gains": np.ones(2)}, "increase"),
+        ({"poles": np.array([0.5, 0.9]), "gains": np.array([1.0, -0.1])}, "beyond the first"),
         (
-            {"poles": np.array([0.8, 0.6]), "gains": np.ones(2), "pole_bounds": np.array([[0, 0.9], [0.5, 1]])},
-            "increase",
-        ),
-        ({"poles": np.array([0.5, 0.9]), "gains": np.array([1.0, -0.1]), "pole_bounds": TWO}, "beyond the first"),
-        (
-            {"poles": np.array([0.5, 0.9]), "gains": np.array([-2.0, 1.0]), "pole_bounds": TWO},
+            {"poles": np.array([0.5, 0.9]), "gains": np.array([-2.0, 1.0])},
             "give an initial response",
         ),
         ({"gamma": 1.0}, "gamma"),
@@ -174,11 +169,10 @@ def test_features_are_what_the_docstring_says():
         ({"hidden_weight": np.zeros((32, 3))}, "hidden_weight"),
         ({"output_bias": np.inf}, "output_bias"),
         ({"feature_scale": np.zeros(4)}, "feature_scale"),
-        ({"pole_bounds": np.array([[0.9, 0.5]])}, "pole_bounds"),
     ],
 )
 def test_impossible_operators_are_refused(change, word):
-    params = linear_operator(np.array([0.8]), np.array([0.1]), step_s=3600.0, pole_bounds=np.array([[0.5, 0.9]]))
+    params = linear_operator(np.array([0.8]), np.array([0.1]), step_s=3600.0)
     with pytest.raises(DataError, match=word):
         replace(params, **change)
 

@@ -42,7 +42,6 @@ def random_operator(
         gamma=gamma,
         sign=sign,
         step_s=step_s,
-        pole_bounds=bounds,
         heat_input=heat_input,
     )
 

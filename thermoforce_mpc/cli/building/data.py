@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from thermoforce_mpc.cli.building.data_shown import show_measurements, show_remarks, show_tellings
+from thermoforce_mpc.cli.building.data_shown import show_findings, show_measurements, show_remarks
 from thermoforce_mpc.cli.building.probe_plan import FILES, MAP, probe_plan_command
 from thermoforce_mpc.cli.options import plot_option
 from thermoforce_mpc.files import written
@@ -46,8 +46,7 @@ def check_command(files: tuple[str, ...], map_file: Path, plot: Path, fit: bool,
 
     Prints period, step, gaps, ranges and flagged readings of every signal, what was assumed, what is missing and what
     is doubtful: stamps that are late or early, units, set-points taken for levels, other loads on a meter, rooms left
-    out. Then how much the data can tell about the effect of acting: what is expected from levels and weather alone, and
-    what a linear model finds.
+    out. Then what a linear model of the data tells about the effect of acting.
     """
     from thermoforce_mpc.measurements.load import read_measurements
     from thermoforce_mpc.measurements.picture import draw_measurements
@@ -56,13 +55,13 @@ def check_command(files: tuple[str, ...], map_file: Path, plot: Path, fit: bool,
     measured = read_measurements(files, map_file)
     show_measurements(measured, display.console)
     doubts = show_remarks(measured, display.console)
-    tellings = show_tellings(measured, display, fit=fit)
+    tells = show_findings(measured, display) if fit else {}
     with written(plot) as aside:
-        title = f"{', '.join(Path(name).name for name in measured.understood.files[:3])}: {tellings['headline']}"
-        draw_measurements(aside, measured, title)
+        names = ", ".join(Path(name).name for name in measured.understood.files[:3])
+        draw_measurements(aside, measured, ": ".join([names, *([tells["headline"]] if tells else [])]))
     display.say(f"Picture: {plot}")
     if json_file is not None:
-        content = {"understood": measured.understood.to_json(), "remarks": doubts, "tells": tellings}
+        content = {"understood": measured.understood.to_json(), "remarks": doubts, "tells": tells}
         with written(json_file) as aside:
             aside.write_text(json.dumps(content, indent=2, ensure_ascii=False), encoding="utf-8")
 

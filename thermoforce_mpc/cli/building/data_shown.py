@@ -64,44 +64,28 @@ def show_remarks(measured: Measurements, console: Console) -> list[str]:
     return found
 
 
-def show_tellings(measured: Measurements, display: RunDisplay, *, fit: bool) -> dict[str, Any]:
-    """Print what the data tell about the effect of acting; returns it for a file, with a `headline`."""
+def show_findings(measured: Measurements, display: RunDisplay) -> dict[str, Any]:
+    """Print what a linear model of the data tells about the effect of acting; returns it for a file, and a headline."""
+    from thermoforce_mpc.identification.probing.operation import findings, telling_part
+
     try:
-        return _tellings(measured.served(), display, fit=fit)
+        served = measured.served()
+        record, note = telling_part(served.record, served.layout)
     except DataError as error:
         display.say(f"Effect of acting: cannot be told: {error}")
         return {"headline": "the effect of acting cannot be told", "refused": str(error)}
-
-
-def _tellings(measured: Measurements, display: RunDisplay, *, fit: bool) -> dict[str, Any]:
-    from thermoforce_mpc.identification.probing.operation import findings, telling_part, tellings
-
-    record, note = telling_part(measured.record, measured.layout)
-    expected = tellings(record, measured.layout)
-    display.say("Effect of acting, expected from levels and weather alone:")
+    display.say("Effect of acting, found by a linear model:")
     if note:
         display.say(f"  {note}")
-    for telling in expected:
-        display.say(f"  {telling.in_words()}")
-    content: dict[str, Any] = {
-        "headline": "; ".join(f"{t.actuator} ± {100 * t.relative_sd:.0f} % expected" for t in expected),
-        "part": note,
-        "expected": [{"actuator": t.actuator, "relative_sd": t.relative_sd, "tells": t.tells} for t in expected],
-    }
-    enough = all(telling.tells for telling in expected)
-    if fit:
-        display.say("Found by a linear model:")
-        fitted = findings(record, measured.layout)
-        for finding in fitted:
-            display.say(f"  {finding.actuator}: {finding.words}")
-            for advice in finding.advice:
-                display.say(f"    advice: {advice}")
-        enough = all(finding.competent for finding in fitted)
-        verdicts = [f"{f.actuator} {f.words if f.competent else 'cannot be told'}" for f in fitted]
-        content |= {"found": [asdict(finding) for finding in fitted], "headline": "; ".join(verdicts)}
-    if not enough:
-        display.say("  `tf-mpc data probe-plan` writes the cheapest probing by hand that would tell")
-    return content
+    found = findings(record, served.layout)
+    for finding in found:
+        display.say(f"  {finding.actuator}: {finding.words}")
+        for advice in finding.advice:
+            display.say(f"    advice: {advice}")
+    if not all(finding.competent for finding in found):
+        display.say("  `tf-mpc data probe-plan` writes a probing by hand that would tell")
+    headline = "; ".join(f"{f.actuator} {f.words if f.competent else 'cannot be told'}" for f in found)
+    return {"headline": headline, "part": note, "found": [asdict(finding) for finding in found]}
 
 
 def _cells(signal: SignalSummary) -> tuple[str, ...]:

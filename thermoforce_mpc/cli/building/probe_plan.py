@@ -1,4 +1,4 @@
-"""`tf-mpc data probe-plan`: the cheapest probing by hand after which a table tells the effect of acting."""
+"""`tf-mpc data probe-plan`: days of probing by hand after which a table tells the effect of acting."""
 
 from __future__ import annotations
 
@@ -41,6 +41,7 @@ def _levels(context: click.Context, parameter: click.Parameter, value: str) -> t
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("probe.csv"), show_default=True, help="Schedule (CSV)."
 )
+@click.option("--days", type=int, default=1, show_default=True, help="Days to probe, 1 to 7.")
 @click.option("--levels", default="0,1", show_default=True, callback=_levels, help="Levels to set, off first.")
 @click.option("--awake", default="7-22", show_default=True, callback=_hours, help="Hours between which levels are set.")
 @click.option("--start", metavar="DATE", help="First day.  [default: the first morning after the data]")
@@ -50,19 +51,21 @@ def probe_plan_command(
     files: tuple[str, ...],
     map_file: Path,
     out: Path,
+    days: int,
     levels: tuple[float, ...],
     awake: tuple[int, int],
     start: str | None,
     fit: bool,
     seed: int,
 ) -> None:
-    """Write the shortest probing after which FILE and it together tell the effect of acting, to run by hand.
+    """Write a probing after which FILE and it together tell the effect of acting, to run by hand.
 
     The schedule has one line per change: the time, and the level of every actuator from then on; an empty cell leaves
-    the actuator to the building's own control, as at night and at the end. Whole days are added, up to a week, until
-    the effect of every actuator is expected to be known to 40 %. Where the record tells it already, nothing is written.
+    the actuator to the building's own control, as at night and at the end. Actuators whose effect a linear model of
+    FILE tells already are left alone; where it tells all, nothing is written.
 
-    Keep measuring while you run it, append the rows to your file, and identify again.
+    Keep measuring while you run it, append the rows to your file, and identify again; where a day was not enough, add
+    another.
     """
     from thermoforce_mpc.identification.probing.by_hand import probe_schedule
     from thermoforce_mpc.identification.probing.operation import MOST_DAYS, findings, telling_part
@@ -82,6 +85,7 @@ def probe_plan_command(
     plan = probe_schedule(
         recent,
         measured.layout,
+        days=days,
         lower_C=lower,
         upper_C=upper,
         levels=levels,
@@ -90,25 +94,18 @@ def probe_plan_command(
         competent=[finding.competent for finding in fitted] if fitted else None,
         seed=seed,
     )
-    of_late = "" if recent.n_steps == measured.record.n_steps else f" of the last {MOST_DAYS:g} days"
-    display.say(f"Expected{of_late} without probing:")
-    for telling in plan.before:
-        display.say(f"  {telling.in_words()}")
-    if not plan.hours:
+    if not plan.probed:
         display.say("Nothing needs to be probed.")
         return
     _write(out, plan, display)
 
 
 def _write(out: Path, plan: ProbeSchedule, display: RunDisplay) -> None:
-    """Print the schedule with what it is expected to bring and to cost, and write it."""
+    """Print the schedule with what it is expected to cost, and write it."""
     from thermoforce_mpc.data.dataframes import table
     from thermoforce_mpc.identification.probing.by_hand import as_changes
 
-    days = f"{plan.hours // 24} days" if plan.hours > 24 else "a day"
-    display.say(f"Expected after {plan.by_hand_h} h by hand within {days}, at {', '.join(plan.probed)}:")
-    for telling in plan.after:
-        display.say(f"  {telling.in_words()}")
+    display.say(f"{plan.by_hand_h} h by hand at {', '.join(plan.probed)}, expected:")
     for z, zone in enumerate(plan.record.names.zones):
         low, high = plan.lower_C[z], plan.upper_C[z]
         display.say(
@@ -116,8 +113,6 @@ def _write(out: Path, plan: ProbeSchedule, display: RunDisplay) -> None:
             f"{plan.excursion_K[z]:.1f} K from its usual temperature, for a building as the priors expect it. Leave "
             f"the schedule where it gets below {low - 1:.0f} or above {high + 1:.0f} °C, and note when"
         )
-    if not plan.enough:
-        display.say("  A week by hand is not expected to be enough: probe all the same, or use more levels")
     time_s, u = as_changes(plan)
     names = plan.record.names.actuators
     changes = table(time_s, plan.record.origin, **dict(zip(names, u, strict=True)))

@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.signal import lfilter
 
 from thermoforce_mpc.data import DAY_S, Array, Layout, Record
 from thermoforce_mpc.identification.checks.remark import Remark
+from thermoforce_mpc.model.gaps import interpolated
+from thermoforce_mpc.model.lag import lagged
 
 # Steps by which what acts is moved, at most.
 _MOST_SHIFT = 6
@@ -96,12 +97,11 @@ def _losses(record: Record, layout: Layout, zone: int) -> Array | None:
 def _told_without_heat(record: Record, zone: int) -> Array:
     """What tells the next reading of a zone beside its heat, (n, m): readings so far, neighbours and weather."""
     T, sun, outdoors = record.T_zone_C[zone], record.solar_W_m2, record.T_out_C
-    steps, known = np.arange(T.size), np.isfinite(T)
-    bridged = np.interp(steps, steps[known], T[known])
+    bridged = interpolated(T)
     hour = 2.0 * np.pi * record.time_s / DAY_S
     columns = [np.ones(T.size), T, np.cos(hour), np.sin(hour), outdoors, sun, _before(outdoors, 1), _before(sun, 1)]
     columns += [np.append(sun[1:], sun[-1]), _before(sun, 2)]
-    columns += [_followed(bridged, memory, bridged[0]) for memory in _MEMORIES]
+    columns += [lagged(bridged, float(np.exp(-1.0 / memory)), float(bridged[0]))[1:] for memory in _MEMORIES]
     columns += [other for z, other in enumerate(record.T_zone_C) if z != zone]
     return np.column_stack(columns)[:-1]
 
@@ -110,25 +110,18 @@ def _lagged(record: Record, layout: Layout, a: int) -> Array:
     """What an actuator does in each step, over its largest, at once and through each of the lags (n, L)."""
     metered = np.isfinite(record.heat_W[a]).mean() >= _LEAST_KNOWN
     heat = record.heat_W[a] if metered else layout.signs[a] * record.u[a]
-    steps, known = np.arange(heat.size), np.isfinite(heat)
+    known = np.isfinite(heat)
     if not known.any():
         return np.full((heat.size, len(_LAGS)), np.nan)
-    bridged = np.interp(steps, steps[known], heat[known]) / max(np.abs(heat[known]).max(), 1e-9)
     columns = []
     for lag_s, times in _LAGS:
-        column = bridged
+        column = interpolated(heat) / max(np.abs(heat[known]).max(), 1e-9)
         for _ in range(times):
             memory = lag_s / record.step_s
-            at_end = _followed(column, memory, 0.0)
+            at_end = lagged(column, float(np.exp(-1.0 / memory)))[1:]
             column = column + (_before(at_end, 1) - column) * memory * -np.expm1(-1.0 / memory)  # mean over the step
         columns.append(column)
     return np.where(known[:, None], np.column_stack(columns), np.nan)
-
-
-def _followed(values: Array, memory: float, first: float) -> Array:
-    """`values` (n,) through a lag of `memory` steps that begins at `first`, at the end of each step."""
-    kept = np.exp(-1.0 / memory)
-    return np.asarray(lfilter([1.0 - kept], [1.0, -kept], values, zi=[kept * first])[0])
 
 
 def _before(values: Array, steps: int) -> Array:

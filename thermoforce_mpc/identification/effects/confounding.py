@@ -1,4 +1,4 @@
-"""Levels of neighbours that go with an actuator's own: how much of its effect on its zone may be theirs.
+"""What levels alone do not say of an actuator's heat, and how much of its effect on its zone may be its neighbours'.
 
 Rooms of one house are heated when it is cold, all of them. What their levels share cannot be attributed: an effect of a
 neighbour that the fit gives to the own actuator biases it by that effect times the neighbour's level per own level (the
@@ -9,13 +9,13 @@ heat is not measured it is not, since circuits of one machine take from each oth
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.couplings import others_of
+from thermoforce_mpc.identification.effects.level_laws import OUTDOORS, Estimates, outdoors_in_words, weather_of
 from thermoforce_mpc.identification.validation.competence import EFFECT_H
 
 # What a neighbour at full level may do to a zone, as a share of what the zone's own actuator does, times the number of
@@ -23,42 +23,53 @@ from thermoforce_mpc.identification.validation.competence import EFFECT_H
 _THEIRS = 0.6
 # From this relative standard deviation of the effect on, a neighbour is named.
 _NAMED = 0.1
+# Relative standard deviation of the heat of full level where nothing near it was seen and no heat metered: what a level
+# gives may sag, or be switched by a machine that cycles.
+_UNSEEN_LEVEL_SD = 0.6
 
 
-@dataclass(frozen=True)
-class Confounding:
-    """`relative_sd`: of the effect of an actuator on its zone; `neighbours`: those that cause most of it."""
+def unknown_heat(
+    runs: Sequence[Record], layout: Layout, a: int, laws: Estimates, config: IdentificationConfig
+) -> tuple[float, list[str], str]:
+    """Relative standard deviation of the effect of actuator `a` by what its levels do not say of its heat.
 
-    relative_sd: float
-    neighbours: tuple[str, ...]
+    And notes on that, and advice; empty where there is none.
+    """
+    neighbours_sd, advice = confounding(runs, layout, a, config)
+    unknown, notes = [neighbours_sd, shared_sd(layout, a)], [advice] if advice else []
+    weather = weather_of(runs, a)
+    if weather is not None and OUTDOORS in laws:
+        unknown.append(laws[OUTDOORS][1] * weather.spread_K)
+        notes.insert(0, outdoors_in_words(laws, weather))
+    highest = max((float(np.max(run.u[a])) for run in runs), default=1.0)
+    unknown.append(_UNSEEN_LEVEL_SD * max(1.0 - highest, 0.0))
+    return float(np.linalg.norm(unknown)), notes, advice
 
-    def in_words(self) -> str:
-        """A note for the model card, empty where nothing is confounded."""
-        if not self.neighbours:
-            return ""
-        return (
-            f"levels went together with those of {', '.join(self.neighbours)}: ± {100 * self.relative_sd:.0f} % of the "
-            "effect may be theirs; set them at different times"
-        )
 
+def confounding(runs: Sequence[Record], layout: Layout, a: int, config: IdentificationConfig) -> tuple[float, str]:
+    """What the neighbours of actuator `a` may have done to its zone, as a share of its effect after `EFFECT_H`.
 
-def confounding(runs: Sequence[Record], layout: Layout, a: int, config: IdentificationConfig) -> Confounding:
-    """What the neighbours of actuator `a` may have done to its zone, as a share of its effect after `EFFECT_H`."""
+    And advice that names those that cause most of it.
+    """
     home = layout.home[a]
     neighbours = [b for b in others_of(layout, a, config) if layout.home[b] != home]
     if not runs or not neighbours:
-        return Confounding(0.0, ())
+        return 0.0, ""
     n = max(1, round(EFFECT_H * HOUR_S / runs[0].step_s))
     means = [np.concatenate([_centred_mean(run.u[b], n) for run in runs]) for b in (a, *neighbours)]
     own, others = means[0], means[1:]
     power = float(own @ own)
     if not power > 0.0:
-        return Confounding(0.0, ())
+        return 0.0, ""
     theirs = _THEIRS / len(layout.floor_area_m2)
     shares = [theirs * max(float(own @ level) / power, 0.0) for level in others]
-    named = tuple(layout.names.actuators[b] for b, share in zip(neighbours, shares, strict=True) if share > _NAMED)
-    # They are heated for one reason, so their shares add up.
-    return Confounding(float(sum(shares)), named)
+    named = [layout.names.actuators[b] for b, share in zip(neighbours, shares, strict=True) if share > _NAMED]
+    together = float(sum(shares))  # they are heated for one reason
+    advice = (
+        f"levels went together with those of {', '.join(named)}: ± {100 * together:.0f} % of the effect may be theirs; "
+        "set them at different times"
+    )
+    return together, advice if named else ""
 
 
 def shared_sd(layout: Layout, a: int) -> float:

@@ -14,7 +14,7 @@ from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-from thermoforce_mpc.model.operator.parameters import OperatorParameters, bounds_between
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.model.zone_model import ZoneModel
 
@@ -81,7 +81,7 @@ def assembled(
 def _pair(effect: Effect, head: OperatorParameters, sign: int) -> OperatorParameters:
     """The operator of another actuator, that delivers as `head`, on a zone."""
     a, gains = in_steps(effect.log_tau, effect.gains, head.step_s)
-    return replace(head, poles=a, gains=sign * gains, pole_bounds=bounds_between(a))
+    return replace(head, poles=a, gains=sign * gains)
 
 
 def with_metered_shares(layout: Layout, heat_inputs: Sequence[HeatInput], histories: Sequence[Record]) -> Layout:

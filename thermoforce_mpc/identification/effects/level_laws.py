@@ -1,4 +1,4 @@
-"""What a level gives where heat is not measured: over the outdoor temperature, at part load, by a radiator's exponent.
+"""What a level gives where heat is not measured: over the outdoor temperature, and at part load.
 
 A heat pump gives less heat at full level when it is cold, a circuit on a heating curve gives more. Operation acts most
 when it is cold, so a fit that takes every level for the same heat is wrong in one direction, the more certainly so the
@@ -17,17 +17,16 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.model.machine.heat_capacity import KINDS, kinds_for
+from thermoforce_mpc.model.machine.heat_capacity import kinds_for
 from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
 from thermoforce_mpc.model.machine.part_load import LevelCost
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.machine.water_warmth import COMPARED_AT, squares_of
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
-OUTDOORS, RADIATOR = "heat_per_K", "heat_of_radiator"
+OUTDOORS = "heat_per_K"
 # Levels of part load whose heat is one number: name, above, up to.
 PART_LOADS = (("heat_at_low_level", LEVEL_EDGE, 0.375), ("heat_at_middle_level", 0.375, 1.0 - LEVEL_EDGE))
-EXPONENT, EXPONENT_SD = "radiator_exponent", "radiator_exponent_sd"
 # Largest change of heat with the outdoor temperature, 1/K, and least heat of a level anywhere in the record, as a share
 # of that at the mean.
 _MOST_PER_K, _LEAST_FACTOR = 0.08, 0.2
@@ -37,10 +36,6 @@ _HEAT_PRIOR, _HEAT_RANGE = (1.1, 0.25), (1.0, 2.5)
 # The same over what the part of the power that goes with the heat says, mean and standard deviation: water that is
 # cooler at part load gives more heat for it. Of 25 generated machines 1.04 ± 0.10.
 _OF_POWER = (1.04, 0.1)
-# Exponent of panel radiators, convectors and sectional radiators in data sheets by EN 442: 1.2 to 1.4.
-_EXPONENT_SD, _EXPONENT_RANGE = 0.1, (1.0, 2.0)
-# The data determine an exponent where they leave less than this share of its prior's standard deviation.
-_INFORMATIVE = 0.7
 # Relative standard deviation of the cost by what one number for all part load and a linear law of power are not.
 _COST_SD = 0.03
 # Steps at part load from which their heat is estimated.
@@ -64,9 +59,9 @@ Estimates = Mapping[str, tuple[float, float]]
 def levels_only(heat_input: HeatInput, layout: Layout, a: int, config: IdentificationConfig) -> bool:
     """Whether nothing but its level says what actuator `a` gives.
 
-    Not so where heat was measured or is the level itself: signed levels, `heat_input: identity`, the map of a radiator.
+    Not so where heat was measured or is the level itself: signed levels, `heat_input: identity`.
     """
-    may_be_fitted = config.method == "joint" and config.heat_input == "auto" and config.radiator_exponent is None
+    may_be_fitted = config.method == "joint" and config.heat_input == "auto"
     return may_be_fitted and heat_input.heat is None and layout.lowest[a] == 0.0
 
 
@@ -87,16 +82,12 @@ def laws_of(
     laws = []
     if levels_only(heat_input, layout, a, config):
         mean_C = weather.mean_C
-        laws.append(LevelLaw(OUTDOORS, *_slope_prior(layout.signs[a], config), lambda u, T: u * (T - mean_C)))
+        laws.append(LevelLaw(OUTDOORS, *_slope_prior(layout.signs[a]), lambda u, T: u * (T - mean_C)))
     if config.part_load:
         u, power_W = (np.concatenate(rows) for rows in ([r.u[a] for r in runs], [r.power_W[m] for r in runs]))
         bands = [band for band in PART_LOADS if np.count_nonzero(_within(u, *band[1:])) >= _LEAST_STEPS]
         for (name, above, most), (mean, sd) in zip(bands, _heat_priors(u, power_W, bands), strict=True):
             laws.append(LevelLaw(name, mean - 1.0, sd, partial(_level_within, above, most)))
-    if config.radiator_exponent is not None:
-        # Heat is u^(1 + c) of levels that were recorded with the assumed exponent: u + c u ln u to first order.
-        sd = _EXPONENT_SD / config.radiator_exponent
-        laws.append(LevelLaw(RADIATOR, 0.0, sd, lambda u, T: u * np.log(np.maximum(u, 1e-12))))
     return laws
 
 
@@ -122,10 +113,9 @@ def _heat_priors(u: Array, power_W: Array, bands: Sequence[tuple[str, float, flo
     return [(float(mean * heat), float(sd * heat)) for heat in told]
 
 
-def _slope_prior(sign: int, config: IdentificationConfig) -> tuple[float, float]:
+def _slope_prior(sign: int) -> tuple[float, float]:
     """Mean and standard deviation of the relative change of heat with T_out, 1/K, over the types of machine."""
-    kinds = kinds_for(sign) if config.machine == "auto" else (KINDS[config.machine],)
-    means, sds = np.array([kind.slope for kind in kinds]).T
+    means, sds = np.array([kind.slope for kind in kinds_for(sign)]).T
     return float(means.mean()), float(np.sqrt(np.mean(sds**2 + means**2) - means.mean() ** 2))
 
 
@@ -149,13 +139,13 @@ def weather_of(runs: Sequence[Record], a: int) -> LevelWeather | None:
     return LevelWeather(mean_C, (float(T_out_C.min()), float(T_out_C.max())), spread_K)
 
 
-def with_outdoors(heat_input: HeatInput, found: Mapping[str, float], weather: LevelWeather | None) -> HeatInput:
+def with_outdoors(heat_input: HeatInput, found: Estimates, weather: LevelWeather | None) -> HeatInput:
     """The heat input with what was `found` of it over the outdoor temperature."""
     if OUTDOORS not in found or weather is None:
         return heat_input
     low, high = weather.range_C
     most = min(_MOST_PER_K, (1.0 - _LEAST_FACTOR) / max(high - weather.mean_C, weather.mean_C - low, 1.0))
-    per_K = float(np.clip(found[OUTDOORS], -most, most))
+    per_K = float(np.clip(found[OUTDOORS][0], -most, most))
     return HeatInput(reference_C=weather.mean_C, per_K=per_K, T_out_range_C=weather.range_C)
 
 
@@ -168,25 +158,6 @@ def outdoors_in_words(found: Estimates, weather: LevelWeather) -> str:
     )
 
 
-def level_shape(
-    found: Estimates,
-    histories: Sequence[Record],
-    config: IdentificationConfig,
-    power: PowerModel | None,
-    heat_input: HeatInput,
-) -> tuple[dict[str, float], list[str]]:
-    """What was found of the heat over the level and its cost, as numbers for the card and notes in words."""
-    if RADIATOR in found and config.radiator_exponent is not None:
-        value, sd = (config.radiator_exponent * x for x in found[RADIATOR])
-        return _exponent(float(np.clip(config.radiator_exponent + value, *_EXPONENT_RANGE)), sd, config)
-    if power is None:
-        return {}, []
-    numbers: dict[str, float] = {}
-    for cost in _costs(found, histories, power, heat_input):
-        numbers |= cost.numbers()
-    return numbers, []
-
-
 def _within(u: Array, above: float, most: float) -> NDArray[np.bool_]:
     return np.asarray((u > above) & (u <= most))
 
@@ -195,19 +166,12 @@ def _level_within(above: float, most: float, u: Array, T_out_C: Array) -> Array:
     return np.where(_within(u, above, most), u, 0.0)
 
 
-def _exponent(value: float, sd: float, config: IdentificationConfig) -> tuple[dict[str, float], list[str]]:
-    assumed = config.radiator_exponent
-    numbers = {EXPONENT: value, EXPONENT_SD: sd}
-    summary = f"exponent of the radiator from the temperature: {value:.2f} ± {sd:.2f}"
-    if sd > _INFORMATIVE * _EXPONENT_SD:
-        return numbers, [f"{summary}; the data hardly tell it, the {assumed:g} of the data sheet is kept"]
-    if abs(value - (assumed or 0.0)) <= 2.0 * sd:
-        return numbers, [f"{summary}, in agreement with the {assumed:g} in use"]
-    return numbers, [f"{summary}, not the {assumed:g} in use: write actuator.exponent: {value:.2f} and probe again"]
-
-
-def _costs(found: Estimates, histories: Sequence[Record], power: PowerModel, heat_input: HeatInput) -> list[LevelCost]:
+def part_load_costs(
+    found: Estimates, histories: Sequence[Record], power: PowerModel | None, heat_input: HeatInput
+) -> list[LevelCost]:
     """What heat costs at the levels of part load: measured power over heat, which is measured too or in `found`."""
+    if power is None:
+        return []
     u, T_out, power_W, heat_W = (
         np.concatenate([values(h) for h in histories])
         for values in (lambda h: h.u[0], lambda h: h.T_out_C[:-1], lambda h: h.power_W[0], lambda h: h.heat_W[0])

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.model.operator.heat_input import HeatInput
-from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
+from thermoforce_mpc.model.lag import lagged
 
 
 def poles(log_tau: Array, step_s: float) -> Array:
@@ -38,11 +36,6 @@ def unit_steps(log_tau: Array, hours: Array) -> Array:
     return np.asarray(own * rising + lead * rising[:, :1])
 
 
-def lagged(signal: Array, pole: float) -> Array:
-    """States (n + 1,) of a first-order lag of steady gain 1 of `signal` (n,), from zero."""
-    return np.append(0.0, lfilter([1.0 - pole], [1.0, -pole], signal))
-
-
 def lags_of_gains(log_tau: Array) -> tuple[Array, Array]:
     """What a unit of each of [slope, G_2 … G_r] is of lags of gain 1: of its own mode and of the first, (r,) each."""
     tau = np.exp(log_tau)
@@ -56,30 +49,3 @@ def in_steps(log_tau: Array, gains: Array, step_s: float) -> tuple[Array, Array]
     tau, a = np.exp(log_tau), poles(log_tau, step_s)
     steady = np.concatenate([[tau[0] * (gains[0] - (gains[1:] / tau[1:]).sum())], gains[1:]])
     return a, steady * (1.0 - a)
-
-
-def to_operator(
-    log_tau: Array,
-    gains: Array,
-    *,
-    step_s: float,
-    sign: int,
-    gamma: float,
-    hidden: int,
-    heat_input: HeatInput,
-    feature_mean: Array,
-    feature_scale: Array,
-) -> OperatorParameters:
-    """Return the linear operator (m = 1) with these time constants and nonnegative [slope, G_2 … G_r]."""
-    a, of_step = in_steps(log_tau, gains, step_s)
-    return linear_operator(
-        a,
-        sign * of_step,
-        step_s=step_s,
-        sign=sign,
-        gamma=gamma,
-        hidden=hidden,
-        heat_input=heat_input,
-        feature_mean=feature_mean,
-        feature_scale=feature_scale,
-    )

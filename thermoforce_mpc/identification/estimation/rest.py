@@ -11,13 +11,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cholesky
+from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize, nnls
 
 from thermoforce_mpc.data import Array, Record
-from thermoforce_mpc.identification.estimation.modes import lagged, unit_responses
+from thermoforce_mpc.identification.estimation.modes import unit_responses
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.model.free_response.rc import RcParameters
+from thermoforce_mpc.model.lag import lagged
 
 # Pairs cancel all drift; the rest is the model error of a few hundredths of a K. It is correlated over about an hour,
 # so the standard deviation per row is ten times as large.
@@ -38,6 +39,11 @@ class Rest:
     def factor(self) -> Array:
         """L (rows, rows), K."""
         return np.asarray(cholesky(self.covariance, lower=True, check_finite=False))
+
+    def white(self, left: Array) -> Array:
+        """L⁻¹ `left` (n, …), K at the first n rows: what each says beyond those before it, in standard deviations."""
+        n = len(left)
+        return np.asarray(solve_triangular(self.factor[:n, :n], left, lower=True, check_finite=False))
 
 
 def rest_of(regression: RegressionData, free: RcParameters | None) -> Rest:

@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.optimize import brentq
 
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.regression import RegressionData
-from thermoforce_mpc.identification.estimation.rest import rest_of
 from thermoforce_mpc.identification.modulation.training import TrainingData, train
 from thermoforce_mpc.identification.validation.blocks import block_numbers, is_significant, standard_errors_saved
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
-from thermoforce_mpc.identification.validation.held_out import LEAST_SCALE
 from thermoforce_mpc.model.forced_history import forced_history
+from thermoforce_mpc.model.gaps import interpolated
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 # A held-out comparison decides at this probability (Student's t, one-sided), if the RMS is below this share.
 _SIGNIFICANT, _RELEVANT = 0.95, 0.98
+# Lower limit of the features' scale: °C, °C, W/m², 1.
+_LEAST_SCALE = np.array([5.0, 8.0, 150.0, 0.5])
 # Largest output bias of the network: beyond it m(x) is at an end of its range.
 _LARGEST_BIAS = 5.0
 
@@ -34,14 +33,13 @@ class Candidate:
     """The network of a fold, trained when it is asked for; `by_level`: whether v = u where heat was measured."""
 
     fold: Fold
-    linear: Callable[[Fold], OperatorParameters]
     config: IdentificationConfig
     by_level: bool
 
     @cached_property
     def features(self) -> list[tuple[Array, ...]]:
         """x_t (n, 4) of each record; control-free temperatures are those of the linear fit."""
-        base = self.linear(self.fold)
+        base = self.fold.operator(self.config)
         return [tuple(_features(base, h, self.config.feedback) for h in e.histories) for e in self.fold.regressions]
 
     @cached_property
@@ -49,8 +47,8 @@ class Candidate:
         """The linear operator; its features are normalised by the rows that the fold sees."""
         pairs = [(e, x) for e, xs in zip(self.fold.regressions, self.features, strict=True) for x in xs if e.seen]
         stacked = np.concatenate([x[: int(e.rows[e.seen - 1])] for e, x in pairs])
-        scale = np.maximum(stacked.std(axis=0), LEAST_SCALE)
-        return replace(self.linear(self.fold), feature_mean=stacked.mean(axis=0), feature_scale=scale)
+        scale = np.maximum(stacked.std(axis=0), _LEAST_SCALE)
+        return replace(self.fold.operator(self.config), feature_mean=stacked.mean(axis=0), feature_scale=scale)
 
     @cached_property
     def driven(self) -> list[RegressionData]:
@@ -68,12 +66,6 @@ class Candidate:
         return found
 
     @cached_property
-    def data(self) -> list[TrainingData]:
-        """What the network is trained on, and compared with m = 1."""
-        pairs = zip(self.driven, self.features, strict=True)
-        return [TrainingData(e, x, rest_of(e, self.fold.free)) for e, x in pairs]
-
-    @cached_property
     def trained(self) -> OperatorParameters:
         """The operator with the network trained on the rows that the fold sees.
 
@@ -81,7 +73,8 @@ class Candidate:
         """
         heat_input = self.untrained.heat_input
         start = replace(self.untrained, heat_input=heat_input.by_level if self._is_level else heat_input)
-        operator = train(start, self.data, self.config)
+        data = [TrainingData(*each) for each in zip(self.driven, self.features, self.fold.rests, strict=True)]
+        operator = train(start, data, self.config)
         pairs_only = all(e.is_pair for e in self.fold.regressions)
         return operator if pairs_only or self.config.method == "two_stage" else self._as_large(operator)
 
@@ -101,23 +94,40 @@ class Candidate:
         return replace(operator, output_bias=float(brentq(more, -_LARGEST_BIAS, _LARGEST_BIAS)))
 
     @cached_property
+    def modulated(self) -> Fold:
+        """The fold with what the actions did by the network."""
+        operator, driven = self.trained, []
+        for e, xs in zip(self.driven, self.features, strict=True):
+            drives = tuple((sign, v * operator.modulation(x)) for (sign, v), x in zip(e.drives, xs, strict=True))
+            driven.append(replace(e, drives=drives))
+        return replace(self.fold, modulated=replace(self.fold, regressions=driven).effects)
+
+    @cached_property
+    def left(self) -> tuple[Array, Array]:
+        """Held-out residuals (rows,) with m = 1 and with the network, standard deviations, each given those before."""
+        both = []
+        for effects in (self.fold.effects, self.modulated.effects):
+            each = zip(self.fold.regressions, self.fold.rests, effects, strict=True)
+            both.append(np.concatenate([rest.white(e.target - rest.mean - k)[e.seen :] for e, rest, k in each]))
+        return both[0], both[1]
+
+    @property
     def scores(self) -> dict[str, float]:
         """Held-out errors without and with the network, standard deviations, and whether it is kept."""
-        linear, neural = (_rms(self._left(kept=kept)) for kept in (False, True))
-        kept = self.config.modulation == "always" or not self.worse
-        return {"held_out_linear": linear, "held_out_neural": neural, "modulation_kept": float(kept)}
+        linear, neural = (_rms(left) for left in self.left)
+        return {"held_out_linear": linear, "held_out_neural": neural, "modulation_kept": float(self.kept)}
 
     @property
     def kept(self) -> bool:
         """Whether the network is kept in the place of m = 1."""
-        return bool(self.scores["modulation_kept"])
+        return self.config.modulation == "always" or not self.worse
 
     @cached_property
     def worse(self) -> str:
         """In what m = 1 predicts the held-out rows better, in words; empty unless by 2 % and significantly, block by
         block.
         """
-        linear, neural = (self._left(kept=kept) for kept in (False, True))
+        linear, neural = self.left
         blocks = [block_numbers(i, e.rows[e.seen :], e.step_s) for i, e in enumerate(self.fold.regressions)]
         statistic = standard_errors_saved(neural, linear, np.concatenate(blocks))
         if _rms(linear) >= _RELEVANT * _rms(neural) or not is_significant(*statistic, _SIGNIFICANT):
@@ -126,24 +136,6 @@ class Candidate:
             f"held-out data are predicted better with it: error {_rms(linear):.3g} instead of {_rms(neural):.3g} "
             "standard deviations"
         )
-
-    def _left(self, *, kept: bool) -> Array:
-        """Held-out residuals (rows,), standard deviations, each given the rows before it."""
-        left = []
-        for data, effect in zip(self.data, self.effects(kept=kept), strict=True):
-            e, rest = data.regression, data.rest
-            left.append(solve_triangular(rest.factor, e.target - rest.mean - effect, lower=True)[e.seen :])
-        return np.concatenate(left)
-
-    def effects(self, *, kept: bool) -> list[Array]:
-        """What the actions did, K, at the rows of each regression, by the network where it is `kept`, else m = 1."""
-        if not kept:
-            return self.fold.linear_effects(self.untrained.sign)
-        operator, driven = self.trained, []
-        for e, xs in zip(self.driven, self.features, strict=True):
-            drives = tuple((sign, v * operator.modulation(x)) for (sign, v), x in zip(e.drives, xs, strict=True))
-            driven.append(replace(e, drives=drives))
-        return replace(self.fold, regressions=driven).linear_effects(operator.sign)
 
     @property
     def _is_level(self) -> bool:
@@ -154,10 +146,7 @@ def _features(operator: OperatorParameters, history: Record, feedback: bool) -> 
     """Return the features x_t (n, 4) of a run, with T − F (no gradient through F) or, with feedback, measured T."""
     # Of a zone's own actuator, summed over modes.
     forced = 0.0 if feedback else forced_history(single(operator), history.part(0, [0])).sum(axis=(0, 1, 3))
-    free = history.T_zone_C[0] - forced
-    steps = np.arange(free.size)
-    finite = np.isfinite(free)
-    free = np.interp(steps, steps[finite], free[finite])
+    free = interpolated(history.T_zone_C[0] - forced)
     return feature_matrix(free[:-1], history.T_out_C[:-1], history.solar_W_m2[:-1], history.time_s[:-1])
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +10,6 @@ from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.modulation.candidate import Candidate
-from thermoforce_mpc.identification.validation.competence import Trial
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
@@ -28,34 +26,21 @@ _NEARLY_FULL, _OFTEN = 0.9, 0.25
 _PLAN_STEP_S, _PLAN_H = 900.0, 48.0
 
 
-@dataclass(frozen=True)
-class Modulated:
-    """An operator with its network: trained on all rows, and as it is judged.
-
-    `operator`: what is returned, with held-out `scores` and `notes` in words. `last`: the same procedure without the
-    held-out rows. `before`: that without an earlier part, network kept; None where there is no earlier part.
-    """
-
-    operator: OperatorParameters
-    scores: dict[str, float]
-    notes: list[str]
-    last: Trial
-    before: Trial | None
-
-
 def modulate(
     everything: Fold,
     last: Fold,
     before: Fold | None,
-    linear: Callable[[Fold], OperatorParameters],
     config: IdentificationConfig,
     power: PowerModel | None = None,
-) -> Modulated:
+) -> tuple[OperatorParameters, tuple[Fold, Fold | None], dict[str, float], list[str]]:
     """Train m(x) on the training rows, compare it with m = 1 on the held-out ones, and train it on `everything`.
 
     Where heat was measured, v = u unless levels are held. The operator is that with m = 1 where the network is
     significantly worse than that and is not kept `always`. Whether what is judged on the rows that `last` holds out has
     a network is chosen on those of `before`: rows may not judge what they chose.
+
+    Returns:
+        The operator; `last` and `before` (None where there is none) as they are judged; held-out scores; notes.
     """
     by_level, notes = False, []
     heat = everything.heat_input.heat
@@ -63,8 +48,8 @@ def modulate(
         held_levels = _held_levels(heat, everything, power)
         by_level = not held_levels
         notes.append("heat input: the level, v = u" if by_level else f"heat input: measured heat, since {held_levels}")
-    of_all, of_last = (Candidate(fold, linear, config, by_level) for fold in (everything, last))
-    of_before = None if before is None else Candidate(before, linear, config, by_level)
+    of_all, of_last = (Candidate(fold, config, by_level) for fold in (everything, last))
+    of_before = None if before is None else Candidate(before, config, by_level)
     if of_last.kept:
         # With feedback, training uses measured temperatures, so there is no recursion; prediction uses predicted ones.
         operator = of_all.trained
@@ -72,13 +57,9 @@ def modulate(
         notes.append(f"network not kept: m = 1 instead, since {of_last.worse}")
         dropped = of_last.trained
         operator = replace(of_all.untrained, hidden_weight=dropped.hidden_weight, hidden_bias=dropped.hidden_bias)
-    return Modulated(
-        replace(operator, feedback=config.feedback),
-        of_last.scores,
-        notes,
-        Trial(last, of_last.effects(kept=of_before is None or of_before.kept)),
-        None if of_before is None else Trial(of_before.fold, of_before.effects(kept=True)),
-    )
+    last = of_last.modulated if of_before is None or of_before.kept else last
+    before = None if of_before is None else of_before.modulated
+    return replace(operator, feedback=config.feedback), (last, before), of_last.scores, notes
 
 
 def _held_levels(heat: MachineLoad, everything: Fold, power: PowerModel | None) -> str:

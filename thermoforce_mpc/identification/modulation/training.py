@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from thermoforce_mpc.data import Array
@@ -63,7 +62,7 @@ class Misfit:
         self._heat = np.concatenate([drive for drive, _ in runs])
         self._x = (np.concatenate([x for _, x in runs]) - start.feature_mean) / start.feature_scale
         self._matrices = [_responses(start, e) for e in data]
-        self._targets = [_whitened(e, e.regression.target - e.rest.mean) for e in data]
+        self._targets = [e.rest.white((e.regression.target - e.rest.mean)[: e.regression.seen]) for e in data]
         self._n = sum(target.size for target in self._targets)
         weights = 0.0 if start.gamma == 0.0 else (start.gamma / modulation_sd) ** 2
         # Output weights are such that m has `modulation_sd`, hidden ones have sd 1, or as much less as they move m.
@@ -115,14 +114,8 @@ def _responses(operator: OperatorParameters, data: TrainingData) -> Array:
     e = data.regression
     impulse = operator.impulse(e.n_steps)
     lags = e.rows[: e.seen, None] - 1 - np.arange(e.n_steps)
-    response = _whitened(data, np.where(lags >= 0, impulse[lags], 0.0))
+    response = data.rest.white(np.where(lags >= 0, impulse[lags], 0.0))
     return np.tile(response, (1, len(e.drives)))
-
-
-def _whitened(data: TrainingData, values: Array) -> Array:
-    """L⁻¹ of values at the rows (rows, ...), of those that are seen."""
-    seen = data.regression.seen
-    return np.asarray(solve_triangular(data.rest.factor[:seen, :seen], values[:seen], lower=True, check_finite=False))
 
 
 def train(

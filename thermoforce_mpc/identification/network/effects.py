@@ -9,11 +9,11 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.effects.level_laws import LevelLaw
-from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.network.building import BuildingFit
 from thermoforce_mpc.identification.network.estimate import Run, estimate_room
 from thermoforce_mpc.identification.network.room import Law, Room, neighbours_of
-from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
+from thermoforce_mpc.model.free_response.rc import weather_inputs
+from thermoforce_mpc.model.gaps import interpolated
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # A part of a run with fewer readings says nothing.
@@ -59,7 +59,7 @@ class Actuators:
 def building_fit(
     actuators: Actuators, rooms: Sequence[Sequence[Run]], before: BuildingFit | None = None
 ) -> BuildingFit:
-    """The network of a building from the runs of each of its zones (Z,), as of `room_run` and `room_pair`.
+    """The network of a building from the runs of each of its zones (Z,), as of `room_run`.
 
     `before`: a fit to fewer runs, from which to search.
     """
@@ -70,31 +70,26 @@ def building_fit(
     return BuildingFit(actuators.layout, tuple(fits))
 
 
-def room_run(record: Record, zone: int, actuators: Actuators, grid_K: float) -> Run:
-    """A record of the building as a run of one of its zones, whose sensor reads in steps of `grid_K` K."""
+def room_run(record: Record, zone: int, actuators: Actuators, grid_K: float, less: Record | None = None) -> Run:
+    """A record of the building as a run of one of its zones, whose sensor reads in steps of `grid_K` K.
+
+    With `less`, the other record of a pair, their difference, in which the weather cancels.
+    """
+    inputs, readings = _inputs(record, zone, actuators), record.T_zone_C[zone]
+    if less is not None:
+        inputs, readings = inputs - _inputs(less, zone, actuators), readings - less.T_zone_C[zone]
+    inputs = np.concatenate([inputs, inputs[-1:]])
+    return Run(inputs, np.ascontiguousarray(readings), record.step_s / HOUR_S, grid_K**2 / 12.0, less is not None)
+
+
+def _inputs(record: Record, zone: int, actuators: Actuators) -> Array:
+    """Inputs of a room in each step (n, m), see `Room`."""
     weather = weather_inputs(record.time_s, record.T_out_C, record.solar_W_m2)
     others = [_mean_of_step(record.T_zone_C[j]) for j in actuators.neighbours(zone)]
-    inputs = np.column_stack([weather, *others, *actuators.drives(record, zone)])
-    return _run(inputs, record.T_zone_C[zone], record.step_s, grid_K)
-
-
-def room_pair(pair: Pair, zone: int, actuators: Actuators, grid_K: float) -> Run:
-    """The difference of a pair of records, in which the weather cancels, as a run of one zone."""
-    a, b = pair.a, pair.b
-    weather = np.zeros((a.n_steps, len(INPUTS)))
-    difference = a.T_zone_C - b.T_zone_C
-    others = [_mean_of_step(difference[j]) for j in actuators.neighbours(zone)]
-    drives = [x - y for x, y in zip(actuators.drives(a, zone), actuators.drives(b, zone), strict=True)]
-    return _run(np.column_stack([weather, *others, *drives]), difference[zone], a.step_s, grid_K, pair=True)
-
-
-def _run(inputs: Array, readings: Array, step_s: float, grid_K: float, *, pair: bool = False) -> Run:
-    inputs = np.ascontiguousarray(np.concatenate([inputs, inputs[-1:]]))
-    return Run(inputs, np.ascontiguousarray(readings), step_s / HOUR_S, grid_K**2 / 12.0, pair)
+    return np.column_stack([weather, *others, *actuators.drives(record, zone)])
 
 
 def _mean_of_step(values: Array) -> Array:
     """Means of the samples at both ends of each step (n,); gaps are bridged."""
-    steps, known = np.arange(values.size), np.isfinite(values)
-    values = np.interp(steps, steps[known], values[known]) if known.any() else np.zeros(values.size)
+    values = interpolated(values)
     return np.asarray(0.5 * (values[:-1] + values[1:]))

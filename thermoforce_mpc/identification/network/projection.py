@@ -34,12 +34,11 @@ class Modes:
     """Responses of a zone to its actuators as r modes each.
 
     `log_tau` (A, r): ln(τ/h), rising, common to all but its own actuator; `gains` (A, r): [slope K/h, G_2 … G_r K] of
-    each actuator in the direction of its sign; `misfit` (A,): root mean square error over that of the response.
+    each actuator in the direction of its sign.
     """
 
     log_tau: Array
     gains: Array
-    misfit: Array
 
 
 def projected(responses: Array, own: int, signs: Array, order: int, longest_h: float = _LONGEST_H) -> Modes:
@@ -54,11 +53,8 @@ def projected(responses: Array, own: int, signs: Array, order: int, longest_h: f
     log_tau = np.tile(_time_constants(means[[own]], order, longest_h), (len(means), 1))
     if others.any():
         log_tau[others] = _time_constants(means[others], order, longest_h)
-    gains, errors = np.empty((len(means), order)), np.empty(len(means))
-    for a, mean in enumerate(means):
-        gains[a], error = nnls(unit_steps(log_tau[a], RESPONSE_H), mean)
-        errors[a] = error / np.sqrt(max(float(mean @ mean), mean.size * 1e-12))
-    return Modes(log_tau, gains, errors)
+    each = zip(log_tau, means, strict=True)
+    return Modes(log_tau, np.array([nnls(unit_steps(of_one, RESPONSE_H), mean)[0] for of_one, mean in each]))
 
 
 def _time_constants(means: Array, order: int, longest_h: float) -> Array:

@@ -21,7 +21,7 @@ from thermoforce_mpc.identification.network.effects import Actuators, room_run
 from thermoforce_mpc.identification.network.estimate import Run, searched
 from thermoforce_mpc.identification.network.priors import SENSOR_SD_K
 from thermoforce_mpc.model.operator.heat_input import HeatInput
-from thermoforce_mpc.model.sun_on_sensor import FULL_SUN_W_M2, SunOnSensor, facade_W_m2, lagged, off_sensors, sun_at
+from thermoforce_mpc.model.sun_on_sensor import FULL_SUN_W_M2, SunOnSensor, facade_W_m2, off_sensors, sensor_lag, sun_at
 
 # What is tried: facades of the sensor and of windows, °, and lags of sensors, s, at a site of this latitude, °.
 _AZIMUTHS_DEG, _WINDOWS_DEG = (90.0, 135.0, 180.0, 225.0, 270.0), (90.0, 180.0, 270.0)
@@ -91,7 +91,9 @@ def sun_on_sensor(
     for azimuth_deg in _AZIMUTHS_DEG:
         facades = [facade_W_m2(run.time_s, run.solar_W_m2, _LATITUDE_DEG, noon_s, (azimuth_deg,)) for run in runs]
         for lag_s in _LAGS_S:
-            parts = [lagged(f / FULL_SUN_W_M2, run.time_s, lag_s)[:, 0] for f, run in zip(facades, runs, strict=True)]
+            parts = [
+                sensor_lag(f[:, 0] / FULL_SUN_W_M2, run.time_s, lag_s) for f, run in zip(facades, runs, strict=True)
+            ]
             shone = [replace(run, on_sensor=part) for run, part in zip(lit, parts, strict=True)]
             found = searched(sunlit, shone, start, _TOLERANCE)
             full_K = float(found.x[-1] * SENSOR_SD_K)

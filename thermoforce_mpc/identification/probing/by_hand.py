@@ -1,14 +1,13 @@
-"""A probing schedule to run by hand: the fewest days of levels after which a record can tell the effect of acting.
+"""A probing schedule to run by hand: days of levels after which a record can tell the effect of acting.
 
-Only the actuators whose effect the record cannot tell are probed: those of which a model is not competent or, where
-none was fitted, is not expected to be. Days are added one by one, as probing chooses them (`design.choose`), but that
-levels change on the hour and only while people are awake; at night the building's own control acts.
+Draws are chosen as in probing (`design.choose`), but levels change on the hour and only while people are awake; at
+night the building's own control acts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,6 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.probing.design import choose, expected_rise_K
 from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
-from thermoforce_mpc.identification.probing.operation import Telling, tellings
 from thermoforce_mpc.model.gaps import bridged
 
 # Longest schedule, days.
@@ -33,9 +31,8 @@ class ProbeSchedule:
     """Levels to hold by hand.
 
     `time_s` (n + 1,) s: boundaries of the hours. `u` (A, n): levels, NaN where the building's own control acts.
-    `probed`: actuators that are. `lower_C`, `upper_C` (Z,): comfort band assumed. `before`, `after`: what the record
-    is expected to tell without and with it. `discomfort_Kh` (Z,): expected K·h outside the band, `excursion_K` (Z,):
-    expected largest distance from the usual temperature. `enough`: whether the aim is reached within a week.
+    `probed`: actuators that are. `lower_C`, `upper_C` (Z,): comfort band assumed. `discomfort_Kh` (Z,): expected K·h
+    outside the band, `excursion_K` (Z,): expected largest distance from the usual temperature.
     """
 
     record: Record
@@ -44,31 +41,20 @@ class ProbeSchedule:
     probed: tuple[str, ...]
     lower_C: Array
     upper_C: Array
-    before: tuple[Telling, ...]
-    after: tuple[Telling, ...]
     discomfort_Kh: Array
     excursion_K: Array
-
-    @property
-    def hours(self) -> int:
-        """Length, h; 0 where nothing needs to be probed."""
-        return int(self.u.shape[1])
 
     @property
     def by_hand_h(self) -> int:
         """Hours in which some level is set by hand."""
         return int(np.isfinite(self.u).any(axis=0).sum())
 
-    @property
-    def enough(self) -> bool:
-        """Whether the effects of the probed actuators are expected to be known well enough afterwards."""
-        return all(telling.tells for telling in self.after if telling.actuator in self.probed)
-
 
 def probe_schedule(
     record: Record,
     layout: Layout,
     *,
+    days: int = 1,
     lower_C: Array | None = None,
     upper_C: Array | None = None,
     levels: Sequence[float] = (0.0, 1.0),
@@ -77,73 +63,64 @@ def probe_schedule(
     competent: Sequence[bool] | None = None,
     seed: int = 1,
 ) -> ProbeSchedule:
-    """The shortest schedule of whole days after which the record is expected to tell the effect of every actuator.
+    """A schedule of whole days, the most informative of the draws that are compared.
 
     Args:
         record: the last month or so of operation.
         layout: what acts where.
+        days: length of the schedule, 1 to 7.
         lower_C, upper_C: comfort band of each zone (Z,), °C; NaN or None: 1.5 K around the zone's median.
         levels: levels to draw from, off first.
         awake: hours of the day between which levels change and are held, local standard time.
         start_s: where it starts; default: the first morning after the end of the record.
-        competent: of each actuator, whether a model of the record is (`operating.findings`); those of which it is are
-            not probed, others for a day at least. Default: what the record is expected to tell decides.
+        competent: of each actuator, whether a model of the record is (`operation.findings`); those of which it is are
+            not probed. Default: all are.
         seed: seed of the draws.
 
     Raises:
-        DataError: levels or hours make no sense, a level is signed (mode both), or weather or a temperature was never
-            measured.
+        DataError: days, levels or hours make no sense, a level is signed (mode both), or weather or a temperature was
+            never measured.
     """
-    _check(layout, levels, awake)
+    _check(layout, days, levels, awake)
     filled, _ = bridged(record)
     silent = ~np.isfinite(record.T_zone_C).any(axis=1)
     if silent.any():
         raise DataError(f"{record.names.zones[int(np.argmax(silent))]}: its temperature was not measured of late")
     usual = np.nanmedian(record.T_zone_C, axis=1)
     lower, upper = _band(lower_C, usual - _BAND_K), _band(upper_C, usual + _BAND_K)
-    before = tellings(record, layout)
-    sufficient = [telling.tells for telling in before] if competent is None else list(competent)
-    probed = [a for a, enough in enumerate(sufficient) if not enough]
+    probed = [a for a in range(len(layout.home)) if competent is None or not competent[a]]
     morning = np.ceil((float(record.time_s[-1]) - awake[0] * HOUR_S) / DAY_S) * DAY_S + awake[0] * HOUR_S
     begin = morning if start_s is None else start_s
-    future = _continued(_hourly(filled), begin, usual)
-    first, after = future.n_steps - 24 * _MOST_DAYS, before
-    u = np.empty((len(layout.home), 0))
-    while probed and u.shape[1] < 24 * _MOST_DAYS and not (u.size and all(after[a].tells for a in probed)):
-        history, warmer_K = _planned(future, first, u), _rise_K(future, layout, u)[:, -1]
-        ahead = future.slice(history.n_steps, history.n_steps + 24)
-        day = np.full((len(u), 24), np.nan)
-        for a in probed:
-            home, draws = layout.home[a], [Draws(_HOLDS_H, (seed, a, u.shape[1], k)) for k in range(_CANDIDATES)]
-            _, day[a] = choose(
-                history.part(home, [a]),
-                Boundary.measured(ahead.part(home, [a])),
-                Excitation(tuple(levels), _HOLDS_H, np.random.default_rng(seed)),
-                draws,
-                # The record goes on at the usual temperature.
-                centre_C=0.5 * float(lower[home] + upper[home]) - float(warmer_K[home]),
-                sign=layout.signs[a],
-                acts=_are_awake(ahead.time_s[:-1], awake),
-            )
-        u = np.concatenate([u, day], axis=1)
-        after = tellings(_planned(future, first, u), layout)
+    n = 24 * days
+    future = _continued(_hourly(filled), begin, n, usual)
+    first = future.n_steps - n
+    history, ahead = future.slice(0, first), future.slice(first, first + n)
+    u = np.full((len(layout.home), n), np.nan)
+    for a in probed:
+        home = layout.home[a]
+        _, u[a] = choose(
+            history.part(home, [a]),
+            Boundary.measured(ahead.part(home, [a])),
+            Excitation(tuple(levels), _HOLDS_H, np.random.default_rng(seed)),
+            [Draws(_HOLDS_H, (seed, a, k)) for k in range(_CANDIDATES)],
+            centre_C=0.5 * float(lower[home] + upper[home]),
+            sign=layout.signs[a],
+            acts=_are_awake(ahead.time_s[:-1], awake),
+        )
     rise = _rise_K(future, layout, u)
     T = usual[:, None] + rise
     outside = np.maximum(lower[:, None] - T, 0.0) + np.maximum(T - upper[:, None], 0.0)
     names = tuple(layout.names.actuators[a] for a in probed)
-    time_s = np.asarray(begin + np.arange(u.shape[1] + 1) * HOUR_S)
-    return ProbeSchedule(
-        record, time_s, u, names, lower, upper, tuple(before), tuple(after), outside[:, 1:].sum(axis=1),
-        np.abs(rise).max(axis=1),
-    )  # fmt: skip
+    time_s = np.asarray(begin + np.arange(n + 1) * HOUR_S)
+    return ProbeSchedule(record, time_s, u, names, lower, upper, outside[:, 1:].sum(axis=1), np.abs(rise).max(axis=1))
 
 
-def _continued(record: Record, begin_s: float, usual_C: Array) -> Record:
-    """An hourly record as it may go on until the last day that may be probed: as usual, its last week's weather again.
+def _continued(record: Record, begin_s: float, hours: int, usual_C: Array) -> Record:
+    """An hourly record as it may go on for the `hours` that are probed: as usual, its last week's weather again.
 
     It goes on to `begin_s` of the next day; a schedule of later days may as well begin then.
     """
-    n = round((begin_s - float(record.time_s[-1])) / HOUR_S) % 24 + 24 * _MOST_DAYS
+    n = round((begin_s - float(record.time_s[-1])) / HOUR_S) % 24 + hours
     week = min(7 * 24, record.n_steps)
     back = np.arange(n) % week - week
     usual_u = np.nanmean(record.u, axis=1, keepdims=True)
@@ -162,14 +139,6 @@ def _continued(record: Record, begin_s: float, usual_C: Array) -> Record:
         origin=record.origin,
         names=record.names,
     )
-
-
-def _planned(future: Record, first: int, u: Array) -> Record:
-    """The record until the end of the levels `u` (A, n) that begin at step `first`, NaN for own control."""
-    until = future.slice(0, first + u.shape[1])
-    levels = np.array(until.u)
-    levels[:, first:] = np.where(np.isfinite(u), u, levels[:, first:])
-    return replace(until, u=levels)
 
 
 def _rise_K(future: Record, layout: Layout, u: Array) -> Array:
@@ -203,7 +172,9 @@ def _band(band: Array | None, default: Array) -> Array:
     return np.where(np.isfinite(band), band, default)
 
 
-def _check(layout: Layout, levels: Sequence[float], awake: tuple[int, int]) -> None:
+def _check(layout: Layout, days: int, levels: Sequence[float], awake: tuple[int, int]) -> None:
+    if not 1 <= days <= _MOST_DAYS:
+        raise DataError(f"{days} days to probe: give 1 to {_MOST_DAYS}")
     if levels[0] != 0.0 or len(set(levels)) < 2 or not all(0.0 <= level <= 1.0 for level in levels):
         raise DataError(f"levels to probe are {list(levels)}: start with 0, and give another one in (0, 1]")
     if not 0 <= awake[0] < awake[1] <= 24 or awake[1] - awake[0] < max(_HOLDS_H):

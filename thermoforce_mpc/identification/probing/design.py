@@ -8,16 +8,15 @@ far and the hours the candidate adds: twice the information gain, in nats. It ne
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
-from thermoforce_mpc.identification.estimation.modes import lagged, poles, unit_responses
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Record
+from thermoforce_mpc.identification.estimation.modes import poles, unit_responses
 from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
+from thermoforce_mpc.model.lag import lagged
 
 # Step of the derivative with respect to ln τ.
 _STEP = 0.02
@@ -80,40 +79,13 @@ def choose(
 
 def information(history: Record) -> float:
     """Return the criterion of a record, nats."""
-    return _criterion(history.u[0], history.step_s, *_whitener_of(history))
-
-
-def expected_sd(history: Record, weights: Sequence[float] = (1.0,)) -> float:
-    """Return the relative standard deviation that is expected of the effect of a day at full level after a record.
-
-    It is that of the first actuator, for a building as the priors expect it and disturbances of the assumed size;
-    actual ones are mostly smaller. The effects of the others on the zone are unknown too.
-
-    Args:
-        history: one zone with A actuators or more.
-        weights: standard deviation of each actuator's parameters as a share of the first one's prior (A,); only so many
-            actuators count.
-    """
-    whitener, rows = _whitener_of(history)
-    each = zip(weights, history.u, strict=False)
-    S = np.concatenate([weight * _sensitivities(u, history.step_s)[rows] for weight, u in each], axis=1)
-    S = solve_triangular(whitener, S, lower=True)
-    precision = np.eye(S.shape[1]) + S.T @ S
-    day = np.ones(round(DAY_S / history.step_s))
-    slope = np.zeros(S.shape[1])
-    own = _sensitivities(day, history.step_s)[-1]
-    slope[: own.size] = own
-    effect_K = float(expected_rise_K(day, history.step_s)[-1])
-    return float(np.sqrt(slope @ np.linalg.solve(precision, slope))) / effect_K
+    whitened = _whitener(history.time_s, history.T_out_C, history.solar_W_m2, history.step_s)
+    return _criterion(history.u[0], history.step_s, *whitened)
 
 
 def expected_rise_K(levels: Array, step_s: float, tau_h: Array = _TAU_H) -> Array:
     """Change of the zone that `levels` (n,) make in a building as the priors expect it, shape (n + 1,), K."""
     return np.asarray(_units(levels, step_s, tau_h) @ _GAINS)
-
-
-def _whitener_of(history: Record) -> tuple[Array, NDArray[np.intp]]:
-    return _whitener(history.time_s, history.T_out_C, history.solar_W_m2, history.step_s)
 
 
 def _whitener(time_s: Array, T_out_C: Array, solar_W_m2: Array, step_s: float) -> tuple[Array, NDArray[np.intp]]:

@@ -1,1 +1,1 @@
-"""Held-out data: which order, which verdict, and the picture of both."""
+"""Held-out data, the verdict that they give, and the picture of an identification."""

@@ -8,8 +8,8 @@ short for it: an earlier part, predicted by a fit to what came before that, coun
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import ndtr
@@ -54,25 +54,9 @@ WELL_KNOWN_SD = 0.06
 SETTLED_SD = 0.3
 
 
-@dataclass(frozen=True)
-class Trial:
-    """A fold, and what the actions did to it by the model that was fitted to its training rows.
-
-    `effects`: K at the rows of each regression, network included.
-    """
-
-    fold: Fold
-    effects: Sequence[Array]
-
-    @classmethod
-    def linear(cls, fold: Fold, sign: int) -> Trial:
-        """The linear fit of a fold."""
-        return cls(fold, fold.linear_effects(sign))
-
-
 def judge(
-    last: Trial,
-    before: Trial | None,
+    last: Fold,
+    before: Fold | None,
     operator: OperatorParameters,
     uncertainty: Mapping[str, float],
     log_odds: float,
@@ -89,10 +73,9 @@ def judge(
         log_odds: that the actuator acts, see `network.estimate.RoomFit.gained`.
         heat_W_m2: metered heat of full level per m² of floor, NaN where it is not known.
     """
-    fold = last.fold
-    block_h = min(BLOCK_H, fold.held_out_h / LEAST_BLOCKS) or BLOCK_H
-    errors = errors_of(fold, last.effects, LEAD_TIMES_H, block_h)
-    earlier = errors_of(before.fold, before.effects, LEAD_TIMES_H, block_h, len(fold.judged)) if before else {}
+    block_h = min(BLOCK_H, last.held_out_h / LEAST_BLOCKS) or BLOCK_H
+    errors = errors_of(last, LEAD_TIMES_H, block_h)
+    earlier = errors_of(before, LEAD_TIMES_H, block_h, len(last.judged)) if before else {}
     effect, sd = (uncertainty[f"step_response_{EFFECT_H}h{what}_K"] for what in ("", "_sd"))
     verdict = Competence(
         competent=True,
@@ -101,7 +84,7 @@ def judge(
         effect_sd_K=sd,
         sign_probability=float(ndtr(effect / sd)) if sd > 0 else 1.0,
         log_odds=log_odds,
-        held_out_h=fold.held_out_h,
+        held_out_h=last.held_out_h,
     )
     most_error_K = dict.fromkeys(JUDGED_H, math.inf) if operator.heat_input.lowest < 0.0 else MOST_ERROR_K
     missed = [*missed_criteria(verdict, most_error_K, block_h), *_implausible(operator, heat_W_m2)]
@@ -109,7 +92,7 @@ def judge(
         verdict,
         competent=not missed,
         reasons=tuple(one.reason() for one in missed),
-        advice=advice(missed, errors, [fold.regressions[i].histories[0] for i in fold.judged]),
+        advice=advice(missed, errors, [last.regressions[i].histories[0] for i in last.judged]),
         plainly=plainly(missed),
     )
 

@@ -10,36 +10,44 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.estimation.modes import in_steps
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH
 from thermoforce_mpc.identification.estimation.regression import RegressionData
-from thermoforce_mpc.identification.estimation.rest import rest_of
+from thermoforce_mpc.identification.estimation.rest import Rest, rest_of
 from thermoforce_mpc.identification.validation.blocks import PER_REGRESSION
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
 
 @dataclass(frozen=True)
 class Fold:
-    """A linear fit, and what it has not seen: the held-out rows of `regressions`.
+    """A fit of what the own actuator does, and what it has not seen: the held-out rows of `regressions`.
 
     Attributes:
         log_tau, gains: of the own actuator (r,): ln(τ/h), and [slope K/h, G_2 … G_r K], positive.
-        heat_input: what the actuator delivers, by the rows that the fit has seen.
+        sign: +1 if it heats, −1 if it cools.
+        heat_input: what it delivers, by the rows that the fit has seen.
         free: free part of the zone, None without runs; `alone`: that of a fit as if the actuator did nothing.
+        modulated: what the actions did by the network, K, at the rows of each regression; None where m = 1.
     """
 
     regressions: Sequence[RegressionData]
     log_tau: Array
     gains: Array
+    sign: int
     heat_input: HeatInput
     free: RcParameters | None
     alone: RcParameters | None
+    modulated: Sequence[Array] | None = None
 
     @property
     def judged(self) -> list[int]:
@@ -47,9 +55,31 @@ class Fold:
         held = [i for i, e in enumerate(self.regressions) if e.held]
         return [i for i in held if not self.regressions[i].is_pair] or held
 
-    def linear_effects(self, sign: int) -> list[Array]:
-        """What the actions did by the linear fit, K, at the rows of each regression."""
-        return [e.effect(self.log_tau, self.gains, sign) for e in self.regressions]
+    @property
+    def effects(self) -> Sequence[Array]:
+        """What the actions did, K, at the rows of each regression."""
+        if self.modulated is not None:
+            return self.modulated
+        return [e.effect(self.log_tau, self.gains, self.sign) for e in self.regressions]
+
+    def operator(self, config: IdentificationConfig) -> OperatorParameters:
+        """The operator with m = 1, at the step of the data."""
+        step_s = self.regressions[0].step_s
+        poles, gains = in_steps(self.log_tau, self.gains, step_s)
+        return linear_operator(
+            poles,
+            self.sign * gains,
+            step_s=step_s,
+            sign=self.sign,
+            gamma=config.gamma,
+            hidden=config.hidden,
+            heat_input=self.heat_input,
+        )
+
+    @cached_property
+    def rests(self) -> list[Rest]:
+        """What is left of each regression without the effects."""
+        return [rest_of(e, self.free) for e in self.regressions]
 
     @property
     def held_out_h(self) -> float:
@@ -77,42 +107,34 @@ class HeldOutErrors:
         return cls(*(np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(cls)))
 
 
-def errors_of(
-    fold: Fold, effects: Sequence[Array], leads_h: Sequence[float], block_h: float, number: int = 0
-) -> dict[float, HeldOutErrors]:
-    """Held-out errors by lead time of predictions with these `effects` of the actions, K, at the rows of each run.
-
-    Blocks of the regressions are numbered from `number` on.
-    """
-    judged = [fold.regressions[i] for i in fold.judged]
-    model = [_innovations(e, fold.free, effects[i]) for i, e in zip(fold.judged, judged, strict=True)]
-    weather = [_innovations(e, fold.alone, np.zeros(e.rows.size)) for e in judged]
+def errors_of(fold: Fold, leads_h: Sequence[float], block_h: float, number: int = 0) -> dict[float, HeldOutErrors]:
+    """Held-out errors of a fold by lead time. Blocks of its regressions are numbered from `number` on."""
+    runs, effects = [], fold.effects
+    for i in fold.judged:
+        e = fold.regressions[i]
+        weather = _Innovations.of(rest_of(e, fold.alone), e.target)
+        runs.append((e, _Innovations.of(fold.rests[i], e.target - effects[i]), weather))
     return {
-        hours: HeldOutErrors.joined(
-            [_errors(number + i, e, model[i], weather[i], hours, block_h) for i, e in enumerate(judged)]
-        )
+        hours: HeldOutErrors.joined([_errors(number + i, *run, hours, block_h) for i, run in enumerate(runs)])
         for hours in leads_h
     }
 
 
-@dataclass(frozen=True)
-class _Innovations:
-    """w (rows,) and L (rows, rows), in standard deviations and K."""
+class _Innovations(NamedTuple):
+    """What a reading says beyond those before it: w (rows,), standard deviations, and L (rows, rows), K."""
 
     white: Array
     factor: Array
+
+    @classmethod
+    def of(cls, rest: Rest, left: Array) -> _Innovations:
+        """Those of temperatures `left` (rows,) without effects, K."""
+        return cls(rest.white(left - rest.mean), rest.factor)
 
     def ahead(self, starts: NDArray[np.intp], targets: NDArray[np.intp]) -> Array:
         """Errors (n,) of the predictions from `starts` to `targets`, K."""
         rows = zip(starts + 1, targets, strict=True)
         return np.array([self.factor[j, i : j + 1] @ self.white[i : j + 1] for i, j in rows])
-
-
-def _innovations(e: RegressionData, free: RcParameters | None, effect: Array) -> _Innovations:
-    """What predictions of a regression need where the actions did `effect` (rows,), K."""
-    rest = rest_of(e, free)
-    left = e.target - effect - rest.mean
-    return _Innovations(solve_triangular(rest.factor, left, lower=True, check_finite=False), rest.factor)
 
 
 def _errors(

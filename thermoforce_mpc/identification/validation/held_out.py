@@ -1,4 +1,4 @@
-"""Data of an identification: held-out rows, feature normalisation, and heat and power models from records."""
+"""Data of an identification: held-out rows, and heat and power models from records."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.estimation.regression import RegressionData
-from thermoforce_mpc.model.machine.heat_capacity import KINDS, HeatFit, fit_heat, kinds_for
+from thermoforce_mpc.model.machine.heat_capacity import HeatFit, fit_heat, kinds_for
 from thermoforce_mpc.model.machine.load_regression import LEAST_RUNNING, LEVEL_EDGE
 from thermoforce_mpc.model.machine.power import PowerModel, fit_both_directions, fit_power
 from thermoforce_mpc.model.machine.running import running_share
-from thermoforce_mpc.model.operator.features import N_FEATURES, feature_matrix
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
 HELD_OUT_SHARE = 0.25
@@ -29,8 +28,6 @@ _MEASURED = 0.5
 _NEARLY_FULL = 0.9
 # Loads to try below which a shared machine cycles, as shares of its capacity; 1: its power is proportional to the load.
 _CYCLES_BELOW = (0.02, *np.linspace(0.1, 0.6, 11).round(2).tolist(), 1.0)
-# Lower limit of the features' scale: °C, °C, W/m², 1.
-LEAST_SCALE = np.array([5.0, 8.0, 150.0, 0.5])
 
 
 def identified_heat_input(
@@ -67,7 +64,7 @@ def identified_heat_input(
         u,
         T_out_C,
         heat,
-        kinds=kinds_for(sign) if config.machine == "auto" else (KINDS[config.machine],),
+        kinds=kinds_for(sign),
         step_s=histories[0].step_s,
         lowest_level=config.lowest_level,
     )
@@ -174,19 +171,6 @@ def _start_s(regression: RegressionData) -> float:
 def _last_held(regression: RegressionData, share: float) -> RegressionData:
     n = regression.rows.size
     return replace(regression, held=n - max(1, min(n - 1, round(n * (1.0 - share)))))
-
-
-def normalisation(histories: Sequence[Record]) -> tuple[Array, Array]:
-    """Return mean and scale (4,) of the features over all steps; `modulate` sets those of the free temperature."""
-    stacked = np.concatenate(
-        [
-            feature_matrix(np.zeros(h.n_steps), h.T_out_C[:-1], h.solar_W_m2[:-1], h.time_s[:-1]).reshape(
-                -1, N_FEATURES
-            )
-            for h in histories
-        ]
-    )
-    return stacked.mean(axis=0), np.maximum(stacked.std(axis=0), LEAST_SCALE)
 
 
 def ranges(histories: Sequence[Record]) -> dict[str, tuple[float, float]]:

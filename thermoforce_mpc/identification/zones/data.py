@@ -10,6 +10,7 @@ import numpy as np
 
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.checks import Remark
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.level_laws import Estimates
 from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
@@ -23,13 +24,11 @@ from thermoforce_mpc.identification.validation.held_out import (
     identified_heat_input,
     seen_rows,
 )
+from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
-from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 
-# Noise of a sensor without a resolution, K.
-_SENSOR_SD_K = 0.01
 # Least gain, K or K/h: an effect that the record denies keeps the sign of its actuator.
 _LEAST_GAIN = 1e-12
 
@@ -45,10 +44,10 @@ class ZoneData:
         heat_input: what the own actuator delivers.
         sign: +1 if it heats, −1 if it cools.
         step_s: step of the operator, s; None: that of the data.
-        source, data, notes: for the model card.
+        card: what the model card says already.
         power: of the machine, where it feeds this actuator alone.
-        level_sd: relative standard deviation of the effect that comes from heat that was not measured.
-        sun: what shone on the zone sensor, already taken off the records.
+        level_sd: relative standard deviation of the effect that comes from heat that was not measured; `advice` on it.
+        bars: what says that the level is none, so that the model may not act.
         alone: whether the building has no other actuator. Of several, one without an effect must not refuse the rest:
             its model is returned, not competent.
         area_m2: floor area of the zone, m², NaN where it is not known.
@@ -60,13 +59,12 @@ class ZoneData:
     heat_input: HeatInput
     sign: int
     step_s: float | None = None
-    source: str = "identified"
-    data: Mapping[str, str] = field(default_factory=dict)
-    notes: Sequence[str] = ()
+    card: ModelCard = field(default_factory=lambda: ModelCard("identified"))
     power: PowerModel | None = None
     alone: bool = True
     level_sd: float = 0.0
-    sun: SunOnSensor | None = None
+    advice: str = ""
+    bars: Sequence[Remark] = ()
     area_m2: float = float("nan")
 
     @property
@@ -78,19 +76,6 @@ class ZoneData:
     def grid_K(self) -> float:
         """Resolution of the sensor, K; 0 where it has none."""
         return resolution_K(self.runs)
-
-    @property
-    def sensor_sd_K(self) -> float:
-        """Noise of the sensor, K: the rounding errors of one that reads in steps are uniform."""
-        return float(np.hypot(_SENSOR_SD_K, self.grid_K / np.sqrt(12.0)))
-
-    @property
-    def said(self) -> list[str]:
-        """The notes, and what is assumed of the sensor."""
-        if not self.grid_K:
-            return list(self.notes)
-        steps = f"the zone sensor reads in steps of {self.grid_K:.2g} K: noise of {self.sensor_sd_K:.2g} K assumed"
-        return [*self.notes, steps]
 
     @cached_property
     def regressions(self) -> list[RegressionData]:
@@ -178,4 +163,4 @@ def fold_of(
     pairs = [e for e in seen_rows(regressions) if e.is_pair]
     if pairs:
         log_tau, gains = fitted_to_pairs(pairs, log_tau, gains, sign)
-    return Fold(regressions, log_tau, np.maximum(gains, _LEAST_GAIN), heat_input, free, alone)
+    return Fold(regressions, log_tau, np.maximum(gains, _LEAST_GAIN), sign, heat_input, free, alone)

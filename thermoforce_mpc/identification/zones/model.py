@@ -7,30 +7,28 @@ refused, whatever the method. The zone's own actuator is the first of its record
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.effects.level_laws import level_shape
-from thermoforce_mpc.identification.estimation.modes import to_operator
+from thermoforce_mpc.identification.effects.level_laws import part_load_costs
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
-from thermoforce_mpc.identification.validation.competence import Trial, judge
-from thermoforce_mpc.identification.validation.errors_ahead import Fold
-from thermoforce_mpc.identification.validation.held_out import normalisation, ranges
+from thermoforce_mpc.identification.validation.competence import judge
+from thermoforce_mpc.identification.validation.held_out import ranges
 from thermoforce_mpc.identification.validation.reasons import UNJUDGED
-from thermoforce_mpc.identification.validation.warnings import uncertain
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
-from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.competence import Competence
-from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.zone_model import ZoneModel
 
 # Least log odds that the actuator acts: of 84 random houses with the levels of another one, 2 had more
 # (`python -m benchmarks.zones.placebo` for houses of rooms).
 _LEAST_LOG_ODDS = 5.0
+# Relative standard deviation of the effect of a day from which a model is called uncertain.
+_UNCERTAIN = 0.15
 _ACTS_NOT = "nothing in the record shows that the actuator does anything to the room"
+_NO_LEVEL = "what was recorded as the actuator's level does not say what it did"
 _LEVEL_FOR_HEAT = (
     "without the held-out rows too little heat was metered for a law of it: the verdict takes the level for heat there"
 )
@@ -42,27 +40,40 @@ def identify_zone(data: ZoneData, estimate: Estimate, say: Callable[[str], None]
     Raises:
         DataError: nothing shows that the actuator acts (where it is alone), or its effect has no proven sign.
     """
-    model = _accepted(_modelled(data, estimate, say), data)
+    model = _modelled(data, estimate, say)
+    prove(model.operator)
     say(f"identified an operator of order {model.operator.order}")
     return model
 
 
-def _accepted(model: ZoneModel, data: ZoneData) -> ZoneModel:
-    """`model`, not competent where the record does not show that its actuator acts.
+def _verdict(judged: Competence, data: ZoneData, estimate: Estimate) -> Competence:
+    """`judged`, but not competent where there is a stronger reason than its errors.
 
     Raises:
-        DataError: it does not and the actuator is alone in the building, or its effect has no proven sign.
+        DataError: nothing shows that the actuator acts, and it is alone in the building.
     """
-    missing = _without_effect(model.card.scores["acts_log_odds"], data)
+    missing = _without_effect(estimate.scores["acts_log_odds"], data)
     if missing and data.alone:
         raise DataError(missing)
-    prove(model.operator)
-    if not missing:
-        return model
-    verdict = replace(
-        model.card.competence or Competence(False), competent=False, reasons=(missing,), plainly=_ACTS_NOT
-    )
-    return replace(model, card=replace(model.card, competence=verdict))
+    if estimate.unjudged:
+        judged = Competence(False, (estimate.unjudged,), plainly=UNJUDGED)
+    if missing:
+        judged = replace(judged, competent=False, reasons=(missing,), plainly=_ACTS_NOT)
+    if data.bars:
+        reasons = tuple(f"{remark.kind}: {remark.where}: {remark.words}" for remark in data.bars)
+        remedies = tuple(remark.remedy for remark in data.bars)
+        return replace(judged, competent=False, reasons=reasons, advice=remedies, plainly=_NO_LEVEL)
+    if data.advice and not judged.competent:
+        judged = replace(judged, advice=(data.advice, *judged.advice))
+    return judged
+
+
+def uncertain(certainty: Mapping[str, float]) -> list[str]:
+    """A note that the effect of a day of action is hardly known."""
+    share = certainty["step_response_24h_sd_K"] / max(certainty["step_response_24h_K"], 1e-9)
+    if share <= _UNCERTAIN:
+        return []
+    return [f"uncertain: the effect of a day of action is known to ± {100 * share:.0f} % only; probe longer or harder"]
 
 
 def _without_effect(log_odds: float, data: ZoneData) -> str:
@@ -81,51 +92,32 @@ def _without_effect(log_odds: float, data: ZoneData) -> str:
 def _modelled(data: ZoneData, estimate: Estimate, say: Callable[[str], None]) -> ZoneModel:
     """The zone's model of an estimate, with its network and its verdict."""
     config, everything, last, before = data.config, estimate.everything, estimate.last, estimate.before
-    histories, sign, step_s = data.histories, data.sign, data.histories[0].step_s
-    mean, scale = normalisation(histories)
-
-    def linear(fold: Fold) -> OperatorParameters:
-        return to_operator(
-            fold.log_tau,
-            fold.gains,
-            step_s=step_s,
-            sign=sign,
-            gamma=config.gamma,
-            hidden=config.hidden,
-            heat_input=fold.heat_input,
-            feature_mean=mean,
-            feature_scale=scale,
-        )
-
-    operator = replace(linear(everything), feedback=config.feedback)
-    scores, notes = dict(estimate.scores), list(data.said)
+    histories, step_s = data.histories, data.histories[0].step_s
+    operator = replace(everything.operator(config), feedback=config.feedback)
+    scores, notes = dict(estimate.scores), list(data.card.notes)
+    if data.grid_K:
+        notes.append(f"the zone sensor reads in steps of {data.grid_K:.2g} K")
     if everything.heat_input.law is not None and last.heat_input.law is None:
         notes.append(_LEVEL_FOR_HEAT)
-    trials = Trial.linear(last, sign), None if before is None else Trial.linear(before, sign)
     if config.modulation != "linear":
         say("training the modulation of the gain")
-        modulated = modulate(everything, last, before, linear, config, data.power)
-        operator, trials = modulated.operator, (modulated.last, modulated.before)
-        scores, notes = scores | modulated.scores, [*notes, *modulated.notes]
+        operator, (last, before), found, said = modulate(everything, last, before, config, data.power)
+        scores, notes = scores | found, [*notes, *said]
     certainty = estimate.effects[0].uncertainty(data.level_sd) | {"sensor_resolution_K": data.grid_K}
     operator = operator.resampled(data.step_s or step_s)
-    shape, shape_notes = level_shape(estimate.laws, histories, config, data.power, everything.heat_input)
-    verdict = judge(*trials, operator, certainty, scores["acts_log_odds"], data.heat_W_m2)
-    if estimate.unjudged:
-        verdict = Competence(False, (estimate.unjudged,), plainly=UNJUDGED)
+    for cost in part_load_costs(estimate.laws, histories, data.power, everything.heat_input):
+        certainty |= cost.numbers()
+    judged = judge(last, before, operator, certainty, scores["acts_log_odds"], data.heat_W_m2)
     return ZoneModel(
         operator=operator,
         power=data.power,
         free=everything.free and everything.free.resampled(data.step_s or step_s),
-        card=ModelCard(
-            source=data.source,
-            data=data.data,
+        card=replace(
+            data.card,
             ranges=ranges(histories),
             scores=scores,
-            uncertainty=certainty | shape,
-            config=config.model_dump(mode="json"),
-            notes=(*notes, *shape_notes, *uncertain(certainty)),
-            competence=verdict,
-            sun_on_sensor=data.sun,
+            uncertainty=certainty,
+            notes=(*notes, *uncertain(certainty)),
+            competence=_verdict(judged, data, estimate),
         ),
     )

@@ -15,8 +15,8 @@ from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.estimation.regression import without_others
 from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H, Effect
 from thermoforce_mpc.identification.network.building import RESPONSE_H, BuildingFit
-from thermoforce_mpc.identification.network.effects import Actuators, building_fit, room_pair, room_run
-from thermoforce_mpc.identification.network.estimate import RoomFit, Run
+from thermoforce_mpc.identification.network.effects import Actuators, building_fit, room_run
+from thermoforce_mpc.identification.network.estimate import Run
 from thermoforce_mpc.identification.network.free_part import free_part
 from thermoforce_mpc.identification.network.projection import Modes, projected
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
@@ -91,42 +91,27 @@ def _estimate(
         floor_K = _MODES_SD * float(unit_steps(log_tau, RESPONSE_H).max(axis=0) @ gains)
         effects.append(Effect(log_tau, gains, np.sqrt(variance + floor_K**2)))
     scores = {"acts_log_odds": without["whole"].rooms[home].value - whole.rooms[home].value}
-    return Estimate(everything, folds["training"], folds.get("earlier"), effects, scores, _estimates(whole, a, laws))
+    return Estimate(
+        everything, folds["training"], folds.get("earlier"), effects, scores, _found(whole, a, laws, sd=True)
+    )
 
 
-def _places(fit: BuildingFit, a: int, laws: Sequence[LevelLaw]) -> tuple[RoomFit, dict[str, int]]:
-    """The room of actuator `a`, and where its laws stand in θ."""
+def _found(fit: BuildingFit, a: int, laws: Sequence[LevelLaw], *, sd: bool = False) -> Estimates:
+    """What a fit says of the laws of actuator `a`, with standard deviations, which take a while, where asked for."""
     home = fit.layout.home[a]
     room, k = fit.rooms[home], fit.layout.actuators_of(home).index(a)
-    return room, {law.name: room.room.place[f"{law.name}_{k}"] for law in laws}
-
-
-def _found(fit: BuildingFit, a: int, laws: Sequence[LevelLaw]) -> dict[str, float]:
-    """What a fit says of the laws of actuator `a`."""
-    room, places = _places(fit, a, laws)
-    return {name: float(room.theta[place]) for name, place in places.items()}
-
-
-def _estimates(fit: BuildingFit, a: int, laws: Sequence[LevelLaw]) -> Estimates:
-    """`_found` with standard deviations."""
-    room, places = _places(fit, a, laws)
-    return {name: (float(room.theta[i]), float(np.sqrt(room.covariance[i, i]))) for name, i in places.items()}
+    places = {law.name: room.room.place[f"{law.name}_{k}"] for law in laws}
+    sds = np.sqrt(np.diagonal(room.covariance)) if sd else np.full(room.theta.size, np.nan)
+    return {name: (float(room.theta[i]), float(sds[i])) for name, i in places.items()}
 
 
 def _seen(
-    runs: Sequence[Record],
-    pairs: Sequence[Pair],
-    zone: int,
-    actuators: Actuators,
-    data: ZoneData,
-    fold: str,
+    runs: Sequence[Record], pairs: Sequence[Pair], zone: int, actuators: Actuators, data: ZoneData, fold: str
 ) -> list[Run]:
     """What a fold may see of a zone."""
-    found, steps = [], data.last_steps(fold)
-    for run, n in zip(runs, steps, strict=False):
-        if n > 1:
-            found.append(room_run(run.slice(0, n), zone, actuators, data.grid_K))
-    for pair, n in zip(pairs, steps[len(runs) :], strict=True):
-        if n > 1:
-            found.append(room_pair(pair, zone, actuators, data.grid_K))
-    return found
+    records: list[tuple[Record, Record | None]] = [*((run, None) for run in runs), *((p.a, p.b) for p in pairs)]
+    return [
+        room_run(record.slice(0, n), zone, actuators, data.grid_K, less and less.slice(0, n))
+        for (record, less), n in zip(records, data.last_steps(fold), strict=True)
+        if n > 1
+    ]

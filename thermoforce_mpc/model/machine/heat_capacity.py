@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -65,9 +64,6 @@ DIRECT = MachinePrior("direct", slope=(0.0, 0.002), fixed=(0.0, 0.05), sag=(0.0,
 
 OTHER = MachinePrior("other", slope=(0.0, 0.03), fixed=(0.2, 0.2), sag=(0.0, 0.1))
 """Any other machine: weak prior."""
-
-Machine = Literal["heat pump", "air conditioner", "direct", "other"]
-KINDS: dict[str, MachinePrior] = {kind.name: kind for kind in (HEAT_PUMP, AIR_CONDITIONER, DIRECT, OTHER)}
 
 
 def kinds_for(sign: int) -> tuple[MachinePrior, ...]:

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.model.lag import lagged
 
 # Times that are tried, s. A floor takes longer than the last but one: there no step of a plan warms its own water.
 WATER_S = (0.25 * HOUR_S, 0.5 * HOUR_S, HOUR_S, 2.0 * HOUR_S, 6.0 * HOUR_S)
@@ -27,12 +28,9 @@ COMPARED_AT = 0.5
 
 def warmth(u: Array, step_s: float, water_s: float) -> Array:
     """Mean over each step of the level that the water follows over `water_s`, (n,); it begins at the mean of `u`."""
-    from scipy.signal import lfilter  # takes half a second to import; loading a model does not need it
-
-    keep, levels = float(np.exp(-step_s / water_s)), np.nan_to_num(u)
-    start = float(levels.mean())
-    ends, _ = lfilter([1.0 - keep], [1.0, -keep], levels, zi=[keep * start])
-    return np.asarray(0.5 * (np.append(start, ends[:-1]) + ends))
+    levels = np.nan_to_num(u)
+    ends = lagged(levels, float(np.exp(-step_s / water_s)), float(levels.mean()))
+    return np.asarray(0.5 * (ends[:-1] + ends[1:]))
 
 
 def squares_of(histories: Sequence[Record], water_s: float) -> Array:

@@ -49,7 +49,6 @@ class OperatorParameters:
         gamma: γ of eq:mod, in [0, 1).
         sign: +1 heating, −1 cooling.
         step_s: step of poles and gains, s.
-        pole_bounds: (a_lo, a_hi) of eq:pole per mode, shape (r, 2), not overlapping.
         heat_input: v(u, T_out) in front of the modes.
         feedback: whether m(x) uses the predicted temperature T instead of T − F (the paper's). Past actions then change
             the gain of later ones; see `operator.feedback` for the bounds.
@@ -67,7 +66,6 @@ class OperatorParameters:
     feature_mean: Array
     feature_scale: Array
     step_s: float
-    pole_bounds: Array
     gamma: float = GAMMA
     sign: int = 1
     heat_input: HeatInput = field(default=IDENTITY)
@@ -84,7 +82,6 @@ class OperatorParameters:
         shapes = {
             "poles": (r,),
             "gains": (r,),
-            "pole_bounds": (r, 2),
             "hidden_weight": (h, N_FEATURES),
             "hidden_bias": (h,),
             "output_weight": (h,),
@@ -99,15 +96,12 @@ class OperatorParameters:
             value = np.asarray(getattr(self, name))
             if not (np.isfinite(value).all() and (np.abs(value) <= _LARGEST).all()):
                 raise DataError(f"operator: {name} has values that are not finite or beyond ±{_LARGEST:g}")
-        low, high = self.pole_bounds[:, 0], self.pole_bounds[:, 1]
-        if not ((low >= 0) & (low < high) & (high <= 1)).all():
-            raise DataError(f"operator: pole_bounds {self.pole_bounds.tolist()} are not inside [0, 1] and ordered")
-        if not ((self.poles > 0) & (self.poles < 1) & (self.poles >= low) & (self.poles <= high)).all():
-            raise DataError(f"operator: poles {self.poles.tolist()} leave (0, 1) or {self.pole_bounds.tolist()}")
+        if not ((self.poles > 0) & (self.poles < 1)).all():
+            raise DataError(f"operator: poles {self.poles.tolist()} leave (0, 1)")
         if self.sign not in (1, -1):
             raise DataError(f"operator: sign is {self.sign}, expected 1 (heating) or -1 (cooling)")
-        if not ((np.diff(self.poles) > 0).all() and (high[:-1] <= low[1:]).all()):
-            raise DataError(f"operator: poles {self.poles.tolist()} and their bounds must increase without overlap")
+        if not (np.diff(self.poles) > 0).all():
+            raise DataError(f"operator: poles {self.poles.tolist()} must increase")
         if (self.gains[1:] * self.sign < 0).any():
             raise DataError(f"operator: gains {self.gains.tolist()} beyond the first must have the sign {self.sign:+d}")
         rates = self.gains * initial_weight(self.poles) * self.sign
@@ -245,22 +239,8 @@ class OperatorParameters:
             self,
             poles=poles,
             gains=self.steady_gains_K * (1.0 - poles),
-            # Keeps a pole on its bound inside despite rounding.
-            pole_bounds=np.stack(
-                [
-                    np.minimum(self.pole_bounds[:, 0] ** ratio, poles),
-                    np.maximum(self.pole_bounds[:, 1] ** ratio, poles),
-                ],
-                axis=1,
-            ),
             step_s=step_s,
         )
-
-
-def bounds_between(poles: Array) -> Array:
-    """Return bounds (r, 2) that divide (0, 1) in the middle between neighbouring poles."""
-    edges = np.concatenate([[0.0], 0.5 * (poles[:-1] + poles[1:]), [1.0]])
-    return np.stack([edges[:-1], edges[1:]], axis=1)
 
 
 def linear_operator(
@@ -268,7 +248,6 @@ def linear_operator(
     gains: Array,
     *,
     step_s: float,
-    pole_bounds: Array | None = None,
     sign: int = 1,
     gamma: float = GAMMA,
     feature_mean: Array | None = None,
@@ -289,6 +268,5 @@ def linear_operator(
         gamma=gamma,
         sign=sign,
         step_s=step_s,
-        pole_bounds=bounds_between(np.asarray(poles, dtype=np.float64)) if pole_bounds is None else pole_bounds,
         heat_input=heat_input,
     )

@@ -22,7 +22,6 @@ _OPERATOR_ARRAYS = (
     "output_weight",
     "feature_mean",
     "feature_scale",
-    "pole_bounds",
 )
 _FREE_ARRAYS = ("poles", "weights", "process_K2", "start_K2")
 

@@ -25,7 +25,7 @@ from thermoforce_mpc.files import check_replaceable, parse_json, read_bounded, w
 from thermoforce_mpc.version import VERSION
 
 FORMAT = "thermoforce-mpc thermal model"
-FORMAT_VERSION = 7
+FORMAT_VERSION = 8
 
 JSON_NAME = "model.json"
 ARRAYS_NAME = "arrays.safetensors"

@@ -175,6 +175,7 @@ def identification_settings(
     from thermoforce_mpc.identification.probing.probe import ProbingConfig
 
     spec, name = scenario.identification, controller or scenario.controller.name
+    metered = all(actuator.heat.units for actuator in testcase.points.actuators)
     actuation = getattr(controller_config(name, controller_options(scenario, name), testcase), "actuation", None)
     defaults: dict[str, Any] = {}
     if actuation is not None and actuation.mode in ("modulating", "supply"):
@@ -183,7 +184,6 @@ def identification_settings(
     elif actuation is not None:
         defaults["levels"] = (0.0, actuation.level)
         if actuation.mode == "auto" and "levels" not in {**testcase.defaults.probing, **spec.probing}:
-            metered = all(actuator.heat.units for actuator in testcase.points.actuators)
             defaults["trial_levels"] = tuple(share * actuation.level for share in _TRIAL_SHARES)
             if not metered:
                 defaults["trial_steps"] = _UNMETERED_STEPS
@@ -195,12 +195,12 @@ def identification_settings(
         derived["lowest_level"] = min(between)  # these levels are held, not made by cycling
     elif actuation is not None and actuation.mode == "duty" and max(probing.levels) <= actuation.level < 1.0:
         derived["lowest_level"] = actuation.level  # blocks at part load, the only level that there is
-    if probing.trial_levels and not all(actuator.heat.units for actuator in testcase.points.actuators):
+    if probing.trial_levels and not metered:
         derived["part_load"] = True
     if any(machine.supply is not None for machine in testcase.machines.values()):
         derived["power_curve"] = True
-    if isinstance(testcase.actuator, Actuator) and testcase.actuator.map == "radiator":
-        derived["radiator_exponent"] = testcase.actuator.exponent
+    if isinstance(testcase.actuator, Actuator) and testcase.actuator.map == "radiator" and not metered:
+        derived["heat_input"] = "identity"  # the level of a radiator map is heat
     options = merge(merge(derived, shipped.identification), spec.options)
     config = validate(IdentificationConfig, options, "identification.options")
     return probing, config

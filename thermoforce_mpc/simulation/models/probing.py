@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -85,15 +85,10 @@ class Look:
 
 @dataclass(frozen=True)
 class ProbingProgress:
-    """Where a probing stands.
-
-    `days` probed of `planned_days`; `expected_sd`: relative standard deviation of the effect of a day at full level
-    that the design expects from the record, see `probing.design.expected_sd`, of the actuator of which least is known.
-    """
+    """Where a probing stands: `days` probed of `planned_days`."""
 
     days: float
     planned_days: float
-    expected_sd: float
 
 
 class Identifying:
@@ -182,7 +177,7 @@ def probe_until_known(
     if start_s < 0:
         start_s, end_s, ahead = YEAR_S - days * DAY_S, YEAR_S, "the new year"
     run = Probing(plant, start_s, seed=seed, layout=identifying.testcase.layout, config=probing)
-    progress = _Progress(run, identifying.testcase.layout.home, days, on_progress)
+    progress = _Progress(run, days, on_progress)
 
     def enough(record: Record) -> bool:
         if run.days < _LEAST_DAYS:
@@ -202,19 +197,14 @@ def probe_until_known(
 
 
 class _Progress:
-    """Tells hourly how far a probing is; `home`: zone of each actuator."""
+    """Tells hourly how far a probing is."""
 
-    def __init__(
-        self, run: Probing, home: Sequence[int], days: float, on_progress: Callable[[ProbingProgress], None] | None
-    ) -> None:
+    def __init__(self, run: Probing, days: float, on_progress: Callable[[ProbingProgress], None] | None) -> None:
         self.planned_days = days
-        self._run, self._home, self._on_progress = run, home, on_progress
+        self._run, self._on_progress = run, on_progress
 
     def __call__(self, share: float) -> None:
-        from thermoforce_mpc.identification.probing.design import expected_sd
-
         run = self._run
         hourly = max(1, round(HOUR_S / run.config.step_s))
         if self._on_progress and run.record.n_steps % hourly == 0:
-            sd = max(expected_sd(run.record.part(z, [a])) for a, z in enumerate(self._home))
-            self._on_progress(ProbingProgress(run.days, self.planned_days, sd))
+            self._on_progress(ProbingProgress(run.days, self.planned_days))

@@ -156,7 +156,7 @@ def _so_far(kpis: Mapping[str, float], currency: str) -> str:
 
 
 class ProbingDisplay(_Line):
-    """Progress of a probing on a terminal: days done, and what the record is expected to tell; a callback."""
+    """Progress of a probing on a terminal: a callback."""
 
     def __enter__(self) -> Self:
         if not (self._console.is_terminal or self._quiet):
@@ -166,11 +166,7 @@ class ProbingDisplay(_Line):
     def __call__(self, progress: ProbingProgress) -> None:
         """Show `progress`, every hour."""
         if self._live:
-            line = (
-                f"probing: day {progress.days:5.2f}/{progress.planned_days:g}  effect of a day at full level expected "
-                f"to ± {100 * progress.expected_sd:.0f} %"
-            )
-            self._live.update(Text(line))
+            self._live.update(Text(f"probing: day {progress.days:5.2f}/{progress.planned_days:g}"))
 
 
 _FILE_WIDTH = 110
