@@ -11,7 +11,7 @@ from houses import House, record
 from thermoforce_mpc.data import Boundary, Names
 from thermoforce_mpc.identification import Pair
 from thermoforce_mpc.identification.estimation.regression import pair_regression, run_regression, without_others
-from thermoforce_mpc.identification.estimation.rest import rest_of
+from thermoforce_mpc.identification.estimation.rest import fitted_to_pairs, rest_of
 from thermoforce_mpc.model.free_response.rc import INPUTS, RcFreeResponse, RcParameters
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
@@ -51,6 +51,16 @@ def test_a_pair_needs_no_free_part():
     rest = rest_of(pair, FREE)
     assert not rest.mean.any()
     np.testing.assert_array_equal(rest.covariance, rest.covariance[0, 0] * np.eye(pair.rows.size))
+
+
+def test_one_mode_is_that_of_the_pairs():
+    """The mode that suits ten days of a network is ten times slower than that of a day's differences."""
+    a = record(House(), 1.0, seed=3)
+    pair = pair_regression(Pair(a, record(House(), 1.0, seed=3, u=np.zeros(a.n_steps))), IDENTITY)
+    pair = replace(pair, target=pair.effect(np.log([2.2]), np.array([5.0]), 1))
+    log_tau, gains = fitted_to_pairs([pair], np.log([25.0]), np.array([2.0]), 1)
+    assert np.exp(log_tau[0]) == pytest.approx(2.2, rel=0.05)
+    assert gains[0] == pytest.approx(5.0, rel=0.05)
 
 
 def test_what_others_did_is_taken_off(run):

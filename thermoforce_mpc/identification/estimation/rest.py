@@ -24,8 +24,8 @@ from thermoforce_mpc.model.lag import lagged
 # so the standard deviation per row is ten times as large.
 _PAIR_SD_K = 0.3
 # Relative standard deviation of the gains and time constants of a fit without pairs, and the least of a gain, K or K/h;
-# farthest that a time constant may move, logarithm.
-_PRIOR_SD, _LEAST_GAIN_SD, _REACH = 0.5, 1e-3, np.log(10.0)
+# farthest that a time constant may move, logarithm; both where there is one mode only.
+_PRIOR_SD, _LEAST_GAIN_SD, _REACH, _ALONE_SD = 0.5, 1e-3, np.log(10.0), 5.0
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,9 @@ def rest_of(regression: RegressionData, free: RcParameters | None) -> Rest:
 def fitted_to_pairs(pairs: Sequence[RegressionData], log_tau: Array, gains: Array, sign: int) -> tuple[Array, Array]:
     """ln(τ/h) (r,) and [slope, G_2 … G_r] (r,), none negative, most likely given pairs and a fit without them."""
     target = np.concatenate([e.target / _PAIR_SD_K for e in pairs])
-    sd = np.maximum(_PRIOR_SD * np.abs(gains), _LEAST_GAIN_SD)
+    # One mode stands for several: its time constant depends on what it is fitted to, here the pairs.
+    relative_sd, reach = (_PRIOR_SD, _REACH) if log_tau.size > 1 else (_ALONE_SD, _ALONE_SD)
+    sd = np.maximum(relative_sd * np.abs(gains), _LEAST_GAIN_SD)
 
     def gains_at(x: Array) -> tuple[Array, float]:
         units = np.concatenate([unit_responses(x, e.step_s, e.drive, e.rows) for e in pairs])
@@ -66,12 +68,12 @@ def fitted_to_pairs(pairs: Sequence[RegressionData], log_tau: Array, gains: Arra
         slower[1:][-1:] = np.exp(x - log_tau)[-1]
         columns = np.concatenate([sign * units / _PAIR_SD_K, np.diag(1.0 / (slower * sd))])
         found, distance = nnls(columns, np.concatenate([target, gains / sd]))
-        apart = (x - log_tau) / _PRIOR_SD
+        apart = (x - log_tau) / relative_sd
         return np.asarray(found), float(distance**2 + apart @ apart)
 
     # Neighbours meet half way.
     middle = 0.5 * (log_tau[:-1] + log_tau[1:])
-    edges = np.concatenate([[log_tau[0] - _REACH], middle, [log_tau[-1] + _REACH]])
+    edges = np.concatenate([[log_tau[0] - reach], middle, [log_tau[-1] + reach]])
     best = minimize(
         lambda x: gains_at(x)[1], log_tau, method="L-BFGS-B", bounds=np.stack([edges[:-1], edges[1:]], axis=1)
     )
