@@ -115,3 +115,14 @@ def test_what_comes_through_a_wall_has_time_constants_of_its_own():
     for actuator in (1, 2):
         np.testing.assert_allclose(response_at(modes, actuator), through_walls[:, actuator - 1], rtol=0.03)
     assert max(misfit(modes, mean, a) for a, mean in enumerate([own, *through_walls.T])) < 0.01
+
+
+def test_a_small_response_is_met_beside_a_large_one():
+    """A near room's valve does little and soon, a far one's much and late; both have the same time constants."""
+    own = unit_steps(np.log((0.1, 3.0, 20.0)), RESPONSE_H) @ np.array([12.0, 3.0, 4.0])
+    large = unit_steps(np.log((2.0, 15.0, 30.0, 120.0)), RESPONSE_H) @ np.array([0.05, 1.0, 5.0, 20.0])
+    small = unit_steps(np.log((0.5, 4.0, 60.0)), RESPONSE_H) @ np.array([0.02, 0.3, 0.6])
+    modes = projected(np.stack([own, large, small]), 0, np.ones(3), 3)
+    later = RESPONSE_H >= 1.0
+    np.testing.assert_allclose(response_at(modes, 2)[later], small[later], rtol=0.05)
+    np.testing.assert_allclose(response_at(modes, 1)[later], large[later], rtol=0.12)

@@ -19,8 +19,9 @@ from thermoforce_mpc.identification.network.building import RESPONSE_H
 _SHORTEST_H, _LONGEST_H, _APART = 0.05, 1000.0, 1.5
 # Range of the logarithm of how far ln τ is above its least, and most steps of the search.
 _RANGE, _MOST_STEPS = (-4.0, 2.2), 200
-# Least size of responses, K.
-_LEAST_K = 1e-3
+# Least size of responses, K, and share of its largest value from which an error counts by the response then: a plan
+# sees what comes within two days.
+_LEAST_K, _RELATIVE_FROM = 1e-3, 0.15
 # Time constants of the starts of the search, h, by order.
 _STARTS_H: dict[int, tuple[tuple[float, ...], ...]] = {
     1: ((10.0,), (50.0,)),
@@ -53,15 +54,18 @@ def projected(responses: Array, own: int, signs: Array, order: int, longest_h: f
     log_tau = np.tile(_time_constants(means[[own]], order, longest_h), (len(means), 1))
     if others.any():
         log_tau[others] = _time_constants(means[others], order, longest_h)
-    each = zip(log_tau, means, strict=True)
-    return Modes(log_tau, np.array([nnls(unit_steps(of_one, RESPONSE_H), mean)[0] for of_one, mean in each]))
+    gains = []
+    for of_one, mean in zip(log_tau, means, strict=True):
+        weights = _weights(mean)
+        gains.append(nnls(weights[:, None] * unit_steps(of_one, RESPONSE_H), weights * mean)[0])
+    return Modes(log_tau, np.array(gains))
 
 
 def _time_constants(means: Array, order: int, longest_h: float) -> Array:
     """ln τ (r,) of the modes that suit the responses (K, T), K, best; none is longer than `longest_h`."""
     # At the longest, neighbours stay apart: equal poles would be one.
     most = np.log(min(longest_h, _LONGEST_H)) - np.log(_APART) * np.arange(order)[::-1]
-    targets = means / max(float(np.abs(means).max()), _LEAST_K)
+    weights = [_weights(mean)[:, None] for mean in means]
 
     def tau_of(x: Array) -> Array:
         """ln τ from x in `_RANGE`: each is at least `_APART` times the one before, and at most its longest."""
@@ -70,7 +74,8 @@ def _time_constants(means: Array, order: int, longest_h: float) -> Array:
 
     def misfit(x: Array) -> Array:
         units = unit_steps(tau_of(x), RESPONSE_H)
-        return np.concatenate([units @ nnls(units, target)[0] - target for target in targets])
+        weighted = [(weight * units, weight[:, 0] * mean) for weight, mean in zip(weights, means, strict=True)]
+        return np.concatenate([columns @ nnls(columns, target)[0] - target for columns, target in weighted])
 
     found = []
     for hours in _STARTS_H[order]:
@@ -78,3 +83,8 @@ def _time_constants(means: Array, order: int, longest_h: float) -> Array:
         start = np.clip(np.log(np.maximum(steps, 0.0) + 1e-9), *_RANGE)
         found.append(least_squares(misfit, start, bounds=_RANGE, max_nfev=_MOST_STEPS))
     return tau_of(min(found, key=lambda result: result.cost).x)
+
+
+def _weights(mean: Array) -> Array:
+    """Weights (T,) of the errors of a response (T,) K, 1/K."""
+    return np.asarray(1.0 / (np.maximum(mean, 0.0) + _RELATIVE_FROM * max(float(mean.max()), _LEAST_K)))
