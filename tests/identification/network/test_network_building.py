@@ -9,13 +9,14 @@ from thermal_networks import AREA_M2, LAYOUT, ROOMS, KnownFit, effect_K, theta_o
 
 from thermoforce_mpc.data import Layout
 from thermoforce_mpc.identification.network.building import RESPONSE_H, BuildingFit
-from thermoforce_mpc.identification.network.room import Room
+from thermoforce_mpc.identification.network.room import ROOM, STRUCTURE, Room
 from thermoforce_mpc.model.free_response.rc import INPUTS
 
-# One wall of 12 W/K, of which each room has its share per m² of its floor.
+# One wall of 12 W/K and one door of 9 W/K, of which each room has its share per m² of its floor.
+SHARED = [{"wall_0": 12.0 / area, "door_0": 9.0 / area} for area in AREA_M2]
 THETAS = (
-    theta_of(ROOMS[0], wall_0=12.0 / AREA_M2[0], heat_0=80.0, C_structure=40.0, sun=0.08),
-    theta_of(ROOMS[1], wall_0=12.0 / AREA_M2[1], heat_0=40.0, C_emitter_0=20.0, heat_structure_0=0.4, H_envelope=1.0),
+    theta_of(ROOMS[0], **SHARED[0], heat_0=80.0, C_structure=40.0, sun=0.08),
+    theta_of(ROOMS[1], **SHARED[1], heat_0=40.0, C_emitter_0=20.0, heat_structure_0=0.4, H_envelope=1.0),
 )
 
 
@@ -26,7 +27,9 @@ def fit_of(thetas=THETAS, variances=(1e-4, 1e-4), rooms=ROOMS, layout=LAYOUT):
 
 
 def joined():
-    """Both rooms' equations with each other's temperature in the place of the input, (n, n) 1/h, and their inputs."""
+    """Both rooms' equations, (n, n) 1/h, with each other's air in the place of the input to their own, each other's
+    structure in that of the input to their structure; and their inputs.
+    """
     sizes = [room.disturbances.start for room in ROOMS]
     F, drives = np.zeros((sum(sizes),) * 2), np.zeros((sum(sizes), 3))
     begins = [0, sizes[0]]
@@ -34,7 +37,8 @@ def joined():
         matrix, here = room.equations(theta).matrix, slice(begins[z], begins[z] + sizes[z])
         inputs = matrix[: sizes[z], room.n_states :]
         F[here, here] = matrix[: sizes[z], : sizes[z]]
-        F[here, begins[1 - z]] = inputs[:, len(INPUTS)]
+        for node in (ROOM, STRUCTURE):
+            F[begins[z] + node, begins[1 - z] + node] = inputs[node, len(INPUTS)]
         for k, a in enumerate(LAYOUT.actuators_of(z)):
             drives[here, a] = inputs[:, room.drive(k)]
     return F, drives, begins
@@ -63,10 +67,11 @@ def test_heat_of_one_room_reaches_the_other_later_and_less():
     assert (responses[0][2] < 0.0).all(), "cooling"
 
 
-def test_a_wall_is_the_one_that_the_surer_room_saw():
+@pytest.mark.parametrize("name", ["wall_0", "door_0"])
+def test_a_wall_is_the_one_that_the_surer_room_saw(name):
     """Both rooms saw it: where they differ, between the two, nearer to the surer one."""
     other = (THETAS[0].copy(), THETAS[1])
-    other[0][ROOMS[0].place["wall_0"]] += np.log(4.0)
+    other[0][ROOMS[0].place[name]] += np.log(4.0)
 
     def across(thetas, variances):
         return float(fit_of(thetas, variances).responses[1][0, -1])
@@ -77,7 +82,7 @@ def test_a_wall_is_the_one_that_the_surer_room_saw():
     assert across(other, (1.0, 1e-6)) == pytest.approx(low, rel=1e-3)
     both = [theta.copy() for theta in THETAS]
     for theta, room in zip(both, ROOMS, strict=True):
-        theta[room.place["wall_0"]] += np.log(2.0)
+        theta[room.place[name]] += np.log(2.0)
     assert middle == pytest.approx(across(both, (1e-4, 1e-4)), rel=1e-6)
 
 

@@ -1,7 +1,7 @@
 """Rooms joined to one network of the building: what each actuator does to each zone, and how sure that is.
 
-Each room is estimated with its neighbours' measured temperatures as inputs. Joined, a wall has the conductance that
-both of its rooms saw. With C the capacities and L the conductances, C dx/dt = −L x + b v, and L is symmetric:
+Each room is estimated with its neighbours' measured temperatures as inputs. Joined, a wall or door has the conductance
+that both of its rooms saw. With C the capacities and L the conductances, C dx/dt = −L x + b v, and L is symmetric:
 C^{-1/2} L C^{-1/2} has real positive eigenvalues λ_k, so that step responses are sums of 1 − exp(−λ_k t).
 """
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import Array, Layout
 from thermoforce_mpc.identification.estimation.differences import jacobian
 from thermoforce_mpc.identification.network.estimate import RoomFit
-from thermoforce_mpc.identification.network.room import neighbours_of
+from thermoforce_mpc.identification.network.room import BETWEEN, neighbours_of
 from thermoforce_mpc.model.free_response.rc import INPUTS
 
 RESPONSE_H = np.array(
@@ -136,15 +136,16 @@ class BuildingFit:
                     heat[first + source.node, columns[source.from_input]] += size
         for z, fit in enumerate(self.rooms):
             for other in range(z if fit.room.neighbours else 0):
-                joined(begins[z], begins[other], self._wall(z, other, thetas, area))
+                for name, (node, _) in BETWEEN.items():
+                    joined(begins[z] + node, begins[other] + node, self._between(name, z, other, thetas, area))
         return Network(C, L, heat, begins[:-1])
 
-    def _wall(self, z: int, other: int, thetas: Sequence[Array], area: Array) -> float:
+    def _between(self, name: str, z: int, other: int, thetas: Sequence[Array], area: Array) -> float:
         """Conductance between two rooms, W/K: the mean of the logarithms that both saw, weighted by their precision."""
         Z, total, weights = len(self.rooms), 0.0, 0.0
         for here, there in ((z, other), (other, z)):
             fit = self.rooms[here]
-            place = fit.room.place[f"wall_{list(neighbours_of(here, Z)).index(there)}"]
+            place = fit.room.place[f"{name}_{list(neighbours_of(here, Z)).index(there)}"]
             weight = 1.0 / fit.covariance[place, place]
             total += weight * (thetas[here][place] + np.log(area[here]))
             weights += weight

@@ -1,12 +1,13 @@
 """A room as a thermal network: what its parameters mean, their priors, and its equations.
 
 The room's air and furniture (T), the structure inside (s), the envelope (w), and the emitter (e) of each of its
-actuators are nodes with a heat capacity C; conductances H join them, the outdoor air (o) and the neighbours (j). What
-is not measured is heat that enters the room, an Ornstein-Uhlenbeck process on each of three time scales (Bacher and
-Madsen 2011 have one). Everything is per m² of floor, so that the priors suit any size:
+actuators are nodes with a heat capacity C; conductances H join them, the outdoor air (o) and the neighbours (j): their
+air through doors (d), their structures through walls (v). What is not measured is heat that enters the room, an
+Ornstein-Uhlenbeck process on each of three time scales (Bacher and Madsen 2011 have one). Everything is per m² of
+floor, so that the priors suit any size; a room alone takes a neighbour's structure to be as warm as its sensor:
 
-    C_room dT/dt = H_s (T_s − T) + H_o (T_o − T) + Σ H_j (T_j − T) + H_e (T_e − T) + sun + gains + disturbances
-    C_s  dT_s/dt = H_s (T − T_s) + H_w (T_w − T_s) + sun + a share of the heat
+    C_room dT/dt = H_s (T_s − T) + H_o (T_o − T) + Σ H_dj (T_j − T) + H_e (T_e − T) + sun + gains + disturbances
+    C_s  dT_s/dt = H_s (T − T_s) + H_w (T_w − T_s) + Σ H_vj (T_j − T_s) + sun + a share of the heat
     C_w  dT_w/dt = H_w (T_s − T_w) + H_wo (T_o − T_w)
     C_e  dT_e/dt = H_e (T − T_e) + heat v
 
@@ -28,13 +29,14 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.identification.network.priors import (
     DISTURBANCE_H,
+    DOORS,
     EMITTER_PRIORS,
     FACADE_SD,
     METERED_LOG_SD,
     NOISE,
     ROOM_PRIORS,
     SENSOR_SD_K,
-    WALL,
+    WALLS,
     WAVES,
     Prior,
 )
@@ -42,6 +44,8 @@ from thermoforce_mpc.model.free_response.rc import INPUTS
 
 ROOM, STRUCTURE, ENVELOPE, EMITTER = 0, 1, 2, 3
 """States: room, structure, envelope, then the emitters (the nodes), then the disturbances."""
+BETWEEN = {"door": (ROOM, DOORS), "wall": (STRUCTURE, WALLS)}
+"""What joins two rooms: between which of their nodes, and the prior of all of a room."""
 SUN_ON_SENSOR = "sun_on_sensor"
 """Parameter: how much too high a sensor reads in full sun on its facade, K."""
 # Temperature of the ground and of unheated rooms that were not measured, °C.
@@ -130,7 +134,8 @@ class Room:
     def priors(self) -> dict[str, Prior]:
         """Priors of the positive parameters by name."""
         priors = dict(ROOM_PRIORS)
-        priors |= {f"wall_{j}": WALL for j in range(self.neighbours)}
+        for name, (_, (median, log_sd)) in BETWEEN.items():
+            priors |= {f"{name}_{j}": Prior(median / self.neighbours, log_sd) for j in range(self.neighbours)}
         for a, heat in enumerate(self.heat_W_m2):
             priors |= {f"{name}_{a}": prior for name, prior in EMITTER_PRIORS.items()}
             if np.isfinite(heat):
@@ -221,7 +226,11 @@ class Room:
             Link(ROOM, "H_outdoors", from_input=OUTDOOR),
             Link(ENVELOPE, "H_envelope_outdoors", from_input=OUTDOOR),
             Link(ROOM, "H_neighbours", from_input=_ONE, factor=_NEIGHBOURS_C),
-            *(Link(ROOM, f"wall_{j}", from_input=len(INPUTS) + j) for j in range(self.neighbours)),
+            *(
+                Link(node, f"{name}_{j}", from_input=len(INPUTS) + j)
+                for name, (node, _) in BETWEEN.items()
+                for j in range(self.neighbours)
+            ),
         )
 
     @cached_property
