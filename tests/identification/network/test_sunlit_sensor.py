@@ -27,11 +27,11 @@ START_S = 66 * DAY_S
 SUN = SunOnSensor(3.0, 0.5, 0.9, 180.0, 600.0, 50.0, 12.0 * HOUR_S)
 
 
-def probed(house: House) -> tuple[Record, Array]:
-    """Record of three days of probing, and the true temperature at its boundaries, °C."""
+def probed(house: House, days: float = 3.0) -> tuple[Record, Array]:
+    """Record of `days` of probing, and the true temperature at its boundaries, °C."""
     plant = GeneratedHousePlant(house)
     run = Probing(plant, START_S, seed=1, layout=plant.testcase.layout)
-    run.go_on(3.0)
+    run.go_on(days)
     trace = plant.recorded(float(run.record.time_s[0]), float(run.record.time_s[-1]))
     return run.record, np.interp(run.record.time_s, trace["time"], trace["T_operative"]) - 273.15
 
@@ -65,6 +65,15 @@ def test_sun_that_warms_a_light_room_is_not_taken_for_sun_on_its_sensor(index):
     # Very light houses; 2 and 35 with glass of 0.29 of the floor area.
     house = replace(draw_house(501, index), sun_bias_K=0.0)
     assert found(probed(house)[0]) is None
+
+
+@pytest.mark.slow
+def test_a_search_ends_where_the_slopes_vanish():
+    """A leaky house with air heating, whose curvatures differ by 10⁵: by slopes alone it ended 180 nats away."""
+    sun = found(probed(draw_house(9601, 4), days=7.0)[0])
+    assert sun is not None
+    assert sun.probability > 0.99
+    assert sun.full_K == pytest.approx(1.7, abs=0.5)
 
 
 def test_levels_of_room_set_points_do_not_tell(sunlit):

@@ -12,13 +12,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import expit, log_ndtr
 
 from thermoforce_mpc.data import DAY_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import resolution_K
 from thermoforce_mpc.identification.network.effects import Actuators, room_run
-from thermoforce_mpc.identification.network.estimate import Run, searched
+from thermoforce_mpc.identification.network.estimate import Run, estimate_room, searched
 from thermoforce_mpc.identification.network.priors import SENSOR_SD_K
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.sun_on_sensor import FULL_SUN_W_M2, SunOnSensor, facade_W_m2, off_sensors, sensor_lag, sun_at
@@ -26,10 +27,10 @@ from thermoforce_mpc.model.sun_on_sensor import FULL_SUN_W_M2, SunOnSensor, faca
 # What is tried: facades of the sensor and of windows, °, and lags of sensors, s, at a site of this latitude, °.
 _AZIMUTHS_DEG, _WINDOWS_DEG = (90.0, 135.0, 180.0, 225.0, 270.0), (90.0, 180.0, 270.0)
 _LAGS_S, _LATITUDE_DEG = (120.0, 900.0), 50.0
-# The most that a sensor shows in full sun, K, and where the search for it begins, in prior standard deviations.
-_MOST_K, _START = 8.0, 0.5
-# Relative error of the posterior at which a search ends, and the least gain that is more than that, nats.
-_TOLERANCE, _LEAST_GAIN = 1e-6, 0.02
+# The most that a sensor shows in full sun, K, and the variance that a search of it begins with, of that of the prior.
+_MOST_K, _SPREAD = 8.0, 0.05
+# The least gain that is more than what searches leave, nats.
+_LEAST_GAIN = 1e-3
 # Share of the largest irradiance from which it is day: clouds move the middle of the light, not that of the day.
 _DAYLIGHT = 0.02
 
@@ -85,8 +86,8 @@ def sun_on_sensor(
     grid_K = resolution_K([run.part(zone, [home[0]], [layout.machine_of[home[0]]]) for run in runs])
     lit = [_with_windows(room_run(run, zone, actuators, grid_K), run, noon_s) for run in runs]
     room = replace(actuators.room(zone), facades=len(_WINDOWS_DEG))
-    first = searched(room, lit, np.zeros(room.sd.size), _TOLERANCE)
-    without, sunlit, start = float(first.fun), replace(room, sensor=True), np.append(first.x, _START)
+    fit, sunlit = estimate_room(room, lit), replace(room, sensor=True)
+    without, start, spread = fit.value, np.append(fit.scaled, 0.0), block_diag(fit.spread, _SPREAD)
     explanations = []
     for azimuth_deg in _AZIMUTHS_DEG:
         facades = [facade_W_m2(run.time_s, run.solar_W_m2, _LATITUDE_DEG, noon_s, (azimuth_deg,)) for run in runs]
@@ -95,12 +96,12 @@ def sun_on_sensor(
                 sensor_lag(f[:, 0] / FULL_SUN_W_M2, run.time_s, lag_s) for f, run in zip(facades, runs, strict=True)
             ]
             shone = [replace(run, on_sensor=part) for run, part in zip(lit, parts, strict=True)]
-            found = searched(sunlit, shone, start, _TOLERANCE)
+            found = searched(sunlit, shone, start, spread)
             full_K = float(found.x[-1] * SENSOR_SD_K)
             explanations.append(_Explanation(azimuth_deg, lag_s, full_K, float(found.fun), found.x[:-1]))
     best = max(explanations, key=lambda explanation: explanation.gained(without))
     # The search with sun may have found a better room, which owes nothing to the sun.
-    without = min(without, float(searched(room, lit, best.at, _TOLERANCE).fun))
+    without = min(without, float(searched(room, lit, best.at, fit.spread).fun))
     gained = [explanation.gained(without) for explanation in explanations]
     best = explanations[int(np.argmax(gained))]
     probability = float(expit(np.logaddexp.reduce(gained) - np.log(len(gained))))
