@@ -157,9 +157,13 @@ def estimate_room(room: Room, runs: Sequence[Run], before: RoomFit | None = None
 
 
 def _scaled(room: Room, runs: Sequence[Run], z: Array) -> tuple[float, Array]:
-    """`posterior` at z (p,), θ in prior standard deviations from its mean, and its gradient by z."""
-    value, gradient = posterior(room, room.mean + room.sd * z, runs)
-    return value, gradient * room.sd
+    """`posterior` at z (p,), θ in prior standard deviations from its mean, and its gradient by z.
+
+    Infinite, without a slope, where rates are beyond numbers: a search does not step there.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        value, gradient = posterior(room, room.mean + room.sd * z, runs)
+    return (value, gradient * room.sd) if np.isfinite(value) else (np.inf, np.zeros_like(z))
 
 
 def _curvature(room: Room, runs: Sequence[Run], z: Array) -> Array:
