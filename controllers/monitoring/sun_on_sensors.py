@@ -1,7 +1,7 @@
 """Sun on zone sensors, looked for again at night while the building is controlled, when more sun has shone.
 
 Identification finds it where the sun shone in its record. After dull days it does not, and plans would then heat too
-little from the first sunny day on.
+little in the sun.
 """
 
 from __future__ import annotations
@@ -63,13 +63,16 @@ class SunOnSensors:
         self._looked_for = tuple(a and b for a, b in zip(asked, validated, strict=True))
 
     def update(self, state: SunState, history: Record) -> SunState:
-        """The state after a look, where it is dark and more sun has shone than at the last one."""
+        """The state after a look, where it is dark and more sun has shone than at the last one.
+
+        The first is in the first night, when the latest days may be others than those of the model.
+        """
         if history.n_steps < 1:
             return state
         now_s, latest = float(history.time_s[-1]), history.last(round(_LATEST_S / history.step_s))
         sun_Wh_m2 = float(np.nansum(latest.solar_W_m2)) * history.step_s / HOUR_S
         if state.looked_s is None:
-            return SunState(now_s, (None,) * len(self._looked_for), sun_Wh_m2=sun_Wh_m2)
+            return SunState(now_s, (None,) * len(self._looked_for))
         dark = history.solar_W_m2[-1] <= _DARK_W_M2
         if not dark or sun_Wh_m2 < _MORE_SUN * state.sun_Wh_m2 or not any(self._looked_for):
             return state

@@ -104,13 +104,15 @@ def identify(
     power, of_power = _powers(records, config, layout)
     data_of = []
     for a, home in enumerate(layout.home):
-        m, order = layout.machine_of[a], [a, *others_of(layout, a, config)]
+        m, order, likeliest = layout.machine_of[a], [a, *others_of(layout, a, config)], sun.get(home)
+        taken_off = likeliest if likeliest is not None and likeliest.likely else None
         card = ModelCard(
             source,
             records.hashes,
+            scores={} if likeliest is None else {"sun_on_sensor": likeliest.probability},
             config=config.model_dump(mode="json"),
-            notes=(*notes[a], *of_power[m], *([sun[home].in_words()] if home in sun else [])),
-            sun_on_sensor=sun.get(home),
+            notes=(*notes[a], *of_power[m], *([] if taken_off is None else [taken_off.in_words()])),
+            sun_on_sensor=taken_off,
             foreign_heat=records.foreign.heat[a],
         )
         zone_data = ZoneData(

@@ -57,7 +57,7 @@ def test_it_is_found_in_the_night_after_it_shone_and_taken_off(sunlit, tmp_path)
     controller = _controller()
     begun = _planned(controller, sunlit.slice(0, sunlit.n_steps - DAY), None)
     assert (begun.state.sun.looked_s, begun.state.sun.found) == (float(sunlit.time_s[-1 - DAY]), (None,))
-    assert begun.state.sun.sun_Wh_m2 > 1000.0
+    assert begun.state.sun.sun_Wh_m2 == 0.0, "nothing was looked at yet"
     noon = _planned(controller, sunlit.slice(0, sunlit.n_steps - DAY // 2), begun.state)
     assert noon.news == ""
     assert noon.state.sun == begun.state.sun, "in the sun nothing is looked for"

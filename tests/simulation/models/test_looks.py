@@ -19,9 +19,9 @@ POOR = Competence(True, effect_K=2.0, effect_sd_K=0.7)
 UNFIT = Competence(False, ("6 h ahead it errs by 1.3 K, need 1 K",), effect_K=2.0, effect_sd_K=0.1)
 
 
-def look(**verdicts: Competence | None) -> Look:
-    """A look at a model of which only names and verdicts count."""
-    cards = tuple(SimpleNamespace(competence=verdict) for verdict in verdicts.values())
+def look(sun: float = 0.0, **verdicts: Competence | None) -> Look:
+    """A look at a model of which only names, verdicts and the probability of `sun` on the sensors count."""
+    cards = tuple(SimpleNamespace(competence=verdict, scores={"sun_on_sensor": sun}) for verdict in verdicts.values())
     model = SimpleNamespace(operator=SimpleNamespace(actuators=tuple(verdicts)), cards=cards)
     return Look(4.0, model)  # type: ignore[arg-type]
 
@@ -62,6 +62,16 @@ def test_probing_ends_early_only_where_every_actuator_is_known_well():
     well = Competence(True, effect_K=2.0, effect_sd_K=0.1)
     assert look(bath=well, hall=well).is_well_known
     assert not look(bath=well, hall=KNOWN).is_well_known
+
+
+@pytest.mark.parametrize(
+    ("sun", "ends_early", "goes_on"), [(0.1, True, False), (0.3, False, False), (0.8, False, True), (0.95, True, False)]
+)
+def test_sun_on_a_sensor_is_decided_before_probing_ends(sun, ends_early, goes_on):
+    known = look(sun, actuator=Competence(True, effect_K=2.0, effect_sd_K=0.1))
+    assert known.is_well_known is ends_early
+    said = "the sun may shine on the zone sensor (probability 0.8, taken off from 0.9)"
+    assert known.lacks == ({"actuator": said} if goes_on else {})
 
 
 def test_hours_in_which_nothing_came_while_probing_stand_on_the_card():

@@ -28,6 +28,7 @@ _MEANING = {
     "held_out_linear": "held-out error with a constant gain, in standard deviations",
     "held_out_neural": "the same with a network as gain",
     "modulation_kept": "network kept (1) or not (0)",
+    "sun_on_sensor": "probability that the sun shines on the zone sensor; it is taken off above 0.9",
 }
 _UNITS = {"T_zone_C": "zone, °C", "T_out_C": "outdoors, °C", "solar_W_m2": "sun, W/m²", "u": "action u"}
 

@@ -133,13 +133,14 @@ def _noon_s(runs: Sequence[Record]) -> float | None:
 def without_sun(
     runs: Sequence[Record], layout: Layout, heat_inputs: Sequence[HeatInput], config: IdentificationConfig
 ) -> tuple[list[Record], dict[int, SunOnSensor]]:
-    """The runs without the sun on their zone sensors, and what was found of it by zone."""
+    """The runs without the sun on their zone sensors where it is likely, and the likeliest sun by zone."""
     found: dict[int, SunOnSensor] = {}
     if not runs or not config.sun_on_sensor:
         return list(runs), found
-    for zone in range(len(layout.floor_area_m2)):
+    zones = range(len(layout.floor_area_m2))
+    for zone in zones:
         likeliest = sun_on_sensor(runs, zone, layout, heat_inputs, config)
-        if likeliest is not None and likeliest.likely:
+        if likeliest is not None:
             found[zone] = likeliest
-    sun = [found.get(zone) for zone in range(len(layout.floor_area_m2))]
+    sun = [found[zone] if zone in found and found[zone].likely else None for zone in zones]
     return [off_sensors(run, sun) for run in runs], found

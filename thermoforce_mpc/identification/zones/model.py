@@ -94,7 +94,7 @@ def _modelled(data: ZoneData, estimate: Estimate, say: Callable[[str], None]) ->
     config, everything, last, before = data.config, estimate.everything, estimate.last, estimate.before
     histories, step_s = data.histories, data.histories[0].step_s
     operator = replace(everything.operator(config), feedback=config.feedback)
-    scores, notes = dict(estimate.scores), list(data.card.notes)
+    scores, notes = {**data.card.scores, **estimate.scores}, list(data.card.notes)
     if data.grid_K:
         notes.append(f"the zone sensor reads in steps of {data.grid_K:.2g} K")
     if everything.heat_input.law is not None and last.heat_input.law is None:

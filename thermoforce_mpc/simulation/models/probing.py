@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array, Layout, Period, PlantInfo, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.sun_on_sensor import LIKELY
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.unit_doubts import UnitDoubts
@@ -17,12 +18,16 @@ from thermoforce_mpc.simulation.unit_doubts import UnitDoubts
 if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig
+    from thermoforce_mpc.model.card import ModelCard
     from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
 _LOG = logging.getLogger(__name__)
 # Probing does not end early before this many days: a held-out part of 9 h must show the effect.
 _LEAST_DAYS = 1.5
+# Probabilities of sun on a sensor above which, until it is likely, probing does not end early, and goes on after its
+# days: plans would heat too little in the sun. After three days one ideal sensor in thirty has the second.
+_PERHAPS, _RATHER = 0.2, 0.5
 
 
 @dataclass(frozen=True)
@@ -60,14 +65,15 @@ class Look:
         if self.model is None:
             return {"": self.refused}
         cards = zip(self.model.operator.actuators, self.model.cards, strict=True)
-        return {name: words for name, card in cards if (words := lacking(card.competence))}
+        return {name: words for name, card in cards if (words := lacking(card.competence) or _open_sun(card, _RATHER))}
 
     @property
     def is_well_known(self) -> bool:
         """Whether probing may end before the configured days are over."""
         from thermoforce_mpc.identification.validation.competence import is_well_known
 
-        return self.model is not None and all(is_well_known(card.competence) for card in self.model.cards)
+        cards = () if self.model is None else self.model.cards
+        return bool(cards) and all(is_well_known(card.competence) and not _open_sun(card, _PERHAPS) for card in cards)
 
     def in_words(self) -> str:
         """What is lacking, a line; with several actuators one more for each that lacks something."""
@@ -81,6 +87,14 @@ class Look:
             return f"{after} not enough is known: {self.lacks[self.model.operator.actuators[0]]}"
         lines = [f"{after} {n - len(self.lacks)} of {n} actuators may act"]
         return "\n".join([*lines, *(f"  {name}: {words}" for name, words in self.lacks.items())])
+
+
+def _open_sun(card: ModelCard, above: float) -> str:
+    """What is not known of sun on the zone sensor, in words; empty unless its probability is `above` and not likely."""
+    probability = card.scores.get("sun_on_sensor", 0.0)
+    if not above < probability <= LIKELY:
+        return ""
+    return f"the sun may shine on the zone sensor (probability {probability:.2g}, taken off from {LIKELY:g})"
 
 
 @dataclass(frozen=True)
