@@ -12,6 +12,9 @@ from thermoforce_mpc.data import HOUR_S, Boundary, Record
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.measurements.tables.screening import Flag
 
+# About three days: a table of three has a step less.
+_ABOUT_THREE_DAYS_H = 70.0
+
 
 @dataclass(frozen=True)
 class SignalSummary:
@@ -98,6 +101,6 @@ def missing(rules: MeasurementMap, record: Record, conditions: Boundary) -> tupl
         if not np.isfinite(conditions.lower_C[z]).any() or not np.isfinite(conditions.upper_C[z]).any():
             notes.append(f"no comfort bounds of {zone} (lower, upper): a plan needs them, here or in the forecast")
     hours = record.n_steps * record.step_s / HOUR_S
-    if hours < 3 * 24.0:
+    if hours < _ABOUT_THREE_DAYS_H:
         notes.append(f"only {hours:.0f} h: a model needs about three days of probing or weeks of operation")
     return tuple(notes)

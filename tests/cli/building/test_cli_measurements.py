@@ -88,11 +88,22 @@ def test_check_prints_and_draws_what_it_understood(folder):
     assert done.exit_code == 0, done.output
     assert "2025-01-21 00:00:00+01:00 to 2025-01-24 00:00:00+01:00 (3.0 days, Europe/Brussels)" in done.output
     assert "heat_pump: competent" in done.output
+    assert "first mend" not in done.output
+    assert "days of probing" not in done.output, "three days are enough"
     assert "probe-plan" not in done.output
     assert (folder / "check.png").stat().st_size > 10_000
     found = json.loads((folder / "check.json").read_text())
     assert found["understood"]["rows"] == 289
     assert found["tells"]["found"][0]["competent"] is True
+
+
+@pytest.mark.slow
+def test_what_is_doubtful_comes_before_a_model_of_it(folder):
+    (folder / "celsius.yaml").write_text(MAP.replace("{column: out_F, unit: '°F'}", "out_F"), encoding="utf-8")
+    done = tf_mpc(folder, "data", "check", "probed.csv", "--map", "celsius.yaml", "--plot", "celsius.png")
+    assert "°F is likelier" in done.output
+    assert "heat_pump: competent" in done.output
+    assert "first mend what is doubtful above" in done.output
 
 
 @pytest.mark.slow

@@ -55,7 +55,7 @@ def check_command(files: tuple[str, ...], map_file: Path, plot: Path, fit: bool,
     measured = read_measurements(files, map_file)
     show_measurements(measured, display.console)
     doubts = show_remarks(measured, display.console)
-    tells = show_findings(measured, display) if fit else {}
+    tells = show_findings(measured, display, doubts) if fit else {}
     with written(plot) as aside:
         names = ", ".join(Path(name).name for name in measured.understood.files[:3])
         draw_measurements(aside, measured, ": ".join([names, *([tells["headline"]] if tells else [])]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -64,8 +65,11 @@ def show_remarks(measured: Measurements, console: Console) -> list[str]:
     return found
 
 
-def show_findings(measured: Measurements, display: RunDisplay) -> dict[str, Any]:
-    """Print what a linear model of the data tells about the effect of acting; returns it for a file, and a headline."""
+def show_findings(measured: Measurements, display: RunDisplay, doubts: Sequence[str] = ()) -> dict[str, Any]:
+    """Print what a linear model of the data tells about the effect of acting; returns it for a file, and a headline.
+
+    `doubts`: what was said to be doubtful in them.
+    """
     from thermoforce_mpc.identification.probing.operation import findings, telling_part
 
     try:
@@ -82,6 +86,8 @@ def show_findings(measured: Measurements, display: RunDisplay) -> dict[str, Any]
         display.say(f"  {finding.actuator}: {finding.words}")
         for advice in finding.advice:
             display.say(f"    advice: {advice}")
+    if doubts and any(finding.competent for finding in found):
+        display.say("  first mend what is doubtful above: the model takes the record as it is")
     if not all(finding.competent for finding in found):
         display.say("  `tf-mpc data probe-plan` writes a probing by hand that would tell")
     headline = "; ".join(f"{f.actuator} {f.words if f.competent else 'cannot be told'}" for f in found)
