@@ -25,9 +25,11 @@ _EMITTER_START_SD_K = 5.0
 # What a few nodes do not follow from one reading to the next, K: without it, readings of a simulator without noise make
 # a level that answers within its step be taken for an effect at once.
 _MODEL_SD_K = 0.02
-# Search: largest step and where it begins with, in prior standard deviations; the largest slope by one of them at which
-# it ends, nats; most steps.
-_MOST_STEP, _FIRST_STEP, _FLAT, _MOST_STEPS = 2.0, 1.0, 1e-2, 200
+# Search: the longest step that is trusted and the first one, in prior standard deviations; the gain expected of a step
+# at which it ends, nats; most steps; the largest slope by a standard deviation at which one near a fit ends, nats.
+_MOST_STEP, _FIRST_STEP, _LEAST_GAIN, _MOST_STEPS, _FLAT = 2.0, 1.0, 1e-4, 200, 1e-2
+# Shares of the expected gain below which a step is refused, and shorter ones, or from which longer ones, are trusted.
+_REFUSED, _SHORTER, _LONGER = 0.1, 0.25, 0.75
 # Step of differences of the gradient, in prior standard deviations.
 _DIFFERENCE = 1e-4
 
@@ -185,20 +187,40 @@ def searched(room: Room, runs: Sequence[Run], start: Array, spread: Array | None
     if spread is not None:
         options = {"hess_inv0": spread, "gtol": _FLAT, "maxiter": _MOST_STEPS}
         return minimize(lambda z: _scaled(room, runs, z), start, jac=True, method="BFGS", options=options)
-    options = {
-        "initial_trust_radius": _FIRST_STEP,
-        "max_trust_radius": _MOST_STEP,
-        "gtol": _FLAT,
-        "maxiter": _MOST_STEPS,
-    }
-    return minimize(
-        lambda z: _scaled(room, runs, z),
-        start,
-        jac=True,
-        hess=lambda z: _curvature(room, runs, z),
-        method="trust-exact",
-        options=options,
-    )
+    at, (value, slope), trusted = start, _scaled(room, runs, start), _FIRST_STEP
+    sizes, directions = np.linalg.eigh(_curvature(room, runs, at))
+    for _ in range(_MOST_STEPS):
+        slopes = slope @ directions
+        step = _step(sizes, slopes, trusted)
+        expected = -float(slopes @ step + 0.5 * sizes @ step**2)
+        if expected < _LEAST_GAIN:
+            break
+        proposed = at + directions @ step
+        lower, slope_there = _scaled(room, runs, proposed)
+        share, length = (value - lower) / expected, float(np.linalg.norm(step))
+        if share < _SHORTER:
+            trusted = 0.25 * length
+        elif share > _LONGER and length > 0.99 * trusted:
+            trusted = min(2.0 * trusted, _MOST_STEP)
+        if share > _REFUSED:
+            at, value, slope = proposed, lower, slope_there
+            sizes, directions = np.linalg.eigh(_curvature(room, runs, at))
+    return OptimizeResult(x=at, fun=value)
+
+
+def _step(sizes: Array, slopes: Array, longest: float) -> Array:
+    """The step of at most a length to the least value of a quadratic, by its directions (p,): their curvatures and
+    slopes.
+    """
+    least = max(0.0, -float(sizes[0]))
+    if sizes[0] > 0.0 and np.linalg.norm(slopes / sizes) <= longest:
+        return np.asarray(-slopes / sizes)
+    # More curvature makes it shorter.
+    low, high = least, least + float(np.linalg.norm(slopes)) / longest
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if np.linalg.norm(slopes / (sizes + middle)) > longest else (low, middle)
+    return np.asarray(-slopes / (sizes + high))
 
 
 def _without(inputs: Array, drives: list[int]) -> Array:
