@@ -3,7 +3,8 @@
 Each machine gives heat most cheaply at one level: one with a fixed loss while it runs at a high one, one whose water
 gets hotter with the level at a low one. What heat costs at the levels that were tried is on the model card
 (`LevelCost`). At the cheapest of them the machine is switched, and higher levels are held where they are needed. Where
-nothing is known of part load, or power is measured and has a fixed part and heat is not, it is switched at full level.
+nothing is known of part load it is switched at full level, as where power has a fixed part and heat is not measured, or
+power depends on the return water, which was cooler in the trials.
 """
 
 from __future__ import annotations
@@ -82,8 +83,9 @@ def choose_actuation(
         return ActuationChoice(blocks, f"{blocks.in_words}: {laws}", power)
     best = cheapest(costs)
     guessed = heat_input.law is None and not at_its_limit(costs)
-    if best and laws and guessed and laws.power_fixed * (1.0 / best.level - 1.0) > SWITCH_FROM:
-        # The meter knows the fixed part; the heat of a level from temperatures alone is known to a fifth at best.
+    if best and laws and (guessed or power.water) and laws.at(best.level) > 1.0 + SWITCH_FROM:
+        # The meter knows the fixed part; the heat of a level from temperatures alone is known to a tenth at best, and
+        # the water of the steps at part load was cooler where it is a factor of the power.
         return ActuationChoice(blocks, f"{blocks.in_words}: {laws}", power)
     if best is None:
         told = min(costs, key=lambda one: one.cost)

@@ -20,6 +20,7 @@ from thermoforce_mpc.identification import identify
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.part_load import LevelCost
 from thermoforce_mpc.model.machine.power import PowerModel
+from thermoforce_mpc.model.machine.return_water import ReturnWater
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -77,6 +78,16 @@ def test_a_fixed_part_on_the_meter_counts_more_than_heat_guessed_from_temperatur
     assert choose(law(200, 2800), None, costs).actuation.modulates, "a small one may be an error of the law"
     limited = [LevelCost(0.25, 1.0, 0.03, 1.67, 0.1), LevelCost(0.5, 1.0, 0.03, 1.67, 0.1)]
     assert choose(law(1000, 2000), None, limited).actuation.modulates, "full level gives little more than a half"
+
+
+def test_the_return_water_says_what_part_load_costs_in_the_same_water():
+    """Trials at part load were in cooler water, which hides a fixed loss that is on the meter."""
+    costs, heat = [cost(0.5, 1.02), cost(0.25, 1.4)], HeatInput(heat=law(400, 9600))
+    for water, modulates in ((ReturnWater(0.007, 40.0, (20.0, 50.0), 18.0), False), (None, True)):
+        choice = choose_actuation(ActuationConfig(), PowerModel(law(400, 1700), water=water), heat, costs)
+        assert choice.actuation.modulates is modulates
+    inverter = PowerModel(law(100, 2000), water=ReturnWater(0.007, 40.0, (20.0, 50.0), 18.0))
+    assert choose_actuation(ActuationConfig(), inverter, heat, [cost(0.25, 0.8)]).actuation.modulates
 
 
 @pytest.mark.parametrize("heat", [None, law(1700, 8300)], ids=["levels", "measured heat"])

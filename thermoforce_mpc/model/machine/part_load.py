@@ -137,7 +137,12 @@ class PartLoad:
     @property
     def at_half(self) -> float:
         """Power per heat at half level over that at full level."""
-        return (1.0 + self.power_fixed) / (1.0 + self.heat_fixed)
+        return self.at(0.5)
+
+    def at(self, level: float) -> float:
+        """Power per heat at `level` over that at full level."""
+        more = 1.0 / level - 1.0
+        return (1.0 + more * self.power_fixed) / (1.0 + more * self.heat_fixed)
 
     def __str__(self) -> str:
         return (
