@@ -61,7 +61,7 @@ def test_feedback_does_not_drop_the_delay(shared, pairs, day):
     config = IdentificationConfig(modulation="linear")
     model = identify([cut(run, day, 3)], config=config, floor_area_m2=AREA_M2)
     assert model.only.operator.order == 3
-    assert score_pairs(model.only.operator, pairs).rmse_K <= 0.15
+    assert score_pairs(model.only.operator, pairs).rmse_K <= 0.16
 
 
 def test_a_day_without_heating_is_refused(shared):

@@ -50,7 +50,7 @@ def test_the_rule_acts_where_the_user_names_it():
 
 def test_the_gate_costs_nothing_where_the_model_passes():
     runs = []
-    for competence in (None, Competence(True, effect_K=9.0, effect_sd_K=1.0)):
+    for competence in (None, Competence(True, effect_K=9.0, effect_sd_K=0.0)):  # nothing is kept for an unsure effect
         house = SimpleHouse()
         runs.append(run_closed_loop(house, mpc(competence), house.period("x")))
     assert runs[1].fallback_levels()["solved"] == 48

@@ -28,6 +28,8 @@ _MODEL_SD_K = 0.02
 # Search: the longest step that is trusted and the first one, in prior standard deviations; the gain expected of a step
 # at which it ends, nats; most steps; the largest slope by a standard deviation at which one near a fit ends, nats.
 _MOST_STEP, _FIRST_STEP, _LEAST_GAIN, _MOST_STEPS, _FLAT = 2.0, 1.0, 1e-4, 200, 1e-2
+# Starts, in prior standard deviations of a parameter.
+_STARTS: tuple[dict[str, float], ...] = ({}, {"heat_0": 1.0}, {"C_structure": 0.7})
 # Shares of the expected gain below which a step is refused, and shorter ones, or from which longer ones, are trusted.
 _REFUSED, _SHORTER, _LONGER = 0.1, 0.25, 0.75
 # Step of differences of the gradient, in prior standard deviations.
@@ -150,11 +152,16 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
 
 
 def estimate_room(room: Room, runs: Sequence[Run], before: RoomFit | None = None) -> RoomFit:
-    """The largest posterior of a room's parameters, searched from the priors' mean, or from a fit to fewer runs."""
-    start = np.zeros(room.sd.size)
+    """The largest posterior of a room's parameters, searched from several starts, or from a fit to fewer runs."""
+    starts = []
+    for shifts in _STARTS:
+        start = np.zeros(room.sd.size)
+        for name in shifts.keys() & room.place.keys():
+            start[room.place[name]] = shifts[name]
+        starts.append(start)
     if before is not None and before.room.place == room.place:
-        start = np.asarray((before.theta - room.mean) / room.sd)
-    best = searched(room, runs, start)
+        starts = [np.asarray((before.theta - room.mean) / room.sd)]
+    best = min((searched(room, runs, start) for start in starts), key=lambda result: float(result.fun))
     return RoomFit(room, room.mean + room.sd * best.x, float(best.fun), runs)
 
 
