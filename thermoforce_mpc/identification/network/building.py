@@ -25,7 +25,7 @@ RESPONSE_H = np.array(
 )
 """Times after a step to full level at which responses are compared, h."""
 # Relative standard deviation of any effect by what a few nodes are not: surfaces, layers, a lag of the sensor, water.
-_STRUCTURE_SD = 0.05
+_STRUCTURE_SD = 0.035
 
 
 @dataclass(frozen=True)
