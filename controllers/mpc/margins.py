@@ -95,13 +95,11 @@ class MarginRules:
     def __init__(self, config: MPCConfig, model: ThermalModel, actuators: Actuators) -> None:
         self._config, self._actuators, self._layout = config, actuators, model.layout
         self._cards, self._step_s, self._shares = model.cards, model.operator.step_s, np.array(model.layout.shares)
-        # Half a step of each zone's sensor (Z,), K.
-        self._half_K = np.zeros(len(model.names.zones))
-        for card, z in zip(model.cards, model.layout.home, strict=True):
-            self._half_K[z] = max(self._half_K[z], 0.5 * card.uncertainty.get("sensor_resolution_K", 0.0))
-        # Relative standard deviation of the effect of what protects the lower and the upper bound of each zone (2, Z).
-        self._unsure = np.zeros((2, len(model.names.zones)))
+        # Half a step of each zone's sensor (Z,), K, and the relative standard deviation of the effect of what protects
+        # its lower and its upper bound (2, Z).
+        self._half_K, self._unsure = np.zeros(len(model.names.zones)), np.zeros((2, len(model.names.zones)))
         for card, z, sign in zip(model.cards, model.layout.home, model.layout.signs, strict=True):
+            self._half_K[z] = max(self._half_K[z], 0.5 * card.uncertainty.get("sensor_resolution_K", 0.0))
             if card.competence and np.isfinite(card.competence.relative_sd):
                 side = 0 if sign > 0 else 1
                 self._unsure[side, z] = max(self._unsure[side, z], card.competence.relative_sd)

@@ -70,7 +70,7 @@ def judge(
         operator: what is returned, fitted to all rows. Where its levels are signed, the plant's own loops keep the
             comfort band, so that a wrong prediction costs energy only.
         uncertainty: standard deviations of the final fit, see `identification.uncertainty`.
-        log_odds: that the actuator acts, see `network.estimate.RoomFit.gained`.
+        log_odds: that the actuator acts, see `network.estimate.RoomFit.without`.
         heat_W_m2: metered heat of full level per m² of floor, NaN where it is not known.
     """
     block_h = min(BLOCK_H, last.held_out_h / LEAST_BLOCKS) or BLOCK_H
