@@ -38,7 +38,7 @@ OFFICE = Climate(
     "small_office",
     "Small office (Chicago)",
     # Only mode, step and floor area are used; the building model is the IDF file of the engine.
-    ZoneSpec(WEATHER, "heating", RANGE_W[1] - RANGE_W[0], 0.1, floor_m=(sum(FLOOR_AREA_M2.values()), 1.0, 3.05)),
+    ZoneSpec(WEATHER, "heating", RANGE_W[1] - RANGE_W[0], 0.1, floor_area_m2=sum(FLOOR_AREA_M2.values())),
     first_day=_PROBE_DAY,
     comfort_C=21.0,
     setback_C=19.0,
