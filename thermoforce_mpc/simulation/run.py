@@ -46,9 +46,7 @@ from thermoforce_mpc.simulation.folder.run_folder import (
     sole_use,
 )
 from thermoforce_mpc.simulation.folder.run_log import log_step, logging_to
-from thermoforce_mpc.simulation.journal.journal import NAME
 from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
-from thermoforce_mpc.simulation.journal.parts import pack
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
 from thermoforce_mpc.simulation.models.identifying import IdentifiedModel
 from thermoforce_mpc.simulation.models.run_models import (
@@ -193,7 +191,6 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
             raise
         raise ended from error
     clear_partial(folder)
-    pack(folder / NAME)
     kpis = write_results(folder, outcome, book.command, testcase.currency)
     with display.working("Drawing the report"):
         from thermoforce_mpc.simulation.report import write_report

@@ -16,7 +16,6 @@ from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.simulation import report
 from thermoforce_mpc.simulation import run as simulation_run
-from thermoforce_mpc.simulation.journal import journal as journal_module
 from thermoforce_mpc.simulation.journal.journal import JournalError, read_journal
 
 WORDS = ("--testcase", "bestest_hydronic_heat_pump", "--controller", "thermostat", "--baselines", "native")
@@ -24,26 +23,19 @@ WORDS = ("--testcase", "bestest_hydronic_heat_pump", "--controller", "thermostat
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A finished run of two controllers, its journal in four parts."""
+    """A finished run of two controllers, with its journal."""
     folder = tmp_path_factory.mktemp("runs") / "whole"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(simulation_run, "build_plant", lambda *_: SimpleHouse())
         patch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
-        patch.setattr(journal_module, "PART_BYTES", 20_000)
         done = call("run", *WORDS, "--days", "1", "--no-equal-comfort", "--out", folder)
         assert done.exit_code == 0, done.output
-        assert len(parts(folder)) > 3
         yield folder
-
-
-def parts(folder: Path) -> list[Path]:
-    return sorted(folder.glob("journal*.jsonl"), key=lambda path: (len(path.name), path.name))
 
 
 def copied(whole: Path, folder: Path) -> Path:
     folder.mkdir()
-    for part in parts(whole):
-        shutil.copy(part, folder)
+    shutil.copy(whole / "journal.jsonl", folder)
     return folder
 
 
@@ -57,37 +49,25 @@ def command_in(error: BaseException | None) -> list[str]:
 @pytest.mark.parametrize("seed", range(16))
 def test_flipped_bits_are_refused_with_the_command_that_goes_on_to_the_same_bytes(whole, tmp_path, seed):
     folder, draw = copied(whole, tmp_path / "flipped run"), random.Random(seed)
+    path, undamaged = folder / "journal.jsonl", (whole / "journal.jsonl").read_bytes()
+    raw = bytearray(undamaged)
     for _ in range(draw.choice([1, 1, 3])):
-        part = draw.choice(parts(folder))
-        raw = bytearray(part.read_bytes())
-        at = draw.randrange(len(raw))
-        raw[at] ^= 1 << draw.randrange(8)
-        part.write_bytes(raw)
-    before = {part.name: part.read_bytes() for part in parts(folder)}
+        raw[draw.randrange(len(raw))] ^= 1 << draw.randrange(8)
+    path.write_bytes(raw)
     done = call("resume", folder)
     if done.exit_code:
         assert isinstance(done.exception, JournalError)
         assert "cannot be relied on" in str(done.exception)
-        assert {part.name: part.read_bytes() for part in parts(folder)} == before, "a refusal changes nothing"
-        first = parts(folder)[0].read_bytes().split(b"\n")[0]
-        if first != parts(whole)[0].read_bytes().split(b"\n")[0]:
+        assert path.read_bytes() == raw, "a refusal changes nothing"
+        if raw.split(b"\n")[0] != undamaged.split(b"\n")[0]:
             assert "start the run again" in str(done.exception)
             return
         done = call(*command_in(done.exception))
         assert done.exit_code == 0, done.output + str(done.exception)
         lost = (folder / "journal.jsonl.lost").read_bytes()
-        assert b"".join(before.values()).endswith(lost)
+        assert raw.endswith(lost)
     assert results(folder) == results(whole)
     assert not read_journal(folder / "journal.jsonl").torn
-
-
-def test_a_part_that_is_missing_is_gone_on_without(whole, tmp_path):
-    folder = copied(whole, tmp_path / "missing")
-    (folder / "journal.0002.jsonl").unlink()
-    error = call("resume", folder).exception
-    assert "journal.0002.jsonl: is not there, but later parts are" in str(error)
-    assert call(*command_in(error)).exit_code == 0
-    assert results(folder) == results(whole)
 
 
 def test_a_run_goes_on_from_a_time_or_an_earlier_line(whole, tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import os
 import shutil
 import signal
@@ -20,9 +19,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.simulation import report
 from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.journal import journal as journal_module
-from thermoforce_mpc.simulation.journal import parts as parts_module
-from thermoforce_mpc.simulation.journal.journal import Journal, JournalError, JournalTail, JournalText, read_journal
-from thermoforce_mpc.simulation.journal.parts import pack, unpack
+from thermoforce_mpc.simulation.journal.journal import Journal, JournalError, read_journal
 
 TESTCASE = "bestest_hydronic_heat_pump"
 
@@ -132,117 +129,36 @@ def test_the_journal_drops_a_torn_end_and_goes_on(tmp_path):
     assert path.read_bytes() == whole
 
 
-def written(path: Path, n: int, after: JournalText | None = None) -> None:
-    journal = Journal(path, after)
-    for i in range(len(after.entries) if after else 0, n):
+@pytest.mark.parametrize("harm", ["torn", "changed", "missing", "exchanged"])
+def test_damage_before_the_last_line_is_refused(tmp_path, harm):
+    path = tmp_path / "journal.jsonl"
+    journal = Journal(path)
+    for i in range(30):
         journal.write("note", {"value": i, "text": "°C" * 20})
     journal.close()
-
-
-def test_a_journal_goes_on_in_parts_of_bounded_size(tmp_path, monkeypatch):
-    monkeypatch.setattr(journal_module, "PART_BYTES", 500)
-    path = tmp_path / "journal.jsonl"
-    written(path, 30)
-    parts = sorted(tmp_path.iterdir(), key=lambda part: (len(part.name), part.name))
-    assert [part.name for part in parts[:3]] == ["journal.jsonl", "journal.0002.jsonl", "journal.0003.jsonl"]
-    assert all(500 <= part.stat().st_size < 700 for part in parts[:-1])
-    read = read_journal(path)
-    assert [entry.content["value"] for entry in read.entries] == list(range(30))
-    assert read.part == len(parts)
-    assert read.entries[-1].where.startswith(f"{parts[-1]}, line ")
-    whole = [part.read_bytes() for part in parts]
-    # Killed at any byte of the last two parts, and just after a part was begun.
-    for k in (len(parts) - 1, len(parts) - 2):
-        for later in parts[k + 1 :]:
-            later.unlink()
-        for cut in range(0, len(whole[k]), 7):
-            parts[k].write_bytes(whole[k][:cut])
-            kept = read_journal(path)
-            assert len(kept.entries) == b"".join([*whole[:k], whole[k][:cut]]).count(b"\n")
-            written(path, 30, kept)
-            assert [part.read_bytes() for part in parts] == whole
-            for later in parts[k + 1 :]:
-                later.unlink()
-
-
-def test_a_packed_journal_says_the_same_and_is_refused_where_it_was_edited_or_cut(tmp_path, monkeypatch):
-    monkeypatch.setattr(journal_module, "PART_BYTES", 500)
-    monkeypatch.setattr(parts_module, "PACKED_BYTES", 300)
-    path = tmp_path / "journal.jsonl"
-    written(path, 12)
-    contents = [entry.content for entry in read_journal(path).entries]
-    plain = {part.name: part.read_bytes() for part in tmp_path.iterdir()}
-    pack(path)
-    names = {part.name for part in tmp_path.iterdir()}
-    assert names == {"journal.jsonl.gz", "journal.0002.jsonl.gz", "journal.0003.jsonl"}  # the last is a short one
-    assert [entry.content for entry in read_journal(path).entries] == contents
-    assert [entry.content for entry in JournalTail(path).more()] == [{"n": n} | c for n, c in enumerate(contents)]
-    second = journal_module.part_of(path, 2)
-    packed = second.read_bytes()
-    second.write_bytes(gzip.compress(gzip.decompress(packed).replace(b'"value":', b'"value": ', 1)))
-    with pytest.raises(JournalError, match=r"journal\.0002\.jsonl\.gz, line 1: the record is damaged"):
-        read_journal(path)
-    for broken in (packed[:-20], packed[:40] + b"?" + packed[41:]):
-        second.write_bytes(broken)
-        with pytest.raises(JournalError, match=r"journal\.0002\.jsonl\.gz: cannot be read"):
-            read_journal(path)
-    second.write_bytes(packed)
-    unpack(path)
-    assert {part.name: part.read_bytes() for part in tmp_path.iterdir()} == plain
-
-
-@pytest.mark.parametrize("harm", ["torn", "changed", "missing", "exchanged"])
-def test_damage_in_a_part_that_is_not_the_last_is_refused(tmp_path, monkeypatch, harm):
-    monkeypatch.setattr(journal_module, "PART_BYTES", 500)
-    path = tmp_path / "journal.jsonl"
-    written(path, 30)
-    second, third = (journal_module.part_of(path, number) for number in (2, 3))
-    content = second.read_bytes()
+    lines = path.read_bytes().splitlines(keepends=True)
     if harm == "torn":
-        second.write_bytes(content[:-5])
+        lines[9] = lines[9][:-5]
     elif harm == "changed":
-        second.write_bytes(content.replace(b'"value":', b'"value": ', 1))
+        lines[9] = lines[9].replace(b'"value":', b'"value": ', 1)
     elif harm == "missing":
-        third.replace(second)
-        journal_module.part_of(path, 4).replace(third)
+        del lines[9]
     else:
-        second.write_bytes(third.read_bytes())
-        third.write_bytes(content)
-    with pytest.raises(JournalError, match=r"journal\.0002\.jsonl, line \d: the record is damaged"):
+        lines[9], lines[10] = lines[10], lines[9]
+    path.write_bytes(b"".join(lines))
+    with pytest.raises(JournalError, match=r"journal\.jsonl, line 10: the record is damaged"):
         read_journal(path)
+    assert len(read_journal(path, 9).entries) == 9
 
 
-def test_a_part_that_is_not_there_is_refused_and_those_after_it_are_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr(journal_module, "PART_BYTES", 500)
+def test_a_line_longer_than_any_record_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(journal_module, "_MOST_LINE_BYTES", 100)
     path = tmp_path / "journal.jsonl"
-    written(path, 30)
-    journal_module.part_of(path, 2).unlink()
-    with pytest.raises(JournalError, match=r"journal\.0002\.jsonl: is not there, but later parts are"):
+    journal = Journal(path)
+    journal.write("note", {"text": "x" * 100})
+    journal.close()
+    with pytest.raises(JournalError, match="more than 100 bytes, longer than any"):
         read_journal(path)
-
-
-@pytest.mark.slow
-def test_a_run_killed_in_a_later_part_goes_on_to_the_same_bytes(whole, tmp_path, monkeypatch):
-    size = (whole / "journal.jsonl").stat().st_size
-    monkeypatch.setattr(journal_module, "PART_BYTES", size // 4)
-    folder = killed(whole, size // 3, tmp_path / "killed")
-    done = call("resume", folder)
-    assert done.exit_code == 0, done.output
-    assert results(folder) == results(whole)
-    last = folder / "journal.0002.jsonl"
-    for later in set(folder.glob("journal.*.jsonl")) - {last}:
-        later.unlink()
-    last.write_bytes(last.read_bytes()[:-100])
-    for name in ("kpis.json", "manifest.json", "report.html"):
-        (folder / name).unlink()
-    # A run that ends packs its journal: one that was killed after that goes on from there.
-    monkeypatch.setattr(parts_module, "PACKED_BYTES", 0)
-    pack(folder / "journal.jsonl")
-    again = call("resume", folder)
-    assert again.exit_code == 0, again.output
-    assert results(folder) == results(whole)
-    assert {path.suffix for path in folder.glob("journal.*")} == {".gz"}
-    assert call("explain", folder).output == call("explain", whole).output
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ import click
     "--from",
     "since",
     metavar="LINE|TIME",
-    help="Drop the journal from this line on (counted through its parts), or from the step at '16 06:30' or '9000s'.",
+    help="Drop the journal from this line on, or from the step at '16 06:30' or '9000s'.",
 )
 @click.option("--url", metavar="URL", help="Address of the BOPTEST service of the run, given again.")
 @click.option("--fmu", metavar="FILE", help="FMU of the run, given again.")

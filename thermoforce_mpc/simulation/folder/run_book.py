@@ -22,13 +22,12 @@ from thermoforce_mpc.simulation.journal.journal import (
     Journal,
     JournalError,
     JournalText,
+    lines_of,
     making_sense,
     read_run,
-    rest_of,
     set_aside,
 )
 from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
-from thermoforce_mpc.simulation.journal.parts import unpack
 from thermoforce_mpc.version import VERSION
 
 # It becomes a part of addresses.
@@ -76,7 +75,7 @@ class RunBook:
 
         Args:
             folder: run folder.
-            since: a line, counted through all parts (int), or a time, s since 1 January (float).
+            since: a line (int), or a time, s since 1 January (float).
             settled: what is made of the scenario; called before anything is written, and may refuse it.
 
         Raises:
@@ -84,7 +83,6 @@ class RunBook:
             StorageError: it cannot be written.
         """
         path = folder / NAME
-        unpack(path)
         text = read_run(path) if since is None else _until(path, since)
         head = text.entries[0]
         with making_sense(head.where):
@@ -172,7 +170,7 @@ def _with_its_loop(path: Path, text: JournalText) -> JournalText:
     It goes on in the loop that it is in. A loop that is over there, or of which no step is left, begins again.
     """
     begin = _last(text.entries, "loop")
-    over = any(b'"kind":"reset"' in part for part in rest_of(path, text))
+    over = any(b'"kind":"reset"' in line for line in lines_of(path, text.size))
     if begin >= 0 and (over or _last(text.entries, "step") < begin):
         return read_run(path, begin)
     return text

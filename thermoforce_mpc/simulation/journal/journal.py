@@ -4,9 +4,6 @@ A line is `{"n":…,"kind":…,…,"crc":"…"}`; `crc` is the CRC-32 of the tex
 the line before, so that a changed, missing or exchanged line is found. A record is written at once and handed to the
 system: a killed process loses none. What a crash left half-written at the end is dropped when the journal is read.
 
-A file that has grown to `PART_BYTES` is closed, and the journal goes on in the next part: `journal.jsonl`,
-`journal.0002.jsonl`, … Counts and checksums go on through all parts.
-
 A journal that is damaged in the middle holds until there: what comes after is a consequence of what cannot be read. It
 can be cut there (`read_journal` with `most`, `set_aside`), and goes on from its last good record.
 """
@@ -23,17 +20,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from thermoforce_mpc.errors import DataError, StorageError, counted
+from thermoforce_mpc.errors import DataError, InputError, StorageError, counted
 from thermoforce_mpc.files import storage_errors, written
-from thermoforce_mpc.simulation.journal.parts import PART_BYTES, JournalError, later_parts, opened, part_of, text_of
+from thermoforce_mpc.simulation.folder.plain_files import open_plain
 
 NAME = "journal.jsonl"
-FORMAT = 3
+FORMAT = 4
 _CRC = ',"crc":"'
+# The longest record, that of the longest plant's past, has some 10 MB.
+_MOST_LINE_BYTES = 100_000_000
+
+
+class JournalError(InputError):
+    """A journal is missing, damaged, of another version, or not that of the run it is resumed with."""
 
 
 class DamagedJournal(JournalError):
-    """A record before the last does not hold, or a part is missing. `good`: what can be read before it."""
+    """A record before the last does not hold. `good`: what can be read before it."""
 
     def __init__(self, message: str, good: JournalText) -> None:
         super().__init__(message)
@@ -59,9 +62,11 @@ class Entry:
         if isinstance(self.told, Mapping):
             return self.told
         try:
-            content: dict[str, Any] = json.loads(text_of(self.path, self.told.start, len(self.told)))
+            with os.fdopen(open_plain(self.path, os.O_RDONLY), "rb") as file:
+                file.seek(self.told.start)
+                content: dict[str, Any] = json.loads(file.read(len(self.told)))
             del content["kind"], content["crc"]
-        except (JournalError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError) as error:
             raise JournalError(f"{self.where}: cannot be read any more ({error}); was it changed meanwhile?") from error
         return content
 
@@ -84,20 +89,16 @@ def making_sense(where: str | Path) -> Iterator[None]:
 
 
 class JournalText(NamedTuple):
-    """The records of a journal; `part` is the number of its last part, from 1.
-
-    `size` of that part, bytes, and `crc` are those at the end of the last whole record.
-    """
+    """The records of a journal; `size`, bytes, and `crc` are those at the end of the last. `torn`: more follows it."""
 
     entries: tuple[Entry, ...]
-    part: int
     size: int
     crc: int
     torn: bool
 
 
 class Journal:
-    """Appends records to a journal, part by part."""
+    """Appends records to a journal."""
 
     def __init__(self, path: Path, after: JournalText | None = None, *, durable: bool = False) -> None:
         """Begin a journal at `path`, or go on `after` what was read from it; a torn end is cut off.
@@ -108,12 +109,10 @@ class Journal:
         Raises:
             StorageError: the file cannot be opened.
         """
-        self._first, self._durable = path, durable
-        after = after or JournalText((), 1, 0, 0, False)
-        self._n, self._part, self._size, self._crc = len(after.entries), after.part, after.size, after.crc
-        self.path = part_of(path, self._part)
-        """File of the present part."""
-        self._file = opened(self.path, self._size)
+        self.path, self._durable = path, durable
+        after = after or JournalText((), 0, 0, False)
+        self._n, self._size, self._crc = len(after.entries), after.size, after.crc
+        self._file = _opened(path, self._size)
 
     @property
     def records(self) -> int:
@@ -131,8 +130,6 @@ class Journal:
         body = text.encode(errors="backslashreplace")  # half a surrogate, as in the name of a file: \\udcff is JSON too
         crc = zlib.crc32(body, self._crc)
         line = body + f'{_CRC}{crc:08x}"}}\n'.encode()
-        if self._size >= PART_BYTES:
-            self._turn_over()
         with storage_errors(self.path):
             if os.fstat(self._file).st_nlink == 0:
                 raise StorageError(f"{self.path}: was removed during the run; what follows cannot be recorded")
@@ -146,15 +143,6 @@ class Journal:
                 os.ftruncate(self._file, self._size)
                 raise
         self._n, self._size, self._crc = self._n + 1, self._size + len(line), crc
-
-    def _turn_over(self) -> None:
-        """Go on in the next part, once this one is safe on the disk: a part that is not the last is never torn."""
-        path = part_of(self._first, self._part + 1)
-        with storage_errors(self.path):
-            os.fsync(self._file)
-        file = opened(path, 0)
-        os.close(self._file)
-        self._file, self.path, self._part, self._size = file, path, self._part + 1, 0
 
     def close(self) -> None:
         """Close the file; safe to call twice."""
@@ -190,45 +178,54 @@ def read_run(path: Path, most: int | None = None) -> JournalText:
 
 
 def read_journal(path: Path, most: int | None = None) -> JournalText:
-    """Read and check all parts of the journal at `path`, or its first `most` records.
-
-    A last record that is not whole is left out.
+    """Read and check the journal at `path`, or its first `most` records; a last record that is not whole is left out.
 
     Raises:
         JournalError: there is no journal.
-        DamagedJournal: a part is missing, or a record before the last is damaged; names the place and what is lost.
+        DamagedJournal: a record before the last is damaged; names the place and what is lost.
     """
     entries: list[Entry] = []
-    number, crc = 1, 0
-    while True:
-        part, last = part_of(path, number), not part_of(path, number + 1).exists()
-        size, crc, rest = _read_part(part, entries, crc, most)
-        journal = JournalText(tuple(entries), number, size, crc, bool(rest))
-        if len(entries) == most:
-            return journal
-        if rest and not (last and b"\n" not in rest[:-1]):
-            line = entries[-1].line + 1 if entries and entries[-1].path == part else 1
-            raise _damaged(f"{part}, line {line}: the record is damaged, its checksum does not hold", path, journal)
-        if last:
-            if later_parts(path, number):
-                raise _damaged(f"{part_of(path, number + 1)}: is not there, but later parts are", path, journal)
-            return journal
-        number += 1
+    size = crc = 0
+    lines = lines_of(path)
+    for line in lines:
+        record = None if len(entries) == most else _checked_record(line, crc, len(entries))
+        if record is None:
+            good = JournalText(tuple(entries), size, crc, True)
+            if len(entries) != most and next(lines, None) is not None:
+                raise _damaged(path, good)
+            return good
+        content, crc = record
+        entries.append(Entry(len(entries) + 1, str(content["kind"]), range(size, size + len(line) - 1), path))
+        size += len(line)
+    return JournalText(tuple(entries), size, crc, False)
 
 
-def _damaged(what: str, path: Path, good: JournalText) -> DamagedJournal:
+def _damaged(path: Path, good: JournalText) -> DamagedJournal:
     """The error of a journal of which only `good` can be read, with what is lost."""
-    lines = [line for part in rest_of(path, good) for line in part.splitlines()]
-    steps = sum(b'"kind":"done"' in line for line in lines)
-    lost = f"{counted(len(lines), 'line')} from there on cannot be relied on" + (f", with {steps} steps" * (steps > 0))
-    return DamagedJournal(f"{what}; {lost}", good)
+    closes = [b'"kind":"done"' in line for line in lines_of(path, good.size)]
+    lost = f"{counted(len(closes), 'line')} from there on cannot be relied on"
+    lost += f", with {sum(closes)} steps" * any(closes)
+    where = f"{path}, line {len(good.entries) + 1}"
+    return DamagedJournal(f"{where}: the record is damaged, its checksum does not hold; {lost}", good)
 
 
-def rest_of(path: Path, good: JournalText) -> Iterator[bytes]:
-    """What comes after the records of `good` in the journal at `path`, part by part."""
-    yield text_of(part_of(path, good.part), good.size)
-    for part in later_parts(path, good.part):
-        yield text_of(part)
+def lines_of(path: Path, at: int = 0) -> Iterator[bytes]:
+    """The lines of a journal from byte `at` on, with their ends, which the last may lack.
+
+    Raises:
+        JournalError: the file cannot be read, or is no text of records.
+    """
+    try:
+        with os.fdopen(open_plain(path, os.O_RDONLY), "rb") as file:
+            file.seek(at)
+            while line := file.readline(_MOST_LINE_BYTES + 1):
+                if len(line) > _MOST_LINE_BYTES:
+                    raise JournalError(
+                        f"{path}: a line of more than {_MOST_LINE_BYTES:,} bytes, longer than any record"
+                    )
+                yield line
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise JournalError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
 
 
 def set_aside(path: Path, good: JournalText) -> Path:
@@ -239,11 +236,8 @@ def set_aside(path: Path, good: JournalText) -> Path:
     """
     aside = path.with_name(f"{path.name}.lost")
     with written(aside, follow=False) as there, there.open("wb") as file:
-        file.writelines(rest_of(path, good))
-    with storage_errors(path):
-        for part in reversed(later_parts(path, good.part)):
-            part.unlink()
-        os.close(opened(part_of(path, good.part), good.size))
+        file.writelines(lines_of(path, good.size))
+    os.close(_opened(path, good.size))
     return aside
 
 
@@ -254,59 +248,46 @@ class JournalTail:
     """
 
     def __init__(self, path: Path) -> None:
-        self._first, self._part, self._at, self._line, self._n, self._crc = path, 1, 0, 0, 0, 0
-
-    @property
-    def path(self) -> Path:
-        """The part that is read."""
-        return part_of(self._first, self._part)
+        self.path, self._at, self._n, self._crc = path, 0, 0, 0
 
     def more(self) -> list[Entry]:
         """The records that were written since the last call."""
         entries: list[Entry] = []
-        while True:
-            path = self.path
-            ended = part_of(self._first, self._part + 1).exists()  # asked before reading: it is then whole
-            for line in self._lines(path):
-                record = _checked_record(line, self._crc, self._n)
-                self._line += 1
-                if record is None:
-                    raise JournalError(
-                        f"{path}, line {self._line}: the record is damaged, its checksum does not hold, or another run "
-                        "was begun in this folder"
-                    )
-                content, self._crc = record
-                entries.append(Entry(self._line, str(content.pop("kind")), content, path))
-                self._at, self._n = self._at + len(line) + 1, self._n + 1
-            if not ended:
-                return entries
-            self._part, self._at, self._line = self._part + 1, 0, 0
-
-    def _lines(self, path: Path) -> list[bytes]:
-        """The new lines of a part that have an end."""
-        return text_of(path, self._at).split(b"\n")[:-1]
+        for line in lines_of(self.path, self._at):
+            if not line.endswith(b"\n"):
+                break
+            record = _checked_record(line, self._crc, self._n)
+            if record is None:
+                raise JournalError(
+                    f"{self.path}, line {self._n + 1}: the record is damaged, its checksum does not hold, or another "
+                    "run was begun in this folder"
+                )
+            content, self._crc = record
+            self._at, self._n = self._at + len(line), self._n + 1
+            entries.append(Entry(self._n, str(content.pop("kind")), content, self.path))
+        return entries
 
 
-def _read_part(path: Path, entries: list[Entry], crc: int, most: int | None) -> tuple[int, int, bytes]:
-    """Append the records of a part to `entries` until there are `most`; size and checksum at the last, and the rest."""
-    raw, size, line = text_of(path), 0, 0
-    while len(entries) != most and (end := raw.find(b"\n", size)) >= 0:
-        record = _checked_record(raw[size:end], crc, len(entries))
-        if record is None:
-            break
-        content, crc = record
-        entries.append(Entry(line + 1, str(content["kind"]), range(size, end), path))
-        size, line = end + 1, line + 1
-    return size, crc, raw[size:]
+def _opened(path: Path, size: int) -> int:
+    """Descriptor of a file to append to, cut to `size` bytes; made where it is not there, in a folder that knows it."""
+    with storage_errors(path):
+        file = open_plain(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        os.ftruncate(file, size)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    return file
 
 
 def _checked_record(line: bytes, crc_before: int, n: int) -> tuple[dict[str, Any], int] | None:
-    """The record of a line and its checksum; None where it does not hold."""
+    """The record of a line, which ends, and its checksum; None where it does not hold."""
     try:
         text = line.decode()
         body, mark, checksum = text.rpartition(_CRC)
         crc = zlib.crc32(body.encode(), crc_before)
-        if not mark or checksum != f'{crc:08x}"}}':
+        if not mark or checksum != f'{crc:08x}"}}\n':
             return None
         content = json.loads(f"{body}}}")
         return (content, crc) if content["n"] == n and isinstance(content["kind"], str) else None

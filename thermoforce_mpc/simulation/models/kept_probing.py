@@ -131,12 +131,12 @@ def find_probing(place: Path, testcase: TestCase, how: Json) -> Probed:
 
 
 def _journals(place: Path) -> list[Path]:
-    """The first parts of the journals there."""
+    """The journals there."""
     where = place_of_journals(place)
     if where.is_file():
         return [where]
     check_plain(where)
-    return [path for path in sorted(where.glob("*.jsonl")) if not Path(path.stem).suffix[1:].isdecimal()]
+    return sorted(where.glob("*.jsonl"))
 
 
 def place_of_journals(place: Path) -> Path:
