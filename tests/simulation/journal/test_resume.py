@@ -152,7 +152,7 @@ def test_damage_before_the_last_line_is_refused(tmp_path, harm):
 
 
 def test_a_line_longer_than_any_record_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(journal_module, "_MOST_LINE_BYTES", 100)
+    monkeypatch.setattr(journal_module, "MOST_LINE_BYTES", 100)
     path = tmp_path / "journal.jsonl"
     journal = Journal(path)
     journal.write("note", {"text": "x" * 100})

@@ -28,7 +28,7 @@ NAME = "journal.jsonl"
 FORMAT = 4
 _CRC = ',"crc":"'
 # The longest record, that of the longest plant's past, has some 10 MB.
-_MOST_LINE_BYTES = 100_000_000
+MOST_LINE_BYTES = 100_000_000
 
 
 class JournalError(InputError):
@@ -218,11 +218,9 @@ def lines_of(path: Path, at: int = 0) -> Iterator[bytes]:
     try:
         with os.fdopen(open_plain(path, os.O_RDONLY), "rb") as file:
             file.seek(at)
-            while line := file.readline(_MOST_LINE_BYTES + 1):
-                if len(line) > _MOST_LINE_BYTES:
-                    raise JournalError(
-                        f"{path}: a line of more than {_MOST_LINE_BYTES:,} bytes, longer than any record"
-                    )
+            while line := file.readline(MOST_LINE_BYTES + 1):
+                if len(line) > MOST_LINE_BYTES:
+                    raise JournalError(f"{path}: a line of more than {MOST_LINE_BYTES:,} bytes, longer than any record")
                 yield line
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise JournalError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
