@@ -99,7 +99,6 @@ def identify(
     inputs = [_heat_input(records, layout, a, config) for a in range(len(layout.home))]
     heat_inputs = [heat_input for heat_input, _ in inputs]
     notes = [[*records.notes, *said, *records.foreign.notes(a)] for a, (_, said) in enumerate(inputs)]
-    layout = with_metered_shares(layout, heat_inputs, records.histories)
     runs, sun = without_sun(records.runs, layout, heat_inputs, config)
     power, of_power = _powers(records, config, layout)
     data_of = []
@@ -132,6 +131,7 @@ def identify(
     days = sum(h.n_steps * h.step_s for h in records.histories) / DAY_S
     say(f"fitting what acting does to {days:.3g} days of records")
     estimates = _estimates(runs, records, layout, data_of, config)
+    layout = with_metered_shares(layout, [each.everything.heat_input for each in estimates], records.histories)
     zones = []
     for a, (zone_data, estimate) in enumerate(zip(data_of, estimates, strict=True)):
         if levels_only(heat_inputs[a], layout, a, config):

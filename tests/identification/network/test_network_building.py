@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 from thermal_networks import AREA_M2, LAYOUT, ROOMS, KnownFit, effect_K, theta_of
 
 from thermoforce_mpc.data import Layout
+from thermoforce_mpc.identification.effects.circuits import Circuit
 from thermoforce_mpc.identification.network.building import RESPONSE_H, BuildingFit
-from thermoforce_mpc.identification.network.room import ROOM, STRUCTURE, Room
+from thermoforce_mpc.identification.network.room import EMITTER, ROOM, STRUCTURE, Room
 from thermoforce_mpc.model.free_response.rc import INPUTS
+from thermoforce_mpc.model.machine.load import MachineLoad
 
 # One wall of 12 W/K and one door of 9 W/K, of which each room has its share per m² of its floor.
 SHARED = [{"wall_0": 12.0 / area, "door_0": 9.0 / area} for area in AREA_M2]
@@ -50,6 +54,26 @@ def test_responses_are_those_of_the_joined_equations():
     whole = np.vstack([np.hstack([F, drives]), np.zeros((3, F.shape[0] + 3))])
     for t, hours in enumerate(RESPONSE_H):
         np.testing.assert_allclose(responses[..., t], expm(hours * whole)[begins, F.shape[0] :], rtol=1e-6)
+
+
+def test_a_valve_gives_sooner_and_less_than_heat_that_is_held():
+    """Its emitter's warmth takes heat back, as a conductance to its usual temperature would."""
+    F, drives, begins = joined()
+    circuit = Circuit(MachineLoad((0.0, 0.0, 1.0, 0.0), (-20.0, 20.0)), full=1.2, per_K=0.02, emitter_C=30.0)
+    fit = replace(fit_of(), circuits={0: circuit})
+    C, heat = (ROOMS[0].value(THETAS[0], name) for name in ("C_emitter_0", "heat_0"))
+    F[EMITTER, EMITTER] -= 0.02 * heat / C
+    drives[:, 0] *= 1.2
+    whole = np.vstack([np.hstack([F, drives]), np.zeros((3, F.shape[0] + 3))])
+    for t, hours in enumerate(RESPONSE_H):
+        np.testing.assert_allclose(fit.responses[..., t], expm(hours * whole)[begins, F.shape[0] :], rtol=1e-6)
+    share = fit.responses[0, 0] / fit_of().responses[0, 0]
+    assert (np.diff(share) < 0.0).all()
+    assert share[0] > 1.0 > share[-1]
+    # Without heat the emitter is drawn to its usual temperature.
+    constant = len(LAYOUT.home) + INPUTS.index("constant")
+    more = fit.network.heat[EMITTER, constant] - fit_of().network.heat[EMITTER, constant]
+    assert more == pytest.approx(0.02 * heat * AREA_M2[0] * 30.0)
 
 
 def test_a_room_alone_answers_as_its_equations():

@@ -14,6 +14,9 @@ from thermoforce_mpc.identification.estimation.modes import unit_responses
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH, MOST_ROWS, Pair
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
+# Share of the heat of its level below which an actuator, one of several, was not given all of it.
+_SERVED = 0.8
+
 
 @dataclass(frozen=True)
 class RegressionData:
@@ -71,7 +74,7 @@ def run_regression(history: Record, heat_input: HeatInput) -> RegressionData:
     """
     rows = np.arange(0, history.n_steps + 1, _stride(history.n_steps, HOUR_S / history.step_s))
     rows = rows[np.isfinite(history.T_zone_C[0, rows])]
-    drives = ((1, heat_input(history.u[0], history.T_out_C[:-1])),)
+    drives = ((1, _drive(history, 0, heat_input)),)
     return RegressionData(history.T_zone_C[0, rows], rows, history.step_s, drives, (history,))
 
 
@@ -85,13 +88,23 @@ def _stride(n_steps: int, hour: float) -> int:
     return closer if closer < stride < hour else stride
 
 
+def _drive(history: Record, i: int, heat_input: HeatInput) -> Array:
+    """v of the `i`-th actuator (n,): that of its level, but of the meter where others left it little of its machine."""
+    T_out_C = history.T_out_C[:-1]
+    drive = heat_input(history.u[i], T_out_C)
+    if len(history.u) == 1 or heat_input.law is None:
+        return drive
+    metered = heat_input.of_meter(np.abs(history.heat_W[i]), T_out_C)
+    return np.where(metered < _SERVED * drive, metered, drive)
+
+
 def pair_regression(pair: Pair, heat_input: HeatInput) -> RegressionData:
     """Return a pair of one zone as a regression of the difference a − b."""
     difference = pair.a.T_zone_C[0] - pair.b.T_zone_C[0]
     rows = np.flatnonzero(np.isfinite(difference))
     rows = rows[rows > 0]
     both = (1, pair.a), (-1, pair.b)
-    drives = tuple((sign, heat_input(history.u[0], history.T_out_C[:-1])) for sign, history in both)
+    drives = tuple((sign, _drive(history, 0, heat_input)) for sign, history in both)
     return RegressionData(difference[rows], rows, pair.a.step_s, drives, (pair.a, pair.b))
 
 
@@ -104,7 +117,7 @@ def without_others(
     """
     target = np.array(regression.target)
     for of_run, history in zip((1, -1), regression.histories, strict=False):
-        for heat_input, sign, u, gain in zip(heat_inputs, signs, history.u[1:], gains, strict=True):
-            drive = of_run * sign * heat_input(u, history.T_out_C[:-1])
+        for i, (heat_input, sign, gain) in enumerate(zip(heat_inputs, signs, gains, strict=True), start=1):
+            drive = of_run * sign * _drive(history, i, heat_input)
             target -= unit_responses(log_tau, regression.step_s, drive, regression.rows) @ gain
     return replace(regression, target=target)

@@ -7,17 +7,18 @@ C^{-1/2} L C^{-1/2} has real positive eigenvalues λ_k, so that step responses a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array, Layout
+from thermoforce_mpc.identification.effects.circuits import Circuit
 from thermoforce_mpc.identification.estimation.differences import jacobian
 from thermoforce_mpc.identification.network.estimate import RoomFit
-from thermoforce_mpc.identification.network.room import BETWEEN, neighbours_of
+from thermoforce_mpc.identification.network.room import BETWEEN, EMITTER, neighbours_of
 from thermoforce_mpc.model.free_response.rc import INPUTS
 
 RESPONSE_H = np.array(
@@ -49,10 +50,11 @@ class Network:
 
 @dataclass(frozen=True)
 class BuildingFit:
-    """Fits of the rooms of a building (Z,)."""
+    """Fits of the `rooms` of a building (Z,), and what is known of its `circuits` by actuator."""
 
     layout: Layout
     rooms: tuple[RoomFit, ...]
+    circuits: Mapping[int, Circuit] = field(default_factory=dict)
 
     @cached_property
     def responses(self) -> Array:
@@ -83,7 +85,7 @@ class BuildingFit:
         """The building with the best fit of a room as if one of its actuators did nothing."""
         rooms = list(self.rooms)
         rooms[zone] = rooms[zone].without(actuator)
-        return BuildingFit(self.layout, tuple(rooms))
+        return replace(self, rooms=tuple(rooms))
 
     @cached_property
     def network(self) -> Network:
@@ -134,6 +136,14 @@ class BuildingFit:
                     size = area[z] * source.factor * float(np.prod([value[name] for name in source.names]))
                     size *= float(theta[room.place[source.signed]]) if source.signed else 1.0
                     heat[first + source.node, columns[source.from_input]] += size
+        for a, circuit in self.circuits.items():
+            z, constant = self.layout.home[a], A + INPUTS.index("constant")
+            k = self.layout.actuators_of(z).index(a)
+            node = begins[z] + EMITTER + k
+            loss = area[z] * self.rooms[z].room.value(thetas[z], f"heat_{k}") * circuit.per_K
+            L[node, node] += loss
+            heat[node, constant] += loss * circuit.emitter_C
+            heat[:, a] *= circuit.full
         for z, fit in enumerate(self.rooms):
             for other in range(z if fit.room.neighbours else 0):
                 for name, (node, _) in BETWEEN.items():

@@ -41,10 +41,11 @@ EMITTER_PRIORS: dict[str, Prior] = {
 }
 # Metered heat over floor area says the heat of full level but for the meter and the area.
 METERED_LOG_SD = 0.15
-# Of all measured neighbours, between which the medians are divided: inside walls of 1 to 2 W/m²K (EN ISO 6946);
-# air through a door or two, 5 W/K closed and up to 100 open (Brown and Solvason 1962).
-WALLS = Prior(1.2, 1.5)
-DOORS = Prior(0.8, 1.5)
+# Of all measured neighbours, between which the medians are divided: inside walls and floors of 1 to 2 m² and, without
+# both films, 1.4 to 4 W/m²K (EN ISO 6946); air through a door or two, 5 W/K closed and up to 100 open (Brown and
+# Solvason 1962).
+WALLS = Prior(3.5, 1.0)
+DOORS = Prior(1.5, 1.0)
 # Standard deviations: disturbances W/m², process noise of room and structure K per √h, a reading K.
 NOISE: dict[str, Prior] = {
     **{f"disturbance_{hours:g}h": Prior(2.0, 0.8) for hours in DISTURBANCE_H},

@@ -94,6 +94,7 @@ def _modelled(data: ZoneData, estimate: Estimate, say: Callable[[str], None]) ->
     config, everything, last, before = data.config, estimate.everything, estimate.last, estimate.before
     histories, step_s = data.histories, data.histories[0].step_s
     operator = replace(everything.operator(config), feedback=config.feedback)
+    heat_W_m2 = replace(data, heat_input=everything.heat_input).heat_W_m2
     scores, notes = {**data.card.scores, **estimate.scores}, list(data.card.notes)
     if data.grid_K:
         notes.append(f"the zone sensor reads in steps of {data.grid_K:.2g} K")
@@ -107,7 +108,7 @@ def _modelled(data: ZoneData, estimate: Estimate, say: Callable[[str], None]) ->
     operator = operator.resampled(data.step_s or step_s)
     for cost in part_load_costs(estimate.laws, histories, data.power, everything.heat_input):
         certainty |= cost.numbers()
-    judged = judge(last, before, operator, certainty, scores["acts_log_odds"], data.heat_W_m2)
+    judged = judge(last, before, operator, certainty, scores["acts_log_odds"], heat_W_m2)
     return ZoneModel(
         operator=operator,
         power=data.power,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from thermoforce_mpc.data import Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
+from thermoforce_mpc.identification.effects.circuits import circuit_of
 from thermoforce_mpc.identification.effects.couplings import others_of
 from thermoforce_mpc.identification.effects.level_laws import Estimates, LevelLaw, laws_of, weather_of, with_outdoors
 from thermoforce_mpc.identification.estimation.modes import unit_steps
@@ -53,9 +55,18 @@ def network_estimates(
         for zone in range(len(layout.floor_area_m2)):
             first = layout.actuators_of(zone)[:1]
             rooms.append(_seen(runs, pairs, zone, actuators, data[first[0]] if first else data[0], fold))
-        by_fold[fold] = fit = building_fit(actuators, rooms, fit)
+        fit = building_fit(actuators, rooms, fit)
+        circuits = {}
+        for a, (home, heat_input) in enumerate(zip(layout.home, heat_inputs, strict=True)):
+            circuit = circuit_of(fit.rooms[home], a, seen, rooms[home][: len(seen)], layout, heat_input)
+            if circuit is not None:
+                circuits[a] = circuit
+        by_fold[fold] = fit = replace(fit, circuits=circuits)
         inputs[fold] = [
-            with_outdoors(v, _found(fit, a, laws[a]), weather_of(seen, a)) for a, v in enumerate(heat_inputs)
+            v.with_law(circuits[a].load)
+            if a in circuits
+            else with_outdoors(v, _found(fit, a, laws[a]), weather_of(seen, a))
+            for a, v in enumerate(heat_inputs)
         ]
     if not runs:
         by_fold["earlier"], inputs["earlier"] = by_fold["training"], inputs["training"]

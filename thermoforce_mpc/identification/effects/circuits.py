@@ -1,0 +1,109 @@
+"""Heat of the circuits of one machine, where it is metered: what an open valve takes.
+
+A level is a share of what water at the temperature of a heating curve gives to an emitter: more when it is cold
+outdoors, less when the emitter is warm already. With u the level and T_e the temperature of the emitter in the room's
+network, the heat is
+
+    q = u (full + per_K (T_out − its mean) − loss (T_e − its mean))
+
+For plans that is linearised about a usual level: the first two terms are what a level gives, and the last one is a
+conductance of the emitter to its mean temperature, so that effects come sooner and stay smaller than those of heat that
+is held. While the machine is at its limit circuits take from each other: such steps say nothing of a valve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
+from thermoforce_mpc.identification.effects.couplings import largest_W
+from thermoforce_mpc.identification.network.estimate import RoomFit, Run
+from thermoforce_mpc.model.gaps import interpolated
+from thermoforce_mpc.model.lag import lagged
+from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+
+# Level about which plans are linearised: that which holds a room over a season.
+_USUAL_LEVEL = 0.3
+# Share of the largest heat of an hour from which the machine counts as at its limit.
+_AT_LIMIT = 0.9
+# Steps from which the heat of a circuit is found.
+_LEAST_STEPS = 12
+# Prior of both slopes over the heat of full level, 1/K: water is 10 to 50 K warmer than its emitter, its excess goes
+# with the load; error of a step as a share of full heat, of steps that are correlated over hours.
+_PER_K, _PER_K_SD, _STEP_SD = 0.04, 0.03, 0.1
+# Outdoor temperatures beyond the record to which the law holds, K, and least share of the heat at the mean there.
+_TRUST_K, _LEAST_SHARE = 15.0, 0.2
+
+
+@dataclass(frozen=True)
+class Circuit:
+    """Heat of a circuit: `load` while its emitter is at `emitter_C` °C, in units of the v that the network knows `full`
+    at full level, and `per_K` less (1/K) for each K that the emitter is warmer, at the usual level.
+    """
+
+    load: MachineLoad
+    full: float
+    per_K: float
+    emitter_C: float
+
+
+def circuit_of(
+    fit: RoomFit, a: int, records: Sequence[Record], runs: Sequence[Run], layout: Layout, heat_input: HeatInput
+) -> Circuit | None:
+    """The circuit of actuator `a` by the fit of its room, `records` of the building and the same as `runs` of the room.
+
+    `heat_input` is v of the runs. None where heat is not metered, its machine feeds nothing else, or too few steps
+    tell.
+    """
+    fed, sign = layout.fed_by(layout.machine_of[a]), layout.signs[a]
+    if len(fed) < 2 or heat_input.heat is None or not records:
+        return None
+    k = layout.actuators_of(layout.home[a]).index(a)
+    u, T_out_C = (np.concatenate(rows) for rows in ([r.u[a] for r in records], [r.T_out_C[:-1] for r in records]))
+    v = sign * np.concatenate([r.heat_W[a] for r in records]) / heat_input.reference_W
+    emitter_C = np.concatenate([_emitter_C(fit, k, run) for run in runs])
+    rows = (u > LEVEL_EDGE) & np.isfinite(v) & ~_at_limit(records, fed)
+    if np.count_nonzero(rows) < _LEAST_STEPS:
+        return None
+    u, T_out_C, v, emitter_C = u[rows], T_out_C[rows], v[rows], emitter_C[rows]
+    mean_C, usual_C = (float(u @ T / u.sum()) for T in (T_out_C, emitter_C))
+    columns = np.column_stack([u, u * (T_out_C - mean_C), -sign * u * (emitter_C - usual_C)])
+    priors = np.array([[sign * _PER_K, 1.0, 0.0], [-_PER_K, 0.0, 1.0]]) / _PER_K_SD
+    design, values = np.concatenate([columns / _STEP_SD, priors]), np.concatenate([v / _STEP_SD, np.zeros(2)])
+    found = lsq_linear(design, values, bounds=([_LEAST_SHARE, -np.inf, 0.0], np.inf)).x
+    full, outdoors, warmer = (float(value) for value in found)
+    # Linear laws end where little is left.
+    reach_K = (1.0 - _LEAST_SHARE) * full / max(abs(outdoors), 1e-9)
+    low = max(float(T_out_C.min()) - _TRUST_K, mean_C - reach_K if outdoors > 0.0 else -np.inf)
+    high = min(float(T_out_C.max()) + _TRUST_K, mean_C + reach_K if outdoors < 0.0 else np.inf)
+    per_u = heat_input.reference_W * np.array([full - outdoors * mean_C, outdoors])
+    load = MachineLoad((0.0, 0.0, float(per_u[0]), float(per_u[1])), (low, high), levels_seen=False)
+    at_full = heat_input.with_law(load).reference_W / heat_input.reference_W
+    return Circuit(load, at_full, _USUAL_LEVEL * warmer, usual_C)
+
+
+def _emitter_C(fit: RoomFit, k: int, run: Run) -> Array:
+    """Temperature of the room's `k`-th emitter in each step of a run, °C, by the readings and v."""
+    room, theta = fit.room, fit.theta
+    C, H, heat = (room.value(theta, f"{name}_{k}") for name in ("C_emitter", "H_emitter", "heat"))
+    T = interpolated(run.readings)
+    steady_C = 0.5 * (T[:-1] + T[1:]) + room.signs[k] * heat / H * run.inputs[:-1, room.drive(k)]
+    day = max(1, round(DAY_S / HOUR_S / run.step_h))
+    first_C = float(steady_C[:day].mean())
+    pole = float(np.exp(-H / C * run.step_h))
+    at_ends = first_C + lagged(steady_C - first_C, pole)
+    return np.asarray(0.5 * (at_ends[:-1] + at_ends[1:]))
+
+
+def _at_limit(runs: Sequence[Record], fed: Sequence[int]) -> NDArray[np.bool_]:
+    """Steps (n,) in which a machine gives about the most that it was seen to give."""
+    together = [np.abs(run.heat_W[list(fed)]).sum(axis=0) for run in runs]
+    most_W = max(largest_W(heat_W, run.step_s) for heat_W, run in zip(together, runs, strict=True))
+    return np.asarray(np.concatenate(together) > _AT_LIMIT * most_W)
