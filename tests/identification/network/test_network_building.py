@@ -30,6 +30,11 @@ def fit_of(thetas=THETAS, variances=(1e-4, 1e-4), rooms=ROOMS, layout=LAYOUT):
     return BuildingFit(layout, tuple(KnownFit(room, t, v) for room, t, v in fits))
 
 
+def unexplained():
+    """Relative standard deviation at `RESPONSE_H` by what the nodes are not: 4.5 %, over 12 h as much once more."""
+    return 0.045 * np.hypot(1.0, 1.0 - np.exp(-RESPONSE_H / 12.0))
+
+
 def joined():
     """Both rooms' equations, (n, n) 1/h, with each other's air in the place of the input to their own, each other's
     structure in that of the input to their structure; and their inputs.
@@ -112,7 +117,7 @@ def test_a_wall_is_the_one_that_the_surer_room_saw(name):
 
 @pytest.mark.slow
 def test_bands_are_those_of_the_parameters():
-    """Against responses at parameters drawn from their covariance; what the nodes are not adds 3.5 %."""
+    """Against responses at parameters drawn from their covariance; what the nodes are not adds to them."""
     rng, sd = np.random.default_rng(0), 0.1
     building = fit_of(variances=(sd**2, sd**2))
     found, covariance = building.responses, building.covariance
@@ -120,7 +125,7 @@ def test_bands_are_those_of_the_parameters():
     for z in (0, 1):
         sample = np.array([one.responses[z] for one in drawn])
         for a in range(3):
-            expected = np.hypot(sample[:, a].std(axis=0), 0.035 * np.abs(found[z][a]))
+            expected = np.hypot(sample[:, a].std(axis=0), unexplained() * np.abs(found[z][a]))
             np.testing.assert_allclose(np.sqrt(np.diag(covariance[z, a])), expected, rtol=0.25)
 
 
@@ -128,7 +133,7 @@ def test_less_certain_parameters_make_wider_bands():
     sds = [np.sqrt(np.diag(fit_of(variances=(v, v)).covariance[0, 0])) for v in (0.0025, 0.01, 0.04)]
     assert (sds[0] < sds[1]).all()
     assert (sds[1] < sds[2]).all()
-    least = np.abs(fit_of(variances=(1e-12, 1e-12)).responses[0][0]) * 0.035
+    least = np.abs(fit_of(variances=(1e-12, 1e-12)).responses[0][0]) * unexplained()
     np.testing.assert_allclose(np.sqrt(np.diag(fit_of(variances=(1e-12,) * 2).covariance[0, 0])), least, rtol=1e-3)
 
 

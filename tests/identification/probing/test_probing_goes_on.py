@@ -103,7 +103,7 @@ def test_probing_never_enters_the_scored_window():
 
 
 def test_probing_ends_early_where_the_effect_is_known_well(monkeypatch):
-    monkeypatch.setattr(competence, "WELL_KNOWN_SD", 0.08)
+    monkeypatch.setattr(competence, "WELL_KNOWN_SD", 0.09)
     model, record, _ = _identified(Watched(), 4.0, end_early=True)
     assert 1.5 * 96 <= record.n_steps < 4 * 96
     assert record.n_steps % 48 == 0

@@ -46,9 +46,9 @@ WORSE_PROBABILITY, BETTER_PROBABILITY = 0.99, 0.975
 # thirds of what was planned, which re-planning still corrects.
 MOST_RELATIVE_SD = 0.4
 EFFECT_H = 8
-# Probing ends early at this relative standard deviation, of which 0.05 are what a few nodes are not. It is less than
-# what three days of probing give on the heat pump test case (0.07), so that they stay three days there.
-WELL_KNOWN_SD = 0.06
+# Probing ends early at this relative standard deviation: what the record does not know is then no more than the 0.05
+# that a few nodes are not, however long it is.
+WELL_KNOWN_SD = 0.07
 # Probing goes on beyond the configured days while it is larger than this: a model that may act is still a poor
 # one, and another day of probing is cheap beside a season of its plans.
 SETTLED_SD = 0.3
