@@ -100,7 +100,6 @@ def identify(
     heat_inputs = [heat_input for heat_input, _ in inputs]
     notes = [[*records.notes, *said, *records.foreign.notes(a)] for a, (_, said) in enumerate(inputs)]
     runs, sun = without_sun(records.runs, layout, heat_inputs, config)
-    power, of_power = _powers(records, config, layout)
     data_of = []
     for a, home in enumerate(layout.home):
         m, order, likeliest = layout.machine_of[a], [a, *others_of(layout, a, config)], sun.get(home)
@@ -110,7 +109,7 @@ def identify(
             records.hashes,
             scores={} if likeliest is None else {"sun_on_sensor": likeliest.probability},
             config=config.model_dump(mode="json"),
-            notes=(*notes[a], *of_power[m], *([] if taken_off is None else [taken_off.in_words()])),
+            notes=(*notes[a], *([] if taken_off is None else [taken_off.in_words()])),
             sun_on_sensor=taken_off,
             foreign_heat=records.foreign.heat[a],
         )
@@ -122,7 +121,6 @@ def identify(
             layout.signs[a],
             step_s,
             card,
-            power[m] if len(layout.fed_by(m)) == 1 else None,
             alone=len(layout.home) == 1,
             bars=[remark for remark in records.doubts if a in remark.actuators],
             area_m2=float(layout.floor_area_m2[home]),
@@ -132,8 +130,12 @@ def identify(
     say(f"fitting what acting does to {days:.3g} days of records")
     estimates = _estimates(runs, records, layout, data_of, config)
     layout = with_metered_shares(layout, [each.everything.heat_input for each in estimates], records.histories)
+    power, of_power = _powers(records, config, layout)
     zones = []
     for a, (zone_data, estimate) in enumerate(zip(data_of, estimates, strict=True)):
+        m = layout.machine_of[a]
+        card = replace(zone_data.card, notes=(*zone_data.card.notes, *of_power[m]))
+        zone_data = replace(zone_data, card=card, power=power[m] if len(layout.fed_by(m)) == 1 else None)
         if levels_only(heat_inputs[a], layout, a, config):
             unknown, said, advice = unknown_heat(runs, layout, a, estimate.laws, config)
             card = replace(zone_data.card, notes=(*zone_data.card.notes, *said))
