@@ -38,8 +38,9 @@ _LEAST_STEPS = 12
 # Prior of both slopes over the heat of full level, 1/K: water is 10 to 50 K warmer than its emitter, its excess goes
 # with the load; error of a step as a share of full heat, of steps that are correlated over hours.
 _PER_K, _PER_K_SD, _STEP_SD = 0.04, 0.03, 0.1
-# Outdoor temperatures beyond the record to which the law holds, K, and least share of the heat at the mean there.
-_TRUST_K, _LEAST_SHARE = 15.0, 0.2
+# Outdoor temperatures beyond the record to which the law holds, K, and least share of the heat at the mean there: where
+# it is milder emitters are cooler, so that heat falls less than at one temperature of theirs.
+_TRUST_K, _LEAST_SHARE = 15.0, 0.5
 
 
 @dataclass(frozen=True)
