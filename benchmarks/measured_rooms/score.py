@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Layout, Observation, Record
+from thermoforce_mpc.data.series.gaps import bridged
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.identification.probing.operation import telling_part
 from thermoforce_mpc.model.free_response.following import follow
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
 from thermoforce_mpc.model.free_response.registry import build_free_response
-from thermoforce_mpc.model.gaps import bridged
 from thermoforce_mpc.model.predictor import Predictor, PredictorState
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse

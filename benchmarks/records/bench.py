@@ -22,7 +22,7 @@ from thermoforce_mpc.data import Record
 from thermoforce_mpc.data.limits import LOAD_W_PER_M2
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.execution import Engine
-from thermoforce_mpc.identification.checks import remarks
+from thermoforce_mpc.measurements.checks import remarks
 from thermoforce_mpc.measurements.load import read_measurements
 from thermoforce_mpc.plants.random_houses import generated_house
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json

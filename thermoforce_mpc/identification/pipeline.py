@@ -17,7 +17,6 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, Layout, Record
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.checks import Remark, remarks
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.confounding import unknown_heat
 from thermoforce_mpc.identification.effects.couplings import (
@@ -41,6 +40,7 @@ from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
 from thermoforce_mpc.identification.zones.model import identify_zone
 from thermoforce_mpc.identification.zones.network_estimate import network_estimates
 from thermoforce_mpc.identification.zones.two_stage import two_stage_estimate
+from thermoforce_mpc.measurements.checks import Remark, remarks
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput

@@ -71,7 +71,7 @@ def heat_drive(operator: BuildingOperator, history: Record, start: int, stop: in
             if gaps.size:
                 raise DataError(
                     f"history: {name} is not finite at step {start + gaps[0]} of {history.n_steps} ({gaps.size} such): "
-                    "bridge it first (thermoforce_mpc.model.gaps)"
+                    "bridge it first (thermoforce_mpc.data.series.gaps)"
                 )
         # Means over a step can exceed 1 by rounding.
         lowest = head.heat_input.lowest

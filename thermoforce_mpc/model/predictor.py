@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import SINGLE, Array, Boundary, FreeForecast, Names, Observation, Record
 from thermoforce_mpc.data.limits import ROUNDING
+from thermoforce_mpc.data.series.gaps import WEATHER, bridged
 from thermoforce_mpc.data.superposition import compose, control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution.cooperative import Computation, gather, run, timed
@@ -19,7 +20,6 @@ from thermoforce_mpc.model.forced_history import InitialForce
 from thermoforce_mpc.model.forced_state import ForcedState, followed
 from thermoforce_mpc.model.free_response.checks import checked_forecast
 from thermoforce_mpc.model.free_response.following import following
-from thermoforce_mpc.model.gaps import WEATHER, bridged
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.protocols import FreeResponse
@@ -223,8 +223,8 @@ class Predictor:
     def context(self, observation: Observation, state: PredictorState | None = None) -> PredictionContext:
         """Forecast the free response and set up everything an action could change.
 
-        Gaps in the weather and the levels of the past are bridged, see `thermoforce_mpc.model.gaps`. One zone that was
-        never measured does not stop the others: it is given the mean of their free responses, and `bridged` says so.
+        Gaps in the weather and the levels of the past are bridged, see `data.series.gaps`. One zone that was never
+        measured does not stop the others: it is given the mean of their free responses, and `bridged` says so.
 
         Args:
             observation: the run so far, and what is known of the steps ahead.

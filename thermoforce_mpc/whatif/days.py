@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Record
+from thermoforce_mpc.data.series.gaps import interpolated
+from thermoforce_mpc.data.series.lag import lagged
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.gaps import interpolated
-from thermoforce_mpc.model.lag import lagged
 
 # Least share of a day's steps with energy and outdoor temperature for it to count, and with sun, where that is metered:
 # a sensor may be silent at night.

@@ -56,8 +56,8 @@ def show_doubts(understood: Understood, console: Console) -> None:
 
 
 def show_remarks(measured: Measurements, console: Console) -> list[str]:
-    """Print what the record says against itself (`identification.checks`); returns it for a file."""
-    from thermoforce_mpc.identification.checks import remarks
+    """Print what the record says against itself (`measurements.checks`); returns it for a file."""
+    from thermoforce_mpc.measurements.checks import remarks
 
     found = [remark.in_words() for remark in remarks(measured.record, measured.layout)]
     for text in found:

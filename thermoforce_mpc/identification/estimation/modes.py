@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.model.lag import lagged
+from thermoforce_mpc.data.series.lag import lagged
 
 
 def poles(log_tau: Array, step_s: float) -> Array:

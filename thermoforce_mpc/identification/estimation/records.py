@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Array, Record
 from thermoforce_mpc.data.limits import LEVEL, ROUNDING
 from thermoforce_mpc.data.names import AXIS
+from thermoforce_mpc.data.series.gaps import WEATHER, bridged, long_gaps, long_level_gaps
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.gaps import WEATHER, bridged, long_gaps, long_level_gaps
 from thermoforce_mpc.model.screening import Limits, screened_history
 
 # Least excitation: hours on, standard deviation of u, changes of u. Below it, gain and drift cannot be separated.
@@ -74,7 +74,7 @@ class Pair:
 def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record], list[str]]:
     """Return usable runs without implausible readings and gaps, and notes on the changes.
 
-    Short gaps of the weather and of u are bridged as in `model.gaps`. Steps in longer gaps are dropped; each
+    Short gaps of the weather and of u are bridged as in `data.series.gaps`. Steps in longer gaps are dropped; each
     part between them becomes a run of its own if it passes `check_run`, a long one several.
 
     Raises:

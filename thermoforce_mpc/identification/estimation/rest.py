@@ -15,10 +15,10 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize, nnls
 
 from thermoforce_mpc.data import Array, Record
+from thermoforce_mpc.data.series.lag import lagged
 from thermoforce_mpc.identification.estimation.modes import unit_responses
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.model.free_response.rc import RcParameters
-from thermoforce_mpc.model.lag import lagged
 
 # Pairs cancel all drift; the rest is the model error of a few hundredths of a K. It is correlated over about an hour,
 # so the standard deviation per row is ten times as large.

@@ -9,13 +9,13 @@ import numpy as np
 from scipy.optimize import brentq
 
 from thermoforce_mpc.data import Array, Record
+from thermoforce_mpc.data.series.gaps import interpolated
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.modulation.training import TrainingData, train
 from thermoforce_mpc.identification.validation.blocks import block_numbers, is_significant, standard_errors_saved
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.model.forced_history import forced_history
-from thermoforce_mpc.model.gaps import interpolated
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import OperatorParameters

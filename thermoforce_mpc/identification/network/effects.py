@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
+from thermoforce_mpc.data.series.gaps import interpolated
 from thermoforce_mpc.identification.effects.level_laws import LevelLaw
 from thermoforce_mpc.identification.network.building import BuildingFit
 from thermoforce_mpc.identification.network.estimate import Run, estimate_room
 from thermoforce_mpc.identification.network.room import Law, Room, neighbours_of
 from thermoforce_mpc.model.free_response.rc import weather_inputs
-from thermoforce_mpc.model.gaps import interpolated
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # A part of a run with fewer readings says nothing.

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Record
+from thermoforce_mpc.data.series.gaps import bridged
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.probing.design import choose, expected_rise_K
 from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
-from thermoforce_mpc.model.gaps import bridged
 
 # Longest schedule, days.
 _MOST_DAYS = 7

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Record
+from thermoforce_mpc.data.series.lag import lagged
 from thermoforce_mpc.identification.estimation.modes import poles, unit_responses
 from thermoforce_mpc.identification.probing.excitation import Draws, Excitation
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
-from thermoforce_mpc.model.lag import lagged
 
 # Step of the derivative with respect to ln τ.
 _STEP = 0.02

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, Layout, Record
+from thermoforce_mpc.data.series.gaps import bridged
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.identification.probing.design import information
-from thermoforce_mpc.model.gaps import bridged
 
 # Days of a record that are used: longer parts take longer, and hold other seasons and habits.
 MOST_DAYS = 28.0

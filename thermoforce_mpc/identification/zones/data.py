@@ -10,7 +10,6 @@ import numpy as np
 
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.checks import Remark
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.level_laws import Estimates
 from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
@@ -24,6 +23,7 @@ from thermoforce_mpc.identification.validation.held_out import (
     identified_heat_input,
     seen_rows,
 )
+from thermoforce_mpc.measurements.checks import Remark
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
-from thermoforce_mpc.model.lag import lagged
+from thermoforce_mpc.data.series.lag import lagged
 
 # Times that are tried, s. A floor takes longer than the last but one: there no step of a plan warms its own water.
 WATER_S = (0.25 * HOUR_S, 0.5 * HOUR_S, HOUR_S, 2.0 * HOUR_S, 6.0 * HOUR_S)

@@ -8,25 +8,18 @@
 | full load | 15 W to 300 kW; by floor area 1.5 to 500 W/m² | kW beside W |
 | outdoor temperature while heating | mostly below that of the room | °F |
 | most temperatures of a sensor | those of a room, or of weather | K, °C or °F for another |
-| power and heat at a level, with a model | about what the model says | kW, kWh or Wh per step for W |
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array, Layout, Record
 from thermoforce_mpc.data.limits import LOAD_W_PER_M2, OUTDOOR_C, ZONE_C
-from thermoforce_mpc.identification.checks.regression import fitted
-from thermoforce_mpc.identification.checks.remark import Remark
-
-if TYPE_CHECKING:
-    from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.measurements.checks.regression import fitted
+from thermoforce_mpc.measurements.checks.remark import Remark
 
 # Heat per energy: least of any heater over a season; share of Carnot's between outdoor air and water of 35 °C that no
 # heat pump passes, and no less than 6.5, of one with a borehole.
@@ -44,18 +37,12 @@ _MOST_WARM_SHARE, _WARM_K, _COLDER_K = 0.3, 1.0, 3.0
 _ON, _LEAST_ROWS, _CLEAR = 0.1, 24, 2.0
 # Without known levels a machine runs where its load goes up and down by this factor.
 _UP_AND_DOWN = 10.0
-# Steps at a known level that a comparison with a model needs; what differs by less than the factor is for the watch.
-# A ratio so near to the length of a step, h, is that of Wh per step; closer ones may be those of a machine.
-_LEAST_STEPS, _FAR, _NEAR, _LONGEST_H = 8, 30.0, 1.2, 0.5
 # Temperatures, °C, of rooms that are lived in, and of weather.
 _ROOM_C, _WEATHER_C = (5.0, 40.0), (-40.0, 50.0)
 
 
-def unit_remarks(record: Record, layout: Layout, model: ThermalModel | None = None) -> list[Remark]:
-    """Units of temperatures, heat and power that cannot be right, in a record as it was read.
-
-    `model`: that of the building, where there is one; its meters are then compared with it too.
-    """
+def unit_remarks(record: Record, layout: Layout) -> list[Remark]:
+    """Units of temperatures, heat and power that cannot be right, in a record as it was read."""
     rows = [(record.names.label("T_zone_C", z), T, ZONE_C, _ROOM_C) for z, T in enumerate(record.T_zone_C)]
     found = [
         one for row in [*rows, ("T_out_C", record.T_out_C, OUTDOOR_C, _WEATHER_C)] if (one := _of_temperature(*row))
@@ -65,9 +52,6 @@ def unit_remarks(record: Record, layout: Layout, model: ThermalModel | None = No
         record = replace(record, T_out_C=np.full_like(record.T_out_C, np.nan))
     for m, machine in enumerate(layout.names.machines):
         found += _of_machine(record, layout, m, machine)
-    if model is not None:
-        said = " ".join(one.where for one in found)
-        found += [one for one in _beside_model(record, layout, model) if one.where not in said]
     return found + outdoors
 
 
@@ -92,40 +76,6 @@ def _of_temperature(
             remedy = "until the plant gives the unit that is expected (a map: `unit`), they count as not measured"
             return Remark("unit of temperature", where, words, remedy)
     return None
-
-
-def _beside_model(record: Record, layout: Layout, model: ThermalModel) -> Iterator[Remark]:
-    """Meters of machines with one actuator, and of heat, far from what a model says of the known levels."""
-    T_out, names = record.T_out_C[:-1], record.names
-    for a, m in enumerate(layout.machine_of):
-        u = np.clip(record.u[a], layout.lowest[a], 1.0)
-        power, law = model.power[m], model.operator.of_actuator(a).heat_input.law
-        meters = []
-        if power is not None and len(layout.fed_by(m)) == 1:
-            expected_W = power.metered(u, record.time_s[:-1], T_out, record.T_return_C[m])
-            meters.append((names.label("power_W", m), record.power_W[m], expected_W))
-        if law is not None:
-            meters.append((names.label("heat_W", a), np.abs(record.heat_W[a]), law(np.maximum(u, 0.0), T_out)))
-        for where, load_W, expected_W in meters:
-            rows = (np.abs(u) > _ON) & np.isfinite(load_W) & (expected_W > 0.0)
-            if rows.sum() >= _LEAST_STEPS:
-                ratio = float(np.median(load_W[rows] / expected_W[rows]))
-                if unit := _unit_by(ratio, record.step_s / HOUR_S):
-                    words = f"{ratio:.3g} of what the model expects at these levels"
-                    yield Remark("unit of power", where, words, f"{unit}: convert it at the meter")
-
-
-def _unit_by(ratio: float, step_h: float) -> str:
-    """The unit that a meter probably has, by what it shows over the W expected; '' where W is."""
-    if ratio > _FAR:
-        return "mW, or W taken for kW, is likelier than W"
-    if step_h <= _LONGEST_H and 1.0 / _NEAR < ratio / step_h < _NEAR:
-        return "Wh per step is likelier than W, or the machine gives much less than it did"
-    if not 0.0 < ratio < 1.0 / _FAR:
-        return ""
-    factors = {"kW": 1e-3, "kWh per step": 1e-3 * step_h}
-    unit, factor = min(factors.items(), key=lambda one: abs(math.log(ratio / one[1])))
-    return f"{unit} is likelier than W" if factor / _FAR < ratio < factor * _FAR else ""
 
 
 def _runs(record: Record, fed: list[int], load_W: Array) -> bool:

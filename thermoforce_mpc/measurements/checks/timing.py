@@ -15,9 +15,9 @@ import numpy as np
 from scipy.optimize import nnls
 
 from thermoforce_mpc.data import DAY_S, Array, Layout, Record
-from thermoforce_mpc.identification.checks.remark import Remark
-from thermoforce_mpc.model.gaps import interpolated
-from thermoforce_mpc.model.lag import lagged
+from thermoforce_mpc.data.series.gaps import interpolated
+from thermoforce_mpc.data.series.lag import lagged
+from thermoforce_mpc.measurements.checks.remark import Remark
 
 # Steps by which what acts is moved, at most.
 _MOST_SHIFT = 6

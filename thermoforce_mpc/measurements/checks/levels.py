@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, Array, Layout, Record
-from thermoforce_mpc.identification.checks.regression import explained, fitted
-from thermoforce_mpc.identification.checks.remark import Remark
+from thermoforce_mpc.measurements.checks.regression import explained, fitted
+from thermoforce_mpc.measurements.checks.remark import Remark
 
 # Share of the variance of its power that a machine's levels explain at least, with the outdoor temperature. Part load,
 # cycling and water temperatures leave up to 10 % (test cases and generated houses), another load or a set-point more.

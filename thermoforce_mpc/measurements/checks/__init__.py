@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from thermoforce_mpc.data import Layout, Record
-from thermoforce_mpc.identification.checks.levels import level_remarks
-from thermoforce_mpc.identification.checks.remark import Remark
-from thermoforce_mpc.identification.checks.timing import timing_remarks
-from thermoforce_mpc.identification.checks.units import unit_remarks
+from thermoforce_mpc.measurements.checks.levels import level_remarks
+from thermoforce_mpc.measurements.checks.remark import Remark
+from thermoforce_mpc.measurements.checks.timing import timing_remarks
+from thermoforce_mpc.measurements.checks.units import unit_remarks
 
 __all__ = ["Remark", "remarks"]
 

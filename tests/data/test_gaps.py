@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.data import HOUR_S, Boundary, Record
+from thermoforce_mpc.data.series.gaps import bridged
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.gaps import bridged
 
 NAN = np.nan
 DAYS = 4

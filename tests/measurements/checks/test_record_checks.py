@@ -15,7 +15,7 @@ import yaml
 import thermoforce_mpc as tf
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.checks import remarks
+from thermoforce_mpc.measurements.checks import remarks
 
 STEP_S, DAYS, AREA_M2, FULL_W = 900.0, 14, 20.0, 1500.0
 LAYOUT = Layout.single(floor_area_m2=AREA_M2)
