@@ -26,7 +26,7 @@ from thermoforce_mpc.data.series.lag import lagged
 from thermoforce_mpc.identification.effects.couplings import largest_W
 from thermoforce_mpc.identification.network.estimate import RoomFit, Run
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
+from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE, TRUST_K
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # Level about which plans are linearised: that which holds a room over a season.
@@ -38,9 +38,9 @@ _LEAST_STEPS = 12
 # Prior of both slopes over the heat of full level, 1/K: water is 10 to 50 K warmer than its emitter, its excess goes
 # with the load; error of a step as a share of full heat, of steps that are correlated over hours.
 _PER_K, _PER_K_SD, _STEP_SD = 0.04, 0.03, 0.1
-# Outdoor temperatures beyond the record to which the law holds, K, and least share of the heat at the mean there: where
-# it is milder emitters are cooler, so that heat falls less than at one temperature of theirs.
-_TRUST_K, _LEAST_SHARE = 15.0, 0.5
+# Least share of the heat at the mean outdoor temperature: where it is milder emitters are cooler, so that heat falls
+# less than at one temperature of theirs.
+_LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -80,10 +80,10 @@ def circuit_of(
     design, values = np.concatenate([columns / _STEP_SD, priors]), np.concatenate([v / _STEP_SD, np.zeros(2)])
     found = lsq_linear(design, values, bounds=([_LEAST_SHARE, -np.inf, 0.0], np.inf)).x
     full, outdoors, warmer = (float(value) for value in found)
-    # Linear laws end where little is left.
+    # The straight line ends where the least share is left.
     reach_K = (1.0 - _LEAST_SHARE) * full / max(abs(outdoors), 1e-9)
-    low = max(float(T_out_C.min()) - _TRUST_K, mean_C - reach_K if outdoors > 0.0 else -np.inf)
-    high = min(float(T_out_C.max()) + _TRUST_K, mean_C + reach_K if outdoors < 0.0 else np.inf)
+    low = max(float(T_out_C.min()) - TRUST_K, mean_C - reach_K if outdoors > 0.0 else -np.inf)
+    high = min(float(T_out_C.max()) + TRUST_K, mean_C + reach_K if outdoors < 0.0 else np.inf)
     per_u = heat_input.reference_W * np.array([full - outdoors * mean_C, outdoors])
     load = MachineLoad((0.0, 0.0, float(per_u[0]), float(per_u[1])), (low, high), levels_seen=False)
     at_full = heat_input.with_law(load).reference_W / heat_input.reference_W

@@ -26,7 +26,7 @@ _MIN_STEPS, LEAST_RUNNING = 10, 5
 # Standard deviation of a step's error as a share of full load (dynamics inside the step, model error).
 RESIDUAL_SCALE = 0.02
 # Extrapolation of the affine law beyond the outdoor temperatures of the data, K; beyond, its value is held.
-_TRUST_K = 15.0
+TRUST_K = 15.0
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class EndValues:
         """Return the range of outdoor temperatures while running, extended by 15 K on both sides."""
         T = steps.T_out_C[steps.running]
         low, high = float(T.min()), float(T.max())
-        return cls(low - _TRUST_K, high + _TRUST_K, 0.5 * (low + high))
+        return cls(low - TRUST_K, high + TRUST_K, 0.5 * (low + high))
 
     def weights(self, T_out_C: Array | float) -> Array:
         """Return the weights of the two end values at `T_out_C`, shape (…, 2); outside the range, of the nearer end."""
