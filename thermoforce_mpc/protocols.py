@@ -36,19 +36,15 @@ class Plant(Protocol):
     @property
     def info(self) -> PlantInfo:
         """Plant kind, test case, weather and version."""
-        ...
 
     def period(self, name: str) -> Period:
         """Return the scored window `name`: 'peak_heat_day', 'typical_heat_day', or a start day such as '44'."""
-        ...
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
         """Start at `start_s` (s since 1 January) after `warmup_s` s of native control; KPIs count from `start_s`."""
-        ...
 
     def advance(self, u: Levels, duration_s: float) -> Measurement:
         """Apply the levels `u` (A,) in [0, 1] (None: native control) for `duration_s` s; a number for one actuator."""
-        ...
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """Return boundary conditions from now to `horizon_s` ahead, every `interval_s` s.
@@ -56,19 +52,15 @@ class Plant(Protocol):
         What is not known is NaN, or left out at the end. Raises `NoForecast` where there is none, though the plant can
         be advanced: a run goes on without for a while.
         """
-        ...
 
     def past(self, step_s: float) -> Record:
         """Return the record since the start of the warm-up at `step_s` s; one instant if the plant keeps no record."""
-        ...
 
     def kpis(self) -> dict[str, float]:
         """Return BOPTEST's KPIs since the end of the warm-up: ener_tot, cost_tot, tdis_tot, emis_tot, pele_tot, ..."""
-        ...
 
     def close(self) -> None:
         """Release processes, files and connections; safe to call twice."""
-        ...
 
 
 @runtime_checkable
@@ -80,7 +72,6 @@ class RoomSetpointPlant(Plant, Protocol):
 
         `u` (A,) are the levels that are planned, below 0 for cooling; their sign says which loop may act, 0 both.
         """
-        ...
 
 
 @runtime_checkable
@@ -103,11 +94,9 @@ class OutlivingPlant(Plant, Protocol):
         simulated and whose answer was lost. Raises `PlantError` where the plant stands elsewhere; `anywhere`: it may
         stand at any time after, and the next `advance` gives the readings there.
         """
-        ...
 
     def leave(self) -> None:
         """Release connections only, so that the plant can be taken up again; `close` does nothing after it."""
-        ...
 
 
 @runtime_checkable
@@ -120,11 +109,9 @@ class RestartingPlant(Plant, Protocol):
     @property
     def restarts(self) -> tuple[str, ...]:
         """When and how it was started again since the reset, in words."""
-        ...
 
     def restart_as(self, restarts: Sequence[str]) -> None:
         """Be started again in the next reset or advance, so that `restarts` are these: a run that is repeated."""
-        ...
 
 
 @runtime_checkable
@@ -134,7 +121,6 @@ class FreeResponse(Protocol):
     @property
     def name(self) -> str:
         """Name in the registry."""
-        ...
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """Forecast the free response of one zone over the steps of `boundary`.
@@ -142,7 +128,6 @@ class FreeResponse(Protocol):
         `free_C` (n + 1,), °C, is the past free response T − F at the times of `history` (NaN gaps allowed). Only time
         and weather of `history` may be used. Returns N = `boundary.n_steps` values, one at the end of each step.
         """
-        ...
 
 
 @runtime_checkable
@@ -154,7 +139,6 @@ class FollowingFreeResponse(FreeResponse, Protocol):
 
     def follow(self, free_C: Array, history: Record, boundary: Boundary, state: object) -> tuple[FreeForecast, object]:
         """Forecast as `forecast` does, given the state of the last call (None: start of a run); also return the new."""
-        ...
 
 
 @runtime_checkable
@@ -165,7 +149,6 @@ class ComputedFreeResponse(FreeResponse, Protocol):
         self, free_C: Array, history: Record, boundary: Boundary, state: object
     ) -> Computation[tuple[FreeForecast, object]]:
         """Forecast as `FollowingFreeResponse.follow` does, as a computation."""
-        ...
 
 
 @runtime_checkable
@@ -175,17 +158,14 @@ class Controller(Protocol):
     @property
     def name(self) -> str:
         """Name in the registry."""
-        ...
 
     @property
     def step_s(self) -> float:
         """Control step, s: time between two calls of `plan`."""
-        ...
 
     @property
     def horizon_s(self) -> float:
         """Length of the boundary forecast the controller needs, s (at least one step)."""
-        ...
 
     def plan(self, observation: Observation, state: object = None) -> Plan:
         """Return the plan for an observation.
@@ -193,7 +173,6 @@ class Controller(Protocol):
         A failed solve does not raise: the plan's status gives the fallback level used and the reason. `state` is the
         `Plan.state` of the last plan of this run, None at its start. Same observation and state, same plan.
         """
-        ...
 
 
 @runtime_checkable
@@ -205,19 +184,15 @@ class Connection(Protocol):
 
         A table or the file with it; columns, units and clock are those of the building's map (docs/reference/map.md).
         """
-        ...
 
     def forecast(self) -> pd.DataFrame | str | Path:
         """Weather, and prices and bounds where the map has them as columns, from now or before, a day or two ahead."""
-        ...
 
     def write(self, levels: Mapping[str, float | None], seconds: float) -> None:
         """Set the level of each actuator, in [0, 1], by its name in the map; None gives it back to its own control.
 
         `seconds`: how long this holds. Where nothing else was written by then, the building should take over itself.
         """
-        ...
 
     def close(self) -> None:
         """Release what was opened; safe to call twice. The actuators were given back before."""
-        ...

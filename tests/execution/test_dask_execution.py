@@ -26,7 +26,7 @@ from waiting import LONG_S, wait_for
 from benchmarks.cases import JsonResults, collect
 from thermoforce_mpc.cli.options import execution_options
 from thermoforce_mpc.errors import ConfigError, EngineError
-from thermoforce_mpc.execution import DaskEngine, LocalEngine, Task, cluster, execute, open_engine, opening
+from thermoforce_mpc.execution import DaskEngine, LocalEngine, Task, cluster, execute, open_engine
 from thermoforce_mpc.execution.cluster import Patience
 
 pytest.importorskip("distributed", reason="needs the extra [fleet]: pip install distributed")
@@ -191,7 +191,7 @@ def test_why_nothing_goes_on_is_told_on_stderr_also_where_all_else_is_silent(mon
     from distributed import LocalCluster
 
     impatient = partial(DaskEngine, patience=Patience(look_s=0.05, repeat_s=0.1))
-    monkeypatch.setattr(opening, "DaskEngine", impatient)
+    monkeypatch.setattr(cluster, "DaskEngine", impatient)
     ended = signal.signal(signal.SIGALRM, _interrupt)
 
     @click.command

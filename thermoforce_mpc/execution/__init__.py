@@ -1,14 +1,11 @@
 """Many independent tasks on the cores of this machine or on a Dask cluster: one layer for everything that is many."""
 
-from thermoforce_mpc.execution.cluster import DaskEngine
+from thermoforce_mpc.execution.cluster import DaskEngine, open_engine
 from thermoforce_mpc.execution.engine import Engine, tell
-from thermoforce_mpc.execution.execute import Watcher, execute
+from thermoforce_mpc.execution.execute import Outcome, Results, Task, Watcher, execute
 from thermoforce_mpc.execution.keys import content_key, source_fingerprint
 from thermoforce_mpc.execution.local import LocalEngine
-from thermoforce_mpc.execution.opening import open_engine
 from thermoforce_mpc.execution.progress import TaskProgress
-from thermoforce_mpc.execution.results import Results
-from thermoforce_mpc.execution.task import Outcome, Task
 
 __all__ = [
     "DaskEngine",

@@ -6,26 +6,25 @@ scheduler). Here is what it leaves open: that workers have this code, and that a
 
 from __future__ import annotations
 
+import asyncio
+import functools
+import os
 import queue
+import sys
+import threading
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 from thermoforce_mpc.errors import ConfigError, EngineError, counted
-from thermoforce_mpc.execution.cluster_address import check_scheduler
-from thermoforce_mpc.execution.cluster_worker import (
-    Order,
-    WrongWorker,
-    difference,
-    environment,
-    look,
-    more_threads,
-    perform,
-)
-from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told
+from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told, answer_to
+from thermoforce_mpc.execution.keys import source_fingerprint
+from thermoforce_mpc.execution.local import LocalEngine
+from thermoforce_mpc.version import VERSION, installed
 
 # So long an attempt to connect takes at least, and the pause after it.
 _LEAST_S = 1.0
@@ -34,33 +33,87 @@ _MOST_NAMED = 3
 _IN_HAND = 20
 # A task may bring files along, such as an FMU: no reason for a warning.
 _LARGE_IS_MEANT = {"distributed.admin.large-graph-warning-threshold": "1 GB"}
+_PACKAGES = ("casadi", "distributed", "numpy", "torch")
+
+
+@functools.cache
+def environment() -> dict[str, str]:
+    """Versions in this process, by name; `source` is the fingerprint of this package's code."""
+    versions = {"thermoforce-mpc": VERSION, "source": source_fingerprint()}
+    versions["python"] = f"{sys.version_info.major}.{sys.version_info.minor}"
+    return versions | installed(_PACKAGES)
+
+
+def misfit(expected: Mapping[str, str], dask_worker: Any) -> str:
+    """Runs on a worker: what is wrong with it for a client of the environment `expected`; empty if nothing is."""
+    actual, n, omp = environment(), dask_worker.state.nthreads, os.environ.get("OMP_NUM_THREADS", "")
+    differs = [
+        f"{name} {actual.get(name, 'unknown')} instead of {version}"
+        for name, version in expected.items()
+        if actual.get(name) != version
+    ]
+    if differs:
+        return f"has {', '.join(differs)}; start it in the environment of the client"
+    if n == 1 and omp == "1":
+        return ""
+    return (
+        f"computes on {n} threads with OMP_NUM_THREADS '{omp}', so that results depend on it: start workers "
+        "with --nthreads 1 and OMP_NUM_THREADS=1 (a nanny sets it)"
+    )
+
+
+@dataclass(frozen=True)
+class Order:
+    """A task for a worker: what to run, where to tell, and the environment of the client."""
+
+    key: str
+    payload: bytes
+    topic: str
+    environment: Mapping[str, str]
+
+
+class WrongWorker(Exception):
+    """The worker has other versions or source code than the client, or more than one thread."""
+
+
+class _Cancelled(BaseException):
+    """The client no longer wants the task; raised where the task tells how far it is, so that it releases its plant."""
+
+
+def perform(order: Order) -> Answer:
+    """Run a task on this worker; raises `WrongWorker`."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    # The client has seen only the workers that were there when it came.
+    if wrong := misfit(order.environment, worker):
+        raise WrongWorker(f"worker {worker.address} {wrong}")
+    mine = worker.get_current_task()
+
+    def report(share: float) -> None:
+        state: Any = worker.state.tasks.get(mine)
+        if state is None or state.state == "cancelled":
+            raise _Cancelled
+        worker.log_event(order.topic, {"key": order.key, "share": share})
+
+    worker.log_event(order.topic, {"key": order.key})
+    return answer_to(order.payload, report)
 
 
 @dataclass(frozen=True)
 class Patience:
-    """How long things may take, s.
+    """How long things may take, s."""
 
-    Attributes:
-        connect_s: until a scheduler answers.
-        back_s: until one that is gone is back.
-        look_s: between two looks at the workers.
-        repeat_s: between two messages of why nothing goes on.
-    """
-
-    connect_s: float = 10.0
-    back_s: float = 120.0
-    look_s: float = 2.0
-    repeat_s: float = 60.0
+    connect_s: float = 10.0  # until a scheduler answers
+    back_s: float = 120.0  # until one that is gone is back
+    look_s: float = 2.0  # between two looks at the workers
+    repeat_s: float = 60.0  # between two messages of why nothing goes on
 
 
 class DaskEngine:
-    """Tasks on the cluster of the scheduler at `address`; a context manager.
+    """Tasks on the cluster of the scheduler at `address`, such as tcp://host:8786; a context manager.
 
-    Args:
-        address: such as tcp://host:8786.
-        patience: how long to wait for whom.
-        say: callback for what a user may want to know.
-        warn: callback for why nothing goes on; by default `say`.
+    `say` is told what a user may want to know, `warn` (by default `say`) why nothing goes on.
 
     Raises:
         ConfigError: the extra is missing, no scheduler answers, or a worker has other versions, other source code or
@@ -189,13 +242,12 @@ class DaskEngine:
             from distributed import Client
         except ImportError:
             raise ConfigError("--scheduler needs the extra [fleet]: pip install 'thermoforce-mpc[fleet]'") from None
-        check_scheduler(self._address, within_s)
+        _check_scheduler(self._address, within_s)
         client = Client(self._address, timeout=self._patience.connect_s, set_as_default=False)
         client.subscribe_topic(self._topic, self._hear)
         return client
 
     def _hear(self, event: tuple[float, dict[str, Any]]) -> None:
-        """Message of a task, in the client's thread."""
         key, share = event[1]["key"], event[1].get("share")
         self._events.put(Begun(key) if share is None else Told(key, share))
 
@@ -204,16 +256,12 @@ class DaskEngine:
 
         Those that come later compare themselves, with each task.
         """
-        threads = self._client.nthreads()
-        answers = self._client.run(look, on_error="return")
-        for worker, (versions, omp_threads) in ((w, f) for w, f in answers.items() if isinstance(f, tuple)):
-            differs = difference(environment(), versions)
-            if differs:
-                raise ConfigError(f"worker {worker} has {differs}; start it in the environment of this client")
-            if wrong := more_threads(threads.get(worker, 1), omp_threads):
+        answers = self._client.run(misfit, environment(), on_error="return")
+        for worker, wrong in answers.items():
+            if isinstance(wrong, BaseException):
+                wrong = f"cannot load thermoforce-mpc of this version: {_first_line(wrong)}"
+            if wrong:
                 raise ConfigError(f"worker {worker} {wrong}")
-        for worker, error in ((w, f) for w, f in answers.items() if isinstance(f, BaseException)):
-            raise ConfigError(f"worker {worker} cannot load thermoforce-mpc of this version: {_first_line(error)}")
         return len(answers)
 
     def _update_workers(self) -> None:
@@ -243,7 +291,6 @@ class DaskEngine:
         return f"no worker is connected to {self._address}; waiting for one"
 
     def _reconnect(self) -> None:
-        """Connect to a scheduler that was restarted, and send again what had not ended."""
         self._warn(f"the Dask scheduler at {self._address} is gone; waiting {self._patience.back_s:.0f} s for it")
         self._futures.clear()
         until = time.monotonic() + self._patience.back_s
@@ -270,3 +317,61 @@ class DaskEngine:
 def _first_line(error: BaseException) -> str:
     lines = str(error).splitlines()
     return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+
+
+def _check_scheduler(address: str, within_s: float) -> None:
+    """Ask who is at `address`: a `Client` that finds nobody leaves a thread behind, or waits for ever.
+
+    Raises:
+        OSError: no scheduler answers within `within_s`.
+        ValueError: this is no address.
+    """
+    answer: Future[None] = Future()
+
+    def ask() -> None:
+        try:
+            answer.set_result(asyncio.run(_check(address, within_s)))
+        except BaseException as error:
+            answer.set_exception(error)
+
+    # Elsewhere, since this thread may have an event loop, as in a notebook; as a daemon, so that signals need not wait.
+    threading.Thread(target=ask, name="tf-mpc asks a scheduler", daemon=True).start()
+    answer.result(within_s + 1.0)  # looking up a name cannot be cancelled
+
+
+async def _check(address: str, within_s: float) -> None:
+    try:
+        # The time limit of `connect` ends where the other side has accepted: it may be silent from there on.
+        identity = await asyncio.wait_for(_identity(address, within_s), within_s)
+    except TimeoutError:
+        raise TimeoutError(f"no answer within {within_s:g} s") from None
+    if "workers" not in identity:
+        raise ConnectionError(f"this is the address of a {str(identity.get('type', 'stranger')).lower()}")
+
+
+async def _identity(address: str, within_s: float) -> dict[str, Any]:
+    from distributed import Security
+    from distributed.comm import connect
+    from distributed.core import send_recv
+
+    comm = await connect(address, timeout=within_s, **Security().get_connection_args("client"))
+    try:
+        identity: dict[str, Any] = await send_recv(comm, op="identity")
+        return identity
+    finally:
+        comm.abort()
+
+
+def open_engine(
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    say: Callable[[str], None] = lambda line: None,
+    warn: Callable[[str], None] | None = None,
+) -> LocalEngine | DaskEngine:
+    """The engine that a user asked for: the Dask workers of `scheduler`, else `jobs` processes (default: one a core).
+
+    `say`, `warn` and `ConfigError` as of `DaskEngine`.
+    """
+    if scheduler is not None:
+        return DaskEngine(scheduler, say=say, warn=warn)
+    return LocalEngine(jobs or os.cpu_count() or 1)

@@ -10,20 +10,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """A call that is requested.
+    """A call that is requested, as work of `owner`, within `seconds` of wall time (None: any).
 
-    Attributes:
-        owner: the object whose work it is.
-        call: what to call: without arguments, or, where there are `items`, with the list of them for one answer each.
-        items: requests with items of the same owner may be answered by one call with the items of all.
-        seconds: longest wall time, s; None: any.
+    Without arguments; where there are `items`, with the list of them for one answer each: requests with items of one
+    owner may be answered by one call with the items of all.
     """
 
     owner: object
@@ -46,12 +43,8 @@ Bounded = Callable[[object, Callable[[], Any], float | None], Any]
 """Makes a call on an object (first argument) within a time, s; raises where there was no answer in time."""
 
 
-class Handler(Protocol):
-    """Gives one outcome for each request."""
-
-    def __call__(self, requests: list[Request]) -> Sequence[Outcome]:
-        """Outcomes in the order of `requests`."""
-        ...
+Handler = Callable[[list[Request]], Sequence[Outcome]]
+"""Gives one outcome for each request, in their order."""
 
 
 def perform(request: Request) -> Computation[Any]:
@@ -145,14 +138,10 @@ def run(computation: Computation[Result], answer: Handler | None = None) -> Resu
 
 @dataclass(frozen=True)
 class DirectHandler:
-    """Makes the calls one after another, one for all items of an owner.
+    """Makes the calls one after another, one for all items of an owner, by `bounded` with a limit of time.
 
     Where a call for several requests fails, each is answered by a call of its own, so that one with bad items spoils no
-    other. The requests of one list share their time, unless they are of `strangers`.
-
-    Args:
-        bounded: makes calls with a limit of time; None: they have none.
-        strangers: requests are of computations that have nothing to do with one another: each has its time for itself.
+    other. The requests of one list share their time, unless they are of `strangers` to one another.
     """
 
     bounded: Bounded | None = None
@@ -172,7 +161,6 @@ class DirectHandler:
         return [by_index[i] for i in range(len(requests))]
 
     def _group(self, requests: list[Request], spent: float) -> list[Outcome]:
-        """Outcomes of requests that one call can answer."""
         whole = self._outcome(_joined(requests), spent)
         if len(requests) == 1:
             return [whole]
@@ -197,7 +185,6 @@ class DirectHandler:
 
 
 def _joined(requests: list[Request]) -> Request:
-    """One request for the items of all, with the longest of their times."""
     if len(requests) == 1:
         return requests[0]
     times = [request.seconds for request in requests if request.seconds is not None]

@@ -5,13 +5,116 @@ from __future__ import annotations
 import pickle
 import time
 from collections import Counter, deque
-from collections.abc import Generator, Iterable
-from typing import Protocol
+from collections.abc import Callable, Generator, Iterable, Sequence
+from dataclasses import dataclass
+from graphlib import TopologicalSorter
+from typing import Any, Protocol
 
+from thermoforce_mpc.errors import ThermoForceError
 from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Engine, Lost, Told, payload_of
-from thermoforce_mpc.execution.plan import Plan, kept
-from thermoforce_mpc.execution.results import Results
-from thermoforce_mpc.execution.task import Outcome, Task
+
+
+@dataclass(frozen=True)
+class Task:
+    """One pure computation, `function(inputs, *results_of_needs)`.
+
+    `function` is found by name in another process, and writes no files, so that running it twice does no harm. `key` is
+    the address of the result, by `content_key` or the caller's own hash of all inputs.
+    """
+
+    key: str
+    title: str
+    function: Callable[..., Any]
+    inputs: Any
+    needs: tuple[Task, ...] = ()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The end of a task: its `value`, or the `reason` why there is none (empty on success).
+
+    `seconds`: computing time. `attempts`: how often it was begun; 0 where its result was stored or a need failed.
+    """
+
+    task: Task
+    value: Any = None
+    reason: str = ""
+    seconds: float = 0.0
+    attempts: int = 0
+    poisoned: bool = False  # its worker died at every attempt
+    error: type[ThermoForceError] | None = None  # kind of what the function raised
+    details: str = ""  # traceback of an unexpected error
+
+
+class Results(Protocol):
+    """Where results are kept; called in the process that executes, so that workers share no disk."""
+
+    def get(self, task: Task) -> Any:
+        """The value of a task; raises `KeyError` where there is none."""
+
+    def put(self, task: Task, value: Any) -> None:
+        """Keep the value of a task, whole or not at all."""
+
+
+class _Plan:
+    """The order of what is to be done, and the values that some of it needs, kept as long as they are needed."""
+
+    def __init__(self, todo: Sequence[Task], results: Results | None) -> None:
+        self.tasks: dict[str, Task] = {}
+        self._values: dict[str, Any] = {}
+        self._failed: dict[str, str] = {}
+        self._users: Counter[str] = Counter()
+        self._order: TopologicalSorter[str] = TopologicalSorter()
+        for task in todo:
+            self._add(task, results)
+        self._order.prepare()
+
+    def _add(self, task: Task, results: Results | None) -> None:
+        if task.key in self.tasks:
+            return
+        self.tasks[task.key] = task
+        for need in task.needs:
+            self._users[need.key] += 1
+            if need.key not in self.tasks and need.key not in self._values:
+                try:
+                    self._values[need.key] = _kept(results, need)
+                except KeyError:
+                    self._add(need, results)
+        self._order.add(task.key, *(need.key for need in task.needs if need.key in self.tasks))
+
+    @property
+    def open(self) -> bool:
+        return self._order.is_active()
+
+    def take_ready(self) -> list[Task]:
+        """Tasks with all needs done, not taken before; first those for which most others wait."""
+        return [self.tasks[key] for key in sorted(self._order.get_ready(), key=lambda key: -self._users[key])]
+
+    def missing(self, task: Task) -> str:
+        """Why a need of `task` has no result; empty if all have."""
+        return next((self._failed[need.key] for need in task.needs if need.key in self._failed), "")
+
+    def results_of_needs(self, task: Task) -> tuple[Any, ...]:
+        return tuple(self._values[need.key] for need in task.needs)
+
+    def end(self, outcome: Outcome) -> None:
+        task = outcome.task
+        if outcome.reason:
+            self._failed[task.key] = f"'{task.title}', which it needs, failed: {outcome.reason}"
+        elif self._users[task.key]:
+            self._values[task.key] = outcome.value
+        for need in task.needs:
+            self._users[need.key] -= 1
+            if not self._users[need.key]:
+                self._values.pop(need.key, None)
+        self._order.done(task.key)
+
+
+def _kept(results: Results | None, task: Task) -> Any:
+    if results is None:
+        raise KeyError(task.key)
+    return results.get(task)
+
 
 # A worker may die of something else than its task: the task is begun again, then without company.
 MOST_ATTEMPTS = 3
@@ -22,19 +125,15 @@ class Watcher(Protocol):
 
     def planned(self, n: int) -> None:
         """`n` tasks will be run: those without a result, and what they need."""
-        ...
 
     def begun(self, task: Task) -> None:
         """A worker has begun `task`."""
-        ...
 
     def told(self, task: Task, share: float) -> None:
         """A `share` of `task`, 0 to 1, is done."""
-        ...
 
     def ended(self, outcome: Outcome) -> None:
         """A task has ended: with a value, or with the reason why there is none."""
-        ...
 
 
 def execute(
@@ -47,17 +146,10 @@ def execute(
 ) -> Generator[Outcome]:
     """Run tasks and what they need, each key once; yields the outcomes of all that as they come.
 
-    Tasks whose results are kept come first, with no attempts. A task that raises has failed and is not repeated; a task
-    of which a need failed fails with it. Where a worker dies, its task is begun again, after the others and alone, and
-    is poisoned after `most_attempts`; the others go on. At an exception, an interrupt or the end of the iteration, what
-    is under way is cancelled and what was finished is kept.
-
-    Args:
-        tasks: what is wanted.
-        engine: where it is run.
-        results: where values are looked up, and kept before they are yielded.
-        watcher: progress of the tasks that are run.
-        most_attempts: how often a task is begun; 1 to take the death of a worker as its outcome.
+    Tasks whose values `results` has come first; others are kept there before they are yielded. A task that raises has
+    failed, and those that need it fail with it. Where a worker dies, its task is begun again, after the others and
+    alone, and is poisoned after `most_attempts`. At an exception, an interrupt or the end of the iteration, what is
+    under way is cancelled.
 
     Raises:
         StorageError: a result could not be kept.
@@ -67,10 +159,10 @@ def execute(
     todo: list[Task] = []
     for task in requested.values():
         try:
-            yield Outcome(task, kept(results, task))
+            yield Outcome(task, _kept(results, task))
         except KeyError:
             todo.append(task)
-    plan = Plan(todo, results)
+    plan = _Plan(todo, results)
     if watcher:
         watcher.planned(len(plan.tasks))
     ready: deque[Task] = deque()
@@ -81,8 +173,7 @@ def execute(
 
     def submit(task: Task) -> Outcome | None:
         """Begin a task; the outcome of one that cannot be begun."""
-        reason = plan.missing(task)
-        if reason:
+        if reason := plan.missing(task):
             return Outcome(task, reason=reason)
         try:
             payload = payload_of(task.function, task.inputs, plan.results_of_needs(task))

@@ -19,16 +19,10 @@ _PACKAGES = ("thermoforce_mpc", "controllers", "boptest_client")
 
 
 def content_key(function: Callable[..., Any], inputs: Any, *, source: str | None = None) -> str:
-    """Key of `function(inputs)`, 16 hexadecimal digits: hash of its name, its inputs and the source code.
-
-    Args:
-        function: a function found by name.
-        inputs: dataclasses, pydantic models, arrays, bytes, enumerations, paths (by name, not by content), mappings
-            with text keys, sequences, and plain values.
-        source: fingerprint of the code, by default that of this package.
+    """Key of `function(inputs)`, 16 hexadecimal digits: hash of its name, its inputs and the code, `source`.
 
     Raises:
-        TypeError: something else is among the inputs, or `function` has no name of its own.
+        TypeError: among the inputs is something without a `canonical` form, or `function` has no name of its own.
     """
     name = f"{function.__module__}.{function.__qualname__}"
     if "<" in name:
@@ -57,7 +51,11 @@ def source_fingerprint(*others: str) -> str:
 
 
 def canonical(value: Any) -> Any:
-    """`value` as JSON in which equal values are equal and different ones differ; raises `TypeError`."""
+    """`value` as JSON in which equal values are equal and different ones differ.
+
+    Dataclasses, pydantic models, arrays, bytes, enumerations, paths (by name), mappings with text keys, sequences and
+    plain values have one; raises `TypeError` for others.
+    """
     if isinstance(value, Enum):
         return {"enum": _name(value), "value": value.name}
     if value is None or isinstance(value, bool | int | str):

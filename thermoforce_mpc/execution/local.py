@@ -7,6 +7,7 @@ number.
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import queue
 import signal
@@ -21,8 +22,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any, TypeVar
 
-from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told
-from thermoforce_mpc.execution.local_worker import begin, work
+from thermoforce_mpc.execution.engine import Answer, Begun, Ended, Event, Lost, Told, answer_to
 
 Result = TypeVar("Result")
 _ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -31,11 +31,8 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NU
 class LocalEngine:
     """Tasks in `jobs` processes, started when first needed and used again; a context manager.
 
-    Spawned, not forked: a fork would copy locks of compiled code in an undefined state.
-
-    Args:
-        jobs: number of processes.
-        leave_s: how long a process may take to leave its task when it is cancelled, s; then it is killed.
+    Spawned, not forked: a fork would copy locks of compiled code in an undefined state. A process has `leave_s`, s, to
+    leave its task when that is cancelled; then it is killed.
     """
 
     def __init__(self, jobs: int, *, leave_s: float = 5.0) -> None:
@@ -141,7 +138,7 @@ class _Process(OneProcess):
 
     def __init__(self, events: queue.SimpleQueue[Any]) -> None:
         receiver, self._sender = SpawnContext().Pipe(duplex=False)
-        super().__init__(begin, self._sender)
+        super().__init__(_begin, self._sender)
         threading.Thread(target=_listen, args=(receiver, events), daemon=True).start()
 
     def run(self, key: str, payload: bytes) -> Future[Answer]:
@@ -172,7 +169,6 @@ class _Remembering(SpawnContext):
 
 
 def _listen(channel: Connection, events: queue.SimpleQueue[Any]) -> None:
-    """Thread: hand on what a process tells, until it ends."""
     with channel, suppress(EOFError, OSError):
         while True:
             events.put(Told(*channel.recv()))
@@ -195,7 +191,6 @@ def _one_thread_each() -> Iterator[None]:
 
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    """Start processes inside that a Ctrl-C never reaches, not even while they start."""
     if sys.platform == "win32":
         yield
         return
@@ -204,3 +199,45 @@ def _interrupts_blocked() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+_TERMINATED = 143
+
+_channel: Connection | None = None
+
+
+def _begin(channel: Connection) -> None:
+    """Prepare the process: interrupts are for the parent, which ends this process by SIGTERM; so does its own end."""
+    global _channel
+    _channel = channel
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _terminate)
+    threading.Thread(target=_follow_parent, daemon=True).start()
+
+
+def _terminate(*_: object) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not cut the release short
+    sys.exit(_TERMINATED)
+
+
+def _follow_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def work(key: str, payload: bytes) -> Answer:
+    """Make the call of `payload`, the task of `key`, in a process of the engine."""
+
+    def tell(share: float) -> None:
+        if _channel is not None:
+            with suppress(OSError):  # the parent has ended
+                _channel.send((key, share))
+
+    try:
+        return answer_to(payload, tell)
+    except SystemExit:  # what the task held is released; the pool would go on
+        for child in multiprocessing.active_children():
+            child.terminate()
+        os._exit(_TERMINATED)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from thermoforce_mpc.execution.task import Outcome, Task
+from thermoforce_mpc.execution.execute import Outcome, Task
 
 # More bars than this would push the first off the screen.
 _MOST_BARS = 12
@@ -17,7 +17,7 @@ _LEAST_DONE = 0.2
 
 
 def summary(outcome: Outcome) -> str:
-    """Title and computing time of a task that has ended."""
+    """Title and computing time of a task."""
     return f"{outcome.task.title} ({outcome.seconds:.0f} s)"
 
 
@@ -29,13 +29,7 @@ def duration(seconds: float) -> str:
 
 
 class TaskProgress:
-    """A `Watcher` that shows how far tasks are and how long the rest will take; a context manager.
-
-    Args:
-        console: where to.
-        quiet: show nothing.
-        line: text for a task that has succeeded.
-    """
+    """A `Watcher` that shows how far tasks are and how long the rest takes; `line`: text for one that is done."""
 
     def __init__(self, console: Console, *, quiet: bool = False, line: Callable[[Outcome], str] = summary) -> None:
         self._console, self._quiet, self._line = console, quiet, line

@@ -88,12 +88,11 @@ class LiveBuilding:
             DataError: it cannot be used, or ends more than a day before.
             PlantError: the connection failed.
         """
-        table = self._call("measurements")
-        measured = read_measurements(table, self._rules, step_s=self._step_s).served()
+        measured = read_measurements(self._call("measurements"), self._rules, step_s=self._step_s).served()
         record = measured.record
         if record.origin.tz is None:
             raise ConfigError("map: time.zone: name the zone of the time stamps; the clock has one")
-        self._origin = self._origin if self._origin is not None else record.origin
+        self._origin = record.origin if self._origin is None else self._origin
         shift_s = (record.origin - self._origin).total_seconds()
         record = replace(record, time_s=record.time_s + shift_s, origin=self._origin)
         record = _until(record, self.time_s(instant))
@@ -139,9 +138,9 @@ def _until(record: Record, now_s: float) -> Record:
     def longer(values: Array) -> Array:
         return np.concatenate([values, np.full((*values.shape[:-1], missing), np.nan)], axis=-1)
 
+    time_s = np.append(record.time_s, record.time_s[-1] + step_s * np.arange(1, missing + 1))
     values: dict[str, Any] = {name: longer(getattr(record, name)) for name in (*SAMPLED, *ACTING)}
-    values["time_s"] = np.append(record.time_s, record.time_s[-1] + step_s * np.arange(1, missing + 1))
-    return replace(record, **values)
+    return replace(record, time_s=time_s, **values)
 
 
 def _with_applied(record: Record, applied: Sequence[Applied]) -> Array:

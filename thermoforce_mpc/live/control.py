@@ -41,11 +41,9 @@ class Clock(Protocol):
 
     def now(self) -> pd.Timestamp:
         """The time now."""
-        ...
 
     def wait_until(self, at: pd.Timestamp) -> None:
         """Return at `at`, at once where that is past; after as long as it is until then, if the clock is set back."""
-        ...
 
 
 class WallClock:
@@ -88,16 +86,13 @@ def control(
     kept: KeptState | None = None,
     told: Callable[[Decision], None] = lambda decision: None,
 ) -> None:
-    """Control a building until interrupted.
+    """Control a building, of the step of `controller`, until interrupted, or for `steps` decisions.
 
     Whatever fails after the first decision, readings, forecast or plan, gives the building back to its own control for
     a step; the reason is in the log. What fails in the first one raises: nothing was set then.
 
     Args:
-        building: the building.
-        controller: decides; its step is that of the building.
         clock: the time; by default this machine's.
-        steps: how many decisions to make; None: no end.
         delay_s: how long after the beginning of a step it is decided, s, so that its last reading is there.
         dry: decide once and set nothing.
         outage_h: how long the last forecast may stand in where there is none, h.
@@ -112,8 +107,6 @@ def control(
 
 
 class _Loop:
-    """See `control`."""
-
     def __init__(
         self,
         building: LiveBuilding,
@@ -170,7 +163,6 @@ class _Loop:
             self._release()
 
     def _begin_anew(self, before: pd.Timestamp, now: pd.Timestamp) -> None:
-        """Forget what is of times that are to come again, since the clock was set back."""
         _LOG.warning("the clock was set back, from the step of %s to that of %s: begun anew", before, now)
         self._state, self._applied = None, []
         self._forecasts = self._new_forecasts()
@@ -198,7 +190,6 @@ class _Loop:
         return Decision(instant, plan, blocks, refused, (*doubts, *gaps))
 
     def _safe_decision(self, instant: pd.Timestamp) -> Decision:
-        """The decision, or the building's own control where there is none."""
         try:
             return self._decision(instant)
         except Exception as error:  # nobody is there to start it again: the next step may be better
@@ -239,7 +230,6 @@ class _Loop:
             self._kept_state.save(Kept(origin, instant.isoformat(), before, self._state, tuple(self._applied)))
 
     def _write(self, u: Sequence[float | None], seconds: float) -> bool:
-        """Set levels; says whether they were taken."""
         names = self._building.names
         levels = {name: None if level is None else float(level) for name, level in zip(names, u, strict=True)}
         # Before the call: one that fails, or is interrupted, may have set them.
@@ -273,7 +263,6 @@ class _Loop:
             raise interrupt
 
     def _end_applied(self) -> None:
-        """Remember that what was set has ended by now."""
         if self._decided is None:
             return
         now_s = self._building.time_s(self._clock.now())

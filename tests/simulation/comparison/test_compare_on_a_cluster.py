@@ -16,7 +16,7 @@ from simple_house import simple_model
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import ConfigError, StorageError
-from thermoforce_mpc.execution import DaskEngine, opening
+from thermoforce_mpc.execution import DaskEngine, cluster
 from thermoforce_mpc.execution.cluster import Patience
 from thermoforce_mpc.simulation.comparison.store import Identified, Store
 from thermoforce_mpc.simulation.comparison.tasks import tasks_of
@@ -73,7 +73,7 @@ def test_a_killed_worker_changes_no_record(tmp_path, monkeypatch):
 
 def test_a_cluster_that_cannot_be_used_leaves_no_folder_and_a_folder_that_cannot_be_made_no_run(tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="needs the extra [fleet]: pip install distributed")
-    monkeypatch.setattr(opening, "DaskEngine", partial(DaskEngine, patience=Patience(connect_s=0.3)))
+    monkeypatch.setattr(cluster, "DaskEngine", partial(DaskEngine, patience=Patience(connect_s=0.3)))
     (tmp_path / "file").touch()
     fleet = tmp_path / "fleet.yaml"
     fleet.write_text(
