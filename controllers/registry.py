@@ -18,10 +18,9 @@ from controllers.rules.pi import PIConfig, PIController, check_layout
 from controllers.rules.thermostat import Thermostat, ThermostatConfig
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.registry import Registry
-from thermoforce_mpc.scenario.own_code import is_own_code, is_policy, own_code
-from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
+from thermoforce_mpc.scenario.actuator import RoomSetpoints
+from thermoforce_mpc.scenario.own_code import first_line, is_own_code, is_policy, own_code, unfit
 from thermoforce_mpc.scenario.settings import StrictModel, merge, validate
-from thermoforce_mpc.scenario.signatures import first_line, unfit
 from thermoforce_mpc.scenario.testcase import Actuator, TestCase
 
 if TYPE_CHECKING:  # CasADi and the predictor are loaded only when a controller needs them

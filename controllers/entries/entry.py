@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, cast
 from controllers.checks import ControllerConfigError
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.protocols import Controller
+from thermoforce_mpc.scenario.own_code import called, first_line, options_model, unfit
 from thermoforce_mpc.scenario.settings import StrictModel
-from thermoforce_mpc.scenario.signatures import called, first_line, options_model, unfit
 from thermoforce_mpc.scenario.testcase import TestCase
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.commands import COMMANDS, GROUPS, SYNONYMS
 from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.scenario.comfort import window_name
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.scenario.schedule.dates import window_name
 from thermoforce_mpc.scenario.settings import validate
 
 TESTCASE = {"testcase": "bestest_hydronic_heat_pump"}

@@ -14,8 +14,8 @@ from thermoforce_mpc.plants.comfort import WithComfort
 from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import OutlivingPlant, Plant, RoomSetpointPlant
+from thermoforce_mpc.scenario.comfort import Comfort
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
-from thermoforce_mpc.scenario.schedule.comfort import Comfort
 from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.simulation.composition import controller_options
 

@@ -14,8 +14,8 @@ from thermoforce_mpc.connections.files import FilesConnection
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.protocols import Connection
 from thermoforce_mpc.registry import Registry
+from thermoforce_mpc.scenario.own_code import called, options_model, unfit
 from thermoforce_mpc.scenario.settings import validate
-from thermoforce_mpc.scenario.signatures import called, options_model, unfit
 
 REGISTRY: Registry[Callable[..., Connection]] = Registry(
     "connection", "connections", {"files": FilesConnection}, ConfigError, lambda entry: unfit(entry, ())

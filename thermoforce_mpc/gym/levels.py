@@ -14,7 +14,7 @@ from thermoforce_mpc.data import Array, Boundary
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.gym.view import ObservationBox, View
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
+from thermoforce_mpc.scenario.actuator import RoomSetpoints
 from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.scenario.testcase import TestCase
 

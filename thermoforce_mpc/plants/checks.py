@@ -10,8 +10,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, SINGLE, YEAR_S, Array, Bands, Block, Levels, Names, Period
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.scenario.actuator import Actuator
-from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
+from thermoforce_mpc.scenario.actuator import Actuator, RoomSetpoints
 
 
 def day_period(name: str, named: Iterable[str]) -> Period:

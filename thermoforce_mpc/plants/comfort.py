@@ -10,7 +10,7 @@ import numpy as np
 from thermoforce_mpc.data import HOUR_S, Boundary, Measurement
 from thermoforce_mpc.plants.kpis import excess
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.scenario.schedule.comfort import Comfort
+from thermoforce_mpc.scenario.comfort import Comfort
 from thermoforce_mpc.scenario.testcase import TestCase
 
 # Distance of the readings from which discomfort is integrated, s.

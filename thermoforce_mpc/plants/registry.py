@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.registry import Registry
+from thermoforce_mpc.scenario.comfort import Comfort
+from thermoforce_mpc.scenario.own_code import called, first_line, options_model, unfit
 from thermoforce_mpc.scenario.scenario import PlantSpec
-from thermoforce_mpc.scenario.schedule.comfort import Comfort
 from thermoforce_mpc.scenario.settings import StrictModel, validate
-from thermoforce_mpc.scenario.signatures import called, first_line, options_model, unfit
 from thermoforce_mpc.scenario.testcase import TestCase
 
 if TYPE_CHECKING:

@@ -9,12 +9,50 @@ from typing import Annotated, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from thermoforce_mpc.data import Layout
-from thermoforce_mpc.scenario.actuator import Actuator
+from thermoforce_mpc.data import ZERO_C_K, Layout, Names
+from thermoforce_mpc.errors import suggestion
+from thermoforce_mpc.scenario.actuator import Actuator, RoomSetpoints
 from thermoforce_mpc.scenario.heat import HEAT_IS, Heat, HeatMeter
-from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
-from thermoforce_mpc.scenario.strict_model import PointName, StrictModel
-from thermoforce_mpc.scenario.supply import Supply
+from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, check_kelvin
+
+
+class Supply(StrictModel):
+    """Set-point of a machine's supply water, by which its valves give the heat that is asked of them.
+
+    The cooler its water, the less power a heat pump needs. What heat some water gives depends on how warm the floor is,
+    so the set-point is corrected in every block by what the last one lacked. Water that is a kelvin warmer gives at
+    most `flow_W_per_K` more, so the correction never overshoots.
+    """
+
+    point: PointName = Field(description="overwrite point of the set-point, K, without the `_u` ending")
+    minimum: float = Field(description="coolest water, K")
+    maximum: float = Field(description="warmest water that a plan may ask for, K")
+    flow_W_per_K: float = Field(
+        gt=0, description="heat capacity of the water that flows through an open valve, W/K: kg/s times 4186 J/kgK"
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Supply:
+        check_kelvin(minimum=self.minimum, maximum=self.maximum)
+        if not self.minimum < self.maximum:
+            raise ValueError(f"minimum ({self.minimum}) must be below maximum ({self.maximum})")
+        return self
+
+    def value(self, heat_W: float, T_floor_C: float, last_K: float = math.nan, gave_W: float = math.nan) -> float:
+        """Return the set-point, K, for `heat_W` through an open valve.
+
+        `last_K`, `gave_W`: set-point of the last block and the valve's mean heat in it, W; NaN where it was closed. The
+        water then comes back at `T_floor_C` °C, NaN: unknown.
+        """
+        more_W = heat_W - gave_W
+        if math.isfinite(last_K + more_W):
+            wanted = last_K + more_W / self.flow_W_per_K
+        elif math.isfinite(T_floor_C):
+            wanted = T_floor_C + ZERO_C_K + heat_W / self.flow_W_per_K
+        else:
+            wanted = self.maximum
+        return min(max(wanted, self.minimum), self.maximum)
+
 
 Price = Literal["constant", "dynamic", "highly_dynamic"]
 PRICES: tuple[Price, ...] = ("constant", "dynamic", "highly_dynamic")
@@ -130,7 +168,6 @@ class ZoneRoomSetpoints(RoomSetpoints):
 
 
 def _kind(actuator: object) -> str:
-    """Tag of an actuator, from its `kind`."""
     kind = actuator.get("kind") if isinstance(actuator, Mapping) else getattr(actuator, "kind", None)
     return "room" if kind == "room_setpoints" else "direct"
 
@@ -145,15 +182,12 @@ AnyZoneActuator = Annotated[
 
 @dataclass(frozen=True)
 class ActuatorPoints:
-    """An actuator, what tells its heat, and `key`, where it stands in the test case file.
-
-    `full_W`: full heat of a valve behind water that the plan sets.
-    """
+    """An actuator, what tells its heat, and `key`, where it stands in the test case file."""
 
     actuator: Actuator | RoomSetpoints
     heat: HeatMeter
     key: str
-    full_W: float | None = None
+    full_W: float | None = None  # full heat of a valve behind water that the plan sets
 
 
 @dataclass(frozen=True)
@@ -212,9 +246,6 @@ def layout_of(
     exclusive: Sequence[Sequence[str]] = (),
 ) -> Layout:
     """What acts where; raises `ValueError` naming the key of an actuator, zone or machine that fits nothing."""
-    from thermoforce_mpc.data import Names
-    from thermoforce_mpc.scenario.settings import suggestion
-
     for name, one in actuators.items():
         for what, value, known in (("zone", one.zone, zones), ("machine", one.machine, machines)):
             if value not in known:

@@ -25,8 +25,7 @@ class SupplyAir(StrictModel):
     """Heat of a zone's supply air: c · (flow · (T_supply − T_zone) − least · (T_before − T_zone)).
 
     A box of a variable air volume system always passes some air while the fan runs. What the least flow brings without
-    reheat is no choice of the zone's loops and is taken off, so that the heat is 0 where they are idle. `least` is
-    `least_flow` or, where it is less, the flow.
+    reheat (`least` is `least_flow` or, where it is less, the flow) is no choice of the zone's loops and is taken off.
     """
 
     flow: PointName = Field(description="measured flow of the supply air, m³/s")

@@ -7,8 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from thermoforce_mpc.registry import known_name
-from thermoforce_mpc.scenario.schedule.comfort import Comfort
-from thermoforce_mpc.scenario.schedule.dates import window_name
+from thermoforce_mpc.scenario.comfort import Comfort, window_name
 from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.strict_model import one_of
 from thermoforce_mpc.scenario.testcase import Price
@@ -63,7 +62,6 @@ class PlantSpec(StrictModel):
 
     @model_validator(mode="after")
     def _knows_its_surroundings(self) -> PlantSpec:
-        """Refuse files that would be ignored: a service or an FMU has its own weather and prices."""
         if self.kind != "embedded" and (self.weather != "synthetic" or self.prices_file is not None):
             raise ValueError(
                 f"weather and prices_file apply only to kind 'embedded'; kind '{self.kind}' has its own, leave them out"

@@ -25,10 +25,8 @@ _MOST_LISTED = 20
 _BRIEF = reprlib.Repr()
 _BRIEF.maxstring = _BRIEF.maxother = 160
 _BRIEF.maxdict = _BRIEF.maxlist = _BRIEF.maxtuple = 12
-
-
+# Tags of the alternatives of a key, which pydantic puts into the place of an error; no key of ours has these names.
 UNION_TAGS = ("direct", "room", "one_zone", "weather_only", "meters", "factors", "air")
-"""Tags of the alternatives of a key, which pydantic puts into the place of an error; no key of ours has these names."""
 
 
 def configs_folder() -> Path:
@@ -53,8 +51,7 @@ def is_config(kind: str, name: str) -> bool:
 def find_config(kind: str, name: str, others: Iterable[str] = ()) -> Path:
     """Return the path of a shipped configuration by name, or `name` itself if it is a YAML file.
 
-    Raises:
-        ConfigError: there is none; `others` are names that are known besides.
+    Raises `ConfigError` where there is none; `others` are names that are known besides.
     """
     path = Path(name)
     if path.suffix in {".yaml", ".yml"}:
@@ -98,7 +95,6 @@ def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _replaced(base: Any, over: Mapping[str, Any], path: tuple[str, ...] = ()) -> Iterable[tuple[str, ...]]:
-    """Yield the paths of the values of `base` that `merge` replaces."""
     for key, value in over.items():
         below = base.get(key)
         if isinstance(below, Mapping) and isinstance(value, Mapping):
@@ -108,11 +104,7 @@ def _replaced(base: Any, over: Mapping[str, Any], path: tuple[str, ...] = ()) ->
 
 
 def parse_overrides(assignments: Iterable[str]) -> dict[str, Any]:
-    """Convert `a.b=1` assignments into nested mappings; values are parsed as YAML scalars or lists.
-
-    Raises:
-        ConfigError: an assignment has no '=', an empty key, a value that is not YAML, or NaN.
-    """
+    """Convert `a.b=1` assignments, with values in YAML, into nested mappings; raises `ConfigError` for others."""
     out: dict[str, Any] = {}
     for word in assignments:
         key, separator, text = word.partition("=")
@@ -134,7 +126,6 @@ def nested(key: str, value: Any) -> dict[str, Any]:
 
 def _without_consequences(items: Sequence[Any]) -> list[Any]:
     """The errors of pydantic but those of lists that are too short because their wrong entries do not count."""
-
     places = [item["loc"] for item in items]
 
     def follows(loc: tuple[Any, ...]) -> bool:
@@ -158,7 +149,6 @@ def _place(data: Mapping[str, Any], item: Any) -> tuple[Any, ...]:
 
 
 def _explain(model: type[BaseModel], data: Mapping[str, Any], item: Any) -> str:
-    """Return one line per pydantic error: dotted key, reason, value; for an unknown key, the allowed keys."""
     path = [str(part) for part in _place(data, item)]
     key = ".".join(path) or "(top level)"
     if item["type"] == "extra_forbidden":
@@ -173,10 +163,7 @@ def _explain(model: type[BaseModel], data: Mapping[str, Any], item: Any) -> str:
 
 
 def _line(data: Mapping[str, Any], item: Any) -> str:
-    """Return "line N: " for an error in a file, else an empty string."""
-    if not isinstance(data, YamlDocument):
-        return ""
-    line = data.line(_place(data, item))
+    line = data.line(_place(data, item)) if isinstance(data, YamlDocument) else None
     return "" if line is None else f"line {line}: "
 
 
@@ -188,13 +175,12 @@ def _shown(value: Any) -> str:
 
 
 def _keys_at(model: type[BaseModel], path: list[str]) -> list[str]:
-    """Return the field names of the nested model at `path` (descends through unions and optionals)."""
     current: type[BaseModel] | None = model
     for part in path:
         field = current.model_fields.get(part) if current else None
         if field is None:
             continue  # a union tag or list index in pydantic's location, not a field
-        current = next((m for m in _models_in(field.annotation)), None)
+        current = next(iter(_models_in(field.annotation)), None)
     return sorted(current.model_fields) if current else []
 
 
@@ -211,7 +197,6 @@ def _meant(model: type[BaseModel], word: str, known: Sequence[str]) -> str:
 
 
 def _all_keys(model: type[BaseModel], above: str = "") -> Iterable[str]:
-    """Dotted names of all keys of a model and of those below it."""
     for name, field in model.model_fields.items():
         yield above + name
         for below in _models_in(field.annotation):

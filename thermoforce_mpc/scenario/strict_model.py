@@ -101,7 +101,6 @@ def _takes_numbers_only(model: type[BaseModel], name: str) -> bool:
 
 
 def _kinds(annotation: Any) -> Iterator[Any]:
-    """Yield the types within a type annotation."""
     below = get_args(annotation)
     if below:
         for one in below:
@@ -111,7 +110,6 @@ def _kinds(annotation: Any) -> Iterator[Any]:
 
 
 def _leaves(value: Any) -> Iterator[Any]:
-    """Yield `value`, or what is in it if it is a list or mapping."""
     if isinstance(value, Mapping):
         value = list(value.values())
     if isinstance(value, list | tuple | set | frozenset):

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 from thermoforce_mpc.data import Layout
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.registry import known_name
-from thermoforce_mpc.scenario.actuator import Actuator
+from thermoforce_mpc.scenario.actuator import Actuator, RoomSetpoints
 from thermoforce_mpc.scenario.building import (
     ELECTRICITY,
     PRICES,
@@ -26,7 +26,6 @@ from thermoforce_mpc.scenario.building import (
     layout_of,
 )
 from thermoforce_mpc.scenario.heat import HEAT_IS, Heat, HeatMeter
-from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
 from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, one_of
 
 __all__ = ["PRICES", "Actuator", "ForecastPoints", "Measurements", "Price", "TestCase"]
@@ -59,10 +58,7 @@ class Measurements(StrictModel):
 
 
 def _which(measurements: object) -> str:
-    """Tag of the measured points: of a whole building of one zone, or of the weather."""
-    known = (
-        set(measurements) if isinstance(measurements, Mapping) else set(getattr(type(measurements), "model_fields", ()))
-    )
+    known = set(measurements if isinstance(measurements, Mapping) else getattr(measurements, "__dict__", ()))
     return "weather_only" if known <= set(Weather.model_fields) else "one_zone"
 
 
@@ -268,7 +264,6 @@ class TestCase(StrictModel):
 
     @model_validator(mode="after")
     def _emulators_take_the_level(self) -> TestCase:
-        """Refuse an actuator that the embedded emulator or EnergyPlus would ignore: they take u itself."""
         if not (self.embedded or self.energyplus) or self.actuator is None:
             return self
         plant = "energyplus" if self.energyplus else "embedded"

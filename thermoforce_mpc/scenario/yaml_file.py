@@ -87,7 +87,7 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def number(self, node: yaml.ScalarNode) -> int | float:
-        """Return an integer or a float."""
+        """Value of a number."""
         if len(node.value) > _MOST_DIGITS:
             raise _wrong(f"a number of {len(node.value)} characters; at most {_MOST_DIGITS}", node.start_mark)
         if node.tag == _CORE + "int":
@@ -146,7 +146,6 @@ def _load(text: str) -> tuple[Any, dict[Place, int]]:
 
 
 def _lines(node: yaml.Node, path: Place) -> Any:
-    """Yield (path, line) of every value below `node`."""
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             if isinstance(key, yaml.ScalarNode):
@@ -163,7 +162,6 @@ def _wrong(problem: str, mark: yaml.Mark) -> yaml.MarkedYAMLError:
 
 
 def _reason(error: Exception) -> str:
-    """The problem and its line, on one line."""
     if isinstance(error, yaml.MarkedYAMLError):
         mark = error.problem_mark or error.context_mark
         said = " ".join(filter(None, (error.context, error.problem)))

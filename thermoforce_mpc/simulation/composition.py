@@ -20,8 +20,8 @@ from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.plants.registry import boptest_plant, build_plant, windows_of, with_comfort
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Controller, Plant
+from thermoforce_mpc.scenario.comfort import Comfort
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
-from thermoforce_mpc.scenario.schedule.comfort import Comfort
 from thermoforce_mpc.scenario.settings import merge, suggestion
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepKeeper, StepRecord, run_closed_loop

@@ -14,8 +14,8 @@ from thermoforce_mpc.data import DAY_S, Block, Measurement
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.records import inputs, recorded_levels
 from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.scenario.building import Supply
 from thermoforce_mpc.scenario.settings import find_config, merge, read_yaml, validate
-from thermoforce_mpc.scenario.supply import Supply
 from thermoforce_mpc.scenario.testcase import TestCase
 
 SUPPLY = Supply(point="oveTSup", minimum=293.15, maximum=318.15, flow_W_per_K=400.0)

@@ -25,7 +25,7 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.cli.running import executing
 from thermoforce_mpc.cli.running.fleet import saving_cells
-from thermoforce_mpc.cli.running.run import command as run_one
+from thermoforce_mpc.cli.running.run import run as run_one
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.identification.probing.probe import probe

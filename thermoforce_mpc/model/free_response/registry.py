@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from thermoforce_mpc.errors import ConfigError, suggestion
 from thermoforce_mpc.protocols import FreeResponse
 from thermoforce_mpc.registry import Registry
-from thermoforce_mpc.scenario.signatures import unfit
+from thermoforce_mpc.scenario.own_code import unfit
 
 if TYPE_CHECKING:
     from thermoforce_mpc.model.free_response.rc import RcParameters

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from boptest_client import Point
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
+from thermoforce_mpc.scenario.actuator import RoomSetpoints
 from thermoforce_mpc.scenario.settings import suggestion
 from thermoforce_mpc.scenario.testcase import Actuator, TestCase
 

@@ -31,7 +31,7 @@ from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, whole_steps
 from thermoforce_mpc.plants.energyplus.shell import EnginePlant
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
 from thermoforce_mpc.plants.shell import RoomSetpointShell
-from thermoforce_mpc.scenario.room_setpoints import RoomSetpoints
+from thermoforce_mpc.scenario.actuator import RoomSetpoints
 from thermoforce_mpc.scenario.testcase import TestCase
 
 # Two weeks from a Monday without holidays: first day of the year, from 0.

@@ -14,8 +14,8 @@ from controllers.registry import controller_config
 from thermoforce_mpc.data import Period, Record
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.scenario.comfort import Comfort
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
-from thermoforce_mpc.scenario.schedule.comfort import Comfort
 from thermoforce_mpc.scenario.settings import merge, validate
 from thermoforce_mpc.scenario.testcase import Actuator, TestCase
 from thermoforce_mpc.simulation.composition import check_window, controller_options

@@ -1,7 +1,8 @@
-"""Comfort bounds by schedule, as people write them: `weekdays 6:00-22:00 21-24, else 17-26`."""
+"""Times as people write them: dates of a year of 365 days, and comfort bounds by schedule."""
 
 from __future__ import annotations
 
+import datetime
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,8 +14,27 @@ from pydantic import Field, field_validator
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.errors import ConfigError, suggestion
-from thermoforce_mpc.scenario.schedule.dates import day_of_year
 from thermoforce_mpc.scenario.strict_model import StrictModel
+
+_DATE = re.compile(r"\d{4}-\d{1,2}-\d{1,2}")
+_NO_LEAP_YEAR = 2001
+
+
+def day_of_year(date: str) -> int:
+    """Day from 0 of a date such as 2026-01-17; raises `ValueError` where a year of 365 days has none."""
+    if not _DATE.fullmatch(date):
+        raise ValueError(f"'{date}': expected a date such as 2026-01-17")
+    _, month, day = map(int, date.split("-"))
+    try:
+        return datetime.date(_NO_LEAP_YEAR, month, day).timetuple().tm_yday - 1
+    except ValueError as error:
+        raise ValueError(f"{date} is no day of a year of 365 days") from error
+
+
+def window_name(window: str) -> str:
+    """The name of a window; of one given by its first day as a date that day of the year; raises `ValueError`."""
+    return str(day_of_year(window)) if _DATE.fullmatch(window) else window
+
 
 WEEK = ("monday", "tuesday", "wednesday", "thursday", "friday", "saturday", "sunday")
 _HOLIDAY = len(WEEK)
@@ -52,11 +72,7 @@ class Rule:
 
 @cache  # asked for in every step
 def rules_from(text: str) -> tuple[Rule, ...]:
-    """The rules of a schedule; the first that holds counts, and the last holds else.
-
-    Raises:
-        ValueError: a part is no rule, or the last one does not begin with `else`; says which.
-    """
+    """The rules of a schedule, of which the first that holds counts; raises `ValueError` for a part that is none."""
     parts = [part.strip() for part in re.split(r"[,;\n]", text.lower().replace("–", "-")) if part.strip()]
     if not parts or not parts[-1].startswith("else "):
         raise ValueError("the last part says what holds else, as in 'weekdays 6:00-22:00 21-24, else 17-26'")
@@ -127,12 +143,7 @@ class Comfort(StrictModel):
         return value
 
     def bounds_C(self, time_s: Array, zones: Sequence[str], first_weekday: str) -> tuple[Array, Array]:
-        """Lower and upper bounds of `zones`, each (Z, n), °C.
-
-        Args:
-            time_s: times (n,), s since 1 January, local.
-            zones: names of the zones.
-            first_weekday: day of the week of 1 January.
+        """Lower and upper bounds of `zones`, each (Z, n), °C, at times (n,), s since 1 January, a `first_weekday`.
 
         Raises:
             ConfigError: a zone that there is not, or one without a schedule.
