@@ -15,12 +15,11 @@ from waiting import LONG_S
 
 from boptest_client import BoptestClient, RequestRejected, TransportConfig
 from thermoforce_mpc.boundary.weather import synthetic_weather
-from thermoforce_mpc.cli.live.serve import command
+from thermoforce_mpc.cli.live.serve import serve as command
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.service.access import Rate, is_loopback
+from thermoforce_mpc.service.access import Rate, Refusal, is_loopback
 from thermoforce_mpc.service.connections import serve_on
-from thermoforce_mpc.service.refusal import Refusal
 from thermoforce_mpc.service.server import build_server
 from thermoforce_mpc.service.sessions import Sessions, UnknownTestid
 

@@ -8,8 +8,7 @@ from emulator_service import running_emulator_service
 from waiting import LONG_S
 from werkzeug.datastructures import Headers
 
-from thermoforce_mpc.service.access import Names
-from thermoforce_mpc.service.refusal import Refusal
+from thermoforce_mpc.service.access import Names, Refusal
 
 NAME = "bestest_hydronic_heat_pump"
 SELECT = f"testcases/{NAME}/select"

@@ -11,7 +11,7 @@ import pytest
 
 from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
-from thermoforce_mpc.service.weather_signals import WEATHER_SIGNALS
+from thermoforce_mpc.service.points import WEATHER_SIGNALS
 
 psychrolib.SetUnitSystem(psychrolib.SI)
 

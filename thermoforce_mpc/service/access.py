@@ -13,7 +13,6 @@ from urllib.parse import urlsplit
 from werkzeug.datastructures import Headers
 
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.service.refusal import Refusal
 
 LEAST_TOKEN = 16
 # Addresses remembered; the one that asked longest ago is forgotten first.
@@ -32,11 +31,8 @@ def is_loopback(host: str) -> bool:
 
 
 def check_token(host: str, token: str | None) -> None:
-    """Check that a service on `host` may start with `token`.
-
-    Raises:
-        ConfigError: the token is missing though other machines can reach `host`, or it is too short or has characters
-            that a header cannot carry.
+    """Raise `ConfigError` where a service on `host` may not start with `token`: it is missing though other machines can
+    reach `host`, is too short, or has characters that a header cannot carry.
     """
     advice = "set BOPTEST_TOKEN to the output of: python -c 'import secrets; print(secrets.token_urlsafe(32))'"
     if token is None:
@@ -110,3 +106,11 @@ class Rate:
                 self._left.popitem(last=False)
         if left < 1.0:
             raise Refusal(429, f"More than {self._per_second:g} requests a second from {address}; ask again later.")
+
+
+class Refusal(Exception):
+    """Refused request: HTTP `status` and a message with the error and the allowed values."""
+
+    def __init__(self, status: int, message: str) -> None:
+        super().__init__(message)
+        self.status, self.message = status, message

@@ -15,16 +15,13 @@ from werkzeug.exceptions import HTTPException, MethodNotAllowed, NotFound
 
 from thermoforce_mpc.data import Period
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.service.access import Names, Rate, Token
-from thermoforce_mpc.service.endpoints import ENDPOINTS, TESTCASE, Endpoint
-from thermoforce_mpc.service.openapi import NAMESPACE, document
-from thermoforce_mpc.service.refusal import Refusal
+from thermoforce_mpc.service.access import Names, Rate, Refusal, Token
+from thermoforce_mpc.service.endpoints import ENDPOINTS, FORMS, NAMESPACE, TESTCASE, Endpoint, document
 from thermoforce_mpc.service.session import Session
 from thermoforce_mpc.service.sessions import Sessions, UnknownTestid
 from thermoforce_mpc.version import VERSION
 
 _LOG = logging.getLogger(__name__)
-_FORMS = ("multipart/form-data", "application/x-www-form-urlencoded")
 # Deepest nesting of a JSON body: the deepest that is allowed anywhere is a list in an object.
 _MOST_DEPTH = 8
 _MOST_SAID = 500
@@ -32,23 +29,14 @@ _MOST_SAID = 500
 
 @dataclass(frozen=True)
 class Limits:
-    """Bounds of the service.
+    """Bounds of the service."""
 
-    Attributes:
-        most_tests: largest number of tests at a time.
-        tests_each: largest number of tests that one address started; None: all.
-        idle_s: time without requests after which a test is dropped, s.
-        lifetime_s: time after which a test is dropped in any case, s.
-        most_bytes: longest request body, bytes.
-        per_second: requests a second from one address; twice as many in a burst.
-    """
-
-    most_tests: int = 8
-    tests_each: int | None = None
-    idle_s: float = 900.0
-    lifetime_s: float = 7 * 86400.0
-    most_bytes: int = 1_000_000
-    per_second: float = 500.0
+    most_tests: int = 8  # at a time
+    tests_each: int | None = None  # started by one address; None: all
+    idle_s: float = 900.0  # without requests until a test is dropped, s
+    lifetime_s: float = 7 * 86400.0  # until a test is dropped in any case, s
+    most_bytes: int = 1_000_000  # of a request body
+    per_second: float = 500.0  # requests from one address; twice as many in a burst
 
 
 def create_app(
@@ -58,13 +46,8 @@ def create_app(
     token: str | None = None,
     names: Iterable[str] = (),
 ) -> Flask:
-    """WSGI application of the service.
-
-    Args:
-        make_plant: builds the plant of a new test.
-        limits: bounds; default: `Limits()`.
-        token: token that every request needs; None: none.
-        names: by which it may be asked, besides addresses and localhost.
+    """WSGI application of the service: plants of `make_plant`, the `token` that every request needs (None: none), and
+    `names` by which it may be asked, besides addresses and localhost.
     """
     limits = limits or Limits()
     windows = _Windows(make_plant)
@@ -186,20 +169,19 @@ class _Windows:
 
 
 def _client() -> str:
-    """Address of who asks."""
     return request.remote_addr or ""
 
 
 def _body(request: Request) -> dict[str, Any]:
     """Values of the request body: a JSON object, or a form (older clients). BOPTEST ignores any other, so do we."""
     text = request.get_data()
-    if text and request.mimetype not in ("application/json", *_FORMS):
+    if text and request.mimetype not in ("application/json", *FORMS):
         kind = request.mimetype or "none"
         _LOG.warning("%s: a body of type %.80r is ignored; send application/json", request.path[:80], kind)
         return {}
     if not text.strip():
         return {}
-    if request.mimetype in _FORMS:
+    if request.mimetype in FORMS:
         return _form(request, text)
     try:
         body = json.loads(text)
@@ -213,7 +195,6 @@ def _body(request: Request) -> dict[str, Any]:
 
 
 def _deeper(value: Any, levels: int) -> bool:
-    """Whether `value` nests deeper than `levels`."""
     below = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
     return levels < 0 or any(_deeper(item, levels - 1) for item in below if isinstance(item, dict | list))
 

@@ -67,11 +67,7 @@ def run_to_its_end(server: Server, on_ready: Callable[[int], None]) -> None:
 
 
 def serve_on(listening: socket.socket, app: Callable[..., Any], *, threads: int, most_bytes: int) -> Server:
-    """Server of `app` on a bound socket, answering up to `threads` requests at a time.
-
-    Args:
-        most_bytes: longest request body, bytes.
-    """
+    """Server of `app` on a bound socket, answering `threads` requests, of `most_bytes` each, at a time."""
     adjustments = Adjustments(
         threads=threads,
         max_request_body_size=most_bytes,

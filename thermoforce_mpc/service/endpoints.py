@@ -1,20 +1,23 @@
-"""Endpoints of one test: method, name, what answers, and the JSON schemas of request and reply."""
+"""Endpoints of one test, with the JSON schemas of request and reply, and the OpenAPI document made from them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H
-from thermoforce_mpc.service.points import FORECAST_POINTS, INPUTS, MEASUREMENT_POINTS
+from thermoforce_mpc.service.points import FORECAST_POINTS, INPUTS, MEASUREMENT_POINTS, PointInfo
 from thermoforce_mpc.service.scenario import LEVELS
 from thermoforce_mpc.service.session import LEAST_STEP_S, MOST_STEP_S, PERIODS, Reply, Session
+from thermoforce_mpc.version import VERSION
 
 TESTCASE = "bestest_hydronic_heat_pump"
 Schema = dict[str, Any]
 
 _NUMBER_OR_NULL: Schema = {"type": ["number", "null"]}
+_TEXT: Schema = {"type": "string"}
 
 
 def _object(properties: Mapping[str, Schema], required: tuple[str, ...] = (), *, closed: bool = False) -> Schema:
@@ -46,7 +49,7 @@ def _nothing(description: str) -> Schema:
 
 _POINT = _object(
     {
-        "Description": {"type": "string"},
+        "Description": _TEXT,
         "Unit": {"type": ["string", "null"]},
         "Minimum": _NUMBER_OR_NULL,
         "Maximum": _NUMBER_OR_NULL,
@@ -95,6 +98,12 @@ class Endpoint:
     body: Schema | None = None
 
 
+def _listing(verb: str, points: Mapping[str, PointInfo], *, limits: bool = True) -> Endpoint:
+    what = verb.replace("_", " ")
+    reply = Reply(f"The {what}.", {name: info.as_json(limits=limits) for name, info in points.items()})
+    return Endpoint("GET", verb, lambda *_: reply, what.capitalize(), _POINTS)
+
+
 ENDPOINTS: tuple[Endpoint, ...] = (
     Endpoint(
         "GET",
@@ -103,9 +112,9 @@ ENDPOINTS: tuple[Endpoint, ...] = (
         "Name of the test case",
         _object({"name": {"const": TESTCASE}}, ("name",), closed=True),
     ),
-    Endpoint("GET", "inputs", lambda s, _: s.inputs(), "Inputs", _POINTS),
-    Endpoint("GET", "measurements", lambda s, _: s.measurements(), "Measurements", _POINTS),
-    Endpoint("GET", "forecast_points", lambda s, _: s.forecast_points(), "Forecast points", _POINTS),
+    _listing("inputs", INPUTS),
+    _listing("measurements", MEASUREMENT_POINTS),
+    _listing("forecast_points", FORECAST_POINTS, limits=False),
     Endpoint("GET", "step", lambda s, _: s.step(), "Control step, s", {"type": "number"}),
     Endpoint(
         "PUT",
@@ -195,3 +204,91 @@ ENDPOINTS: tuple[Endpoint, ...] = (
         {"type": "object", "additionalProperties": _NUMBER_OR_NULL},
     ),
 )
+
+
+# Namespace of BOPTEST's own test cases.
+NAMESPACE = "ibpsa"
+FORMS = ("multipart/form-data", "application/x-www-form-urlencoded")
+_REASONS = {
+    400: "invalid value or test id, see `message` or `errors`",
+    401: "the token is missing or wrong",
+    403: "asked by a name that the service has not, or by a page of another site",
+    404: "no such test case or path",
+    413: "the body is too long",
+    429: "too many requests a second, requests of one test at a time, or tests",
+}
+
+
+def document(*, token: bool) -> dict[str, Any]:
+    """The OpenAPI document of a service that needs a token, or none."""
+    paths: dict[str, dict[str, Any]] = {}
+
+    def add(
+        method: str, path: str, summary: str, answer: Schema, body: Schema | None = None, kind: str = "application/json"
+    ) -> None:
+        names = re.findall(r"{(\w+)}", path)
+        paths.setdefault(path, {})[method] = _operation(summary, answer, token, names, body, kind)
+
+    add("get", "/version", "Version of the service", _envelope(_object({"version": _TEXT}, ("version",))))
+    add("get", "/openapi.json", "This document", {"type": "object"})
+    add("get", "/status/{testid}", "Status of a test", {"const": "Running"})
+    add("put", "/stop/{testid}", "End a test", {"const": "OK"}, kind="text/plain")
+    for prefix in ("/testcases", f"/testcases/{NAMESPACE}"):
+        listed: Schema = {"type": "array", "items": {"type": "object", "required": ["testcaseid"]}}
+        add("get", prefix, "Test cases offered", listed)
+        for end in ("", "{how}"):
+            chosen = _object({"testid": _TEXT}, ("testid",))
+            add("post", f"{prefix}/{{name}}/select{end}", "Start a test", chosen, {"type": "object"})
+    for endpoint in ENDPOINTS:
+        for path in (f"/{endpoint.verb}/{{testid}}", f"/{endpoint.verb}"):
+            add(endpoint.method.lower(), path, endpoint.summary, _envelope(endpoint.payload), endpoint.body)
+    specification: dict[str, Any] = {
+        "openapi": "3.1.0",
+        "info": {
+            "title": f"{TESTCASE} by thermoforce-mpc",
+            "version": VERSION,
+            "description": "The embedded plant behind BOPTEST's protocol. Paths without a test id are those of BOPTEST "
+            "before 0.7, where a service ran one test.",
+        },
+        "paths": paths,
+    }
+    if token:
+        specification["components"] = {"securitySchemes": {"token": {"type": "http", "scheme": "bearer"}}}
+        specification["security"] = [{"token": []}]
+    return specification
+
+
+def _operation(
+    summary: str, answer: Schema, token: bool, names: Sequence[str], body: Schema | None, kind: str
+) -> dict[str, Any]:
+    responses: dict[str, Any] = {"200": _response("done", answer, kind)}
+    statuses = [403, 429, *([401] if token else []), *([413] if body is not None else [])]
+    # Paths without a test id use the one test of such clients; only a body can be wrong there.
+    statuses += [400] if "testid" in names or body is not None else []
+    statuses += [404] if "name" in names else []
+    for status in sorted(statuses):
+        refused = _envelope({"type": "null"})
+        schema = {"anyOf": [refused, _UNKNOWN]} if status == 400 else refused
+        responses[str(status)] = _response(_REASONS[status], schema)
+    operation: dict[str, Any] = {"summary": summary, "responses": responses}
+    if names:
+        operation["parameters"] = [{"name": name, "in": "path", "required": True, "schema": _TEXT} for name in names]
+    if body is not None:
+        operation["requestBody"] = {
+            "required": bool(body.get("required")),
+            "content": {kind: {"schema": body} for kind in ("application/json", *FORMS)},
+        }
+    return operation
+
+
+def _response(description: str, schema: Schema, kind: str = "application/json") -> dict[str, Any]:
+    return {"description": description, "content": {kind: {"schema": schema}}}
+
+
+def _envelope(payload: Schema) -> Schema:
+    parts: dict[str, Schema] = {"status": {"type": "integer"}, "message": _TEXT, "payload": payload}
+    return _object(parts, tuple(parts), closed=True)
+
+
+_ERRORS: Schema = {"type": "array", "items": {"type": "object", "required": ["value", "msg"]}}
+_UNKNOWN = _object({"errors": _ERRORS}, ("errors",), closed=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.service.refusal import Refusal
+from thermoforce_mpc.service.access import Refusal
 
 # What stands for no value where one may be left out.
 NOTHING = (None, "")

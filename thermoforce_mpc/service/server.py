@@ -19,8 +19,8 @@ from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.service.access import check_token, is_loopback
 from thermoforce_mpc.service.app import Limits, create_app
 from thermoforce_mpc.service.connections import Server, bound, run_to_its_end, serve_on
+from thermoforce_mpc.service.points import WEATHER_SIGNALS
 from thermoforce_mpc.service.sessions import MOST_ASKING
-from thermoforce_mpc.service.weather_signals import WEATHER_SIGNALS
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8000
 _FREE_THREADS = 4
@@ -36,16 +36,11 @@ def build_server(
     names: Sequence[str] = (),
     **limits: Any,
 ) -> Server:
-    """Bind the service; `run()` of the returned server serves until `close()`.
+    """Bind the service to `host` and `port` (0: a free one); `run()` of the server serves until `close()`.
 
-    Args:
-        weather: weather year of every test.
-        host: address to listen on; one that other machines can reach needs a token.
-        port: port, or 0 for a free one (see `effective_port`).
-        highly_dynamic: tariff of that name; default: a synthetic one.
-        token: token that every request must send as `Authorization: Bearer TOKEN`.
-        names: by which it may be asked, besides `host`, addresses and localhost.
-        limits: fields of `Limits`; by default one address has half of the tests where other machines reach `host`.
+    `highly_dynamic`: tariff of that name, by default a synthetic one. `token`: see `check_token`. `names`: by which it
+    may be asked, besides `host`, addresses and localhost. `limits`: fields of `Limits`; by default one address has half
+    of the tests where other machines reach `host`.
 
     Raises:
         ConfigError: `port`, a limit or the token is out of range, or the token is missing.

@@ -21,6 +21,7 @@ from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.embedded.emulator import LEAST_STEP_S, NEVER_GIVEN
 from thermoforce_mpc.plants.embedded.kernel import STEP_S
+from thermoforce_mpc.service.access import Refusal
 from thermoforce_mpc.service.points import (
     FORECAST_POINTS,
     INPUTS,
@@ -28,7 +29,6 @@ from thermoforce_mpc.service.points import (
     forecast_points,
     recorded_points,
 )
-from thermoforce_mpc.service.refusal import Refusal
 from thermoforce_mpc.service.scenario import LEVELS, NOTHING, choice, forecast_error, seed
 
 __all__ = ["DEFAULT_STEP_S", "LEAST_STEP_S", "MOST_STEP_S", "MOST_VALUES", "PERIODS", "Reply", "Session"]
@@ -49,10 +49,9 @@ class Reply(NamedTuple):
 
 
 class Session:
-    """A running test. Not thread-safe: the caller holds the lock."""
+    """A running test; `period` returns the scored window of a name. Not thread-safe: the caller holds the lock."""
 
     def __init__(self, plant: EmbeddedPlant, period: Callable[[str], Period]) -> None:
-        """`period` returns the scored window of a name; the first call may simulate a year."""
         self._plant = plant
         self._period = period
         self._step_s = DEFAULT_STEP_S
@@ -73,29 +72,14 @@ class Session:
         self._waited, self._n_waits = 0.0, 0
         self._answered_s: float | None = None
 
-    def inputs(self) -> Reply:
-        """Names, units and limits of the inputs."""
-        return Reply("The inputs.", {name: info.as_json(limits=True) for name, info in INPUTS.items()})
-
-    def measurements(self) -> Reply:
-        """Names and units of the measurements."""
-        points = {name: info.as_json(limits=True) for name, info in MEASUREMENT_POINTS.items()}
-        return Reply("The measurements.", points)
-
-    def forecast_points(self) -> Reply:
-        """Names and units of the forecast points."""
-        points = {name: info.as_json(limits=False) for name, info in FORECAST_POINTS.items()}
-        return Reply("The forecast points.", points)
-
     def step(self) -> Reply:
         """Control step, s."""
         return Reply("The control step.", self._step_s)
 
     def set_step(self, body: Mapping[str, Any]) -> Reply:
         """Set the control step, s: from 1 ms to 364 days."""
-        step_s = _number(body, "step", low=LEAST_STEP_S, high=MOST_STEP_S)
-        self._step_s = step_s
-        return Reply("The control step was set.", {"step": step_s})
+        self._step_s = _number(body, "step", low=LEAST_STEP_S, high=MOST_STEP_S)
+        return Reply("The control step was set.", {"step": self._step_s})
 
     def initialize(self, body: Mapping[str, Any]) -> Reply:
         """Start at `start_time`, s, after `warmup_period`, s, of native control; `final_time`, s, ends the test."""
@@ -125,13 +109,15 @@ class Session:
         if period:
             changed["time_period"] = period
         self._scenario |= changed
-        self._surround()
+        s = self._scenario
+        error = forecast_error(s["temperature_uncertainty"], s["solar_uncertainty"], s["seed"])
+        with _refusing():
+            self._plant.use(s["electricity_price"], error)
         payload = {name: changed.get(name) for name in self._scenario} | {"time_period": None}
         if period:
             window = self._period(period)
-            payload["time_period"] = self._start(
-                window.start_s, window.warmup_s, window.start_s + window.scored_s
-            ).payload
+            end_s = window.start_s + window.scored_s
+            payload["time_period"] = self._start(window.start_s, window.warmup_s, end_s).payload
         return Reply("The scenario was set.", payload)
 
     def advance(self, body: Mapping[str, Any]) -> Reply:
@@ -210,20 +196,12 @@ class Session:
         self._n_steps, self._waited, self._n_waits, self._answered_s = 0, 0.0, 0, None
         return Reply(f"The test was initialized to {start_s:g} s.", self._state())
 
-    def _surround(self) -> None:
-        s = self._scenario
-        error = forecast_error(s["temperature_uncertainty"], s["solar_uncertainty"], s["seed"])
-        with _refusing():
-            self._plant.use(s["electricity_price"], error)
-
     def _state(self) -> dict[str, float | None]:
-        """Current values of all measurements and inputs."""
         now_s = self._plant.now_s
         series = self._recorded([*MEASUREMENT_POINTS, *INPUTS], now_s, now_s)
         return {name: _plain(values[-1]) for name, values in series.items()}
 
     def _recorded(self, names: list[str], start_s: float, final_s: float) -> dict[str, Array]:
-        """Recorded samples of any measurements and inputs, with 'time'."""
         switches = [name for name in names if name.endswith("_activate")]
         record = self._plant.recorded(start_s, final_s)
         _check_size(len(names), record["time"].size)
@@ -269,7 +247,6 @@ class Session:
 
 @contextmanager
 def _refusing() -> Iterator[None]:
-    """Turn an `InputError` of the plant into a `Refusal` (400)."""
     try:
         yield
     except InputError as error:
@@ -296,12 +273,10 @@ def _number(
 
 
 def _switch(key: str, value: Any) -> bool:
-    text = str(value).lower()
-    if text in ("1", "1.0", "true"):
-        return True
-    if text in ("0", "0.0", "false"):
-        return False
-    raise Refusal(400, f"Invalid value {value!r} of {key}: expected 0 or 1.")
+    on = {"1": True, "1.0": True, "true": True, "0": False, "0.0": False, "false": False}.get(str(value).lower())
+    if on is None:
+        raise Refusal(400, f"Invalid value {value!r} of {key}: expected 0 or 1.")
+    return on
 
 
 def _names(body: Mapping[str, Any], points: Mapping[str, Any], what: str) -> list[str]:
@@ -334,5 +309,4 @@ def _lists(series: Mapping[str, Array]) -> dict[str, list[float | None]]:
 
 
 def _plain(value: float) -> float | None:
-    """Value for JSON, with None for NaN and infinity."""
     return float(value) if math.isfinite(value) else None

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from thermoforce_mpc.service.refusal import Refusal
+from thermoforce_mpc.service.access import Refusal
 from thermoforce_mpc.service.session import Session
 
 # Largest number of requests of one test admitted at a time; they are answered one after another.
@@ -56,22 +56,21 @@ class Sessions:
 
     def select(self, client: str = "") -> str:
         """Start a test for the address `client`; returns its id. Raises `Refusal` (429) where there is none left."""
-        with self._lock:
-            self._drop_idle()
-            testid = str(uuid.uuid4())
-            self._entries[testid] = self._new_entry(client)
-            return testid
+        return self._id_of(str(uuid.uuid4()), client)
 
     def lone(self, client: str = "") -> str:
         """Id of the test of clients without test ids: started on the first request, never dropped.
 
         Such a client could not detect that its test was replaced. Raises `Refusal` (429) as `select`.
         """
+        return self._id_of(_LONE, client)
+
+    def _id_of(self, testid: str, client: str) -> str:
         with self._lock:
             self._drop_idle()
-            if _LONE not in self._entries:
-                self._entries[_LONE] = self._new_entry(client)
-            return _LONE
+            if testid not in self._entries:
+                self._entries[testid] = self._new_entry(client)
+            return testid
 
     def stop(self, testid: str) -> None:
         """End a test. Raises `UnknownTestid`."""
