@@ -219,6 +219,5 @@ def _unknown(kind: str, name: str, known: Collection[str]) -> str:
 
 
 def _told(plugin: EntryPoint) -> str:
-    """Distribution, version and object of an entry point."""
     source = f"{plugin.dist.name} {plugin.dist.version}" if plugin.dist else "an unknown distribution"
     return f"{source} ({plugin.value})"

@@ -99,7 +99,6 @@ class StateFormat:
         return kind.__name__
 
     def _built(self, content: Any, arrays: Any) -> Any:
-        """The value of `_plain`."""
         if not isinstance(content, dict):
             return content
         match content:

@@ -21,8 +21,8 @@ from waiting import LONG_S
 import thermoforce_mpc as tf
 from thermoforce_mpc.boundary.tariffs import tariff_from_file
 from thermoforce_mpc.boundary.weather import load_weather
-from thermoforce_mpc.cli.building.schedule_file import levels_of
-from thermoforce_mpc.cli.inside.validate import command as validate
+from thermoforce_mpc.cli.building.courses import levels_of
+from thermoforce_mpc.cli.inside.files import validate_file as validate
 from thermoforce_mpc.errors import DataError, InputError, WeatherError
 from thermoforce_mpc.measurements.map.starting_map import starting_map
 from thermoforce_mpc.measurements.tables import files as tables

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 import thermoforce_mpc as tf
-from thermoforce_mpc.cli.building.data_shown import show_measurements
+from thermoforce_mpc.cli.building.data import show_measurements
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.map.starting_map import starting_map
 from thermoforce_mpc.measurements.picture import draw_measurements, measurements_figure

@@ -3,58 +3,60 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 from collections.abc import Mapping
+from pathlib import Path
 
 import click
 
-from thermoforce_mpc.cli.benchmarks import benchmark_command
-from thermoforce_mpc.errors import suggestion
+from thermoforce_mpc.errors import InputError, suggestion
 
-# name: (module below `thermoforce_mpc.cli`, with a function where several commands stand in it; summary of one line)
+_ROOT = Path(__file__).resolve().parents[2]
+# name: (module below `thermoforce_mpc.cli`, or of the benchmarks, and function in it; summary of one line)
 GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "First": {
-        "run": ("running.run", "Run a controller over a scored window and report KPIs."),
-        "compare": ("running.compare", "Compare controllers on several windows and tariffs."),
-        "init": ("building.init", "Write a scenario, test case or map to start from."),
-        "explain": ("inside.explain", "Tell what a run decided at an instant, and why."),
-        "doctor": ("inside.doctor", "Check whether everything is there that a run needs."),
+        "run": ("running.run:run", "Run a controller over a scored window and report KPIs."),
+        "compare": ("running.comparing:compare", "Compare controllers on several windows and tariffs."),
+        "init": ("inside.files:init", "Write a scenario, test case or map to start from."),
+        "explain": ("inside.explain:explain", "Tell what a run decided at an instant, and why."),
+        "doctor": ("inside.doctor:doctor", "Check whether everything is there that a run needs."),
     },
     "Run and compare": {
-        "resume": ("running.resume", "Go on with a run that was ended before its time."),
-        "report": ("running.report", "Make the report of a run again, also of one cut off."),
-        "sweep": ("running.sweep", "Vary one option; plot cost against discomfort."),
-        "fleet": ("running.fleet", "Run many buildings, windows, tariffs and controllers."),
-        "validate": ("inside.validate", "Check a YAML file without running it."),
+        "resume": ("running.run:resume", "Go on with a run that was ended before its time."),
+        "report": ("running.run:report", "Make the report of a run again, also of one cut off."),
+        "sweep": ("running.comparing:sweep", "Vary one option; plot cost against discomfort."),
+        "fleet": ("running.fleet:fleet", "Run many buildings, windows, tariffs and controllers."),
+        "validate": ("inside.files:validate_file", "Check a YAML file without running it."),
     },
     "Your building": {
-        "data": ("building.data", "Check measurements; plan a probing by hand."),
-        "identify": ("building.identify", "Identify a model from probing or measurements."),
-        "plan": ("building.plan", "Plan the next hours from measurements in files."),
-        "forecast": ("building.forecast", "Forecast the temperature, with its band."),
-        "counterfactual": ("building.counterfactual", "Show what another schedule would have done."),
-        "saving": ("building.saving", "What a changed operation saved, with an interval."),
+        "data": ("building.data:data", "Check measurements; plan a probing by hand."),
+        "identify": ("building.identify:identify", "Identify a model from probing or measurements."),
+        "plan": ("building.plan:plan", "Plan the next hours from measurements in files."),
+        "forecast": ("building.forecast:forecast", "Forecast the temperature, with its band."),
+        "counterfactual": ("building.forecast:other_levels", "Show what another schedule would have done."),
+        "saving": ("building.saving:saving", "What a changed operation saved, with an interval."),
     },
     "Live": {
-        "control": ("live.control", "Control a real building through a connection."),
-        "watch": ("live.watch", "Watch a running controller, here or as a page."),
+        "control": ("live.control:control", "Control a real building through a connection."),
+        "watch": ("live.watch:watch", "Watch a running controller, here or as a page."),
     },
     "Look inside": {
-        "inspect": ("inside.inspect", "Show a saved model: parameters, certificate, data."),
-        "testcases": ("inside.testcases", "List test cases, scenarios, comparisons and fleets."),
+        "inspect": ("inside.inspect:inspect", "Show a saved model: parameters, certificate, data."),
+        "testcases": ("inside.listing:testcases", "List test cases, scenarios, comparisons and fleets."),
         "controllers": ("inside.listing:controllers", "List controllers and their options."),
         "plants": ("inside.listing:plants", "List plants and their options."),
         "connections": ("inside.listing:connections", "List connections to real buildings."),
         "free-responses": ("inside.listing:free_responses", "List forecasters of the free response."),
-        "schema": ("inside.schema", "Write the JSON Schema of a YAML file, for editors."),
+        "schema": ("inside.files:schema", "Write the JSON Schema of a YAML file, for editors."),
     },
     "Services": {
-        "serve": ("live.serve", "Serve the embedded plant over BOPTEST's REST protocol."),
-        "weather": ("inside.weather", "Download the weather file of the test case."),
+        "serve": ("live.serve:serve", "Serve the embedded plant over BOPTEST's REST protocol."),
+        "weather": ("inside.doctor:weather", "Download the weather file of the test case."),
     },
     "Research": {
-        "bench": ("benchmarks.cli.bench", "Run benchmarks; compare the results with targets."),
-        "paper": ("benchmarks.cli.paper", "Measure the paper's tables here, beside its figures."),
-        "chaos": ("benchmarks.cli.chaos", "Run controllers with everything around them failing."),
+        "bench": ("benchmarks.cli.bench:command", "Run benchmarks; compare the results with targets."),
+        "paper": ("benchmarks.cli.paper:command", "Measure the paper's tables here, beside its figures."),
+        "chaos": ("benchmarks.cli.chaos:command", "Run controllers with everything around them failing."),
     },
 }
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
@@ -95,7 +97,7 @@ class CommandGroups(click.Group):
     """Click group that shows its commands in groups and imports only the one that is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names, also those that only `help` knows."""
+        """Names of all commands."""
         return [*COMMANDS, "help"]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -107,10 +109,10 @@ class CommandGroups(click.Group):
         module, _, function = COMMANDS[cmd_name][0].partition(":")
         command: click.Command
         if module.startswith("benchmarks."):
-            command = benchmark_command(module)
+            command = _benchmark_command(module)
         else:
-            command = getattr(importlib.import_module(f"thermoforce_mpc.cli.{module}"), function or "command")
-        command.name = cmd_name  # all are functions of the same name; the command line reference shows this one
+            command = getattr(importlib.import_module(f"thermoforce_mpc.cli.{module}"), function)
+        command.name = cmd_name  # functions have other names; the command line reference shows this one
         return command
 
     def resolve_command(
@@ -152,3 +154,27 @@ def _help(context: click.Context, words: tuple[str, ...]) -> None:
             raise click.UsageError(f"No such command '{word:.80}'", at)
         at = click.Context(command, info_name=name, parent=at)
     click.echo(at.get_help())
+
+
+def _benchmark_command(module: str) -> click.Command:
+    """`command` of a module of the benchmarks, which are in no wheel; where it is not, one that says how to get it.
+
+    `benchmarks` is a common name: it is taken from the root of a checkout alone.
+    """
+    missing = "is not part of the wheel: clone the repository and run `pip install -e '.[bench]'` in it"
+    if (_ROOT / "pyproject.toml").is_file():
+        ours = _ROOT / "benchmarks" / "__init__.py"
+        spec = importlib.util.find_spec("benchmarks")
+        if spec is not None and spec.origin is not None:
+            if Path(spec.origin).resolve() == ours:
+                command: click.Command = importlib.import_module(module).command
+                return command
+            missing = f"is in {ours.parent}, which {spec.origin} hides: take that off the Python path"
+
+    @click.command(context_settings={"ignore_unknown_options": True}, add_help_option=False)
+    @click.argument("words", nargs=-1, type=click.UNPROCESSED)
+    @click.pass_context
+    def absent(context: click.Context, words: tuple[str, ...]) -> None:
+        raise InputError(f"tf-mpc {context.info_name} {missing}")
+
+    return absent

@@ -16,15 +16,16 @@ if TYPE_CHECKING:
     from thermoforce_mpc.scenario.scenario import Scenario
 
 Function = Callable[..., Any]
+PATH = click.Path(path_type=Path)
 # Opens the engine that a user asked for; told what is to be said.
 Opening = Callable[[Callable[[str], None]], "LocalEngine | DaskEngine"]
 
 
 class FiniteRange(click.FloatRange):
-    """A number in a range. Of click's own, NaN is in every range and infinity in those without an end."""
+    """A finite number in a range. Of click's own, NaN is in every range and infinity in those without an end."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """`value` as a number of the range; refused where it is NaN or infinite."""
+        """`value` as a number of the range."""
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value} is no number that can be used", param, ctx)
@@ -52,8 +53,6 @@ base_options = added(
     click.option("--seed", type=int, help="Seed of probing, training and forecast errors."),
     click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any scenario key."),
 )
-"""Options that select building and plant, for one run and for many."""
-
 window_options = added(
     click.option(
         "--period",
@@ -71,25 +70,19 @@ window_options = added(
         help="BOPTEST's weather forecast errors: none, low, medium or high.",
     ),
 )
-"""Options that select one window, tariff and level of forecast errors."""
-
 probed_option = click.option(
     "--probing",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Run folder whose probing is taken instead of probing, or one of its journals probing/*.jsonl.",
 )
 learned_options = added(
-    click.option("--model", type=click.Path(path_type=Path), help="Saved model to use instead of probing first."),
+    click.option("--model", type=PATH, help="Saved model to use instead of probing first."),
     probed_option,
 )
-"""Options that say where a model comes from."""
-
-
 _UNIT_H = {"h": 1.0, "d": 24.0, "min": 1 / 60}
 
 
 def _hours(context: click.Context, option: click.Parameter, text: str | None) -> float | None:
-    """A length of time in h from `24h`, `2d` or `24`."""
     if text is None:
         return None
     match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(h|d|min)?", text.strip())
@@ -112,7 +105,6 @@ mpc_options = added(
         help="Free response or forecaster by name (see `tf-mpc free-responses`), a folder, or a hub's owner/model.",
     ),
 )
-"""What people change most in an MPC, options of the controller by names of their own."""
 
 
 def _forecaster(name: str) -> dict[str, Any]:
@@ -140,10 +132,9 @@ equal_comfort_option = click.option(
 
 
 def execution_options(*former: str) -> Callable[[Function], Function]:
-    """Add `--jobs` (and its `former` names) and `--scheduler`: where many tasks are run.
+    """Add `--jobs` (and its `former` names) and `--scheduler`; the command gets them as `engine`, see `open_engine`.
 
-    The command gets them as `engine`, which opens it: `with engine(say) as where: …`, see `open_engine`.
-    Why nothing goes on is told on stderr, also where `say` is silent.
+    Why nothing goes on is told on stderr, also where the caller's `say` is silent.
     """
 
     def add(function: Function) -> Function:
@@ -167,57 +158,48 @@ def execution_options(*former: str) -> Callable[[Function], Function]:
     return add
 
 
-measured_model_options = added(
-    click.option("--model", required=True, type=click.Path(path_type=Path), help="Model folder of `tf-mpc identify`."),
+model_option = click.option("--model", required=True, type=PATH, help="Model folder of `tf-mpc identify`.")
+map_option = click.option("--map", "map_file", required=True, type=PATH, help="Map of the measurements.")
+measured_options = added(
     click.option("--data", "files", required=True, multiple=True, metavar="FILE", help="Measurements; repeatable."),
-    click.option("--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements."),
+    map_option,
 )
-"""A saved model, and what was measured there (as `files` and `map_file`)."""
 
 
 def course_options(level: str) -> Callable[[Function], Function]:
-    """Add the levels to ask about, `--level` (`level`: its help) or `--schedule`, and where the course goes to,
-    `--out` (.csv or .json) and `--plot`.
-    """
-
+    """Add the levels to ask about, `--level` (`level`: its help) or `--schedule`, and where the course goes to."""
     return added(
         click.option("--level", type=float, help=level),
-        click.option(
-            "--schedule", type=click.Path(path_type=Path), help="CSV with columns time and u (or one per actuator)."
-        ),
+        click.option("--schedule", type=PATH, help="CSV with columns time and u (or one per actuator)."),
         out_option("the course"),
         plot_option(),
     )
 
 
+class _FileOf(click.Path):
+    """A file to write, refused before the work where its name says no format that we write."""
+
+    def __init__(self, *endings: str) -> None:
+        super().__init__(path_type=Path, dir_okay=False)
+        self._endings = endings
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        path = Path(str(super().convert(value, param, ctx)))
+        if path.suffix not in self._endings:
+            self.fail(f"{path}: end the name in {' or '.join(self._endings)}", param, ctx)
+        return path
+
+
 def out_option(what: str) -> Callable[[Function], Function]:
-    """Option `--out`, refused before the work where the name says no format that we write."""
-    file = click.Path(path_type=Path, dir_okay=False)
-    return click.option("--out", type=file, callback=_csv_or_json, help=f"Write {what}: .csv or .json.")
+    """Option `--out`."""
+    return click.option("--out", type=_FileOf(".csv", ".json"), help=f"Write {what}: .csv or .json.")
 
 
 def plot_option(default: Path | None = None, of: str = "") -> Callable[[Function], Function]:
-    """Option `--plot`, refused before the work where the name says no format that we draw."""
-    return click.option(
-        "--plot",
-        type=click.Path(path_type=Path, dir_okay=False),
-        callback=_png_or_svg,
-        default=default,
-        show_default=default is not None,
-        help=f"Picture{of and ' of '}{of}: .png or .svg.",
-    )
-
-
-def _png_or_svg(context: click.Context, option: click.Parameter, plot: Path | None) -> Path | None:
-    if plot is not None and plot.suffix not in (".png", ".svg"):
-        raise click.BadParameter(f"{plot}: end the name in .png or .svg")
-    return plot
-
-
-def _csv_or_json(context: click.Context, option: click.Parameter, out: Path | None) -> Path | None:
-    if out is not None and out.suffix not in (".csv", ".json"):
-        raise click.BadParameter(f"{out}: end the name in .csv or .json")
-    return out
+    """Option `--plot`."""
+    help_ = f"Picture{of and ' of '}{of}: .png or .svg."
+    shown = default is not None
+    return click.option("--plot", type=_FileOf(".png", ".svg"), default=default, show_default=shown, help=help_)
 
 
 # Keys of a scenario by option.
@@ -239,11 +221,7 @@ _KEYS = {
 
 
 def scenario_from(options: dict[str, Any], defaults: Mapping[str, Any] | None = None) -> Scenario:
-    """Build the scenario of a command from its file, `defaults`, its options and `--set`; later ones take precedence.
-
-    Raises:
-        ConfigError: a value is wrong; names the file or option, the key and the allowed values.
-    """
+    """Build the scenario of a command from its file, `defaults`, its options and `--set`; the last that says counts."""
     from thermoforce_mpc.plants.testcases import load_scenario
     from thermoforce_mpc.scenario.settings import find_config, merge, nested, parse_overrides
 

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from thermoforce_mpc.boundary.weather import load_weather
 from thermoforce_mpc.boundary.weather.fetch import FILE_NAME, FINGERPRINT
 from thermoforce_mpc.cli import main
-from thermoforce_mpc.cli.inside.weather import command
+from thermoforce_mpc.cli.inside.doctor import weather as command
 from thermoforce_mpc.errors import WeatherError
 
 TESTCASE = "bestest_hydronic_heat_pump"

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from waiting import LONG_S
 
 from boptest_client import BoptestClient
-from thermoforce_mpc.cli.live.serve import command
+from thermoforce_mpc.cli.live.serve import serve as command
 from thermoforce_mpc.errors import ConfigError, PlantError
 
 SERVE = [sys.executable, "-c", "from thermoforce_mpc.cli import main; main()", "serve"]

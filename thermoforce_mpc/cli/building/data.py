@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
 
-from thermoforce_mpc.cli.building.data_shown import show_findings, show_measurements, show_remarks
-from thermoforce_mpc.cli.building.probe_plan import FILES, MAP, probe_plan_command
-from thermoforce_mpc.cli.options import plot_option
+from thermoforce_mpc.cli.options import PATH, plot_option
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
+from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import written
+from thermoforce_mpc.measurements.load import Measurements
+from thermoforce_mpc.measurements.understood import SignalSummary, Understood
 from thermoforce_mpc.simulation.views.display import RunDisplay
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.identification.probing.by_hand import ProbeSchedule
 
 
 @click.group()
-def command() -> None:
+def data() -> None:
     """Measurements of your own building: CSV or Parquet files and a map that says which column is what.
 
     \b
@@ -26,22 +37,27 @@ def command() -> None:
     """
 
 
-@command.command("map")
+_MOST_FILES = 5
+FILES = click.argument("files", nargs=-1, required=True, metavar="FILE...")
+MAP = click.option("--map", "map_file", required=True, type=PATH, help="Map of the table (YAML).")
+
+
+@data.command("map")
 @click.argument("file", metavar="FILE")
-def map_command(file: str) -> None:
+def map_of(file: str) -> None:
     """Print a map for FILE, guessed from names and sizes of its columns, to be checked line by line."""
     from thermoforce_mpc.measurements.map.starting_map import starting_map
 
     click.echo(starting_map(file), nl=False)
 
 
-@command.command("check")
+@data.command("check")
 @FILES
 @MAP
 @plot_option(Path("data_check.png"), "the measurements")
 @click.option("--fit/--no-fit", default=True, show_default=True, help="Fit a linear model to see what the data tell.")
-@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write what was understood as JSON.")
-def check_command(files: tuple[str, ...], map_file: Path, plot: Path, fit: bool, json_file: Path | None) -> None:
+@click.option("--json", "json_file", type=PATH, help="Write what was understood as JSON.")
+def check(files: tuple[str, ...], map_file: Path, plot: Path, fit: bool, json_file: Path | None) -> None:
     """Say what was understood of FILE (several, or a pattern in quotes) by the map, and draw it.
 
     Prints period, step, gaps, ranges and flagged readings of every signal, what was assumed, what is missing and what
@@ -66,4 +82,223 @@ def check_command(files: tuple[str, ...], map_file: Path, plot: Path, fit: bool,
             aside.write_text(json.dumps(content, indent=2, ensure_ascii=False), encoding="utf-8")
 
 
-command.add_command(probe_plan_command)
+def _hours(context: click.Context, parameter: click.Parameter, value: str) -> tuple[int, int]:
+    try:
+        first, last = (int(part) for part in value.split("-"))
+    except ValueError as error:
+        raise click.BadParameter("write two hours, such as 7-22") from error
+    return first, last
+
+
+def _levels(context: click.Context, parameter: click.Parameter, value: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in value.split(","))
+    except ValueError as error:
+        raise click.BadParameter("write levels, such as 0,1 or 0,0.5,1") from error
+
+
+@data.command("probe-plan")
+@FILES
+@MAP
+@click.option("--out", type=PATH, default=Path("probe.csv"), show_default=True, help="Schedule (CSV).")
+@click.option("--days", type=int, default=1, show_default=True, help="Days to probe, 1 to 7.")
+@click.option("--levels", default="0,1", show_default=True, callback=_levels, help="Levels to set, off first.")
+@click.option("--awake", default="7-22", show_default=True, callback=_hours, help="Hours between which levels are set.")
+@click.option("--start", metavar="DATE", help="First day.  [default: the first morning after the data]")
+@click.option("--fit/--no-fit", default=True, show_default=True, help="Fit a linear model to see what is known.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Seed of the draws.")
+def probe_plan(
+    files: tuple[str, ...],
+    map_file: Path,
+    out: Path,
+    days: int,
+    levels: tuple[float, ...],
+    awake: tuple[int, int],
+    start: str | None,
+    fit: bool,
+    seed: int,
+) -> None:
+    """Write a probing after which FILE and it together tell the effect of acting, to run by hand.
+
+    The schedule has one line per change: the time, and the level of every actuator from then on; an empty cell leaves
+    the actuator to the building's own control, as at night and at the end. Actuators whose effect a linear model of
+    FILE tells already are left alone; where it tells all, nothing is written.
+
+    Keep measuring while you run it, append the rows to your file, and identify again; where a day was not enough, add
+    another.
+    """
+    from thermoforce_mpc.identification.probing.by_hand import probe_schedule
+    from thermoforce_mpc.identification.probing.operation import MOST_DAYS, findings, telling_part
+    from thermoforce_mpc.measurements.load import read_measurements
+
+    display = RunDisplay()
+    measured = read_measurements(files, map_file).served()
+    begin_s, hours = _start(measured.record, awake, start)
+    record, note = telling_part(measured.record, measured.layout)
+    if note:
+        display.say(note)
+    fitted = findings(record, measured.layout) if fit else []
+    for finding in fitted:
+        display.say(f"Found for {finding.actuator} by a linear model: {finding.words}")
+    lower, upper = (_last_known(getattr(measured.conditions, name)) for name in ("lower_C", "upper_C"))
+    recent = measured.record.last(round(MOST_DAYS * DAY_S / measured.record.step_s))
+    plan = probe_schedule(
+        recent,
+        measured.layout,
+        days=days,
+        lower_C=lower,
+        upper_C=upper,
+        levels=levels,
+        awake=hours,
+        start_s=begin_s,
+        competent=[finding.competent for finding in fitted] if fitted else None,
+        seed=seed,
+    )
+    if not plan.probed:
+        display.say("Nothing needs to be probed.")
+        return
+    _write(out, plan, display)
+
+
+def _write(out: Path, plan: ProbeSchedule, display: RunDisplay) -> None:
+    from thermoforce_mpc.data.dataframes import table
+    from thermoforce_mpc.identification.probing.by_hand import as_changes
+
+    display.say(f"{plan.by_hand_h} h by hand at {', '.join(plan.probed)}, expected:")
+    for z, zone in enumerate(plan.record.names.zones):
+        low, high = plan.lower_C[z], plan.upper_C[z]
+        display.say(
+            f"  {zone}: {plan.discomfort_Kh[z]:.1f} K·h outside {low:.1f} to {high:.1f} °C, up to "
+            f"{plan.excursion_K[z]:.1f} K from its usual temperature, for a building as the priors expect it. Leave "
+            f"the schedule where it gets below {low - 1:.0f} or above {high + 1:.0f} °C, and note when"
+        )
+    time_s, u = as_changes(plan)
+    names = plan.record.names.actuators
+    changes = table(time_s, plan.record.origin, **dict(zip(names, u, strict=True)))
+    with written(out) as aside:
+        changes.to_csv(aside)
+    for at, row in changes.iterrows():
+        cells = ", ".join(f"{name} {'own control' if np.isnan(u) else f'{100 * u:.0f} %'}" for name, u in row.items())
+        display.say(f"  {at}  {cells}")
+    display.say(f"Schedule: {out}")
+
+
+def _last_known(rows: Array) -> Array:
+    """The last known value of each row (Z, n), NaN where it has none."""
+    return np.array([row[np.isfinite(row)][-1] if np.isfinite(row).any() else np.nan for row in rows])
+
+
+def _start(record: Record, awake: tuple[int, int], start: str | None) -> tuple[float, tuple[int, int]]:
+    """The first awake hour of the first day, s since the record's new year, and the awake hours in its standard time.
+
+    Raises:
+        DataError: `start` is no date, or lies before the end of the record.
+    """
+    import pandas as pd
+
+    origin, end = record.origin, record.stamps()[-1]
+    summer = (end.utcoffset() - origin.utcoffset()).total_seconds() if origin.tzinfo else 0.0
+    hours = (max(0, awake[0] - round(summer / HOUR_S)), awake[1] - round(summer / HOUR_S))
+    if start is None:
+        now_s = float(record.time_s[-1])
+        return np.ceil((now_s - hours[0] * HOUR_S) / DAY_S) * DAY_S + hours[0] * HOUR_S, hours
+    try:
+        day = pd.Timestamp(start)
+        dated = not pd.isna(day)
+    except ValueError:
+        dated = False
+    if not dated:
+        raise DataError(f"--start {start}: no date; write for example 2025-01-31")
+    at = (day.normalize().tz_localize(None) - origin.tz_localize(None)).total_seconds() + HOUR_S * hours[0]
+    if at < record.time_s[-1]:
+        raise DataError(f"--start {start}: lies before the end of the data, {end}; name a later day")
+    return float(at), hours
+
+
+def show_measurements(measured: Measurements, console: Console) -> None:
+    """Print period, step, signals, flags, assumptions and what is missing."""
+    understood, say = measured.understood, console.print
+    files = ", ".join(understood.files[:_MOST_FILES])
+    if len(understood.files) > _MOST_FILES:
+        files += f" and {len(understood.files) - _MOST_FILES} more"
+    say(f"{files}: {understood.rows} rows, every {_time(understood.rows_every_s)}", soft_wrap=True)
+    say(
+        f"{understood.begins} to {understood.ends} ({understood.days:.1f} days, {understood.zone or 'no time zone'}); "
+        f"step {_time(understood.step_s)}, {measured.record.n_steps} steps",
+        soft_wrap=True,
+    )
+    table = Table(title="Signals", title_justify="left")
+    for heading in ("signal", "column", "every", "known", "longest gap", "least", "median", "most", ""):
+        table.add_column(heading, justify="left" if heading in ("signal", "column", "") else "right")
+    for signal in understood.signals:
+        table.add_row(*_cells(signal))
+    say(table)
+    show_doubts(understood, console)
+    told = {"doubtful": understood.beside, "assumed": understood.assumed, "missing": understood.missing}
+    for what, texts in told.items():
+        for text in texts:
+            say(f"  {what}: {text}", soft_wrap=True)
+
+
+def show_doubts(understood: Understood, console: Console) -> None:
+    """Print which readings count as not measured, and what is doubtful of a signal."""
+    for signal in understood.signals:
+        for flag in signal.flags:
+            console.print(
+                f"  flagged in {signal.key}: {flag.count} by rule '{flag.rule}', first {flag.first}", soft_wrap=True
+            )
+        if signal.doubt:
+            console.print(f"  doubtful: {signal.key}: {signal.doubt}", soft_wrap=True)
+
+
+def show_remarks(measured: Measurements, console: Console) -> list[str]:
+    """Print what the record says against itself (`measurements.checks`); returns it for a file."""
+    from thermoforce_mpc.measurements.checks import remarks
+
+    found = [remark.in_words() for remark in remarks(measured.record, measured.layout)]
+    for text in found:
+        console.print(f"  doubtful: {text}", soft_wrap=True)
+    return found
+
+
+def show_findings(measured: Measurements, display: RunDisplay, doubts: Sequence[str] = ()) -> dict[str, Any]:
+    """Print what a linear model of the data tells about the effect of acting; returns it for a file, and a headline.
+
+    `doubts`: what was said to be doubtful in them.
+    """
+    from thermoforce_mpc.identification.probing.operation import findings, telling_part
+
+    try:
+        served = measured.served()
+        record, note = telling_part(served.record, served.layout)
+    except DataError as error:
+        display.say(f"Effect of acting: cannot be told: {error}")
+        return {"headline": "the effect of acting cannot be told", "refused": str(error)}
+    display.say("Effect of acting, found by a linear model:")
+    if note:
+        display.say(f"  {note}")
+    found = findings(record, served.layout)
+    for finding in found:
+        display.say(f"  {finding.actuator}: {finding.words}")
+        for advice in finding.advice:
+            display.say(f"    advice: {advice}")
+    if doubts and any(finding.competent for finding in found):
+        display.say("  first mend what is doubtful above: the model takes the record as it is")
+    if not all(finding.competent for finding in found):
+        display.say("  `tf-mpc data probe-plan` writes a probing by hand that would tell")
+    headline = "; ".join(f"{f.actuator} {f.words if f.competent else 'cannot be told'}" for f in found)
+    return {"headline": headline, "part": note, "found": [asdict(finding) for finding in found]}
+
+
+def _cells(signal: SignalSummary) -> tuple[str, ...]:
+    numbers = tuple(f"{value:.4g}" for value in (signal.least, signal.median, signal.most))
+    gap = f"{signal.longest_gap_h:.3g} h" if signal.longest_gap_h else "none"
+    name = signal.key.removeprefix("zones.").removeprefix("actuators.").removeprefix("machines.")
+    every = _time(signal.usual_s)
+    return (name, signal.source, every, f"{100 * signal.measured:.1f} %", gap, *numbers, signal.unit)
+
+
+def _time(seconds: float) -> str:
+    if not seconds > 0:
+        return "?"
+    return f"{seconds:.4g} s" if seconds < 60 else f"{seconds / 60:.4g} min"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.cli.options import FiniteRange, base_options, probed_option, scenario_from, window_options
+from thermoforce_mpc.cli.options import PATH, FiniteRange, base_options, probed_option, scenario_from, window_options
 from thermoforce_mpc.errors import ArtifactError, DataError
 
 if TYPE_CHECKING:
@@ -34,11 +34,11 @@ _OF_PLANTS = (
 @probed_option
 @click.option("--controller", metavar="NAME", help="Probe at the levels that this controller uses.")
 @click.option("--data", "files", multiple=True, metavar="FILE", help="Measurements instead of probing; repeatable.")
-@click.option("--map", "map_file", type=click.Path(path_type=Path), help="Map of the measurements (YAML).")
+@click.option("--map", "map_file", type=PATH, help="Map of the measurements (YAML).")
 @click.option("--data-days", type=FiniteRange(1.0, 120.0), help="Days of longer measurements used.  [default: 28]")
-@click.option("--out", type=click.Path(path_type=Path), default=Path("model"), show_default=True, help="Model folder.")
+@click.option("--out", type=PATH, default=Path("model"), show_default=True, help="Model folder.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing model.")
-def command(**options: Any) -> None:
+def identify(**options: Any) -> None:
     """Identify a thermal model, print it and save it as a model folder.
 
     A building that can be run is probed for a few days. The probing signal is designed for identifiability and keeps
@@ -92,7 +92,6 @@ def command(**options: Any) -> None:
 
 
 def _from_measurements(options: dict[str, Any]) -> None:
-    """Identify from the files of --data by --map."""
     files, map_file = options["files"], options["map_file"]
     if not files or map_file is None:
         raise click.UsageError("--data and --map belong together (see `tf-mpc data map FILE`)")

@@ -9,9 +9,9 @@ import click
 import numpy as np
 import pandas as pd
 
+from thermoforce_mpc.cli.building.courses import on_clock, write_picture, write_table
 from thermoforce_mpc.cli.building.identify import NOT_COMPETENT
-from thermoforce_mpc.cli.building.output import on_clock, write_picture, write_table
-from thermoforce_mpc.cli.options import FiniteRange, out_option, plot_option
+from thermoforce_mpc.cli.options import FiniteRange, map_option, model_option, out_option, plot_option
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Plan
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError
@@ -27,16 +27,16 @@ _LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 28.0
 
 
 @click.command()
-@click.option("--model", required=True, type=click.Path(path_type=Path), help="Model folder of `tf-mpc identify`.")
+@model_option
 @click.option("--data", "files", required=True, multiple=True, metavar="FILE", help="Recent measurements; repeatable.")
-@click.option("--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements.")
+@map_option
 @click.option("--forecast", required=True, metavar="FILE", help="Weather, prices and bounds from their end on.")
 @click.option("--step", default="60min", show_default=True, help="Step of the plan.")
 @click.option("--hours", type=FiniteRange(_LEAST_H, 96.0), help="Length.  [default: the forecast's, up to 48]")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any option of the controller.")
 @out_option("the plan")
 @plot_option(of="the plan")
-def command(
+def plan(
     model: Path,
     files: tuple[str, ...],
     map_file: Path,
@@ -118,7 +118,6 @@ def plan_table(plan: Plan, ahead: Boundary) -> pd.DataFrame:
 
 
 def _show(plan: Plan, table: pd.DataFrame, display: RunDisplay) -> None:
-    """Print times and levels; with several zones without their bands and bounds, which the file has."""
     names, one_zone = plan.names, len(plan.names.zones) == 1
     title = "Levels to set (of a machine that is on or off: share of the step), and what they lead to by its end"
     zones = [f"{zone}, °C{' (80 % band)' if one_zone else ''}" for zone in names.zones]

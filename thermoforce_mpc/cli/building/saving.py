@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from thermoforce_mpc.cli.building.data_shown import show_doubts
-from thermoforce_mpc.cli.building.output import finish_axes, write_json_file, write_picture
-from thermoforce_mpc.cli.options import FiniteRange, plot_option
+from thermoforce_mpc.cli.building.courses import finish_axes, write_json_file, write_picture
+from thermoforce_mpc.cli.building.data import show_doubts
+from thermoforce_mpc.cli.options import FiniteRange, measured_options, plot_option
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.data.dataframes import seconds_at
 from thermoforce_mpc.errors import DataError
@@ -24,15 +24,14 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.option("--data", "files", required=True, multiple=True, metavar="FILE", help="Measurements; repeatable.")
-@click.option("--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements.")
+@measured_options
 @click.option("--changed", required=True, metavar="TIME", help="When the operation changed, such as '2026-02-01'.")
 @click.option("--from", "first", metavar="TIME", help="Leave out what was recorded before.")
 @click.option("--until", "last", metavar="TIME", help="Leave out what was recorded later.")
 @click.option("--interval", type=FiniteRange(0.5, 0.999), default=0.95, show_default=True, help="Its level.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the result as JSON.")
 @plot_option()
-def command(
+def saving(
     files: tuple[str, ...],
     map_file: Path,
     changed: str,
@@ -63,7 +62,7 @@ def command(
         stamps = record.stamps()
         raise DataError(f"--changed {changed} is not inside the measurements ({stamps[begin]} to {stamps[end]})")
     saving = verified_saving(record.slice(begin, split), record.slice(split, end), level=interval)
-    console = Console(highlight=False, markup=False)
+    console = Console(highlight=False, markup=False, soft_wrap=True)
     _show(saving, record, console)
     show_doubts(measured.understood, console)
     if out is not None:
@@ -79,9 +78,7 @@ def _index(record: Record, text: str, option: str) -> int:
 
 
 def _show(saving: Saving, record: Record, console: Console) -> None:
-    def say(line: str) -> None:
-        console.print(line, soft_wrap=True)
-
+    say = console.print
     say(saving.in_words())
     say(
         f"  {saving.before.n} days before and {saving.after.n} after; baseline {saving.baseline_kWh:.0f} kWh, measured "
@@ -98,7 +95,6 @@ def _show(saving: Saving, record: Record, console: Console) -> None:
 
 
 def _drawn(saving: Saving, origin: pd.Timestamp) -> Figure:
-    """A picture: measured energy of each day, and what the old operation uses by the fit."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 4.0), layout="constrained")

@@ -1,11 +1,14 @@
-"""`tf-mpc doctor`: is everything there that a run needs?"""
+"""`tf-mpc doctor` and `weather`: is everything there that a run needs, and a weather file to fetch."""
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import asdict
 from pathlib import Path
 
 import click
+
+from thermoforce_mpc.cli.options import PATH
 
 _MARKS = {"ok": "ok      ", "warning": "WARNING ", "failed": "FAILED  ", "skipped": "skipped "}
 
@@ -15,10 +18,10 @@ _MARKS = {"ok": "ok      ", "warning": "WARNING ", "failed": "FAILED  ", "skippe
 @click.option(
     "--testcase", metavar="NAME", default="bestest_hydronic_heat_pump", show_default=True, help="Its test case."
 )
-@click.option("--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Folder of runs.")
+@click.option("--out", type=PATH, default=Path("runs"), show_default=True, help="Folder of runs.")
 @click.option("--only", metavar="A,B", help="These checks alone.")
-@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the findings to this JSON file.")
-def command(url: str | None, testcase: str, out: Path, only: str | None, json_file: Path | None) -> None:
+@click.option("--json", "json_file", type=PATH, help="Write the findings to this JSON file.")
+def doctor(url: str | None, testcase: str, out: Path, only: str | None, json_file: Path | None) -> None:
     """Check what a run needs, by using it, and say what to do where something is wrong.
 
     Packages, the embedded plant, each solver on a small problem, the forecaster, a service (--url), the clock, and the
@@ -39,16 +42,39 @@ def command(url: str | None, testcase: str, out: Path, only: str | None, json_fi
     names = [name.strip() for name in (only or "").split(",") if name.strip()]
     for finding in examine(testcase=testcase, url=url, folder=out, only=names):
         findings.append(finding)
-        console.print(f"{_MARKS[finding.state]}{finding.name}: {finding.told} ({finding.seconds:.1f} s)", markup=False)
+        console.print(f"{_MARKS[finding.state]}{finding.name}: {finding.told} ({finding.seconds:.1f} s)")
         if finding.todo and finding.state != "ok":
-            console.print(f"          → {finding.todo}", markup=False)
+            console.print(f"          → {finding.todo}")
     if json_file:
-        write_json(
-            json_file,
-            {"environment": environment(), "findings": [asdict(finding) for finding in findings]},
-            follow=True,
-        )
+        content = {"environment": environment(), "findings": [asdict(finding) for finding in findings]}
+        write_json(json_file, content, follow=True)
     failed = sum(finding.state == "failed" for finding in findings)
     console.print(f"{failed} failed" if failed else "Nothing failed.")
     if failed:
         raise SystemExit(1)
+
+
+@click.group()
+def weather() -> None:
+    """Weather files for the emulator. Without a file it uses a synthetic year that represents no real place."""
+
+
+@weather.command("fetch")
+@click.option("--out", type=PATH, help="Folder for the file.  [default: the user's cache folder]")
+@click.option("--url", metavar="URL", help="URL of another copy of the file, such as a mirror.")
+def fetch_command(out: Path | None, url: str | None) -> None:
+    """Download BOPTEST's Brussels weather year (IWEC, by ASHRAE: for your own use) and print its path.
+
+    The file is downloaded once, its values are checked against a pinned fingerprint, and it is cached; later calls
+    need no network.
+
+    \b
+    Example:
+      tf-mpc run --testcase bestest_hydronic_heat_pump --weather "$(tf-mpc weather fetch)"
+    """
+    from thermoforce_mpc.boundary.weather.fetch import URL, fetch_brussels
+    from thermoforce_mpc.data.cache_folder import cache_folder
+
+    path = fetch_brussels(out or cache_folder(), url or URL)
+    click.echo(str(path))
+    click.echo(f"Use it with --weather {shlex.quote(str(path))}", err=True)

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from thermoforce_mpc.cli.options import FiniteRange
+from thermoforce_mpc.cli.options import PATH, FiniteRange
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.simulation.folder.run_folder import write_json
@@ -38,14 +38,14 @@ _RUNGS = {
 
 
 @click.command()
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=PATH)
 @click.option(
     "--at", metavar="TIME", help="'16 06:30' (day from 0), '01-17 06:30' or '1405800s'.  [default: last step]"
 )
 @click.option("--controller", metavar="NAME", help="Which of the run.  [default: the scenario's own]")
 @click.option("--hours", type=FiniteRange(0.1), default=12.0, show_default=True, help="Hours of the plan to show.")
-@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write all of it to this JSON file.")
-def command(run: Path, at: str | None, controller: str | None, hours: float, json_file: Path | None) -> None:
+@click.option("--json", "json_file", type=PATH, help="Write all of it to this JSON file.")
+def explain(run: Path, at: str | None, controller: str | None, hours: float, json_file: Path | None) -> None:
     """Tell what the run in folder RUN decided at an instant, and why: readings, forecast, plan, what bound, what acted.
 
     Beside the plan stand its alternatives: what the same model predicts for the same hours had everything been off, at
@@ -63,24 +63,23 @@ def command(run: Path, at: str | None, controller: str | None, hours: float, jso
     decision = decision_at(run, at, controller)
     console = Console(highlight=False, markup=False, soft_wrap=True)
     for line in _lines(decision):
-        console.print(line, markup=False)
+        console.print(line)
     if decision.plan:
         print_whole(_table(decision, hours), console)
     alternatives = alternatives_of(run, decision)
     if isinstance(alternatives, str):
-        console.print(f"alternatives: none are known, {alternatives}", markup=False)
+        console.print(f"alternatives: none are known, {alternatives}")
     else:
         print_whole(_alternatives(decision, alternatives), console)
-        console.print(f"action: {_reason(decision, alternatives)}", markup=False)
+        console.print(f"action: {_reason(decision, alternatives)}")
         for note in alternatives.notes:
-            console.print(f"alternatives: {note}", markup=False)
+            console.print(f"alternatives: {note}")
     if json_file:
         write_json(json_file, _json(decision) | {"alternatives": alternatives_json(alternatives)}, follow=True)
-        console.print(f"JSON: {json_file}", markup=False)
+        console.print(f"JSON: {json_file}")
 
 
 def _alternatives(decision: Decision, alternatives: Alternatives) -> Table:
-    """The plan and other courses: the parts of what is minimised and their sum, levels, and where they end."""
     names, step_s = decision.step.names, decision.boundary.step_s
     first = max(1, round(HOUR_S / step_s))
     hours = alternatives.courses[0].u.shape[1] * step_s / HOUR_S
@@ -100,7 +99,6 @@ def _alternatives(decision: Decision, alternatives: Alternatives) -> Table:
 
 
 def _reason(decision: Decision, alternatives: Alternatives) -> str:
-    """Why the action was taken, in one sentence."""
     status = decision.step.told["status"]
     if status not in _AS_PLANNED or not alternatives.reason:
         return f"not that of a plan: {_RUNGS.get(status, status)}"
@@ -110,7 +108,6 @@ def _reason(decision: Decision, alternatives: Alternatives) -> str:
 
 
 def _lines(decision: Decision) -> list[str]:
-    """The decision in words."""
     step = decision.step
     record, names = step.told, step.names
     lines = [f"{decision.controller}, step {record['index']}: {words_of(step.time_s)} ({step.time_s:.0f} s)"]
@@ -143,7 +140,6 @@ def _lines(decision: Decision) -> list[str]:
 
 
 def _block(block: dict[str, Any], actuators: tuple[str, ...]) -> str:
-    """Levels of a block, by name where there are several actuators."""
     levels = ["own control" if u is None else f"{u:.2f}" for u in block["u"]]
     if len(levels) > 1:
         levels = [f"{name} {level}" for name, level in zip(actuators, levels, strict=True)]
@@ -151,7 +147,6 @@ def _block(block: dict[str, Any], actuators: tuple[str, ...]) -> str:
 
 
 def _table(decision: Decision, hours: float) -> Table:
-    """The planned course, hour by hour, with the forecast it was made on."""
     boundary, names, plan = decision.boundary, decision.step.names, decision.plan
     n = plan["u"].shape[-1]
     ends = hour_ends(n, boundary.step_s, hours)
@@ -184,7 +179,6 @@ def _table(decision: Decision, hours: float) -> Table:
 
 
 def _json(decision: Decision) -> dict[str, Any]:
-    """Everything, for programs."""
     content = {key: value for key, value in decision.step.told.items() if key not in ("plan", "forecast", "asked")}
     content |= {"controller": decision.controller, "bounds": decision.bounds(), "notes": list(decision.step.notes)}
     content["plan"] = {name: values.tolist() for name, values in decision.plan.items()}

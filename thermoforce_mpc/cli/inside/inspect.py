@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 from rich.table import Table
 
+from thermoforce_mpc.cli.options import PATH
 from thermoforce_mpc.simulation.views.whole_tables import plain_table
 
 if TYPE_CHECKING:
@@ -34,8 +35,8 @@ _UNITS = {"T_zone_C": "zone, °C", "T_out_C": "outdoors, °C", "solar_W_m2": "su
 
 
 @click.command()
-@click.argument("model", type=click.Path(path_type=Path))
-def command(model: Path) -> None:
+@click.argument("model", type=PATH)
+def inspect(model: Path) -> None:
     """Show the saved MODEL (a folder): operator parameters, certificate, power model, scores and data ranges.
 
     The certificate is recomputed from the weights; a model that fails it is refused with exit code 2.
@@ -69,7 +70,6 @@ def show_model(name: str, thermal: ThermalModel, console: Console) -> None:
 
 
 def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
-    """Print what a model of several zones or actuators covers, and the effect of every actuator on every zone."""
     operator = thermal.operator
     Z, A, _ = operator.shape
     pairs = list(operator.each())
@@ -106,7 +106,6 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
 
 
 def _show_operator(name: str, operator: OperatorParameters, card: ModelCard, console: Console) -> None:
-    """Print an actuator's operator on its home zone, its step response, certificate and heat."""
     from thermoforce_mpc.model.operator.certificate import certificate
 
     proof = certificate(operator, n_steps=round(_CERTIFIED_H * 3600 / operator.step_s))
@@ -166,7 +165,6 @@ def _show_power(what: str, power: PowerModel | None, console: Console) -> None:
 
 
 def _show_card(card: ModelCard, console: Console, notes_shown: Set[str]) -> None:
-    """Print scores, data ranges, notes that are not in `notes_shown`, and the verdict of an actuator's model."""
     say = console.print
     if card.scores:
         say("Scores:")
@@ -211,7 +209,6 @@ def _titled(title: str, table: Table, console: Console) -> None:
 
 
 def _show_competence(card: ModelCard, console: Console) -> None:
-    """Print the verdict: held-out errors by lead time, the effect's certainty, what is missed, and what to do."""
     verdict = card.competence
     if verdict is None:
         console.print("Competence: not judged" + (f". {card.unfit}" if card.unfit else ""), soft_wrap=True)
@@ -236,7 +233,6 @@ def _show_competence(card: ModelCard, console: Console) -> None:
 
 
 def _show_step_response(uncertainty: Mapping[str, float], sign: int, console: Console) -> None:
-    """Print the step response of the linear fit with its 90 % band, where the card has its standard deviations."""
     lags_h = [h for h in _LAGS_H if f"step_response_{h}h_sd_K" in uncertainty]
     if not lags_h:
         return

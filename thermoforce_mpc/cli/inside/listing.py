@@ -1,11 +1,11 @@
-"""`tf-mpc controllers`, `plants`, `connections`, `free-responses`: what is registered by name, its origin and options.
+"""What is there by name: test cases and files, controllers, plants, connections and free responses with their options.
 
 A command imports its registry when it is called: some load much.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -13,15 +13,15 @@ import click
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
+from thermoforce_mpc.plants.testcases import MADE_TESTCASES, load_testcase
 from thermoforce_mpc.registry import OWN, Registry
-from thermoforce_mpc.scenario.signatures import first_line, options_model
+from thermoforce_mpc.scenario.own_code import first_line, options_model
+from thermoforce_mpc.scenario.settings import named_configs, read_yaml
 
 if TYPE_CHECKING:
     from thermoforce_mpc.model.free_response.backbones.known import Known
 
 T = TypeVar("T")
-
-
 _NAME = click.argument("name", required=False)
 
 
@@ -92,17 +92,19 @@ def free_responses(name: str | None) -> None:
     Those of other distributions stand with their origin (docs/how-to/plugins.md).
     """
     from thermoforce_mpc.model.free_response.backbones.known import KNOWN
+    from thermoforce_mpc.model.free_response.backbones.loading import REGISTRY as BACKBONES
     from thermoforce_mpc.model.free_response.registry import REGISTRY, options_of
 
     if name is None:
         click.echo("Free responses:")
         _show_names(REGISTRY, first_line)
         click.echo("\nForecasters of residual and chronos (--forecaster NAME, a directory, or owner/model on the hub):")
-        _show_forecasters()
+        _show_table(KNOWN)
+        _show_names(BACKBONES, first_line, without={model.name for model in KNOWN})
         return
     for model in KNOWN:
         if model.name == name:
-            _show_table([_forecaster(model)])
+            _show_table([model])
             click.echo(model.missing() or "it can be used here")
             return
     build = REGISTRY.find(name)
@@ -111,22 +113,11 @@ def free_responses(name: str | None) -> None:
         click.echo(f"  controller.options.free_response.options.{key}  (default {default!r})")
 
 
-def _show_forecasters() -> None:
-    from thermoforce_mpc.model.free_response.backbones import known, loading
-
-    _show_table([_forecaster(model) for model in known.KNOWN])
-    _show_names(loading.REGISTRY, first_line, without={model.name for model in known.KNOWN})
-
-
-def _forecaster(model: Known) -> tuple[str, ...]:
-    """A row of the table of forecasters."""
-    here = model.missing().partition(": ")[0] or "yes"
-    return model.name, model.parameters, model.licence, model.covariates, model.extra or "–", model.weights, here
-
-
-def _show_table(rows: list[tuple[str, ...]]) -> None:
-    """Print rows under the heads of the table of forecasters."""
-    rows = [("name", "parameters", "licence", "weather read", "extra", "weights", "usable here"), *rows]
+def _show_table(forecasters: Sequence[Known]) -> None:
+    rows = [("name", "parameters", "licence", "weather read", "extra", "weights", "usable here")]
+    for one in forecasters:
+        here = one.missing().partition(": ")[0] or "yes"
+        rows.append((one.name, one.parameters, one.licence, one.covariates, one.extra or "–", one.weights, here))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         click.echo("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
@@ -145,17 +136,41 @@ def _show_names(registry: Registry[T], summary: Callable[[T], str], without: Col
 
 
 def _show_options(model: type[BaseModel], defaults: Mapping[str, Any], prefix: str) -> None:
-    """Print every option with its default and meaning, those of nested models by their full name."""
     for key, field in model.model_fields.items():
         default = field.get_default(call_default_factory=True)
         if isinstance(default, BaseModel):
             _show_options(type(default), defaults.get(key, {}), f"{prefix}{key}.")
             continue
         value = defaults.get(key, default)
-        shown = "required" if value is PydanticUndefined else f"default {_as_written(value)!r}"
+        value = str(value) if isinstance(value, Path) else value
+        shown = "required" if value is PydanticUndefined else f"default {value!r}"
         click.echo(f"  {prefix}{key}  ({shown})" + (f"\n      {field.description}" if field.description else ""))
 
 
-def _as_written(value: Any) -> Any:
-    """A default as it is set: of a path its text."""
-    return str(value) if isinstance(value, Path) else value
+@click.command()
+def testcases() -> None:
+    """List the shipped test cases, scenarios, comparisons and fleets, with their files."""
+    click.echo("Test cases (--testcase NAME):")
+    for name, path in named_configs("testcases").items():
+        testcase = load_testcase(name)
+        on_engine = testcase.energyplus is not None or testcase.plant == "small_office"
+        ships = "EnergyPlus (extra [energyplus])" if on_engine else ""
+        plants = ships or f"{'embedded emulator, ' if testcase.embedded else ''}BOPTEST service (--url), FMU (--fmu)"
+        click.echo(f"  {name}\n      {testcase.description}\n      plant: {plants}; {path}")
+    click.echo("  house:Nrooms, house:Nrooms:SEED\n      drawn house of N rooms (1 to 30), a valve each, one heat pump")
+    click.echo("  office:Nrooms, office:Nrooms:SEED\n      drawn office likewise, light and set back at night")
+    click.echo("      plant: its own, nothing to install (docs/how-it-works/random-buildings.md)")
+    click.echo("  generated:SEED:INDEX\n      house number INDEX of a population, one zone, any emitter and machine")
+    click.echo("      plant: its own, nothing to install (docs/how-it-works/random-buildings.md)")
+    for entry in MADE_TESTCASES.listing():
+        if entry.origin != OWN:
+            click.echo(f"  {entry.name}\n      {entry.problem or 'made by a plugin'}\n      from {entry.origin}")
+    click.echo("\nScenarios (--config FILE):")
+    for name, path in named_configs("scenarios").items():
+        click.echo(f"  {name}: {read_yaml(path).get('testcase')}; {path}")
+    click.echo("\nComparisons (tf-mpc compare --variants NAME):")
+    for name, path in named_configs("comparisons").items():
+        click.echo(f"  {name}: {', '.join(read_yaml(path)['variants'])}; {path}")
+    click.echo("\nFleets (tf-mpc fleet NAME):")
+    for name, path in named_configs("fleets").items():
+        click.echo(f"  {name}: {', '.join(map(str, read_yaml(path)['windows']))}; {path}")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.cli.options import FiniteRange
+from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option, model_option
 from thermoforce_mpc.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -23,8 +23,8 @@ _LOG = logging.getLogger(__name__)
 
 
 @click.command()
-@click.option("--model", required=True, type=click.Path(path_type=Path), help="Model folder of `tf-mpc identify`.")
-@click.option("--map", "map_file", required=True, type=click.Path(path_type=Path), help="Map of the measurements.")
+@model_option
+@map_option
 @click.option("--connection", default="files", show_default=True, metavar="NAME", help="See `tf-mpc connections`.")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="connection.KEY or controller.KEY.")
 @click.option("--dry-run", is_flag=True, help="Decide once, set nothing.")
@@ -33,10 +33,8 @@ _LOG = logging.getLogger(__name__)
     "--delay", "delay_s", type=FiniteRange(0.0, 300.0), default=30.0, show_default=True,
     help="Seconds after the beginning of a step at which its last reading is there.",
 )  # fmt: skip
-@click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("control"), show_default=True, help="Folder of the log."
-)
-def command(
+@click.option("--out", type=PATH, default=Path("control"), show_default=True, help="Folder of the log.")
+def control(
     model: Path,
     map_file: Path,
     connection: str,

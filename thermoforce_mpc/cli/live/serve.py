@@ -7,63 +7,42 @@ from typing import Any
 
 import click
 
-from thermoforce_mpc.cli.options import FiniteRange
+from thermoforce_mpc.cli.options import PATH, FiniteRange
 from thermoforce_mpc.errors import ConfigError
 
+_TESTS, _ONE_OR_MORE = click.IntRange(1, 100), FiniteRange(1.0)
 
-@click.command()
-@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
-@click.option(
-    "--port", type=click.IntRange(0, 65535), default=8000, show_default=True, help="Port; 0 picks a free one."
-)
+
+@click.command(context_settings={"show_default": True})
+@click.option("--host", default="127.0.0.1", help="Address to listen on.")
+@click.option("--port", type=click.IntRange(0, 65535), default=8000, help="Port; 0 picks a free one.")
 @click.option(
     "--name", "names", multiple=True, help="Name by which clients ask, besides its address and localhost; repeatable."
 )
-@click.option("--weather", default="synthetic", show_default=True, help="'synthetic', or a .mos or .epw file.")
-@click.option("--prices", type=click.Path(path_type=Path), help="CSV (time s, price per kWh): highly dynamic tariff.")
-@click.option(
-    "--tests",
-    "most_tests",
-    type=click.IntRange(1, 100),
-    default=8,
-    show_default=True,
-    help="Largest number of tests at a time.",
-)
+@click.option("--weather", default="synthetic", help="'synthetic', or a .mos or .epw file.")
+@click.option("--prices", type=PATH, help="CSV (time s, price per kWh): highly dynamic tariff.")
+@click.option("--tests", "most_tests", type=_TESTS, default=8, help="Largest number of tests at a time.")
 @click.option(
     "--tests-each",
-    type=click.IntRange(1, 100),
+    type=_TESTS,
     help="Largest number of tests that one address started.  [default: all; half where other machines can ask]",
 )
+@click.option("--idle", "idle_s", type=_ONE_OR_MORE, default=900.0, help="Seconds after which an idle test is dropped.")
 @click.option(
-    "--idle",
-    "idle_s",
-    type=FiniteRange(1.0),
-    default=900.0,
-    show_default=True,
-    help="Seconds after which an idle test is dropped.",
-)
-@click.option(
-    "--lifetime",
-    "lifetime_s",
-    type=FiniteRange(1.0),
-    default=7 * 86400.0,
-    show_default=True,
-    help="Seconds after which any test is dropped.",
+    "--lifetime", "lifetime_s", type=_ONE_OR_MORE, default=7 * 86400.0, help="Seconds after which any test is dropped."
 )
 @click.option(
     "--request-bytes",
     "most_bytes",
     type=click.IntRange(1000, 100_000_000),
     default=1_000_000,
-    show_default=True,
     help="Longest request body, bytes; longer ones get status 413.",
 )
 @click.option(
     "--rate",
     "per_second",
-    type=FiniteRange(1.0),
+    type=_ONE_OR_MORE,
     default=500.0,
-    show_default=True,
     help="Requests a second from one address; more get status 429.",
 )
 @click.option(
@@ -72,7 +51,7 @@ from thermoforce_mpc.errors import ConfigError
     show_envvar=True,
     help="Every request must send it as 'Authorization: Bearer TOKEN'. As an option it shows in the process list.",
 )
-def command(host: str, weather: str, prices: Path | None, token: str | None, **options: Any) -> None:
+def serve(host: str, weather: str, prices: Path | None, token: str | None, **options: Any) -> None:
     """Serve the embedded plant over BOPTEST's REST protocol, as test case bestest_hydronic_heat_pump.
 
     A test takes up to about 150 MB of memory for a simulated year. An address that other machines can reach needs a

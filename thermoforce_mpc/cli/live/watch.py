@@ -14,7 +14,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from thermoforce_mpc.cli.options import FiniteRange
+from thermoforce_mpc.cli.options import PATH, FiniteRange
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.simulation.views.explaining import hour_ends, words_of
 from thermoforce_mpc.simulation.views.live_view import LiveRun, Point, View
@@ -27,7 +27,7 @@ _COLOURS = {"solved": "green", "rule": "green", "bridged": "yellow", "acceptable
 
 
 @click.command()
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=PATH)
 @click.option(
     "--controller", metavar="NAME", help="Which of the run.  [default: the latest; of a finished run the first]"
 )
@@ -38,7 +38,7 @@ _COLOURS = {"solved": "green", "rule": "green", "bridged": "yellow", "acceptable
 @click.option(
     "--port", type=click.IntRange(0, 65535), default=8010, show_default=True, help="Port of --web; 0 picks a free one."
 )
-def command(run: Path, controller: str | None, hours: float, every: float, once: bool, web: bool, port: int) -> None:
+def watch(run: Path, controller: str | None, hours: float, every: float, once: bool, web: bool, port: int) -> None:
     """Watch the run in folder RUN: temperatures and bounds, the plan's next hours, levels, what acts and why, cost and
     discomfort so far.
 
@@ -115,7 +115,6 @@ def _figure(value: float, digits: str, unit: str = "") -> str:
 
 
 def _zones(view: View, bars: int) -> Table:
-    """What is now, and the past in `bars` bars at most."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
     for column in ("", "now", "bounds", f"last {_hours(view.past):g} h"):
         table.add_column(column, justify="right" if column in ("now", "bounds") else "left", no_wrap=True)
@@ -153,7 +152,6 @@ def _plan(view: View, hours: float, console: Console) -> list[Table]:
 
 
 def _plan_table(view: View, hours: float, parts: list[list[str]], which: range) -> Table:
-    """The columns `which` of the plan by hour."""
     step_s = view.plan[1].time_s - view.plan[0].time_s if len(view.plan) > 1 else HOUR_S
     ends = hour_ends(len(view.plan), step_s, hours)
     every = ends.step

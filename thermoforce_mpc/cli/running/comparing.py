@@ -1,4 +1,4 @@
-"""Options, progress display and execution shared by `tf-mpc compare` and `tf-mpc sweep`."""
+"""`tf-mpc compare` and `tf-mpc sweep`: controllers on the same windows and tariffs."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ import click
 from rich.console import Console
 
 from thermoforce_mpc.cli.options import (
+    PATH,
     added,
     base_options,
     equal_comfort_option,
     execution_options,
     learned_options,
+    scenario_from,
 )
 from thermoforce_mpc.cli.running.executing import FAILED, note_other_code, run_cells, sayer
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.scenario.comfort import window_name
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
-from thermoforce_mpc.scenario.schedule.dates import window_name
 from thermoforce_mpc.scenario.testcase import PRICES
 from thermoforce_mpc.simulation.comparison.cells import Inputs, expand
 from thermoforce_mpc.simulation.comparison.equal_comfort import searches_equal_comfort
@@ -40,11 +42,22 @@ from thermoforce_mpc.simulation.comparison.outcome import group_title, grouped, 
 from thermoforce_mpc.simulation.comparison.searching import EqualComfort
 from thermoforce_mpc.simulation.comparison.store import DONE, Store
 from thermoforce_mpc.simulation.comparison.tasks import tasks_of
-from thermoforce_mpc.simulation.comparison.variants import ComparisonFile, Variant, comma_list, known_names
+from thermoforce_mpc.simulation.comparison.variants import (
+    ComparisonFile,
+    Variant,
+    comma_list,
+    known_names,
+    load_comparison,
+    numeric_option,
+    swept_variants,
+    variants_by_name,
+)
 from thermoforce_mpc.simulation.composition import check_window
 from thermoforce_mpc.simulation.views.display import zone_table
 from thermoforce_mpc.simulation.views.whole_tables import plain_table, print_whole
 
+_CONTESTANTS = "thermoforce_mpc,thermostat,native"
+_VALUES = "0.0026,0.005,0.01,0.026,0.05,0.1"
 UNCERTAINTIES = tuple(PlantSpec.model_fields["forecast_uncertainty"].annotation.__args__)  # type: ignore[union-attr]
 # KPIs that fit 80 columns; the files have all.
 _ON_CONSOLE = ("cost_tot", "tdis_tot", "saving", "ener_tot", "plan_ms", "fallbacks")
@@ -64,18 +77,12 @@ _axes_options = added(
         help="constant, dynamic, highly_dynamic.  [default: the scenario's, else constant]",
     ),
     click.option(
-        "--forecast-uncertainty",
-        metavar="A,B",
-        help="none, low, medium, high.  [default: the scenario's, else none]",
+        "--forecast-uncertainty", metavar="A,B", help="none, low, medium, high.  [default: the scenario's, else none]"
     ),
     click.option("--tariff-file", "prices", metavar="FILE", help="CSV (time s, price per kWh): highly dynamic tariff."),
 )
 _result_options = added(
-    click.option(
-        "--out",
-        type=click.Path(path_type=Path),
-        help="Result folder; finished cells in it are reused.  [default: runs/...]",
-    ),
+    click.option("--out", type=PATH, help="Result folder; finished cells in it are reused.  [default: runs/...]"),
     click.option(
         "--format",
         "form",
@@ -87,7 +94,95 @@ _result_options = added(
 comparison_options = added(
     base_options, _axes_options, learned_options, _result_options, equal_comfort_option, execution_options()
 )
-"""Options that select cells, plant and parallel execution."""
+
+
+@click.command()
+@comparison_options
+@click.option("--controllers", metavar="A,B", help=f"Names (see `tf-mpc controllers`).  [default: {_CONTESTANTS}]")
+@click.option("--variants", metavar="FILE", help="Controllers with options: YAML file or shipped name.")
+def compare(**options: Any) -> None:
+    """Run every controller on every window under every tariff, in parallel processes.
+
+    A cell is one controller on one window under one tariff. Each finished cell is stored in the folder under a hash
+    of all its inputs; repeating the command runs only missing and failed cells. Cells with the same identification
+    settings share one model per window. Writes a table as Markdown and CSV, JSON, and an HTML page with cost against
+    discomfort, and reports where a baseline is cheaper or more comfortable than a model-based controller.
+
+    \b
+    Examples:
+      tf-mpc compare --testcase bestest_hydronic_heat_pump --controllers thermoforce_mpc,rc_mpc,thermostat,native
+      tf-mpc compare --testcase bestest_hydronic_heat_pump --windows 44,58 --prices constant,dynamic
+      tf-mpc compare --testcase bestest_hydronic_heat_pump --variants ablation --weather Brussels.mos
+
+    \b
+    Exit codes: 0 all cells have a result, 2 bad input, 3 a cell failed (the others are stored), 7 the cluster is gone,
+    130 interrupted.
+    """
+    file = load_comparison(options["variants"]) if options["variants"] else None
+    names: tuple[str, ...] = ()
+    if options["controllers"] is not None:
+        names = comma_list(options["controllers"], "--controllers")
+    elif file is None:
+        names = comma_list(_CONTESTANTS, "--controllers")
+    variants = variants_by_name(names, file)
+    base = scenario_from(options, file.scenario if file else None)
+    axes = axes_from(options, base, file)
+    _run_comparison(base, variants, axes, options, name="compare", title=f"Controllers compared on {base.testcase}")
+
+
+@click.command()
+@comparison_options
+@click.option(
+    "--controller", "varied", default="thermoforce_mpc", show_default=True, metavar="NAME", help="Controller to vary."
+)
+@click.option(
+    "--over",
+    default="comfort_weight_per_m2",
+    show_default=True,
+    metavar="KEY",
+    help="Numeric option (dotted name, or its last part if unique).",
+)
+@click.option("--values", default=_VALUES, show_default=True, metavar="X,Y", help="Values of the option.")
+@click.option(
+    "--beside",
+    default="thermostat,native",
+    show_default=True,
+    metavar="A,B",
+    help="Controllers run for comparison; '' for none.",
+)
+def sweep(**options: Any) -> None:
+    """Run one controller for several values of one option and plot cost against discomfort.
+
+    As `tf-mpc compare`: parallel processes, resumable, one identification per window.
+
+    \b
+    Examples:
+      tf-mpc sweep --testcase bestest_hydronic_heat_pump
+      tf-mpc sweep --testcase bestest_hydronic_heat_pump --controller pi --over kp --values 0.2,0.5,1,2
+      tf-mpc sweep --testcase bestest_hydronic_heat_pump --over horizon_h --values 12,24,48 --windows 44
+
+    \b
+    Exit codes: 0 all cells have a result, 2 bad input, 3 a cell failed (the others are stored), 7 the cluster is gone,
+    130 interrupted.
+    """
+    base = scenario_from(options)
+    testcase = load_testcase(base.testcase)
+    controller = options["varied"]
+    key = numeric_option(controller, options["over"])
+    values = [_number(word) for word in comma_list(options["values"], "--values")]
+    swept = swept_variants(controller, key, values, testcase)
+    labels = {name: f"{value:g}" for name, value in zip(swept, values, strict=True)}
+    beside = variants_by_name(comma_list(options["beside"], "--beside"), None) if options["beside"].strip() else {}
+    title = f"{controller} over {key} on {base.testcase}"
+    variants = {**swept, **beside}
+    _run_comparison(base, variants, axes_from(options, base), options, name="sweep", title=title, swept=labels)
+
+
+def _number(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        raise ConfigError(f"--values: '{word}' is not a number") from None
 
 
 @dataclass(frozen=True)
@@ -102,14 +197,15 @@ class Axes:
 def axes_from(options: Mapping[str, Any], base: Scenario, file: ComparisonFile | None = None) -> Axes:
     """The axes from a command's options, else from its file of variants, else from the scenario.
 
-    A scenario without a period gives the peak and the typical day of the building's season.
-
     Raises:
         ConfigError: an unknown window, tariff or error level, one given twice, or one of the scenario that the file
             would replace.
     """
     if options["windows"] is not None:
-        windows = _windows_from(options["windows"])
+        try:
+            windows = tuple(map(window_name, comma_list(options["windows"], "--windows")))
+        except ValueError as error:
+            raise ConfigError(f"--windows: {error}") from error
     else:
         windows = _of_file(base, "period", "windows", file.windows if file else ()) or _windows_of(base)
     for window in windows:
@@ -123,13 +219,6 @@ def axes_from(options: Mapping[str, Any], base: Scenario, file: ComparisonFile |
     if text is not None:
         levels = known_names(text, "--forecast-uncertainty", UNCERTAINTIES)
     return Axes(windows, prices, levels)
-
-
-def _windows_from(text: str) -> tuple[str, ...]:
-    try:
-        return tuple(map(window_name, comma_list(text, "--windows")))
-    except ValueError as error:
-        raise ConfigError(f"--windows: {error}") from error
 
 
 def _of_file(base: Scenario, key: str, axis: str, values: tuple[str, ...]) -> tuple[str, ...]:
@@ -149,7 +238,7 @@ def _windows_of(base: Scenario) -> tuple[str, ...]:
     return f"peak_{season}_day", f"typical_{season}_day"
 
 
-def run_comparison(
+def _run_comparison(
     base: Scenario,
     variants: Mapping[str, Variant],
     axes: Axes,
@@ -159,12 +248,7 @@ def run_comparison(
     title: str,
     swept: Mapping[str, str] | None = None,
 ) -> None:
-    """Run the cells that have no stored result, then write and print the outcome; exits with 3 where a cell has none.
-
-    Raises:
-        ConfigError: an option is wrong; no cell has been run.
-        KeyboardInterrupt: interrupted; finished cells are stored.
-    """
+    """Run the cells without a stored result, then write and print the outcome; exits with 3 where a cell has none."""
     inputs = Inputs()
     cells = expand(base, variants, axes.windows, axes.prices, axes.uncertainties, inputs)
     testcase = load_testcase(base.testcase)
@@ -186,15 +270,14 @@ def run_comparison(
     if options["form"] is not None:
         click.echo(formatted(result["rows"], options["form"], title, testcase.currency), nl=False)
     else:
-        show_outcome(console, result["rows"], testcase.currency)
+        _show(console, result["rows"], testcase.currency)
         page = shlex.quote(str(store.folder / "comparison.html"))
-        console.print(f"Table, CSV, JSON and page: {page}", soft_wrap=True, markup=False)
+        console.print(f"Table, CSV, JSON and page: {page}", soft_wrap=True)
     if any(record["status"] != DONE for record in records):
         sys.exit(FAILED)
 
 
-def show_outcome(console: Console, rows: Sequence[dict[str, Any]], currency: str) -> None:
-    """Print the tables, the findings and the failed cells."""
+def _show(console: Console, rows: Sequence[dict[str, Any]], currency: str) -> None:
     for group, members in grouped(rows).items():
         own = own_columns(members)
         of_key = dict(zip((*HEADINGS, *own), headings(currency, members), strict=True))
@@ -211,8 +294,8 @@ def show_outcome(console: Console, rows: Sequence[dict[str, Any]], currency: str
         if any(zones.values()):
             print_whole(zone_table(zones), console)
     for text in verdicts(rows):
-        console.print(text, soft_wrap=True, markup=False)
+        console.print(text, soft_wrap=True)
     for row in rows:
         if row["status"] != DONE:
             where = f"{row['controller']}, {row['window']}, {row['price']}"
-            console.print(f"FAILED {where}: {row['reason']}", soft_wrap=True, markup=False)
+            console.print(f"FAILED {where}: {row['reason']}", soft_wrap=True)

@@ -22,7 +22,7 @@ FAILED = 3
 
 def sayer(console: Console, quiet: bool) -> Callable[[str], None]:
     """Prints a line unless `quiet`."""
-    return lambda text: None if quiet else console.print(text, soft_wrap=True, markup=False)
+    return lambda text: None if quiet else console.print(text, soft_wrap=True)
 
 
 def outcomes_of(

@@ -13,7 +13,7 @@ import click
 import pandas as pd
 from rich.console import Console
 
-from thermoforce_mpc.cli.options import Opening, execution_options
+from thermoforce_mpc.cli.options import PATH, Opening, execution_options
 from thermoforce_mpc.cli.running.executing import FAILED, note_other_code, outcomes_of, run_cells, sayer
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.execution import Task
@@ -44,19 +44,19 @@ _SHOWN_FAILURES = 10
 @click.option("--count", is_flag=True, help="Say what would be run, and run nothing.")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Folder of the dataset; finished runs in it are reused.  [default: runs/fleet-NAME]",
 )
 @click.option(
     "--reuse",
-    type=click.Path(path_type=Path),
+    type=PATH,
     multiple=True,
     help="Folder or runs.parquet of another fleet: its finished runs, where they have the same inputs, count as done. "
     "Repeatable.",
 )
 @execution_options()
 @click.option("--quiet", is_flag=True, help="Print only the summary.")
-def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], engine: Opening, quiet: bool) -> None:
+def fleet(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], engine: Opening, quiet: bool) -> None:
     """Run every building of a fleet in every window under every tariff with every controller and seed.
 
     FLEET.yaml names the buildings (generated houses, houses of rooms, test cases, or a table of your own) and the axes;
@@ -129,7 +129,6 @@ def command(fleet: str, count: bool, out: Path | None, reuse: tuple[Path, ...], 
 
 
 def _row(run: Run, records: Mapping[str, Mapping[str, Any]], others: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """The row of a run: from its record, from another dataset, or that it could not be run."""
     if run.refused:
         return row_of(run, failure(run.cell, run.refused))
     if run.cell.key in others:
@@ -155,7 +154,6 @@ def _counts_in_words(runs: list[Run]) -> str:
 def _identify(
     measured: Mapping[str, Task], store: Store, console: Console, engine: Opening, quiet: bool
 ) -> tuple[dict[str, Path], dict[str, str]]:
-    """Identify from measurements; by name where each building's model is, and the verdict on those that have none."""
     models, none = dict[str, Path](), dict[str, str]()
     for outcome in outcomes_of(measured.values(), store, console, engine, quiet):
         made_of = outcome.task.inputs
@@ -204,4 +202,4 @@ def _show(console: Console, rows: pd.DataFrame, reference: str) -> None:
             soft_wrap=True,
         )
     if len(failed) > _SHOWN_FAILURES:
-        console.print(f"and {len(failed) - _SHOWN_FAILURES} more failed, see the page")
+        console.print(f"and {len(failed) - _SHOWN_FAILURES} more failed, see the page", soft_wrap=True)

@@ -1,0 +1,183 @@
+"""`tf-mpc init`, `schema` and `validate`: YAML files to start from, their schemas, and whether they are valid."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from thermoforce_mpc.cli.options import PATH
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import storage_errors, write_whole
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from thermoforce_mpc.scenario.scenario import Scenario
+
+_SCHEMAS = "schema"
+# Widest comment of a scenario.
+_WIDTH = 110
+# A key that only files of this kind have; any other file is a scenario.
+_KIND_OF = {
+    "buildings": "fleet", "variants": "comparison", "outdoor": "map", "actuator": "testcase", "zones": "testcase",
+    "measurements": "testcase",
+}  # fmt: skip
+
+
+@click.command()
+@click.argument("folder", metavar="[DIR]", default=".", type=PATH)
+@click.option("--testcase", default="bestest_hydronic_heat_pump", show_default=True, help="Building of the scenario.")
+@click.option("--copy-testcase", is_flag=True, help="Copy that test case to testcase.yaml, to make it yours.")
+@click.option("--data", metavar="FILE", help="Write map.yaml too, guessed from this table of measurements.")
+def init(folder: Path, testcase: str, copy_testcase: bool, data: str | None) -> None:
+    """Write a commented scenario to DIR, with every key, its meaning and its default, ready to run.
+
+    Nothing is overwritten. The schemas of the files are written beside them, so that editors complete keys.
+
+    \b
+    Examples:
+      tf-mpc init my_study
+      tf-mpc init my_house --testcase bestest_hydronic --copy-testcase
+      tf-mpc init my_house --data house.csv
+    """
+    from thermoforce_mpc.measurements.map.starting_map import starting_map
+    from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
+    from thermoforce_mpc.scenario.settings import find_config, is_config
+    from thermoforce_mpc.simulation.schemas import schema_text
+
+    building = load_testcase(testcase)
+    implemented = building.embedded or building.energyplus or building.plant
+    reference = str(Path(testcase).absolute()) if Path(testcase).suffix in (".yaml", ".yml") else testcase
+    overrides = {"testcase": "testcase.yaml" if copy_testcase else reference}
+    scenario = load_scenario(
+        None, overrides | {"testcase": testcase, "plant": {"kind": "embedded" if implemented else "boptest"}}
+    )
+    texts = {"scenario": _headed("scenario", scenario_text(scenario.model_copy(update=overrides)))}
+    if copy_testcase:
+        if building.name == testcase and not is_config("testcases", testcase):
+            raise ConfigError(f"--copy-testcase: '{testcase}' is made, not read from a file; leave the option out")
+        path = find_config("testcases", testcase.replace("energyplus:", "energyplus_", 1))
+        texts["testcase"] = _headed("testcase", path.read_text(encoding="utf-8"))
+    if data is not None:
+        texts["map"] = _headed("map", starting_map(data))
+    files = {folder / f"{kind}.yaml": text for kind, text in texts.items()}
+    existing = [str(path) for path in files if path.exists()]
+    if existing:
+        raise ConfigError(f"{', '.join(existing)}: there already, and never overwritten; choose another folder")
+    files |= {folder / _SCHEMAS / f"{kind}.json": schema_text(kind) for kind in texts}
+    for path, text in files.items():
+        with storage_errors(path.parent):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, text)
+    for kind in texts:
+        click.echo(f"Wrote {folder / kind}.yaml")
+    enter = "" if folder == Path() else f"cd {shlex.quote(str(folder))} && "
+    what = " (the simulated test case, not your measurements)" if data is not None else ""
+    click.echo(f"Run it:   {enter}tf-mpc run --config scenario.yaml{what}")
+    if not implemented:
+        click.echo("The plant is a BOPTEST service: set plant.url, or plant.kind: fmu and plant.path.")
+    if data is not None:
+        table = shlex.quote(str(Path(data).absolute()))
+        click.echo(f"Check it: {enter}tf-mpc data check {table} --map map.yaml")
+
+
+def _headed(kind: str, text: str) -> str:
+    lines = [line for line in text.splitlines() if not re.match(r"#\s*yaml-language-server:", line)]
+    return "\n".join([f"# yaml-language-server: $schema={_SCHEMAS}/{kind}.json", *lines]) + "\n"
+
+
+@click.command()
+@click.argument("kind", metavar="scenario|testcase|comparison|fleet|map")
+@click.option("--out", type=PATH, help="File to write to.  [default: print it]")
+def schema(kind: str, out: Path | None) -> None:
+    """Write the JSON Schema of a kind of file: scenario, testcase, comparison, fleet, or map (of
+    measurements).
+
+    An editor with a YAML language server completes and checks a file whose first line names its schema:
+
+    \b
+      # yaml-language-server: $schema=scenario.json
+
+    `tf-mpc init` writes files that do. Options of controllers are in it; what several keys must fulfil together is
+    checked by `tf-mpc validate` alone.
+
+    \b
+    Example:
+      tf-mpc schema scenario --out scenario.json
+    """
+    from thermoforce_mpc.simulation.schemas import schema_text
+
+    text = schema_text(kind)
+    if out is None:
+        click.echo(text, nl=False)
+        return
+    write_whole(out, text)
+    click.echo(f"Schema: {out}")
+
+
+@click.command()
+@click.argument("file", type=PATH)
+def validate_file(file: Path) -> None:
+    """Check FILE, a scenario, test case, comparison, fleet or map; an error names file, key and allowed values.
+
+    A comparison has the key `variants`, a fleet `buildings`, a map `outdoor`, a test case `actuator`, `zones` or
+    `measurements`. Of a scenario, weather, prices, model and forecaster are loaded too. Whether a map fits a table
+    is said by `tf-mpc data check`. Exit code 2 when it is invalid.
+    """
+    from thermoforce_mpc.plants.registry import check_surroundings
+    from thermoforce_mpc.scenario.scenario import Scenario
+    from thermoforce_mpc.scenario.settings import read_yaml, validate
+    from thermoforce_mpc.simulation.checks import check_contestants, validate_scenario
+    from thermoforce_mpc.simulation.schemas import KINDS
+
+    data = read_yaml(file)
+    kind = next((kind for key, kind in _KIND_OF.items() if key in data), "scenario")
+    if kind != "scenario":
+        validate(KINDS[kind], data, str(file))
+        click.echo(f"{file}: valid {kind}")
+        return
+    scenario = validate(Scenario, data, str(file))
+    testcase = validate_scenario(scenario)
+    check_surroundings(scenario.plant)
+    check_contestants(scenario, testcase)
+    click.echo(f"{file}: valid scenario, {scenario.controller.name} on {scenario.testcase}, {scenario.period}")
+
+
+def scenario_text(scenario: Scenario) -> str:
+    """The scenario as YAML: keys without a value stand in comments, with an example of one."""
+    return "\n".join(_lines(scenario, "")) + "\n"
+
+
+def _lines(model: BaseModel, margin: str) -> Iterator[str]:
+    for key, field in type(model).model_fields.items():
+        value = getattr(model, key)
+        if not margin:
+            yield ""
+        if hasattr(type(value), "model_fields"):
+            yield from _comment((type(value).__doc__ or "").partition("\n")[0], margin)
+            yield f"{margin}{key}:"
+            yield from _lines(value, margin + "  ")
+            continue
+        yield from _comment(field.description or "", margin)
+        if value is None or value == {}:
+            yield f"{margin}# {key}: {_flow(field.examples[0] if field.examples else value)}"
+        else:
+            yield f"{margin}{key}: {_flow(list(value) if isinstance(value, tuple) else value)}"
+
+
+def _comment(words: str, margin: str) -> Iterator[str]:
+    start = f"{margin}# "
+    yield from textwrap.wrap(words, _WIDTH, initial_indent=start, subsequent_indent=start)
+
+
+def _flow(value: Any) -> str:
+    import yaml
+
+    text = yaml.safe_dump(value, default_flow_style=True, allow_unicode=True, width=1000)
+    return text.removesuffix("...\n").strip()
