@@ -28,55 +28,30 @@ if TYPE_CHECKING:
     from thermoforce_mpc.whatif.saving import verified_saving
 
 __all__ = [
-    "Boundary",
-    "IdentificationConfig",
-    "MPCConfig",
-    "Observation",
-    "Plan",
-    "Portfolio",
-    "Record",
-    "ThermalModel",
-    "ThermoForceError",
-    "ThermoForceMPC",
-    "__version__",
-    "counterfactual",
-    "identify",
-    "load_model",
-    "modulation_function",
-    "plan_many",
-    "read_forecast",
-    "read_measurements",
-    "rollout_function",
-    "run",
-    "step_function",
-    "verified_saving",
-]
+    "Boundary", "IdentificationConfig", "MPCConfig", "Observation", "Plan", "Portfolio", "Record", "ThermalModel",
+    "ThermoForceError", "ThermoForceMPC", "__version__", "counterfactual", "identify", "load_model",
+    "modulation_function", "plan_many", "read_forecast", "read_measurements", "rollout_function", "run",
+    "step_function", "verified_saving",
+]  # fmt: skip
 
-_HOME = {
-    "Boundary": "thermoforce_mpc.data",
-    "IdentificationConfig": "thermoforce_mpc.identification.config",
-    "MPCConfig": "controllers.mpc.config",
-    "Observation": "thermoforce_mpc.data",
-    "Plan": "thermoforce_mpc.data",
-    "Portfolio": "controllers.many.portfolio",
-    "Record": "thermoforce_mpc.data",
-    "ThermalModel": "thermoforce_mpc.model.thermal_model",
-    "ThermoForceError": "thermoforce_mpc.errors",
-    "ThermoForceMPC": "controllers.mpc.controller",
-    "counterfactual": "thermoforce_mpc.whatif.counterfactual",
-    "identify": "thermoforce_mpc.identification.pipeline",
-    "load_model": "thermoforce_mpc.model.thermal_model",
-    "modulation_function": "thermoforce_mpc.model.exported",
-    "plan_many": "controllers.many.portfolio",
-    "read_forecast": "thermoforce_mpc.measurements.forecast",
-    "read_measurements": "thermoforce_mpc.measurements.load",
-    "rollout_function": "thermoforce_mpc.model.exported",
-    "run": "thermoforce_mpc.simulation.run",
-    "step_function": "thermoforce_mpc.model.exported",
-    "verified_saving": "thermoforce_mpc.whatif.saving",
+_NAMES = {
+    "controllers.many.portfolio": ("Portfolio", "plan_many"),
+    "controllers.mpc.config": ("MPCConfig",),
+    "controllers.mpc.controller": ("ThermoForceMPC",),
+    "thermoforce_mpc.data": ("Boundary", "Observation", "Plan", "Record"),
+    "thermoforce_mpc.errors": ("ThermoForceError",),
+    "thermoforce_mpc.identification.config": ("IdentificationConfig",),
+    "thermoforce_mpc.identification.pipeline": ("identify",),
+    "thermoforce_mpc.measurements.forecast": ("read_forecast",),
+    "thermoforce_mpc.measurements.load": ("read_measurements",),
+    "thermoforce_mpc.model.exported": ("modulation_function", "rollout_function", "step_function"),
+    "thermoforce_mpc.model.thermal_model": ("ThermalModel", "load_model"),
+    "thermoforce_mpc.simulation.run": ("run",),
+    "thermoforce_mpc.whatif.counterfactual": ("counterfactual",),
+    "thermoforce_mpc.whatif.saving": ("verified_saving",),
 }
 
-__getattr__ = lazy_names(__name__, _HOME)
+__getattr__ = lazy_names(__name__, {name: home for home, names in _NAMES.items() for name in names})
 
 
 def __dir__() -> list[str]:

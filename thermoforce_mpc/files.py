@@ -1,7 +1,6 @@
 """Files within bounds: what is written is whole or absent, what is read ends in a named error.
 
-Writing is done aside and renamed; what cannot be written is a `StorageError` (exit code 6). What people give us may be
-a device, a pipe or a file of any size.
+What people give us may be a device, a pipe or a file of any size.
 """
 
 from __future__ import annotations
@@ -24,11 +23,7 @@ from thermoforce_mpc.errors import ArtifactError, InputError, StorageError
 
 
 def check_replaceable(folder: Path, mark: str, what: str, *, overwrite: bool) -> None:
-    """Check that `folder` may be written: it is not there, or `overwrite` and its file `mark` says it is a `what`.
-
-    Raises:
-        ArtifactError: it may not.
-    """
+    """Raise `ArtifactError` unless `folder` is not there, or `overwrite` and its file `mark` says it is a `what`."""
     if not folder.exists():
         return
     if not overwrite:
@@ -41,14 +36,8 @@ def check_replaceable(folder: Path, mark: str, what: str, *, overwrite: bool) ->
 def written(path: Path, *, follow: bool = True) -> Iterator[Path]:
     """A file beside `path`, of the same suffix, to write to; it takes the place of `path` when all went well.
 
-    Otherwise `path` is as before. A device or pipe, such as /dev/stdout, is written directly.
-
-    Args:
-        path: where to.
-        follow: write to what a link there leads to; else the file takes the place of the link, or of a pipe.
-
-    Raises:
-        StorageError: the disk is full, the folder is read-only or not there.
+    Otherwise `path` is as before. With `follow` a device or pipe, such as /dev/stdout, is written directly, and what a
+    link leads to is replaced; else the file takes its place. Raises `StorageError`.
     """
     with storage_errors(path):
         if follow and path.exists() and not path.is_file():
@@ -75,15 +64,9 @@ def write_whole(path: Path, content: str | bytes, *, follow: bool = True) -> Non
 
 
 def write_folder(folder: Path, files: Mapping[str, bytes], *, keep: bool = False) -> None:
-    """Write a folder with `files` by name; whole or absent.
+    """Write a folder with the content of `files` by name; whole or absent. Raises `StorageError`.
 
-    Args:
-        folder: where to.
-        files: content by name.
-        keep: leave a folder with files that is there, as where another process wrote it meanwhile; else it is replaced.
-
-    Raises:
-        StorageError: the disk is full, or nothing can be written there.
+    One with files that is there is replaced, or left with `keep`, as where another process wrote it meanwhile.
     """
     with storage_errors(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -163,8 +146,7 @@ def read_bounded(path: Path, most_bytes: int, error: type[InputError]) -> bytes:
 def read_pieces(file: IO[bytes] | io.BufferedIOBase, most_bytes: int) -> bytes:
     """Return what `file` holds, or a little more than `most_bytes` of it.
 
-    In pieces: one `read(n)` of a file takes n bytes of memory, and one of a packed member as much as it unpacks to,
-    whatever size it states.
+    In pieces: one `read(n)` takes n bytes of memory, and of a packed member as much as it unpacks to.
     """
     found = io.BytesIO()
     while found.tell() <= most_bytes and (piece := file.read(_PIECE)):

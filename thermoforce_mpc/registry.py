@@ -40,15 +40,9 @@ class Listed(Generic[T]):
 class Registry(Generic[T]):
     """Things of one kind by name.
 
-    A plugin that cannot be imported, is not what is expected or has a name of ours fails alone, when it is named.
-
-    Args:
-        kind: what is registered, in words, such as 'controller'.
-        group: the last part of the entry points' group, `thermoforce_mpc.<group>`.
-        own: those of this package.
-        error: raised by `find`.
-        wrong: says what is wrong with what a plugin gives, or nothing; see `builder`.
-        made: makes what is registered from what a plugin gives, from its name and the object; by default the object.
+    Those of this package are `own`; plugins announce theirs in `thermoforce_mpc.<group>`. One that cannot be imported,
+    is `wrong` (says why, or nothing) or has a name of ours fails alone, with `error`, when it is named; `made` makes
+    what is registered from its name and the object that it gives.
     """
 
     def __init__(
@@ -73,22 +67,17 @@ class Registry(Generic[T]):
         return name in self.own or name in self._announced
 
     def find(self, name: str) -> T:
-        """What `name` stands for.
-
-        Raises:
-            InputError: of the kind given: nobody has the name, two distributions have it, or the plugin cannot be used.
-        """
+        """What `name` stands for; raises `error` where nobody or two have the name, or the plugin cannot be used."""
         if name in self.own:
             return self.own[name]
-        if name in self._loaded:
-            return self._loaded[name]
         if name not in self._announced:
             raise self._error(_unknown(self.kind, name, self.names))
-        plugins = self._announced[name]
-        if len(plugins) > 1:
-            both = " and ".join(_told(plugin) for plugin in plugins)
-            raise self._error(f"{self.kind} '{name}' is announced by {both}: uninstall one of them")
-        self._loaded[name] = self._load(plugins[0])
+        if name not in self._loaded:
+            plugins = self._announced[name]
+            if len(plugins) > 1:
+                both = " and ".join(_told(plugin) for plugin in plugins)
+                raise self._error(f"{self.kind} '{name}' is announced by {both}: uninstall one of them")
+            self._loaded[name] = self._load(plugins[0])
         return self._loaded[name]
 
     def listing(self) -> tuple[Listed[T], ...]:
@@ -96,12 +85,9 @@ class Registry(Generic[T]):
         out = [Listed(name, OWN, found) for name, found in self.own.items()]
         for name, plugins in self._announced.items():
             origin = " and ".join(_told(plugin) for plugin in plugins)
-            if name in self.own:
-                out.append(
-                    Listed(name, origin, None, f"not used: '{name}' is a {self.kind} of {OWN}; rename the plugin's")
-                )
-                continue
             try:
+                if name in self.own:
+                    raise InputError(f"not used: '{name}' is a {self.kind} of {OWN}; rename the plugin's")
                 out.append(Listed(name, origin, self.find(name)))
             except InputError as problem:
                 out.append(Listed(name, origin, None, str(problem)))
@@ -151,12 +137,9 @@ def plugins() -> dict[str, str]:
 
 
 def plugin_sources() -> dict[str, str]:
-    """Version and content hash of what `plugins` lists; nothing is imported.
+    """Version and hash of what `plugins` lists; nothing is imported; raises `OSError` for a file that cannot be read.
 
-    The content is that of each announced module: its file, or all files of its top-level package.
-
-    Raises:
-        OSError: a file of a plugin cannot be read.
+    Hashed are the files of each announced module's top-level package.
     """
     return {
         name: f"{one.version} {_content(sorted({plugin.module.partition('.')[0] for plugin in _ours(one)}))}"
@@ -196,10 +179,7 @@ def _content(modules: Collection[str]) -> str:
 
 
 def known_name(kind: str, group: str, *own: str) -> Callable[[str], str]:
-    """The check that a name in a file is one of `own` or announced in `thermoforce_mpc.<group>`; nothing is imported.
-
-    Raises `ValueError` with all of them, as pydantic expects it.
-    """
+    """A check for pydantic that a name is one of `own` or announced in `thermoforce_mpc.<group>`; imports nothing."""
 
     def checked(name: str) -> str:
         if name not in own and name not in (others := announced(f"{PREFIX}.{group}")):

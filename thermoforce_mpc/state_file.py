@@ -32,12 +32,7 @@ class StateFormat:
         self._by_name = {of.__name__: of for of in classes}
 
     def write(self, path: Path, value: object) -> None:
-        """Write `value` to `path`, whole or not at all.
-
-        Raises:
-            TypeError: it holds what is neither plain nor of a class of the table.
-            StorageError: the file cannot be written.
-        """
+        """Write `value` to `path`; raises `StorageError`, and `TypeError` for what is of no class of the table."""
         arrays: dict[int, np.ndarray[Any, Any]] = {}
         text = json.dumps(self._plain(value, arrays), allow_nan=False)
         members: dict[str, Any] = {_TEXT: np.frombuffer(text.encode(), np.uint8)}
@@ -47,11 +42,7 @@ class StateFormat:
         write_whole(path, content.getvalue())
 
     def read(self, path: Path) -> Any:
-        """What `write` wrote to `path`.
-
-        Raises:
-            InputError: there is no such file, it is damaged, or of another version of this package.
-        """
+        """What `write` wrote to `path`; raises `InputError` for a file that is damaged or of another version."""
         content = read_bounded(path, _MOST_BYTES, InputError)
         try:
             with zipfile.ZipFile(BytesIO(content)) as archive:
@@ -82,10 +73,8 @@ class StateFormat:
             return {"array": id(value)}
         fields = _fields(value)
         if fields is not None:
-            return {
-                "is": self._name(value),
-                "of": {name: self._plain(getattr(value, name), arrays) for name in fields},
-            }
+            of = {name: self._plain(getattr(value, name), arrays) for name in fields}
+            return {"is": self._name(value), "of": of}
         if isinstance(value, list | tuple):
             return {type(value).__name__: [self._plain(item, arrays) for item in value]}
         if isinstance(value, dict):

@@ -138,9 +138,9 @@ def _until(record: Record, now_s: float) -> Record:
     def longer(values: Array) -> Array:
         return np.concatenate([values, np.full((*values.shape[:-1], missing), np.nan)], axis=-1)
 
-    time_s = np.append(record.time_s, record.time_s[-1] + step_s * np.arange(1, missing + 1))
     values: dict[str, Any] = {name: longer(getattr(record, name)) for name in (*SAMPLED, *ACTING)}
-    return replace(record, time_s=time_s, **values)
+    values["time_s"] = np.append(record.time_s, record.time_s[-1] + step_s * np.arange(1, missing + 1))
+    return replace(record, **values)
 
 
 def _with_applied(record: Record, applied: Sequence[Applied]) -> Array:

@@ -20,11 +20,19 @@ _NUMBER_OR_NULL: Schema = {"type": ["number", "null"]}
 _TEXT: Schema = {"type": "string"}
 
 
-def _object(properties: Mapping[str, Schema], required: tuple[str, ...] = (), *, closed: bool = False) -> Schema:
+def _object(properties: Mapping[str, Schema], *required: str, closed: bool = False) -> Schema:
     schema: Schema = {"type": "object", "properties": dict(properties)}
     if required:
         schema["required"] = list(required)
     return schema | ({"additionalProperties": False} if closed else {})
+
+
+def _reply(**properties: Schema) -> Schema:
+    return _object(properties, *properties, closed=True)
+
+
+def _each(value: Schema, **more: str) -> Schema:
+    return {"type": "object", "additionalProperties": value, **more}
 
 
 def _number(description: str, low: float | None = None, high: float | None = None) -> Schema:
@@ -47,34 +55,36 @@ def _nothing(description: str) -> Schema:
     return {"type": ["string", "null"], "enum": [None, "", "none", *LEVELS], "description": description}
 
 
+_LIMITS = {"Minimum": _NUMBER_OR_NULL, "Maximum": _NUMBER_OR_NULL}
 _POINT = _object(
-    {
-        "Description": _TEXT,
-        "Unit": {"type": ["string", "null"]},
-        "Minimum": _NUMBER_OR_NULL,
-        "Maximum": _NUMBER_OR_NULL,
-    },
-    ("Description", "Unit"),
-    closed=True,
+    {"Description": _TEXT, "Unit": {"type": ["string", "null"]}} | _LIMITS, "Description", "Unit", closed=True
 )
-_POINTS: Schema = {"type": "object", "additionalProperties": _POINT}
-_STATE: Schema = {
-    "type": "object",
-    "additionalProperties": _NUMBER_OR_NULL,
-    "description": "value of each measurement and input, and time, s; empty after the end of the scenario",
-}
-_SERIES: Schema = {"type": "object", "additionalProperties": {"type": "array", "items": _NUMBER_OR_NULL}}
-_STEP = _number("control step, s", LEAST_STEP_S, MOST_STEP_S)
-_PRICE: Schema = {"type": ["string", "null"], "enum": [None, "", "constant", "dynamic", "highly_dynamic"]}
-_PERIOD: Schema = {"type": ["string", "null"], "enum": [None, "", *PERIODS]}
-_SEED: Schema = {"type": ["number", "null"], "minimum": 0, "multipleOf": 1, "description": "null or 0: none"}
+_STATE = _each(
+    _NUMBER_OR_NULL,
+    description="value of each measurement and input, and time, s; empty after the end of the scenario",
+)
+_SERIES = _each({"type": "array", "items": _NUMBER_OR_NULL})
 _ERROR = f"forecast error; with one, a horizon of at most {MAX_HORIZON_H} h"
-_SCENARIO = {
-    "electricity_price": _PRICE,
-    "time_period": _PERIOD,
+_SCENARIO: dict[str, Schema] = {
+    "electricity_price": {"type": ["string", "null"], "enum": [None, "", "constant", "dynamic", "highly_dynamic"]},
+    "time_period": {"type": ["string", "null"], "enum": [None, "", *PERIODS]},
     "temperature_uncertainty": _nothing(f"of TDryBul: {_ERROR}"),
     "solar_uncertainty": _nothing(f"of HGloHor: {_ERROR}"),
-    "seed": _SEED,
+    "seed": {"type": ["number", "null"], "minimum": 0, "multipleOf": 1, "description": "null or 0: none"},
+}
+_SCENARIO_SET = _reply(**(_SCENARIO | {"time_period": {"anyOf": [_STATE, {"type": "null"}]}}))
+_STEP = {"step": _number("control step, s", LEAST_STEP_S, MOST_STEP_S)}
+_WARMUP = {"start_time": _number("s since 1 January", 0.0), "warmup_period": _number("s", 0.0)}
+_START = _WARMUP | {"final_time": {"type": ["number", "null"], "description": "end of the test, s since 1 January"}}
+_AHEAD = {
+    "point_names": _names(FORECAST_POINTS, "forecast points"),
+    "horizon": _number("s", 0.0),
+    "interval": _number("s", 1.0),
+}
+_PAST = {
+    "point_names": _names({**MEASUREMENT_POINTS, **INPUTS}, "measurements and inputs"),
+    "start_time": _number("s since 1 January"),
+    "final_time": _number("s since 1 January"),
 }
 _SWITCH: Schema = {"enum": [0, 1, True, False, "0", "1", "true", "false", None]}
 
@@ -101,46 +111,32 @@ class Endpoint:
 def _listing(verb: str, points: Mapping[str, PointInfo], *, limits: bool = True) -> Endpoint:
     what = verb.replace("_", " ")
     reply = Reply(f"The {what}.", {name: info.as_json(limits=limits) for name, info in points.items()})
-    return Endpoint("GET", verb, lambda *_: reply, what.capitalize(), _POINTS)
+    return Endpoint("GET", verb, lambda *_: reply, what.capitalize(), _each(_POINT))
 
 
+def _name(session: Session, body: Mapping[str, Any]) -> Reply:
+    return Reply("The name of the test case.", {"name": TESTCASE})
+
+
+_NAMED = _reply(name={"const": TESTCASE})
+_SUMMARY = "Key performance indicators since the end of the warm-up"
+_INPUTS = _object({name: _input(name) for name in INPUTS}, closed=True)
 ENDPOINTS: tuple[Endpoint, ...] = (
-    Endpoint(
-        "GET",
-        "name",
-        lambda s, _: Reply("The name of the test case.", {"name": TESTCASE}),
-        "Name of the test case",
-        _object({"name": {"const": TESTCASE}}, ("name",), closed=True),
-    ),
+    Endpoint("GET", "name", _name, "Name of the test case", _NAMED),
     _listing("inputs", INPUTS),
     _listing("measurements", MEASUREMENT_POINTS),
     _listing("forecast_points", FORECAST_POINTS, limits=False),
     Endpoint("GET", "step", lambda s, _: s.step(), "Control step, s", {"type": "number"}),
     Endpoint(
-        "PUT",
-        "step",
-        Session.set_step,
-        "Set the control step",
-        _object({"step": {"type": "number"}}, ("step",), closed=True),
-        _object({"step": _STEP}, ("step",)),
+        "PUT", "step", Session.set_step, "Set the control step", _reply(step={"type": "number"}), _object(_STEP, "step")
     ),
-    Endpoint(
-        "GET",
-        "scenario",
-        lambda s, _: s.scenario(),
-        "Scenario in force",
-        _object(_SCENARIO, tuple(_SCENARIO), closed=True),
-    ),
+    Endpoint("GET", "scenario", lambda s, _: s.scenario(), "Scenario in force", _reply(**_SCENARIO)),
     Endpoint(
         "PUT",
         "scenario",
         Session.set_scenario,
         "Change the scenario; a time period initialises the test",
-        _object(
-            _SCENARIO | {"time_period": {"anyOf": [_STATE, {"type": "null"}]}},
-            tuple(_SCENARIO),
-            closed=True,
-        ),
+        _SCENARIO_SET,
         _object(_SCENARIO),
     ),
     Endpoint(
@@ -149,14 +145,7 @@ ENDPOINTS: tuple[Endpoint, ...] = (
         Session.initialize,
         "Start at a time of the year after a warm-up under native control",
         _STATE,
-        _object(
-            {
-                "start_time": _number("s since 1 January", 0.0),
-                "warmup_period": _number("s", 0.0),
-                "final_time": {"type": ["number", "null"], "description": "end of the test, s since 1 January"},
-            },
-            ("start_time", "warmup_period"),
-        ),
+        _object(_START, *_WARMUP),
     ),
     Endpoint(
         "POST",
@@ -164,45 +153,11 @@ ENDPOINTS: tuple[Endpoint, ...] = (
         Session.advance,
         "Simulate one step with the given inputs; others keep their values",
         _STATE,
-        _object({name: _input(name) for name in INPUTS}, closed=True),
+        _INPUTS,
     ),
-    Endpoint(
-        "PUT",
-        "forecast",
-        Session.forecast,
-        "Forecast from now on",
-        _SERIES,
-        _object(
-            {
-                "point_names": _names(FORECAST_POINTS, "forecast points"),
-                "horizon": _number("s", 0.0),
-                "interval": _number("s", 1.0),
-            },
-            ("point_names", "horizon", "interval"),
-        ),
-    ),
-    Endpoint(
-        "PUT",
-        "results",
-        Session.results,
-        "Recorded values between two times",
-        _SERIES,
-        _object(
-            {
-                "point_names": _names({**MEASUREMENT_POINTS, **INPUTS}, "measurements and inputs"),
-                "start_time": _number("s since 1 January"),
-                "final_time": _number("s since 1 January"),
-            },
-            ("point_names", "start_time", "final_time"),
-        ),
-    ),
-    Endpoint(
-        "GET",
-        "kpi",
-        lambda s, _: s.kpi(),
-        "Key performance indicators since the end of the warm-up",
-        {"type": "object", "additionalProperties": _NUMBER_OR_NULL},
-    ),
+    Endpoint("PUT", "forecast", Session.forecast, "Forecast from now on", _SERIES, _object(_AHEAD, *_AHEAD)),
+    Endpoint("PUT", "results", Session.results, "Recorded values between two times", _SERIES, _object(_PAST, *_PAST)),
+    Endpoint("GET", "kpi", lambda s, _: s.kpi(), _SUMMARY, _each(_NUMBER_OR_NULL)),
 )
 
 
@@ -229,7 +184,7 @@ def document(*, token: bool) -> dict[str, Any]:
         names = re.findall(r"{(\w+)}", path)
         paths.setdefault(path, {})[method] = _operation(summary, answer, token, names, body, kind)
 
-    add("get", "/version", "Version of the service", _envelope(_object({"version": _TEXT}, ("version",))))
+    add("get", "/version", "Version of the service", _envelope(_object({"version": _TEXT}, "version")))
     add("get", "/openapi.json", "This document", {"type": "object"})
     add("get", "/status/{testid}", "Status of a test", {"const": "Running"})
     add("put", "/stop/{testid}", "End a test", {"const": "OK"}, kind="text/plain")
@@ -237,7 +192,7 @@ def document(*, token: bool) -> dict[str, Any]:
         listed: Schema = {"type": "array", "items": {"type": "object", "required": ["testcaseid"]}}
         add("get", prefix, "Test cases offered", listed)
         for end in ("", "{how}"):
-            chosen = _object({"testid": _TEXT}, ("testid",))
+            chosen = _object({"testid": _TEXT}, "testid")
             add("post", f"{prefix}/{{name}}/select{end}", "Start a test", chosen, {"type": "object"})
     for endpoint in ENDPOINTS:
         for path in (f"/{endpoint.verb}/{{testid}}", f"/{endpoint.verb}"):
@@ -286,9 +241,7 @@ def _response(description: str, schema: Schema, kind: str = "application/json") 
 
 
 def _envelope(payload: Schema) -> Schema:
-    parts: dict[str, Schema] = {"status": {"type": "integer"}, "message": _TEXT, "payload": payload}
-    return _object(parts, tuple(parts), closed=True)
+    return _reply(status={"type": "integer"}, message=_TEXT, payload=payload)
 
 
-_ERRORS: Schema = {"type": "array", "items": {"type": "object", "required": ["value", "msg"]}}
-_UNKNOWN = _object({"errors": _ERRORS}, ("errors",), closed=True)
+_UNKNOWN = _reply(errors={"type": "array", "items": {"type": "object", "required": ["value", "msg"]}})

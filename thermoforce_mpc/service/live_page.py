@@ -26,11 +26,10 @@ _HEADERS = {
 
 
 def live_app(view: Callable[[], Mapping[str, Any]]) -> Flask:
-    """The application: the page at `/`, and what `view` tells at `/view.json`."""
+    """The application: the page at `/`, and what `view`, called by one thread at a time, tells at `/view.json`."""
     app = Flask(__name__, static_folder=None)
     page = files("thermoforce_mpc.service").joinpath("live_page.html").read_text(encoding="utf-8")
-
-    own = Names()
+    own, lock = Names(), threading.Lock()
 
     @app.before_request
     def only_here() -> None:
@@ -52,7 +51,9 @@ def live_app(view: Callable[[], Mapping[str, Any]]) -> Flask:
     @app.get("/view.json")
     def now() -> Response:
         try:
-            return Response(json.dumps(view(), allow_nan=False), mimetype="application/json")
+            with lock:
+                told = view()
+            return Response(json.dumps(told, allow_nan=False), mimetype="application/json")
         except ThermoForceError as error:
             return Response(json.dumps({"error": str(error)}), 500, mimetype="application/json")
 
@@ -60,26 +61,11 @@ def live_app(view: Callable[[], Mapping[str, Any]]) -> Flask:
 
 
 def page_server(view: Callable[[], Mapping[str, Any]], port: int) -> Server:
-    """Bind the page; `run()` of the returned server serves until `close()`.
-
-    Raises:
-        PlantError: the port cannot be bound.
-    """
+    """Bind the page; `run()` of the server serves until `close()`. Raises `PlantError` where the port is taken."""
     listening = bound(HOST, port, "another --port")
-    return serve_on(listening, live_app(_one_by_one(view)), threads=_THREADS, most_bytes=_MOST_BYTES)
+    return serve_on(listening, live_app(view), threads=_THREADS, most_bytes=_MOST_BYTES)
 
 
 def serve_page(view: Callable[[], Mapping[str, Any]], port: int, on_ready: Callable[[str], None]) -> None:
     """Serve until interrupted; `on_ready` is called with the address. Errors as for `page_server`."""
     run_to_its_end(page_server(view, port), lambda at: on_ready(f"http://{HOST}:{at}/"))
-
-
-def _one_by_one(view: Callable[[], Mapping[str, Any]]) -> Callable[[], Mapping[str, Any]]:
-    """`view`, called by one thread at a time."""
-    lock = threading.Lock()
-
-    def locked_view() -> Mapping[str, Any]:
-        with lock:
-            return view()
-
-    return locked_view
