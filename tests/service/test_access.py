@@ -19,8 +19,7 @@ from thermoforce_mpc.cli.live.serve import serve as command
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.service.access import Rate, Refusal, is_loopback
-from thermoforce_mpc.service.connections import serve_on
-from thermoforce_mpc.service.server import build_server
+from thermoforce_mpc.service.server import build_server, serve_on
 from thermoforce_mpc.service.sessions import Sessions, UnknownTestid
 
 NAME = "bestest_hydronic_heat_pump"

@@ -119,8 +119,11 @@ class CommandGroups(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """The command that was called; an unknown one is refused with the one that may have been meant."""
-        if args and not args[0].startswith("-") and args[0] not in self.list_commands(ctx):
-            raise click.UsageError(f"No such command '{args[0]:.80}'{_meant(args[0], self.list_commands(ctx))}", ctx)
+        known = self.list_commands(ctx)
+        if args and not args[0].startswith("-") and args[0] not in known:
+            synonym = SYNONYMS.get(args[0].lower())
+            meant = f", did you mean '{synonym}'?" if synonym else suggestion(args[0].lower(), known)
+            raise click.UsageError(f"No such command '{args[0]:.80}'{meant}", ctx)
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -129,11 +132,6 @@ class CommandGroups(click.Group):
         for title, group in GROUPS.items():
             with formatter.section(title):
                 formatter.write_dl([(name.ljust(width), summary) for name, (_, summary) in group.items()])
-
-
-def _meant(word: str, known: list[str]) -> str:
-    synonym = SYNONYMS.get(word.lower())
-    return f", did you mean '{synonym}'?" if synonym else suggestion(word.lower(), known)
 
 
 @click.command(name="help", context_settings={"help_option_names": ["-h", "--help"]})

@@ -154,18 +154,14 @@ class _Loop:
                 index += 1
                 # Steps that passed while this one was planned, or while the machine slept, are left out.
                 now = self._building.instant(self._clock.now() - self._delay)
-                if now < instant:
-                    self._begin_anew(instant, now)
+                if now < instant:  # what is known is of times that are to come again
+                    _LOG.warning("the clock was set back, from the step of %s to that of %s: begun anew", instant, now)
+                    self._state, self._applied, self._forecasts = None, [], self._new_forecasts()
                     instant = now
                 else:
                     instant = max(instant + self._step, now)
         finally:
             self._release()
-
-    def _begin_anew(self, before: pd.Timestamp, now: pd.Timestamp) -> None:
-        _LOG.warning("the clock was set back, from the step of %s to that of %s: begun anew", before, now)
-        self._state, self._applied = None, []
-        self._forecasts = self._new_forecasts()
 
     def _decision(self, instant: pd.Timestamp) -> Decision:
         building, controller = self._building, self._controller

@@ -114,15 +114,12 @@ def _listing(verb: str, points: Mapping[str, PointInfo], *, limits: bool = True)
     return Endpoint("GET", verb, lambda *_: reply, what.capitalize(), _each(_POINT))
 
 
-def _name(session: Session, body: Mapping[str, Any]) -> Reply:
-    return Reply("The name of the test case.", {"name": TESTCASE})
-
-
 _NAMED = _reply(name={"const": TESTCASE})
+_NAME = Reply("The name of the test case.", {"name": TESTCASE})
 _SUMMARY = "Key performance indicators since the end of the warm-up"
 _INPUTS = _object({name: _input(name) for name in INPUTS}, closed=True)
 ENDPOINTS: tuple[Endpoint, ...] = (
-    Endpoint("GET", "name", _name, "Name of the test case", _NAMED),
+    Endpoint("GET", "name", lambda *_: _NAME, "Name of the test case", _NAMED),
     _listing("inputs", INPUTS),
     _listing("measurements", MEASUREMENT_POINTS),
     _listing("forecast_points", FORECAST_POINTS, limits=False),

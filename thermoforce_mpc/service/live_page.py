@@ -12,7 +12,7 @@ from flask import Flask, Response, request
 
 from thermoforce_mpc.errors import ThermoForceError
 from thermoforce_mpc.service.access import Names, Refusal
-from thermoforce_mpc.service.connections import Server, bound, run_to_its_end, serve_on
+from thermoforce_mpc.service.server import Server, bound, run_to_its_end, serve_on
 
 HOST = "127.0.0.1"
 _MOST_BYTES, _THREADS = 10_000, 4

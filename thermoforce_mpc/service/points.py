@@ -130,10 +130,6 @@ def _sun(weather: Weather, time_s: Array) -> Sun:
     return sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
 
 
-def _solar_time(weather: Weather, time_s: Array) -> Array:
-    return np.asarray((_sun(weather, time_s).hour_angle * 24.0 / (2 * np.pi) + 12.0) * HOUR_S)
-
-
 def _wet_bulb_K(weather: Weather, time_s: Array) -> Array:
     """Wet bulb temperature, K, from dry bulb, relative humidity and pressure (ASHRAE Fundamentals 2017, ch. 1)."""
     dry_C, humidity = weather.at("T_dry_C", time_s), weather.at("relative_humidity", time_s)
@@ -162,7 +158,7 @@ WEATHER_SIGNALS: dict[str, WeatherSignal] = {
     "solDec": WeatherSignal("rad", lambda w, t: _sun(w, t).declination),
     # Not wrapped to ±π: like solar time, it increases from day to day.
     "solHouAng": WeatherSignal("rad", lambda w, t: _sun(w, t).hour_angle),
-    "solTim": WeatherSignal("s", _solar_time),
+    "solTim": WeatherSignal("s", lambda w, t: np.asarray((_sun(w, t).hour_angle * 24.0 / (2 * np.pi) + 12.0) * HOUR_S)),
     "solZen": WeatherSignal("rad", lambda w, t: _sun(w, t).zenith),
     "winDir": WeatherSignal("rad", _column("wind_from_rad")),
     "winSpe": WeatherSignal("m/s", _column("wind_m_s")),

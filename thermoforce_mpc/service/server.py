@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import logging
+import os
+import socket
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -11,19 +13,92 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from waitress.adjustments import Adjustments  # type: ignore[import-untyped]
+from waitress.server import TcpWSGIServer  # type: ignore[import-untyped]
 
 from thermoforce_mpc.boundary.tariffs import Tariff
 from thermoforce_mpc.boundary.weather.year import Weather
-from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.service.access import check_token, is_loopback
 from thermoforce_mpc.service.app import Limits, create_app
-from thermoforce_mpc.service.connections import Server, bound, run_to_its_end, serve_on
 from thermoforce_mpc.service.points import WEATHER_SIGNALS
 from thermoforce_mpc.service.sessions import MOST_ASKING
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8000
 _FREE_THREADS = 4
+# Largest number of open connections. A client reuses one connection and reconnects when it was closed.
+MOST_CONNECTIONS = 200
+# Idle time after which a connection is closed, s.
+_SILENT_S = 60
+_MOST_HEADER = 65_536
+_MOST_REPLY = 2**31
+
+
+class Server(TcpWSGIServer):
+    """Waitress server that closes the connection idle for longest when `MOST_CONNECTIONS` are open.
+
+    Waitress itself accepts no more until some have been idle for minutes. A slow sender occupies no thread: a thread
+    gets a request when it is complete.
+    """
+
+    def handle_accept(self) -> None:
+        """Accept a connection; called by the server's loop."""
+        channels = list(self.active_channels.values())
+        silent = [channel for channel in channels if not channel.requests and not channel.will_close]
+        if len(channels) >= MOST_CONNECTIONS and silent:
+            # Closed by the loop, not here: the loop may be about to read from it.
+            min(silent, key=lambda channel: channel.last_activity).will_close = True
+        super().handle_accept()
+
+    def close(self) -> None:
+        """End `run`, also where a connection is open whose request is just being finished."""
+        for channel in list(self.active_channels.values()):
+            channel.will_close = True
+        super().close()
+
+
+def bound(host: str, port: int, other: str) -> socket.socket:
+    """A socket that listens at an address; raises `PlantError`, which asks for what is `other`, where it cannot.
+
+    Bound here, since waitress leaves its own socket open when binding fails.
+    """
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        return socket.create_server((host, port), family=family)
+    except OSError as error:
+        # Without the address that Python appends to the system's message.
+        reason = os.strerror(error.errno) if error.errno and error.errno > 0 else str(error)
+        raise PlantError(f"cannot listen on {host}:{port} ({reason}); choose {other}") from error
+
+
+def run_to_its_end(server: Server, on_ready: Callable[[int], None]) -> None:
+    """Serve until interrupted; `on_ready` is called with the port."""
+    on_ready(effective_port(server))
+    try:
+        server.run()
+    finally:
+        server.close()
+
+
+def serve_on(listening: socket.socket, app: Callable[..., Any], *, threads: int, most_bytes: int) -> Server:
+    """Server of `app` on a bound socket, answering `threads` requests, of `most_bytes` each, at a time."""
+    adjustments = Adjustments(
+        threads=threads,
+        max_request_body_size=most_bytes,
+        max_request_header_size=_MOST_HEADER,
+        # A reply that its client does not read waits in a file, not in a thread.
+        outbuf_high_watermark=_MOST_REPLY,
+        ident=None,
+        channel_timeout=_SILENT_S,
+        cleanup_interval=5,
+        # Not reached: `Server` stays below it, except for connections that are being closed.
+        connection_limit=2 * MOST_CONNECTIONS,
+        # `select` fails where the process has more than 1024 files open.
+        asyncore_use_poll=True,
+    )
+    kind = (listening.family, listening.type, listening.proto, listening.getsockname())
+    return Server(app, _sock=listening, bind_socket=False, adj=adjustments, sockinfo=kind)
 
 
 def build_server(
@@ -84,7 +159,7 @@ def effective_port(server: Server) -> int:
 
 
 def plants(weather: Weather, highly_dynamic: Tariff | None = None) -> Callable[[], EmbeddedPlant]:
-    """Builder of plants that share constant data, such as the precomputed irradiance on each surface."""
+    """Builder of plants that share constant data, such as the irradiance on each surface."""
     first = EmbeddedPlant(weather, highly_dynamic=highly_dynamic)
     # The first wet bulb temperature compiles psychrolib, which takes seconds: done here, not in a request.
     WEATHER_SIGNALS["TWetBul"].at(weather, np.zeros(1))
@@ -100,10 +175,7 @@ def plants(weather: Weather, highly_dynamic: Tariff | None = None) -> Callable[[
 
 @contextmanager
 def serving(weather: Weather, **options: Any) -> Iterator[str]:
-    """Address of a service on a free loopback port, in a thread of this process until the block ends.
-
-    Options and errors as for `build_server`.
-    """
+    """Address of a service on a free loopback port, in a thread until the block ends; options as of `build_server`."""
     with running(build_server(weather, port=0, **options)) as address:
         yield address
 

@@ -122,7 +122,9 @@ class Session:
 
     def advance(self, body: Mapping[str, Any]) -> Reply:
         """Simulate one step with the given inputs; others keep their values since the initialisation."""
-        self._count_wait()
+        if self._answered_s is not None:  # the client's time between two steps over a step's length, for `time_rat`
+            self._waited += (time.monotonic() - self._answered_s) / self._step_s
+            self._n_waits += 1
         overwrites, active, notes = self._read_inputs(body)
         now_s = self._plant.now_s
         if self._end_s - now_s < LEAST_STEP_S:
@@ -237,12 +239,6 @@ class Session:
                     f"WARNING: value of {number} for {key} is {side} of {overwrites[name]}.  Using {overwrites[name]}. "
                 )
         return overwrites, active, notes
-
-    def _count_wait(self) -> None:
-        """Add the client's time between two steps over the length of a step; the mean is `time_rat`."""
-        if self._answered_s is not None:
-            self._waited += (time.monotonic() - self._answered_s) / self._step_s
-            self._n_waits += 1
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import written
 from thermoforce_mpc.measurements.load import Measurements
-from thermoforce_mpc.measurements.understood import SignalSummary, Understood
+from thermoforce_mpc.measurements.understood import Understood
 from thermoforce_mpc.simulation.views.display import RunDisplay
 
 if TYPE_CHECKING:
@@ -231,7 +231,11 @@ def show_measurements(measured: Measurements, console: Console) -> None:
     for heading in ("signal", "column", "every", "known", "longest gap", "least", "median", "most", ""):
         table.add_column(heading, justify="left" if heading in ("signal", "column", "") else "right")
     for signal in understood.signals:
-        table.add_row(*_cells(signal))
+        numbers = (f"{value:.4g}" for value in (signal.least, signal.median, signal.most))
+        gap = f"{signal.longest_gap_h:.3g} h" if signal.longest_gap_h else "none"
+        name = signal.key.removeprefix("zones.").removeprefix("actuators.").removeprefix("machines.")
+        every, known = _time(signal.usual_s), f"{100 * signal.measured:.1f} %"
+        table.add_row(name, signal.source, every, known, gap, *numbers, signal.unit)
     say(table)
     show_doubts(understood, console)
     told = {"doubtful": understood.beside, "assumed": understood.assumed, "missing": understood.missing}
@@ -288,14 +292,6 @@ def show_findings(measured: Measurements, display: RunDisplay, doubts: Sequence[
         display.say("  `tf-mpc data probe-plan` writes a probing by hand that would tell")
     headline = "; ".join(f"{f.actuator} {f.words if f.competent else 'cannot be told'}" for f in found)
     return {"headline": headline, "part": note, "found": [asdict(finding) for finding in found]}
-
-
-def _cells(signal: SignalSummary) -> tuple[str, ...]:
-    numbers = tuple(f"{value:.4g}" for value in (signal.least, signal.median, signal.most))
-    gap = f"{signal.longest_gap_h:.3g} h" if signal.longest_gap_h else "none"
-    name = signal.key.removeprefix("zones.").removeprefix("actuators.").removeprefix("machines.")
-    every = _time(signal.usual_s)
-    return (name, signal.source, every, f"{100 * signal.measured:.1f} %", gap, *numbers, signal.unit)
 
 
 def _time(seconds: float) -> str:

@@ -126,7 +126,13 @@ def _lines(decision: Decision) -> list[str]:
         lines.append(f"solver: {record['solver_status']}, {record['iterations']} iterations")
     lines += [f"bound: {bound}" for bound in decision.bounds()]
     lines += [f"margin: {margin}" for margin in decision.margins_in_words()]
-    lines.append("applied: " + "; then ".join(_block(block, names.actuators) for block in record["blocks"]))
+    blocks = []
+    for block in record["blocks"]:
+        levels = ["own control" if u is None else f"{u:.2f}" for u in block["u"]]
+        if len(levels) > 1:
+            levels = [f"{name} {level}" for name, level in zip(names.actuators, levels, strict=True)]
+        blocks.append(f"{', '.join(levels)} for {block['duration_s'] / 60:g} min")
+    lines.append("applied: " + "; then ".join(blocks))
     if step.after:
         end = step.after[-1]
         zones = ", ".join(f"{zone} {_C(T)}" for zone, T in zip(names.zones, end.T_zone_C, strict=True))
@@ -137,13 +143,6 @@ def _lines(decision: Decision) -> list[str]:
     else:
         lines.append("came: nothing is recorded, the run ended here")
     return lines
-
-
-def _block(block: dict[str, Any], actuators: tuple[str, ...]) -> str:
-    levels = ["own control" if u is None else f"{u:.2f}" for u in block["u"]]
-    if len(levels) > 1:
-        levels = [f"{name} {level}" for name, level in zip(actuators, levels, strict=True)]
-    return f"{', '.join(levels)} for {block['duration_s'] / 60:g} min"
 
 
 def _table(decision: Decision, hours: float) -> Table:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -17,7 +16,7 @@ from rich.text import Text
 from thermoforce_mpc.cli.options import PATH, FiniteRange
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.simulation.views.explaining import hour_ends, words_of
-from thermoforce_mpc.simulation.views.live_view import LiveRun, Point, View
+from thermoforce_mpc.simulation.views.live_view import LiveRun, View
 from thermoforce_mpc.simulation.views.whole_tables import plain_table, width_of
 
 _BARS = "▁▂▃▄▅▆▇█"
@@ -58,28 +57,19 @@ def watch(run: Path, controller: str | None, hours: float, every: float, once: b
     live = LiveRun(run, controller)
     view = live.now()
     if web:
-        _serve(live, port)
+        from thermoforce_mpc.service.live_page import serve_page
+
+        serve_page(lambda: live.now().to_json(), port, lambda url: click.echo(f"Watching at {url} (Ctrl-C ends)"))
         return
     console = Console(highlight=False, markup=False)
     if once or not console.is_terminal:
         console.print(shown(view, hours, console))
         return
     with Live(shown(view, hours, console), console=console, auto_refresh=False, screen=False) as screen:
-        for latest in _looks(live, view, every):
-            screen.update(shown(latest, hours, console), refresh=True)
-
-
-def _looks(live: LiveRun, view: View, every: float) -> Iterator[View]:
-    while view.state == "running":
-        time.sleep(every)
-        view = live.now()
-        yield view
-
-
-def _serve(live: LiveRun, port: int) -> None:
-    from thermoforce_mpc.service.live_page import serve_page
-
-    serve_page(lambda: live.now().to_json(), port, lambda url: click.echo(f"Watching at {url} (Ctrl-C ends)"))
+        while view.state == "running":
+            time.sleep(every)
+            view = live.now()
+            screen.update(shown(view, hours, console), refresh=True)
 
 
 def shown(view: View, hours: float, console: Console) -> RenderableType:
@@ -87,27 +77,19 @@ def shown(view: View, hours: float, console: Console) -> RenderableType:
     days = f"day {view.days:.2f}" + (f" of {view.days_in_all:g}" if math.isfinite(view.days_in_all) else "")
     head = Text(f"{view.testcase} · {view.controller} · {words_of(view.time_s)} ({days}) · ", style="bold")
     head.append(view.state, style="green" if view.state != "ended early" else "red")
-    lines: list[RenderableType] = [head]
-    if view.said:
-        lines.append(Text(view.said))
+    lines: list[RenderableType] = [head, *([Text(view.said)] if view.said else [])]
     least = _zones(view, 1)
     lines.append(_zones(view, min(max(console.width - width_of(least, console) + _HEAD, _HEAD), _WIDTH)))
-    acts = Text("acts: ")
-    acts.append(view.status, style=_COLOURS.get(view.status, "red"))
-    acts.append(f" – {view.why}")
-    lines.append(acts)
+    lines.append(Text.assemble("acts: ", (view.status, _COLOURS.get(view.status, "red")), f" – {view.why}"))
     lines += [Text(f"in doubt: {note}", style="yellow") for note in view.notes]
     if view.plan:
         lines += _plan(view, hours, console)
     counts = ", ".join(f"{n} {status}" for status, n in sorted(view.counts.items(), key=lambda item: -item[1]))
-    lines.append(
-        Text(
-            f"so far: cost {_figure(view.cost, '.2f')}, energy {_figure(view.energy_kWh, '.1f', ' kWh')}, "
-            f"discomfort {_figure(view.discomfort_Kh, '.2f', ' K·h')}; "
-            f"steps: {counts or 'none'}"
-        )
+    so_far = (
+        f"so far: cost {_figure(view.cost, '.2f')}, energy {_figure(view.energy_kWh, '.1f', ' kWh')}, "
+        f"discomfort {_figure(view.discomfort_Kh, '.2f', ' K·h')}; steps: {counts or 'none'}"
     )
-    return Group(*lines)
+    return Group(*lines, Text(so_far))
 
 
 def _figure(value: float, digits: str, unit: str = "") -> str:
@@ -116,7 +98,8 @@ def _figure(value: float, digits: str, unit: str = "") -> str:
 
 def _zones(view: View, bars: int) -> Table:
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
-    for column in ("", "now", "bounds", f"last {_hours(view.past):g} h"):
+    past_h = round((view.past[-1].time_s - view.past[0].time_s) / HOUR_S, 1) if view.past else 0.0
+    for column in ("", "now", "bounds", f"last {past_h:g} h"):
         table.add_column(column, justify="right" if column in ("now", "bounds") else "left", no_wrap=True)
     for z, zone in enumerate(view.zones):
         now = Text("no reading" if math.isnan(zone.T_C) else f"{zone.T_C:.2f} °C")
@@ -141,11 +124,10 @@ def _plan(view: View, hours: float, console: Console) -> list[Table]:
     tables: list[Table] = []
     first = 0
     while first < len(parts):
-        end = len(parts)
-        while width_of(table := _plan_table(view, hours, parts, range(first, end)), console) > console.width:
-            if end == first + 1:
+        for end in range(len(parts), first, -1):
+            table = _plan_table(view, hours, parts, range(first, end))
+            if width_of(table, console) <= console.width:
                 break
-            end -= 1
         tables.append(table)
         first = end
     return tables
@@ -177,7 +159,3 @@ def _bars(values: list[float], most: int, low: float | None = None, high: float 
         share = (sum(part) / len(part) - low) / max(high - low, 1e-9) if part else 0.0
         text += _BARS[min(max(int(share * len(_BARS)), 0), len(_BARS) - 1)] if part else " "
     return text
-
-
-def _hours(points: tuple[Point, ...]) -> float:
-    return round((points[-1].time_s - points[0].time_s) / HOUR_S, 1) if points else 0.0

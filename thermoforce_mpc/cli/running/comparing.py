@@ -169,20 +169,18 @@ def sweep(**options: Any) -> None:
     testcase = load_testcase(base.testcase)
     controller = options["varied"]
     key = numeric_option(controller, options["over"])
-    values = [_number(word) for word in comma_list(options["values"], "--values")]
+    values = []
+    for word in comma_list(options["values"], "--values"):
+        try:
+            values.append(float(word))
+        except ValueError:
+            raise ConfigError(f"--values: '{word}' is not a number") from None
     swept = swept_variants(controller, key, values, testcase)
     labels = {name: f"{value:g}" for name, value in zip(swept, values, strict=True)}
     beside = variants_by_name(comma_list(options["beside"], "--beside"), None) if options["beside"].strip() else {}
     title = f"{controller} over {key} on {base.testcase}"
     variants = {**swept, **beside}
     _run_comparison(base, variants, axes_from(options, base), options, name="sweep", title=title, swept=labels)
-
-
-def _number(word: str) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        raise ConfigError(f"--values: '{word}' is not a number") from None
 
 
 @dataclass(frozen=True)
@@ -207,17 +205,20 @@ def axes_from(options: Mapping[str, Any], base: Scenario, file: ComparisonFile |
         except ValueError as error:
             raise ConfigError(f"--windows: {error}") from error
     else:
-        windows = _of_file(base, "period", "windows", file.windows if file else ()) or _windows_of(base)
+        windows = _of_file(base, "period", "windows", file.windows if file else ())
+    if not windows:
+        season = "cool" if load_testcase(base.testcase).mode == "cooling" else "heat"
+        of_season = (f"peak_{season}_day", f"typical_{season}_day")
+        windows = (base.period,) if "period" in base.model_fields_set else of_season
     for window in windows:
         check_window(window)
     if options["tariffs"] is not None:
         prices = known_names(options["tariffs"], "--prices", PRICES)
     else:
         prices = _of_file(base, "price", "prices", file.prices if file else ()) or (base.price,)
-    text = options["forecast_uncertainty"]
     levels: tuple[str, ...] = (base.plant.forecast_uncertainty,)
-    if text is not None:
-        levels = known_names(text, "--forecast-uncertainty", UNCERTAINTIES)
+    if options["forecast_uncertainty"] is not None:
+        levels = known_names(options["forecast_uncertainty"], "--forecast-uncertainty", UNCERTAINTIES)
     return Axes(windows, prices, levels)
 
 
@@ -229,13 +230,6 @@ def _of_file(base: Scenario, key: str, axis: str, values: tuple[str, ...]) -> tu
             f"with --{axis} which to run"
         )
     return values
-
-
-def _windows_of(base: Scenario) -> tuple[str, ...]:
-    if "period" in base.model_fields_set:
-        return (base.period,)
-    season = "cool" if load_testcase(base.testcase).mode == "cooling" else "heat"
-    return f"peak_{season}_day", f"typical_{season}_day"
 
 
 def _run_comparison(
