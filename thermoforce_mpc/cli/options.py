@@ -76,8 +76,7 @@ probed_option = click.option(
     help="Run folder whose probing is taken instead of probing, or one of its journals probing/*.jsonl.",
 )
 learned_options = added(
-    click.option("--model", type=PATH, help="Saved model to use instead of probing first."),
-    probed_option,
+    click.option("--model", type=PATH, help="Saved model to use instead of probing first."), probed_option
 )
 _UNIT_H = {"h": 1.0, "d": 24.0, "min": 1 / 60}
 
@@ -145,15 +144,13 @@ def execution_options(*former: str) -> Callable[[Function], Function]:
             warn = functools.partial(click.echo, err=True)
             return function(*args, engine=functools.partial(open_engine, jobs, scheduler, warn=warn), **options)
 
-        at = click.option(
-            "--scheduler",
-            metavar="ADDRESS",
-            help="Run on the workers of this Dask scheduler, such as tcp://host:8786 (extra [fleet]).",
+        n, one = click.IntRange(min=1), "Parallel processes.  [default: one per core]"
+        at = "Run on the workers of this Dask scheduler, such as tcp://host:8786 (extra [fleet])."
+        options = added(
+            click.option("--jobs", *former, "jobs", type=n, help=one),
+            click.option("--scheduler", metavar="ADDRESS", help=at),
         )
-        n = click.IntRange(min=1)
-        return click.option("--jobs", *former, "jobs", type=n, help="Parallel processes.  [default: one per core]")(
-            at(command)
-        )
+        return options(command)
 
     return add
 

@@ -41,10 +41,9 @@ class TaskProgress:
 
     def __enter__(self) -> TaskProgress:
         if self._console.is_terminal and not self._quiet:
-            columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
-            self._progress = Progress(
-                *columns, TextColumn("{task.fields[left]}"), console=self._console, transient=True
-            )
+            described, left = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[left]}")
+            columns = described, BarColumn(), TimeElapsedColumn(), left
+            self._progress = Progress(*columns, console=self._console, transient=True)
             self._progress.start()
             self._all = self._progress.add_task("", visible=False, left="")
         return self
@@ -91,17 +90,14 @@ class TaskProgress:
         if self._quiet:
             return
         left = "" if self._progress or not self._left() else f"; {self._left()}"
-        count = f"[{self._ended}/{self._n}]"
-        if outcome.reason:
-            self._print(f"FAILED  {count} {outcome.task.title}: {outcome.reason}{left}")
-        else:
-            self._print(f"done    {count} {self._line(outcome)}{left}")
+        said = f"{outcome.task.title}: {outcome.reason}" if outcome.reason else self._line(outcome)
+        self._print(f"{'FAILED' if outcome.reason else 'done':8}[{self._ended}/{self._n}] {said}{left}")
 
     def _show_all(self) -> None:
         if self._progress:
             done = self._ended + sum(self._shares.values())
-            text = f"{self._ended} of {self._n} done"
-            self._progress.update(self._all, description=text, completed=done, left=self._left())
+            said = f"{self._ended} of {self._n} done"
+            self._progress.update(self._all, description=said, completed=done, left=self._left())
 
     def _left(self) -> str:
         """Time left at the rate so far; empty as long as there is none to speak of, and at the end."""

@@ -62,16 +62,16 @@ class KeptState:
             _LOG.warning("%s: begun anew", error)
             return None
         if not isinstance(kept, Kept) or kept.of != self._controller:
-            _LOG.warning("%s is of another model or other options: begun anew", self._path)
-            return None
-        if now - pd.Timestamp(kept.instant) > _OLDEST:
-            _LOG.warning("%s is of %s, more than a day ago: begun anew", self._path, kept.instant)
-            return None
-        if now < pd.Timestamp(kept.instant):
-            _LOG.warning("%s is of %s, which is to come: was the clock set back? Begun anew", self._path, kept.instant)
-            return None
-        _LOG.info("goes on from the state of %s in %s", kept.instant, self._path)
-        return kept
+            wrong = "another model or other options: begun anew"
+        elif now - pd.Timestamp(kept.instant) > _OLDEST:
+            wrong = f"{kept.instant}, more than a day ago: begun anew"
+        elif now < pd.Timestamp(kept.instant):
+            wrong = f"{kept.instant}, which is to come: was the clock set back? Begun anew"
+        else:
+            _LOG.info("goes on from the state of %s in %s", kept.instant, self._path)
+            return kept
+        _LOG.warning("%s is of %s", self._path, wrong)
+        return None
 
     def save(self, content: Kept) -> None:
         """Keep what is known; a first failure is in the log."""

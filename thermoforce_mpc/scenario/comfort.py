@@ -38,12 +38,9 @@ def window_name(window: str) -> str:
 
 WEEK = ("monday", "tuesday", "wednesday", "thursday", "friday", "saturday", "sunday")
 _HOLIDAY = len(WEEK)
-_DAYS = {
-    "weekdays": range(5),
-    "weekend": (5, 6),
-    "holidays": (_HOLIDAY,),
-    "daily": range(8),
-} | {name: (number,) for number, day in enumerate(WEEK) for name in (day, day[:3])}
+_DAYS = {"weekdays": range(5), "weekend": (5, 6), "holidays": (_HOLIDAY,), "daily": range(8)} | {
+    name: (number,) for number, day in enumerate(WEEK) for name in (day, day[:3])
+}
 _RULE = re.compile(
     r"(?:(?P<days>[a-z]+(?:-[a-z]+)?)\s+)?(?:(?P<begin>\d{1,2}(?::\d\d)?)-(?P<end>\d{1,2}(?::\d\d)?)\s+)?"
     r"(?P<lower>\d+(?:\.\d+)?)-(?P<upper>\d+(?:\.\d+)?)(?:\s*°?c)?"

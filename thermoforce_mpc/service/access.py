@@ -71,19 +71,13 @@ class Names:
             return False
 
 
-class Token:
-    """Checks the header `Authorization: Bearer TOKEN`."""
-
-    def __init__(self, token: str) -> None:
-        self._token = token.encode("ascii")
-
-    def check(self, header: str | None) -> None:
-        """Raise `Refusal` (401) unless `header` holds the token; takes as long for any wrong token of its length."""
-        scheme, _, credentials = (header or "").partition(" ")
-        # Compared in any case, so that the time taken does not depend on the scheme.
-        same = hmac.compare_digest(credentials.strip().encode("utf-8", "replace"), self._token)
-        if scheme.lower() != _SCHEME or not same:
-            raise Refusal(401, "This service needs the header 'Authorization: Bearer TOKEN' with its token.")
+def check_authorization(header: str | None, token: str) -> None:
+    """Raise `Refusal` (401) unless `header` holds the token; takes as long for any wrong token of its length."""
+    scheme, _, credentials = (header or "").partition(" ")
+    # Compared in any case, so that the time taken does not depend on the scheme.
+    same = hmac.compare_digest(credentials.strip().encode("utf-8", "replace"), token.encode("ascii"))
+    if scheme.lower() != _SCHEME or not same:
+        raise Refusal(401, "This service needs the header 'Authorization: Bearer TOKEN' with its token.")
 
 
 class Rate:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import json
 import logging
@@ -15,7 +16,7 @@ from werkzeug.exceptions import HTTPException, MethodNotAllowed, NotFound
 
 from thermoforce_mpc.data import Period
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.service.access import Names, Rate, Refusal, Token
+from thermoforce_mpc.service.access import Names, Rate, Refusal, check_authorization
 from thermoforce_mpc.service.endpoints import ENDPOINTS, FORMS, NAMESPACE, TESTCASE, Endpoint, document
 from thermoforce_mpc.service.session import Session
 from thermoforce_mpc.service.sessions import Sessions, UnknownTestid
@@ -50,9 +51,15 @@ def create_app(
     `names` by which it may be asked, besides addresses and localhost.
     """
     limits = limits or Limits()
-    windows = _Windows(make_plant)
+    lock, first_plant = threading.Lock(), functools.cache(make_plant)
+
+    def period(name: str) -> Period:
+        """A scored window, of one plant for all tests: finding it can take the simulation of a year."""
+        with lock:
+            return first_plant().period(name)
+
     sessions = Sessions(
-        lambda: Session(make_plant(), windows.period),
+        lambda: Session(make_plant(), period),
         most=limits.most_tests,
         each=limits.tests_each,
         idle_s=limits.idle_s,
@@ -61,15 +68,15 @@ def create_app(
     app = Flask(__name__, static_folder=None)
     app.config["MAX_CONTENT_LENGTH"] = limits.most_bytes
     app.url_map.merge_slashes = False
-    rate, own, key = Rate(limits.per_second), Names(names), Token(token) if token else None
+    rate, own = Rate(limits.per_second), Names(names)
     described = document(token=token is not None)
 
     @app.before_request
     def admit() -> None:
         rate.admit(_client())
         own.check(request.headers)
-        if key:
-            key.check(request.headers.get("Authorization"))
+        if token:
+            check_authorization(request.headers.get("Authorization"), token)
 
     @app.get("/openapi.json")
     def openapi() -> Response:
@@ -151,21 +158,6 @@ def create_app(
         return _envelope(500, f"Internal error ({type(error).__name__}); the service's log has more.", None)
 
     return app
-
-
-class _Windows:
-    """Scored windows of the weather year, shared by all tests: finding one can take the simulation of a year."""
-
-    def __init__(self, make_plant: Callable[[], EmbeddedPlant]) -> None:
-        self._make_plant = make_plant
-        self._plant: EmbeddedPlant | None = None
-        self._lock = threading.Lock()
-
-    def period(self, name: str) -> Period:
-        with self._lock:
-            if self._plant is None:
-                self._plant = self._make_plant()
-            return self._plant.period(name)
 
 
 def _client() -> str:

@@ -60,8 +60,7 @@ _POINT = _object(
     {"Description": _TEXT, "Unit": {"type": ["string", "null"]}} | _LIMITS, "Description", "Unit", closed=True
 )
 _STATE = _each(
-    _NUMBER_OR_NULL,
-    description="value of each measurement and input, and time, s; empty after the end of the scenario",
+    _NUMBER_OR_NULL, description="value of each measurement and input, and time, s; empty after the end of the scenario"
 )
 _SERIES = _each({"type": "array", "items": _NUMBER_OR_NULL})
 _ERROR = f"forecast error; with one, a horizon of at most {MAX_HORIZON_H} h"

@@ -22,13 +22,7 @@ from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.embedded.emulator import LEAST_STEP_S, NEVER_GIVEN
 from thermoforce_mpc.plants.embedded.kernel import STEP_S
 from thermoforce_mpc.service.access import Refusal
-from thermoforce_mpc.service.points import (
-    FORECAST_POINTS,
-    INPUTS,
-    MEASUREMENT_POINTS,
-    forecast_points,
-    recorded_points,
-)
+from thermoforce_mpc.service.points import FORECAST_POINTS, INPUTS, MEASUREMENT_POINTS, forecast_points, recorded_points
 from thermoforce_mpc.service.scenario import LEVELS, NOTHING, choice, forecast_error, seed
 
 __all__ = ["DEFAULT_STEP_S", "LEAST_STEP_S", "MOST_STEP_S", "MOST_VALUES", "PERIODS", "Reply", "Session"]

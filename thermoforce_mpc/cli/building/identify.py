@@ -103,10 +103,9 @@ def _from_measurements(options: dict[str, Any]) -> None:
     from thermoforce_mpc.simulation.views.display import RunDisplay
 
     display, config = RunDisplay(), _options(options)
+    days = options["data_days"]
     try:
-        model, record = model_of_measurements(
-            files, map_file, days=options["data_days"], config=config, say=display.say
-        )
+        model, record = model_of_measurements(files, map_file, days=days, config=config, say=display.say)
     except DataError as error:
         raise DataError(f"{error}\n{_PROBE}") from error
     if not may_act(model):

@@ -38,10 +38,9 @@ def controllers(name: str | None) -> None:
     if name is None:
         _show_names(REGISTRY, lambda entry: entry.summary)
         click.echo("\n`tf-mpc controllers NAME` lists the options of a controller.")
-        return
-    entry = find_entry(name)
-    click.echo(f"{name}: {entry.summary}\n")
-    _show_options(entry.config(), dict(entry.defaults), "controller.options.")
+    else:
+        entry = find_entry(name)
+        _show_options(f"{name}: {entry.summary}", entry.config(), entry.defaults, "controller.options.")
 
 
 @click.command()
@@ -57,10 +56,9 @@ def plants(name: str | None) -> None:
 
     if name is None:
         _show_names(REGISTRY, lambda entry: entry.summary)
-        return
-    entry = REGISTRY.find(name)
-    click.echo(f"{name}: {entry.summary}\n")
-    _show_options(entry.config(), {}, "plant.options.")
+    else:
+        entry = REGISTRY.find(name)
+        _show_options(f"{name}: {entry.summary}", entry.config(), {}, "plant.options.")
 
 
 @click.command()
@@ -75,10 +73,9 @@ def connections(name: str | None) -> None:
 
     if name is None:
         _show_names(REGISTRY, first_line)
-        return
-    make = REGISTRY.find(name)
-    click.echo(f"{name}: {first_line(make)}\n")
-    _show_options(options_model(make, ()), {}, "connection.")
+    else:
+        make = REGISTRY.find(name)
+        _show_options(f"{name}: {first_line(make)}", options_model(make, ()), {}, "connection.")
 
 
 @click.command()
@@ -135,11 +132,13 @@ def _show_names(registry: Registry[T], summary: Callable[[T], str], without: Col
             click.echo(f"{'':18s} {entry.problem}")
 
 
-def _show_options(model: type[BaseModel], defaults: Mapping[str, Any], prefix: str) -> None:
+def _show_options(title: str, model: type[BaseModel], defaults: Mapping[str, Any], prefix: str) -> None:
+    if title:
+        click.echo(f"{title}\n")
     for key, field in model.model_fields.items():
         default = field.get_default(call_default_factory=True)
         if isinstance(default, BaseModel):
-            _show_options(type(default), defaults.get(key, {}), f"{prefix}{key}.")
+            _show_options("", type(default), defaults.get(key, {}), f"{prefix}{key}.")
             continue
         value = defaults.get(key, default)
         value = str(value) if isinstance(value, Path) else value

@@ -43,9 +43,7 @@ _SHOWN_FAILURES = 10
 @click.argument("fleet", metavar="FLEET.yaml")
 @click.option("--count", is_flag=True, help="Say what would be run, and run nothing.")
 @click.option(
-    "--out",
-    type=PATH,
-    help="Folder of the dataset; finished runs in it are reused.  [default: runs/fleet-NAME]",
+    "--out", type=PATH, help="Folder of the dataset; finished runs in it are reused.  [default: runs/fleet-NAME]"
 )
 @click.option(
     "--reuse",
@@ -186,10 +184,7 @@ def _show(console: Console, rows: pd.DataFrame, reference: str) -> None:
         table = plain_table(headings, folded=True)
         for group in distributions:
             table.add_row(
-                f"{group.by} {group.value}".strip(),
-                str(group.runs),
-                *saving_cells(group),
-                f"{100 * group.colder:.0f}",
+                f"{group.by} {group.value}".strip(), str(group.runs), *saving_cells(group), f"{100 * group.colder:.0f}"
             )
         print_whole(table, console, folded=True)
         for cause, n in causes(lost(pairs)):
