@@ -40,7 +40,10 @@ _ENDS: dict[type[ThermoForceError], tuple[str, int]] = {
 _MOST_SHOWN = 20_000
 
 
-@click.group(cls=CommandGroups, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100, "show_default": True}
+
+
+@click.group(cls=CommandGroups, context_settings=_SETTINGS)
 @click.version_option(VERSION, prog_name="tf-mpc")
 def cli() -> None:
     """Model predictive control of buildings. To start:

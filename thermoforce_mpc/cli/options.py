@@ -194,9 +194,8 @@ def out_option(what: str) -> Callable[[Function], Function]:
 
 def plot_option(default: Path | None = None, of: str = "") -> Callable[[Function], Function]:
     """Option `--plot`."""
-    help_ = f"Picture{of and ' of '}{of}: .png or .svg."
-    shown = default is not None
-    return click.option("--plot", type=_FileOf(".png", ".svg"), default=default, show_default=shown, help=help_)
+    what = f"Picture{of and ' of '}{of}: .png or .svg."
+    return click.option("--plot", type=_FileOf(".png", ".svg"), default=default, help=what)
 
 
 # Keys of a scenario by option.

@@ -55,7 +55,7 @@ def map_of(file: str) -> None:
 @FILES
 @MAP
 @plot_option(Path("data_check.png"), "the measurements")
-@click.option("--fit/--no-fit", default=True, show_default=True, help="Fit a linear model to see what the data tell.")
+@click.option("--fit/--no-fit", default=True, help="Fit a linear model to see what the data tell.")
 @click.option("--json", "json_file", type=PATH, help="Write what was understood as JSON.")
 def check(files: tuple[str, ...], map_file: Path, plot: Path, fit: bool, json_file: Path | None) -> None:
     """Say what was understood of FILE (several, or a pattern in quotes) by the map, and draw it.
@@ -100,13 +100,13 @@ def _levels(context: click.Context, parameter: click.Parameter, value: str) -> t
 @data.command("probe-plan")
 @FILES
 @MAP
-@click.option("--out", type=PATH, default=Path("probe.csv"), show_default=True, help="Schedule (CSV).")
-@click.option("--days", type=int, default=1, show_default=True, help="Days to probe, 1 to 7.")
-@click.option("--levels", default="0,1", show_default=True, callback=_levels, help="Levels to set, off first.")
-@click.option("--awake", default="7-22", show_default=True, callback=_hours, help="Hours between which levels are set.")
+@click.option("--out", type=PATH, default=Path("probe.csv"), help="Schedule (CSV).")
+@click.option("--days", type=int, default=1, help="Days to probe, 1 to 7.")
+@click.option("--levels", default="0,1", callback=_levels, help="Levels to set, off first.")
+@click.option("--awake", default="7-22", callback=_hours, help="Hours between which levels are set.")
 @click.option("--start", metavar="DATE", help="First day.  [default: the first morning after the data]")
-@click.option("--fit/--no-fit", default=True, show_default=True, help="Fit a linear model to see what is known.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Seed of the draws.")
+@click.option("--fit/--no-fit", default=True, help="Fit a linear model to see what is known.")
+@click.option("--seed", type=int, default=1, help="Seed of the draws.")
 def probe_plan(
     files: tuple[str, ...],
     map_file: Path,

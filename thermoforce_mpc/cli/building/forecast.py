@@ -34,7 +34,7 @@ _HELD, _JUDGED_H, _MATTERS_K = 0.5, 24.0, 0.25
 @measured_options
 @click.option("--forecast", "forecast_file", metavar="FILE", help="Weather from the end of the measurements on.")
 @click.option("--start", metavar="TIME", help="Instead: a past time, whose weather and levels were measured.")
-@click.option("--hours", type=FiniteRange(1.0, 96.0), default=24.0, show_default=True, help="Length.")
+@click.option("--hours", type=FiniteRange(1.0, 96.0), default=24.0, help="Length.")
 @course_options("One level in [0, 1] for all of it.  [default with --start: as applied]")
 def forecast(
     model: Path,
@@ -168,7 +168,7 @@ def _drawn(prediction: Prediction, truth: Array) -> Figure:
 @model_option
 @measured_options
 @click.option("--start", required=True, metavar="TIME", help="First step of the stretch, such as '2026-01-20 00:00'.")
-@click.option("--hours", type=FiniteRange(1.0), default=24.0, show_default=True, help="Length of the stretch.")
+@click.option("--hours", type=FiniteRange(1.0), default=24.0, help="Length of the stretch.")
 @course_options("One level in [0, 1] for all of it.")
 def other_levels(
     model: Path,

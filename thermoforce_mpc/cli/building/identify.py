@@ -36,7 +36,7 @@ _OF_PLANTS = (
 @click.option("--data", "files", multiple=True, metavar="FILE", help="Measurements instead of probing; repeatable.")
 @click.option("--map", "map_file", type=PATH, help="Map of the measurements (YAML).")
 @click.option("--data-days", type=FiniteRange(1.0, 120.0), help="Days of longer measurements used.  [default: 28]")
-@click.option("--out", type=PATH, default=Path("model"), show_default=True, help="Model folder.")
+@click.option("--out", type=PATH, default=Path("model"), help="Model folder.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing model.")
 def identify(**options: Any) -> None:
     """Identify a thermal model, print it and save it as a model folder.

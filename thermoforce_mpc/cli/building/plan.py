@@ -31,7 +31,7 @@ _LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 28.0
 @click.option("--data", "files", required=True, multiple=True, metavar="FILE", help="Recent measurements; repeatable.")
 @map_option
 @click.option("--forecast", required=True, metavar="FILE", help="Weather, prices and bounds from their end on.")
-@click.option("--step", default="60min", show_default=True, help="Step of the plan.")
+@click.option("--step", default="60min", help="Step of the plan.")
 @click.option("--hours", type=FiniteRange(_LEAST_H, 96.0), help="Length.  [default: the forecast's, up to 48]")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any option of the controller.")
 @out_option("the plan")

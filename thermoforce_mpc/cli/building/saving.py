@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @click.option("--changed", required=True, metavar="TIME", help="When the operation changed, such as '2026-02-01'.")
 @click.option("--from", "first", metavar="TIME", help="Leave out what was recorded before.")
 @click.option("--until", "last", metavar="TIME", help="Leave out what was recorded later.")
-@click.option("--interval", type=FiniteRange(0.5, 0.999), default=0.95, show_default=True, help="Its level.")
+@click.option("--interval", type=FiniteRange(0.5, 0.999), default=0.95, help="Its level.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the result as JSON.")
 @plot_option()
 def saving(

@@ -15,10 +15,8 @@ _MARKS = {"ok": "ok      ", "warning": "WARNING ", "failed": "FAILED  ", "skippe
 
 @click.command()
 @click.option("--url", metavar="URL", help="A BOPTEST service to check too.")
-@click.option(
-    "--testcase", metavar="NAME", default="bestest_hydronic_heat_pump", show_default=True, help="Its test case."
-)
-@click.option("--out", type=PATH, default=Path("runs"), show_default=True, help="Folder of runs.")
+@click.option("--testcase", metavar="NAME", default="bestest_hydronic_heat_pump", help="Its test case.")
+@click.option("--out", type=PATH, default=Path("runs"), help="Folder of runs.")
 @click.option("--only", metavar="A,B", help="These checks alone.")
 @click.option("--json", "json_file", type=PATH, help="Write the findings to this JSON file.")
 def doctor(url: str | None, testcase: str, out: Path, only: str | None, json_file: Path | None) -> None:

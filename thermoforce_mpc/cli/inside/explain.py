@@ -43,7 +43,7 @@ _RUNGS = {
     "--at", metavar="TIME", help="'16 06:30' (day from 0), '01-17 06:30' or '1405800s'.  [default: last step]"
 )
 @click.option("--controller", metavar="NAME", help="Which of the run.  [default: the scenario's own]")
-@click.option("--hours", type=FiniteRange(0.1), default=12.0, show_default=True, help="Hours of the plan to show.")
+@click.option("--hours", type=FiniteRange(0.1), default=12.0, help="Hours of the plan to show.")
 @click.option("--json", "json_file", type=PATH, help="Write all of it to this JSON file.")
 def explain(run: Path, at: str | None, controller: str | None, hours: float, json_file: Path | None) -> None:
     """Tell what the run in folder RUN decided at an instant, and why: readings, forecast, plan, what bound, what acted.

@@ -32,7 +32,7 @@ _KIND_OF = {
 
 @click.command()
 @click.argument("folder", metavar="[DIR]", default=".", type=PATH)
-@click.option("--testcase", default="bestest_hydronic_heat_pump", show_default=True, help="Building of the scenario.")
+@click.option("--testcase", default="bestest_hydronic_heat_pump", help="Building of the scenario.")
 @click.option("--copy-testcase", is_flag=True, help="Copy that test case to testcase.yaml, to make it yours.")
 @click.option("--data", metavar="FILE", help="Write map.yaml too, guessed from this table of measurements.")
 def init(folder: Path, testcase: str, copy_testcase: bool, data: str | None) -> None:

@@ -25,15 +25,15 @@ _LOG = logging.getLogger(__name__)
 @click.command()
 @model_option
 @map_option
-@click.option("--connection", default="files", show_default=True, metavar="NAME", help="See `tf-mpc connections`.")
+@click.option("--connection", default="files", metavar="NAME", help="See `tf-mpc connections`.")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="connection.KEY or controller.KEY.")
 @click.option("--dry-run", is_flag=True, help="Decide once, set nothing.")
 @click.option("--steps", type=click.IntRange(min=1), help="End after so many control steps.  [default: never]")
 @click.option(
-    "--delay", "delay_s", type=FiniteRange(0.0, 300.0), default=30.0, show_default=True,
+    "--delay", "delay_s", type=FiniteRange(0.0, 300.0), default=30.0,
     help="Seconds after the beginning of a step at which its last reading is there.",
 )  # fmt: skip
-@click.option("--out", type=PATH, default=Path("control"), show_default=True, help="Folder of the log.")
+@click.option("--out", type=PATH, default=Path("control"), help="Folder of the log.")
 def control(
     model: Path,
     map_file: Path,

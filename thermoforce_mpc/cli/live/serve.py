@@ -10,10 +10,10 @@ import click
 from thermoforce_mpc.cli.options import PATH, FiniteRange
 from thermoforce_mpc.errors import ConfigError
 
-_TESTS, _ONE_OR_MORE = click.IntRange(1, 100), FiniteRange(1.0)
+_TESTS, _LEAST_1 = click.IntRange(1, 100), FiniteRange(1.0)
 
 
-@click.command(context_settings={"show_default": True})
+@click.command()
 @click.option("--host", default="127.0.0.1", help="Address to listen on.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8000, help="Port; 0 picks a free one.")
 @click.option(
@@ -27,9 +27,9 @@ _TESTS, _ONE_OR_MORE = click.IntRange(1, 100), FiniteRange(1.0)
     type=_TESTS,
     help="Largest number of tests that one address started.  [default: all; half where other machines can ask]",
 )
-@click.option("--idle", "idle_s", type=_ONE_OR_MORE, default=900.0, help="Seconds after which an idle test is dropped.")
+@click.option("--idle", "idle_s", type=_LEAST_1, default=900.0, help="Seconds after which an idle test is dropped.")
 @click.option(
-    "--lifetime", "lifetime_s", type=_ONE_OR_MORE, default=7 * 86400.0, help="Seconds after which any test is dropped."
+    "--lifetime", "lifetime_s", type=_LEAST_1, default=7 * 86400.0, help="Seconds after which any test is dropped."
 )
 @click.option(
     "--request-bytes",
@@ -41,7 +41,7 @@ _TESTS, _ONE_OR_MORE = click.IntRange(1, 100), FiniteRange(1.0)
 @click.option(
     "--rate",
     "per_second",
-    type=_ONE_OR_MORE,
+    type=_LEAST_1,
     default=500.0,
     help="Requests a second from one address; more get status 429.",
 )

@@ -30,13 +30,11 @@ _COLOURS = {"solved": "green", "rule": "green", "bridged": "yellow", "acceptable
 @click.option(
     "--controller", metavar="NAME", help="Which of the run.  [default: the latest; of a finished run the first]"
 )
-@click.option("--hours", type=FiniteRange(0.1), default=8.0, show_default=True, help="Hours of the plan to show.")
-@click.option("--every", type=FiniteRange(0.2, 3600), default=2.0, show_default=True, help="Seconds between looks.")
+@click.option("--hours", type=FiniteRange(0.1), default=8.0, help="Hours of the plan to show.")
+@click.option("--every", type=FiniteRange(0.2, 3600), default=2.0, help="Seconds between looks.")
 @click.option("--once", is_flag=True, help="Print once and end.")
 @click.option("--web", is_flag=True, help="Serve a page on this machine instead (needs the extra 'serve').")
-@click.option(
-    "--port", type=click.IntRange(0, 65535), default=8010, show_default=True, help="Port of --web; 0 picks a free one."
-)
+@click.option("--port", type=click.IntRange(0, 65535), default=8010, help="Port of --web; 0 picks a free one.")
 def watch(run: Path, controller: str | None, hours: float, every: float, once: bool, web: bool, port: int) -> None:
     """Watch the run in folder RUN: temperatures and bounds, the plan's next hours, levels, what acts and why, cost and
     discomfort so far.

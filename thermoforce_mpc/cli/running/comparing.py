@@ -132,23 +132,16 @@ def compare(**options: Any) -> None:
 
 @click.command()
 @comparison_options
-@click.option(
-    "--controller", "varied", default="thermoforce_mpc", show_default=True, metavar="NAME", help="Controller to vary."
-)
+@click.option("--controller", "varied", default="thermoforce_mpc", metavar="NAME", help="Controller to vary.")
 @click.option(
     "--over",
     default="comfort_weight_per_m2",
-    show_default=True,
     metavar="KEY",
     help="Numeric option (dotted name, or its last part if unique).",
 )
-@click.option("--values", default=_VALUES, show_default=True, metavar="X,Y", help="Values of the option.")
+@click.option("--values", default=_VALUES, metavar="X,Y", help="Values of the option.")
 @click.option(
-    "--beside",
-    default="thermostat,native",
-    show_default=True,
-    metavar="A,B",
-    help="Controllers run for comparison; '' for none.",
+    "--beside", default="thermostat,native", metavar="A,B", help="Controllers run for comparison; '' for none."
 )
 def sweep(**options: Any) -> None:
     """Run one controller for several values of one option and plot cost against discomfort.
