@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from thermoforce_mpc.data import ZERO_C_K, Array
-from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, check_kelvin
+from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, check_range
 
 # Least difference of supply air and room as a share of that at reference: nearer, the air neither heats nor cools.
 _LEAST_SHARE = 0.05
@@ -62,10 +62,7 @@ class Actuator(StrictModel):
 
     @model_validator(mode="after")
     def _ordered(self) -> Actuator:
-        if not self.minimum < self.maximum:
-            raise ValueError(f"minimum ({self.minimum}) must be below maximum ({self.maximum})")
-        if self.unit == "K":
-            check_kelvin(minimum=self.minimum, maximum=self.maximum)
+        check_range(self.minimum, self.maximum, self.unit)
         if self.point in self.held:
             raise ValueError(f"held: '{self.point}' is the actuator itself")
         for key, name in (("switch", self.switch), ("supply", self.supply)):
@@ -190,9 +187,7 @@ class RoomSetpoints(StrictModel):
 
     @model_validator(mode="after")
     def _ordered(self) -> RoomSetpoints:
-        if not self.minimum < self.maximum:
-            raise ValueError(f"minimum ({self.minimum}) must be below maximum ({self.maximum})")
-        check_kelvin(minimum=self.minimum, maximum=self.maximum)
+        check_range(self.minimum, self.maximum, self.unit)
         if self.heating == self.cooling:
             raise ValueError(f"heating and cooling are the same point '{self.heating}'")
         return self

@@ -13,7 +13,7 @@ from thermoforce_mpc.data import ZERO_C_K, Layout, Names
 from thermoforce_mpc.errors import suggestion
 from thermoforce_mpc.scenario.actuator import Actuator, RoomSetpoints
 from thermoforce_mpc.scenario.heat import HEAT_IS, Heat, HeatMeter
-from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, check_kelvin
+from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, check_range
 
 
 class Supply(StrictModel):
@@ -33,9 +33,7 @@ class Supply(StrictModel):
 
     @model_validator(mode="after")
     def _ordered(self) -> Supply:
-        check_kelvin(minimum=self.minimum, maximum=self.maximum)
-        if not self.minimum < self.maximum:
-            raise ValueError(f"minimum ({self.minimum}) must be below maximum ({self.maximum})")
+        check_range(self.minimum, self.maximum, "K")
         return self
 
     def value(self, heat_W: float, T_floor_C: float, last_K: float = math.nan, gave_W: float = math.nan) -> float:

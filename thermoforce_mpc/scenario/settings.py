@@ -75,7 +75,7 @@ def validate(model: type[Model], data: Mapping[str, Any], source: str) -> Model:
         return model.model_validate(dict(data))
     except ValidationError as error:
         items = _without_consequences(error.errors())
-        lines = [_line(data, item) + _explain(model, data, item) for item in items[:_MOST_LISTED]]
+        lines = [_explain(model, data, item) for item in items[:_MOST_LISTED]]
         if len(items) > _MOST_LISTED:
             lines.append(f"and {len(items) - _MOST_LISTED} more")
         raise ConfigError(f"{source}:\n" + "\n".join(f"  {line}" for line in lines)) from error
@@ -126,12 +126,8 @@ def nested(key: str, value: Any) -> dict[str, Any]:
 
 def _without_consequences(items: Sequence[Any]) -> list[Any]:
     """The errors of pydantic but those of lists that are too short because their wrong entries do not count."""
-    places = [item["loc"] for item in items]
-
-    def follows(loc: tuple[Any, ...]) -> bool:
-        return any(len(place) > len(loc) and place[: len(loc)] == loc for place in places)
-
-    return [item for item in items if item["type"] != "too_short" or not follows(item["loc"])]
+    above = {item["loc"][:n] for item in items for n in range(len(item["loc"]))}
+    return [item for item in items if item["type"] != "too_short" or item["loc"] not in above]
 
 
 def _place(data: Mapping[str, Any], item: Any) -> tuple[Any, ...]:
@@ -149,22 +145,18 @@ def _place(data: Mapping[str, Any], item: Any) -> tuple[Any, ...]:
 
 
 def _explain(model: type[BaseModel], data: Mapping[str, Any], item: Any) -> str:
-    path = [str(part) for part in _place(data, item)]
-    key = ".".join(path) or "(top level)"
+    place = _place(data, item)
+    path = [str(part) for part in place]
+    line = data.line(place) if isinstance(data, YamlDocument) else None
+    key = ("" if line is None else f"line {line}: ") + (".".join(path) or "(top level)")
     if item["type"] == "extra_forbidden":
         known = _keys_at(model, path[:-1])
-        meant = _meant(model, path[-1], known)
-        return f"{key}: unknown key{meant}; known here: {', '.join(known)}"
+        return f"{key}: unknown key{_meant(model, path[-1], known)}; known here: {', '.join(known)}"
     if item["type"] == "missing":
         return f"{key}: missing"
     reason = item["msg"].removeprefix("Value error, ")
     # At the top the value is the whole file.
     return f"{key}: {reason:.500}" + (f" (got {_shown(item['input'])})" if path else "")
-
-
-def _line(data: Mapping[str, Any], item: Any) -> str:
-    line = data.line(_place(data, item)) if isinstance(data, YamlDocument) else None
-    return "" if line is None else f"line {line}: "
 
 
 def _shown(value: Any) -> str:

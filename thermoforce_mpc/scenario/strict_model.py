@@ -119,8 +119,10 @@ def _leaves(value: Any) -> Iterator[Any]:
         yield value
 
 
-def check_kelvin(**values: float) -> None:
-    """Raise `ValueError` unless each value can be a temperature in a building in kelvin, which one in °C cannot."""
-    for name, value in values.items():
-        if not 200.0 <= value <= 500.0:
+def check_range(minimum: float, maximum: float, unit: str) -> None:
+    """Raise `ValueError` unless the ends of a range are in order, and in K temperatures of a building, not in °C."""
+    if not minimum < maximum:
+        raise ValueError(f"minimum ({minimum}) must be below maximum ({maximum})")
+    for name, value in {"minimum": minimum, "maximum": maximum}.items():
+        if unit == "K" and not 200.0 <= value <= 500.0:
             raise ValueError(f"{name} is {value:g} K; in unit K a temperature is between 200 and 500 (20 °C is 293.15)")

@@ -154,21 +154,13 @@ class TestCase(StrictModel):
         f = self.forecast
         weather = (self.measurements.outdoor_temperature, self.measurements.solar, f.outdoor_temperature, f.solar)
         if self.zones:
-            return BuildingPoints(
-                layout_of(self.zones, self.actuators, self.machines, self.exclusive),
-                tuple(self.zones.values()),
-                tuple(
-                    ActuatorPoints(
-                        one,
-                        HeatMeter(one.heat, self.zones[one.zone].temperature),
-                        f"actuators.{name}",
-                        one.full_W if isinstance(one, ZoneActuator) else None,
-                    )
-                    for name, one in self.actuators.items()
-                ),
-                tuple(self.machines.values()),
-                *weather,
-            )
+            acting = []
+            for name, one in self.actuators.items():
+                meter = HeatMeter(one.heat, self.zones[one.zone].temperature)
+                acting.append(ActuatorPoints(one, meter, f"actuators.{name}", getattr(one, "full_W", None)))
+            layout = layout_of(self.zones, self.actuators, self.machines, self.exclusive)
+            zones, machines = tuple(self.zones.values()), tuple(self.machines.values())
+            return BuildingPoints(layout, zones, tuple(acting), machines, *weather)
         m, actuator = self.metered, self.actuator
         assert actuator is not None  # checked by `_one_form`
         zone = Zone(
@@ -186,14 +178,9 @@ class TestCase(StrictModel):
             heating_price=f.heating_price,
             emission=f.emission,
         )
-        lowest = actuator.lowest if isinstance(actuator, RoomSetpoints) else 0.0
-        return BuildingPoints(
-            Layout.single(self.mode, lowest, self.area_m2),
-            (zone,),
-            (ActuatorPoints(actuator, HeatMeter(m.heat, m.zone_temperature), "actuator"),),
-            (machine,),
-            *weather,
-        )
+        layout = Layout.single(self.mode, getattr(actuator, "lowest", 0.0), self.area_m2)
+        acts = ActuatorPoints(actuator, HeatMeter(m.heat, m.zone_temperature), "actuator")
+        return BuildingPoints(layout, (zone,), (acts,), (machine,), *weather)
 
     @property
     def metered(self) -> Measurements:
@@ -212,7 +199,14 @@ class TestCase(StrictModel):
                     "a building of one zone needs floor_area_m2, actuator and measurements.zone_temperature and "
                     "electric_power; one of several zones, actuators and machines"
                 )
-            return self._of_one_zone(self.actuator, self.measurements)
+            room = isinstance(self.actuator, RoomSetpoints)
+            if room != (self.mode == "both"):
+                raise ValueError("mode both and an actuator of kind room_setpoints belong together")
+            if room and not self.measurements.heat:
+                raise ValueError(
+                    "an actuator of kind room_setpoints needs measurements.heat: the level is heat over full heat"
+                )
+            return self
         if self.actuator is not None or isinstance(self.measurements, Measurements):
             raise ValueError(
                 "with zones, leave out actuator and what measurements has besides the weather: those points stand with "
@@ -252,16 +246,6 @@ class TestCase(StrictModel):
             if machine.supply is None and isinstance(one, ZoneActuator) and one.full_W is not None:
                 raise ValueError(f"actuators.{name}: full_W belongs to a machine with supply, which {key} has not")
 
-    def _of_one_zone(self, actuator: Actuator | RoomSetpoints, measurements: Measurements) -> TestCase:
-        room = isinstance(actuator, RoomSetpoints)
-        if room != (self.mode == "both"):
-            raise ValueError("mode both and an actuator of kind room_setpoints belong together")
-        if room and not measurements.heat:
-            raise ValueError(
-                "an actuator of kind room_setpoints needs measurements.heat: the level is heat over full heat"
-            )
-        return self
-
     @model_validator(mode="after")
     def _emulators_take_the_level(self) -> TestCase:
         if not (self.embedded or self.energyplus) or self.actuator is None:
@@ -279,6 +263,6 @@ class TestCase(StrictModel):
 
 def _is_valve(one: ZoneActuator | ZoneRoomSetpoints) -> bool:
     """Whether an actuator can be left open while the water of its machine says what it gives, and its heat is known."""
-    if not isinstance(one, ZoneActuator) or one.full_W is None or not one.heat:
+    if not isinstance(one, ZoneActuator):
         return False
-    return one.kind == "level" and one.map == "linear" and not one.held
+    return bool(one.full_W and one.heat) and one.kind == "level" and one.map == "linear" and not one.held
