@@ -36,68 +36,61 @@ class TaskProgress:
         self._n, self._ended, self._since = 0, 0, time.monotonic()
         self._shares: dict[str, float] = {}
         self._bars: dict[str, TaskID] = {}
-        self._progress: Progress | None = None
-        self._all = TaskID(0)
+        self._drawn = console.is_terminal and not quiet
+        described, left = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[left]}")
+        columns = described, BarColumn(), TimeElapsedColumn(), left
+        self._progress = Progress(*columns, console=console, transient=True, disable=not self._drawn)
+        self._all = self._progress.add_task("", visible=False, left="")
 
     def __enter__(self) -> TaskProgress:
-        if self._console.is_terminal and not self._quiet:
-            described, left = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[left]}")
-            columns = described, BarColumn(), TimeElapsedColumn(), left
-            self._progress = Progress(*columns, console=self._console, transient=True)
-            self._progress.start()
-            self._all = self._progress.add_task("", visible=False, left="")
+        self._progress.start()
         return self
 
     def __exit__(self, *exception: object) -> None:
-        if self._progress:
+        if self._drawn:
             self._progress.stop()
 
     def planned(self, n: int) -> None:
         """`n` tasks will be run."""
         self._n, self._since = n, time.monotonic()
-        if self._progress and n:
-            self._progress.update(self._all, total=n, visible=True)
-            self._show_all()
+        self._progress.update(self._all, total=n, visible=bool(n))
+        self._show_all()
 
     def begun(self, task: Task) -> None:
         """A worker has begun `task`, perhaps not the first."""
         again = " again" if task.key in self._shares else ""
         self._shares[task.key] = 0.0
-        if self._progress:
-            if task.key in self._bars:
-                self._progress.reset(self._bars[task.key], total=None)
-            elif len(self._bars) < _MOST_BARS:
-                self._bars[task.key] = self._progress.add_task(task.title, total=None, left="")
-        elif not self._quiet:
+        if task.key in self._bars:
+            self._progress.reset(self._bars[task.key], total=None)
+        elif len(self._bars) < _MOST_BARS:
+            self._bars[task.key] = self._progress.add_task(task.title, total=None, left="")
+        if not self._drawn and not self._quiet:
             self._print(f"started {task.title}{again}")
 
     def told(self, task: Task, share: float) -> None:
         """A share of `task` is done."""
         self._shares[task.key] = share
-        if self._progress:
-            if task.key in self._bars:
-                self._progress.update(self._bars[task.key], total=1.0, completed=share)
-            self._show_all()
+        if task.key in self._bars:
+            self._progress.update(self._bars[task.key], total=1.0, completed=share)
+        self._show_all()
 
     def ended(self, outcome: Outcome) -> None:
         """A task has ended."""
         self._shares.pop(outcome.task.key, None)
         self._ended += 1
-        if self._progress:
-            if outcome.task.key in self._bars:
-                self._progress.remove_task(self._bars.pop(outcome.task.key))
-            self._show_all()
+        if outcome.task.key in self._bars:
+            self._progress.remove_task(self._bars.pop(outcome.task.key))
+        self._show_all()
         if self._quiet:
             return
-        left = "" if self._progress or not self._left() else f"; {self._left()}"
+        left = "" if self._drawn or not self._left() else f"; {self._left()}"
         said = f"{outcome.task.title}: {outcome.reason}" if outcome.reason else self._line(outcome)
         self._print(f"{'FAILED' if outcome.reason else 'done':8}[{self._ended}/{self._n}] {said}{left}")
 
     def _show_all(self) -> None:
-        if self._progress:
-            done = self._ended + sum(self._shares.values())
-            said = f"{self._ended} of {self._n} done"
-            self._progress.update(self._all, description=said, completed=done, left=self._left())
+        done = self._ended + sum(self._shares.values())
+        said = f"{self._ended} of {self._n} done"
+        self._progress.update(self._all, description=said, completed=done, left=self._left())
 
     def _left(self) -> str:
         """Time left at the rate so far; empty as long as there is none to speak of, and at the end."""
