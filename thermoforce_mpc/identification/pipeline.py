@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from thermoforce_mpc.data import DAY_S, Layout, Record
 from thermoforce_mpc.data.names import check_same_building
@@ -41,6 +42,8 @@ from thermoforce_mpc.model.screening import Limits
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
+# Matrices are small: threads of BLAS wait for each other ten times as long as they compute.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def identify(
     runs: Record | Sequence[Record] = (),
     pairs: Sequence[Pair] = (),
