@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
 from thermoforce_mpc.identification.validation.report import BAND
 from thermoforce_mpc.model.thermal_model import ThermalModel
 

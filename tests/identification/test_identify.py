@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from houses import House, effect_rmse, make_pair, record
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError, DataError
@@ -28,6 +29,21 @@ def test_three_days_of_one_run_tell_what_an_action_does():
     assert model.only.free is not None
     assert model.only.power is not None
     np.testing.assert_allclose(model.only.power(np.array([0.0, 1.0]), 5.0), [0, 3600], rtol=0.02)
+
+
+def test_blas_computes_on_one_thread_and_then_as_before():
+    def threads(_=""):
+        counts.append({one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"})
+
+    counts: list[set[int]] = []
+    with threadpool_limits(2, user_api="blas"):
+        threads()
+        identify([record(HOUSE, 1.0, 3600.0)], config=LINEAR, progress=threads)
+        threads()
+    first, *during, last = counts
+    assert first == last
+    assert during
+    assert all(found == {1} for found in during)
 
 
 @pytest.mark.slow
@@ -336,9 +352,9 @@ def replace_config(config: IdentificationConfig, **changes) -> IdentificationCon
 
 def test_an_operator_that_cannot_be_proven_is_refused(monkeypatch):
     """Training does not usually end there, so the network is swapped for one that does."""
-    from thermoforce_mpc.identification.modulation import candidate
+    from thermoforce_mpc.identification.modulation import selection
 
-    trained = candidate.train
+    trained = selection.train
 
     def steep(*args, **kwargs):
         result = trained(*args, **kwargs)
@@ -346,7 +362,7 @@ def test_an_operator_that_cannot_be_proven_is_refused(monkeypatch):
         weights[:, 0] = 40.0
         return replace(result, hidden_weight=weights, output_weight=np.full(32, -10.0))
 
-    monkeypatch.setattr(candidate, "train", steep)
+    monkeypatch.setattr(selection, "train", steep)
     config = IdentificationConfig(order=1, feedback=True, modulation="always", epochs=2)
     with pytest.raises(DataError, match=r"not certified: the modulation depends on .* per K"):
         identify(pairs=[make_pair(HOUSE, seed) for seed in range(3)], config=config)

@@ -1,8 +1,7 @@
 """From recorded runs of a building to its thermal model, zone by zone.
 
-Refuse what cannot identify; fit heat and power to what was measured; fit each zone with its own actuator and all others
-(`identification.zones`), so that the effects of all pairs of zone and actuator are estimated together; assemble the
-operator of the building. All steps are deterministic for a given seed.
+Refuse what cannot identify; fit heat and power to what was measured; estimate what each actuator does to its home zone
+beside all others (`zones`); assemble the operator of the building. All steps are deterministic for a given seed.
 """
 
 from __future__ import annotations
@@ -13,18 +12,14 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from thermoforce_mpc.data import DAY_S, Layout, Record
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.confounding import unknown_heat
-from thermoforce_mpc.identification.effects.couplings import (
-    assembled,
-    others_of,
-    with_metered_shares,
-)
-from thermoforce_mpc.identification.effects.level_laws import levels_only
+from thermoforce_mpc.identification.effects.couplings import assembled, others_of, with_metered_shares
 from thermoforce_mpc.identification.effects.own_meters import ForeignLoads, foreign_loads
 from thermoforce_mpc.identification.estimation.records import (
     Pair,
@@ -43,11 +38,12 @@ from thermoforce_mpc.identification.zones.two_stage import two_stage_estimate
 from thermoforce_mpc.measurements.checks import Remark, remarks
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.screening import Limits
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
+# Matrices are small: threads of BLAS wait for each other ten times as long as they compute.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def identify(
     runs: Record | Sequence[Record] = (),
     pairs: Sequence[Pair] = (),
@@ -94,13 +90,21 @@ def identify(
     if not runs and not pairs:
         raise DataError("nothing to identify from: give at least one run or pair")
     if layout is None:
-        layout = _one_zone(runs, pairs, Layout.single(mode, lowest, floor_area_m2))
+        names = (runs[0] if runs else pairs[0].a).names
+        if not names.single:
+            raise DataError(f"the records have {names}: say what acts where (layout)")
+        layout = replace(Layout.single(mode, lowest, floor_area_m2), names=names)
     records = _prepared(runs, pairs, layout)
-    inputs = [_heat_input(records, layout, a, config) for a in range(len(layout.home))]
-    heat_inputs = [heat_input for heat_input, _ in inputs]
-    notes = [[*records.notes, *said, *records.foreign.notes(a)] for a, (_, said) in enumerate(inputs)]
-    runs, sun = without_sun(records.runs, layout, heat_inputs, config)
-    data_of = []
+    alone = len(layout.home) == 1
+    inputs, noted = [], []
+    for a, home in enumerate(layout.home):
+        parts = [h.part(home, [a], [layout.machine_of[a]]) for h in records.histories]
+        with _told(records, layout, a):
+            heat_input, of_heat = identified_heat_input(parts, config, layout.signs[a], layout.lowest[a], alone)
+        inputs.append(heat_input)
+        noted.append([*records.notes, *of_heat, *records.foreign.notes(a)])
+    runs, sun = without_sun(records.runs, layout, inputs, config)
+    data = []
     for a, home in enumerate(layout.home):
         m, order, likeliest = layout.machine_of[a], [a, *others_of(layout, a, config)], sun.get(home)
         taken_off = likeliest if likeliest is not None and likeliest.likely else None
@@ -109,39 +113,28 @@ def identify(
             records.hashes,
             scores={} if likeliest is None else {"sun_on_sensor": likeliest.probability},
             config=config.model_dump(mode="json"),
-            notes=(*notes[a], *([] if taken_off is None else [taken_off.in_words()])),
+            notes=(*noted[a], *([] if taken_off is None else [taken_off.in_words()])),
             sun_on_sensor=taken_off,
             foreign_heat=records.foreign.heat[a],
         )
-        zone_data = ZoneData(
-            config,
-            [h.part(home, order, [m]) for h in runs],
-            [p.part(home, order, [m]) for p in records.pairs],
-            heat_inputs[a],
-            layout.signs[a],
-            step_s,
-            card,
-            alone=len(layout.home) == 1,
-            bars=[remark for remark in records.doubts if a in remark.actuators],
-            area_m2=float(layout.floor_area_m2[home]),
-        )
-        data_of.append(zone_data)
+        of_zone = [h.part(home, order, [m]) for h in runs]
+        pairs_of_zone = [p.part(home, order, [m]) for p in records.pairs]
+        bars = [remark for remark in records.doubts if a in remark.actuators]
+        area_m2 = float(layout.floor_area_m2[home])
+        sign = layout.signs[a]
+        data.append(ZoneData(config, of_zone, pairs_of_zone, inputs[a], sign, step_s, card, alone, bars, area_m2))
     days = sum(h.n_steps * h.step_s for h in records.histories) / DAY_S
     say(f"fitting what acting does to {days:.3g} days of records")
-    estimates = _estimates(runs, records, layout, data_of, config)
+    estimates = _estimates(runs, records, layout, data, config)
     layout = with_metered_shares(layout, [each.everything.heat_input for each in estimates], records.histories)
     power, of_power = _powers(records, config, layout)
     zones = []
-    for a, (zone_data, estimate) in enumerate(zip(data_of, estimates, strict=True)):
+    for a, (zone, estimate) in enumerate(zip(data, estimates, strict=True)):
         m = layout.machine_of[a]
-        card = replace(zone_data.card, notes=(*zone_data.card.notes, *of_power[m]))
-        zone_data = replace(zone_data, card=card, power=power[m] if len(layout.fed_by(m)) == 1 else None)
-        if levels_only(heat_inputs[a], layout, a, config):
-            unknown, said, advice = unknown_heat(runs, layout, a, estimate.laws, config)
-            card = replace(zone_data.card, notes=(*zone_data.card.notes, *said))
-            zone_data = replace(zone_data, card=card, level_sd=unknown, advice=advice)
+        own = power[m] if len(layout.fed_by(m)) == 1 else None
+        unknown = unknown_heat(runs, layout, a, inputs[a], estimate.laws, config)
         with _told(records, layout, a, say) as tell:
-            zones.append(identify_zone(zone_data, estimate, tell))
+            zones.append(identify_zone(zone, estimate, own, unknown, of_power[m], tell))
     return assembled(layout, zones, [estimate.effects[1:] for estimate in estimates], power, config)
 
 
@@ -162,47 +155,35 @@ class _Records:
     hashes: Mapping[str, str]
 
 
-def _one_zone(runs: Sequence[Record], pairs: Sequence[Pair], layout: Layout) -> Layout:
-    """`layout`, of one zone and actuator, with the names of the records."""
-    names = (runs[0] if runs else pairs[0].a).names
-    if not names.single:
-        raise DataError(f"the records have {names}: say what acts where (layout)")
-    return replace(layout, names=names)
-
-
 def _prepared(runs: Sequence[Record], pairs: Sequence[Pair], layout: Layout) -> _Records:
     """The records, checked.
 
     Raises:
         DataError: they do not fit the layout, or nothing usable is left of them.
     """
-    labels = [f"run {i}" if len(runs) > 1 else "run" for i in range(len(runs))]
-    given = named(labels, runs, pairs)
-    for _, record in given:
+    given = named(runs, pairs)
+    for record in [*runs, *(h for p in pairs for h in (p.a, p.b))]:
         check_same_building("the record", record.names, "the layout", layout.names)
+    hashes = {name: data_hash(record) for name, record in given.items()}
     area_m2 = float(np.sum(layout.floor_area_m2))
     allowed = Limits.of(None, area_m2 if np.isfinite(area_m2) else None, min(layout.lowest))
-    usable, gaps = prepared_runs(runs, allowed)
-    doubts = _doubts(usable, layout)
+    runs, gaps = prepared_runs(runs, allowed)
+    # What the runs say against themselves, each thing once, where it is surest.
+    surest = {}
+    for remark in sorted((remark for run in runs for remark in remarks(run, layout)), key=lambda one: one.sure):
+        surest[remark.kind, remark.where] = remark
+    doubts = list(surest.values())
     pairs, pair_gaps = prepared_pairs(pairs, allowed)
     if pairs:
         check_pairs(pairs)
-    histories = [*usable, *(h for p in pairs for h in (p.a, p.b))]
+    histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
     check_steps(histories)
     foreign = foreign_loads(histories, layout)
-    usable = [foreign.taken_off(run) for run in usable]
+    runs = [foreign.taken_off(run) for run in runs]
     pairs = [replace(p, a=foreign.taken_off(p.a), b=foreign.taken_off(p.b)) for p in pairs]
-    histories = [*usable, *(h for p in pairs for h in (p.a, p.b))]
+    histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
     notes = [*(remark.in_words() for remark in doubts), *gaps, *pair_gaps]
-    hashes = {name: data_hash(record) for name, record in given}
-    return _Records(usable, pairs, histories, foreign, doubts, notes, hashes)
-
-
-def _heat_input(records: _Records, layout: Layout, a: int, config: IdentificationConfig) -> tuple[HeatInput, list[str]]:
-    """What actuator `a` delivers, and notes on it."""
-    parts = [h.part(layout.home[a], [a], [layout.machine_of[a]]) for h in records.histories]
-    with _told(records, layout, a):
-        return identified_heat_input(parts, config, layout.signs[a], layout.lowest[a], alone=len(layout.home) == 1)
+    return _Records(runs, pairs, histories, foreign, doubts, notes, hashes)
 
 
 def _estimates(
@@ -212,9 +193,9 @@ def _estimates(
     if config.method == "joint":
         return network_estimates(runs, records.pairs, layout, data, config)
     found = []
-    for a, of_zone in enumerate(data):
+    for a, zone in enumerate(data):
         with _told(records, layout, a):
-            found.append(two_stage_estimate(of_zone))
+            found.append(two_stage_estimate(zone))
     return found
 
 
@@ -233,14 +214,6 @@ def _told(
     except DataError as error:
         doubts = [remark.in_words() for remark in records.doubts]
         raise DataError("; ".join([f"{prefix}{error}", *doubts])) from error
-
-
-def _doubts(runs: Sequence[Record], layout: Layout) -> list[Remark]:
-    """What the runs say against themselves, each thing once, where it is surest."""
-    surest: dict[tuple[str, str], Remark] = {}
-    for remark in sorted((remark for run in runs for remark in remarks(run, layout)), key=lambda one: one.sure):
-        surest[remark.kind, remark.where] = remark
-    return list(surest.values())
 
 
 def _powers(

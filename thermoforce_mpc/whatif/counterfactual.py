@@ -19,7 +19,7 @@ from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.data.series.gaps import WEATHER, bridged
 from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
 from thermoforce_mpc.identification.validation.report import BAND, step_response_of
 from thermoforce_mpc.model.forced_state import followed
 from thermoforce_mpc.model.free_response.checks import LEVELS

@@ -9,7 +9,7 @@ import pytest
 from houses import House, make_pair, record
 
 from thermoforce_mpc.data import Layout, Names, Record
-from thermoforce_mpc.identification.network.effects import Actuators, building_fit, room_run
+from thermoforce_mpc.identification.network.building import Actuators, building_fit, room_run
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput

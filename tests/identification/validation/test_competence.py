@@ -11,17 +11,17 @@ from houses import House, make_pair, record, weather
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
+from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
 from thermoforce_mpc.identification.estimation.regression import run_regression
-from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
 from thermoforce_mpc.identification.validation.competence import (
     LEAD_TIMES_H,
     MOST_ERROR_K,
     MOST_RELATIVE_SD,
     is_well_known,
     missed_criteria,
+    most_K,
 )
 from thermoforce_mpc.identification.validation.held_out import before_held_out, held_out, seen_rows
-from thermoforce_mpc.identification.validation.plausible import most_K
 from thermoforce_mpc.model.competence import Competence, HorizonScore
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model

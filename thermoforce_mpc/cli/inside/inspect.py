@@ -85,7 +85,7 @@ def _show_building(name: str, thermal: ThermalModel, console: Console) -> None:
         console.print(f"  {machine} feeds {', '.join(fed) or 'nothing'}", soft_wrap=True)
     certified = f"NOT CERTIFIED: {', '.join(wrong)}" if wrong else "every pair CERTIFIED"
     console.print(f"Certificate: {certified}", soft_wrap=True)
-    from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
+    from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
     from thermoforce_mpc.identification.validation.report import BAND, step_response_of
 
     hours = STEP_RESPONSE_H[-1]

@@ -9,14 +9,22 @@ heat is not measured it is not, since circuits of one machine take from each oth
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.couplings import others_of
-from thermoforce_mpc.identification.effects.level_laws import OUTDOORS, Estimates, outdoors_in_words, weather_of
+from thermoforce_mpc.identification.effects.level_laws import (
+    OUTDOORS,
+    Estimates,
+    levels_only,
+    outdoors_in_words,
+    weather_of,
+)
 from thermoforce_mpc.identification.validation.competence import EFFECT_H
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # What a neighbour at full level may do to a zone, as a share of what the zone's own actuator does, times the number of
 # zones over which its heat spreads.
@@ -28,13 +36,25 @@ _NAMED = 0.1
 _UNSEEN_LEVEL_SD = 0.6
 
 
-def unknown_heat(
-    runs: Sequence[Record], layout: Layout, a: int, laws: Estimates, config: IdentificationConfig
-) -> tuple[float, list[str], str]:
-    """Relative standard deviation of the effect of actuator `a` by what its levels do not say of its heat.
+class Unknown(NamedTuple):
+    """Relative standard deviation of an effect by what levels do not say of heat, notes on it, and advice."""
 
-    And notes on that, and advice; empty where there is none.
-    """
+    sd: float = 0.0
+    notes: Sequence[str] = ()
+    advice: str = ""
+
+
+def unknown_heat(
+    runs: Sequence[Record],
+    layout: Layout,
+    a: int,
+    heat_input: HeatInput,
+    laws: Estimates,
+    config: IdentificationConfig,
+) -> Unknown:
+    """What is unknown of the heat of actuator `a`: nothing where it was measured, or is the level itself."""
+    if not levels_only(heat_input, layout, a, config):
+        return Unknown()
     neighbours_sd, advice = confounding(runs, layout, a, config)
     unknown, notes = [neighbours_sd, shared_sd(layout, a)], [advice] if advice else []
     weather = weather_of(runs, a)
@@ -43,7 +63,7 @@ def unknown_heat(
         notes.insert(0, outdoors_in_words(laws, weather))
     highest = max((float(np.max(run.u[a])) for run in runs), default=1.0)
     unknown.append(_UNSEEN_LEVEL_SD * max(1.0 - highest, 0.0))
-    return float(np.linalg.norm(unknown)), notes, advice
+    return Unknown(float(np.linalg.norm(unknown)), notes, advice)
 
 
 def confounding(runs: Sequence[Record], layout: Layout, a: int, config: IdentificationConfig) -> tuple[float, str]:

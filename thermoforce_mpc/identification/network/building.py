@@ -7,19 +7,21 @@ C^{-1/2} L C^{-1/2} has real positive eigenvalues λ_k, so that step responses a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import Array, Layout
+from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
+from thermoforce_mpc.data.series.gaps import interpolated
 from thermoforce_mpc.identification.effects.circuits import Circuit
-from thermoforce_mpc.identification.estimation.differences import jacobian
-from thermoforce_mpc.identification.network.estimate import RoomFit
-from thermoforce_mpc.identification.network.room import BETWEEN, EMITTER, neighbours_of
-from thermoforce_mpc.model.free_response.rc import INPUTS
+from thermoforce_mpc.identification.effects.level_laws import LevelLaw
+from thermoforce_mpc.identification.network.estimate import RoomFit, Run, estimate_room
+from thermoforce_mpc.identification.network.room import BETWEEN, EMITTER, Law, Room, neighbours_of
+from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs
+from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 RESPONSE_H = np.array(
     [0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 36.0, 48.0, 72.0, 96.0, 144.0, 240.0]
@@ -29,6 +31,49 @@ RESPONSE_H = np.array(
 # and of what comes over these hours besides, through layers of structure and envelope that are one node each: of 40
 # generated houses after 7 and 10 days of probing, the error beyond what their parameters explain.
 _STRUCTURE_SD, _LAYERS_H = 0.045, 12.0
+# A part of a run with fewer readings says nothing.
+_LEAST_READINGS = 8
+# Step of central differences, of a parameter and at least.
+_DIFFERENCE = 1e-4
+
+
+@dataclass(frozen=True)
+class Actuators:
+    """What acts in a building: `layout`, v of each actuator (A,), what is not known of it (A,), and whether it acts on
+    other zones than its own.
+    """
+
+    layout: Layout
+    heat_inputs: Sequence[HeatInput]
+    laws: Sequence[Sequence[LevelLaw]]
+    across: bool = True
+
+    def neighbours(self, zone: int) -> Sequence[int]:
+        """The measured neighbours of a zone."""
+        return neighbours_of(zone, len(self.layout.floor_area_m2)) if self.across else ()
+
+    def room(self, zone: int) -> Room:
+        """The network of one zone."""
+        home, area = self.layout.actuators_of(zone), self.layout.floor_area_m2[zone]
+        inputs = [self.heat_inputs[a] for a in home]
+        heat = [heat_input.reference_W / area if heat_input.law is not None else np.nan for heat_input in inputs]
+        laws = tuple(Law(k, law.name, law.mean, law.sd) for k, a in enumerate(home) for law in self.laws[a])
+        return Room(tuple(self.layout.signs[a] for a in home), tuple(heat), len(self.neighbours(zone)), laws)
+
+    def inputs(self, record: Record, zone: int) -> Array:
+        """Inputs of a room in each step (n, m), see `Room`: v is that of the heat that was measured, else of levels."""
+        drives, phi, T_out_C = [], [], record.T_out_C[:-1]
+        for a in self.layout.actuators_of(zone):
+            heat_input, heat_W = self.heat_inputs[a], self.layout.signs[a] * record.heat_W[a]
+            drive = heat_input(record.u[a], T_out_C)
+            if heat_input.law is not None:
+                drive = np.where(np.isfinite(heat_W), heat_input.of_meter(heat_W, T_out_C), drive)
+            drives.append(drive)
+            phi += [law.phi(record.u[a], T_out_C) for law in self.laws[a]]
+        others = [interpolated(record.T_zone_C[j]) for j in self.neighbours(zone)]
+        of_steps = [0.5 * (T[:-1] + T[1:]) for T in others]
+        weather = weather_inputs(record.time_s, record.T_out_C, record.solar_W_m2)
+        return np.column_stack([weather, *of_steps, *drives, *phi])
 
 
 @dataclass(frozen=True)
@@ -75,7 +120,7 @@ class BuildingFit:
             def steps(theta: Array, z: int = z) -> Array:
                 return self._steps([*thetas[:z], theta, *thetas[z + 1 :]])
 
-            by_theta = jacobian(steps, fit.theta, known)
+            by_theta = _jacobian(steps, fit.theta, known)
             covariance += np.einsum("zati,ij,zasj->zats", by_theta, fit.covariance[:known, :known], by_theta)
         return np.asarray(covariance)
 
@@ -163,3 +208,39 @@ class BuildingFit:
             total += weight * (thetas[here][place] + np.log(area[here]))
             weights += weight
         return float(np.exp(total / weights))
+
+
+def building_fit(
+    actuators: Actuators, rooms: Sequence[Sequence[Run]], before: BuildingFit | None = None
+) -> BuildingFit:
+    """The network of a building from the runs of each of its zones (Z,), as of `room_run`.
+
+    `before`: a fit to fewer runs, from which to search.
+    """
+    fits = []
+    for z, runs in enumerate(rooms):
+        read = [run for run in runs if np.isfinite(run.readings).sum() >= _LEAST_READINGS]
+        fits.append(estimate_room(actuators.room(z), read, before.rooms[z] if before else None))
+    return BuildingFit(actuators.layout, tuple(fits))
+
+
+def room_run(record: Record, zone: int, actuators: Actuators, grid_K: float, less: Record | None = None) -> Run:
+    """A record of the building as a run of one of its zones, whose sensor reads in steps of `grid_K` K.
+
+    With `less`, the other record of a pair, their difference, in which the weather cancels.
+    """
+    inputs, readings = actuators.inputs(record, zone), record.T_zone_C[zone]
+    if less is not None:
+        inputs, readings = inputs - actuators.inputs(less, zone), readings - less.T_zone_C[zone]
+    inputs = np.concatenate([inputs, inputs[-1:]])
+    return Run(inputs, np.ascontiguousarray(readings), record.step_s / HOUR_S, grid_K**2 / 12.0, less is not None)
+
+
+def _jacobian(function: Callable[[Array], Array], at: Array, count: int) -> Array:
+    """Derivatives (..., count) of a function's values (...) by the first parameters, by central differences."""
+    columns = []
+    for i in range(count):
+        step = np.zeros(at.size)
+        step[i] = _DIFFERENCE * max(1.0, abs(float(at[i])))
+        columns.append((function(at + step) - function(at - step)) / (2.0 * step[i]))
+    return np.stack(columns, axis=-1)

@@ -18,7 +18,7 @@ from scipy.special import expit, log_ndtr
 from thermoforce_mpc.data import DAY_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import resolution_K
-from thermoforce_mpc.identification.network.effects import Actuators, room_run
+from thermoforce_mpc.identification.network.building import Actuators, room_run
 from thermoforce_mpc.identification.network.estimate import Run, estimate_room, searched
 from thermoforce_mpc.identification.network.priors import SENSOR_SD_K
 from thermoforce_mpc.model.operator.heat_input import HeatInput

@@ -17,9 +17,14 @@ from pydantic import Field, model_validator
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Boundary, Layout, Record
 from thermoforce_mpc.identification.probing.design import choose
-from thermoforce_mpc.identification.probing.excitation import EXCURSION_K, Draws, Excitation, LevelTrial
+from thermoforce_mpc.identification.probing.excitation import (
+    EXCURSION_K,
+    Draws,
+    Excitation,
+    LevelTrial,
+    RoomExcitation,
+)
 from thermoforce_mpc.identification.probing.politeness import Foresight
-from thermoforce_mpc.identification.probing.room_setpoints import RoomExcitation
 from thermoforce_mpc.protocols import Plant, RoomSetpointPlant
 from thermoforce_mpc.scenario.settings import StrictModel
 

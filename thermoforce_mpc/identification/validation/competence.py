@@ -8,14 +8,16 @@ short for it: an earlier part, predicted by a fit to what came before that, coun
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import ndtr
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
+from thermoforce_mpc.identification.network.room import EMITTER, ROOM, Room
 from thermoforce_mpc.identification.validation.blocks import (
     BLOCK_H,
     LEAST_BLOCKS,
@@ -24,7 +26,6 @@ from thermoforce_mpc.identification.validation.blocks import (
     standard_errors_saved,
 )
 from thermoforce_mpc.identification.validation.errors_ahead import Fold, HeldOutErrors, errors_of
-from thermoforce_mpc.identification.validation.plausible import most_K
 from thermoforce_mpc.identification.validation.reasons import Kind, Missed, advice, plainly
 from thermoforce_mpc.model.competence import Competence, HorizonScore
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -52,6 +53,9 @@ WELL_KNOWN_SD = 0.07
 # Probing goes on beyond the configured days while it is larger than this: a model that may act is still a poor
 # one, and another day of probing is cheap beside a season of its plans.
 SETTLED_SD = 0.3
+# Rooms drawn for what heat can do at most, the share of them that a response may not exceed, and the logarithm of a
+# conductance that joins nothing.
+_ROOMS, _SHARE, _SEED, _NOTHING = 1000, 0.99, 0, -30.0
 
 
 def judge(
@@ -178,3 +182,26 @@ def _implausible(operator: OperatorParameters, heat_W_m2: float) -> list[Missed]
         return []
     first = int(over[0])
     return [Missed("implausible", float(response[first]), float(most[first]), float(STEP_RESPONSE_H[first]))]
+
+
+def most_K(hours: Sequence[float], heat_W_m2: float = float("nan")) -> Array:
+    """The step response to full level, K at `hours` (T,), that 1 in 100 rooms exceeds; its size if cooled.
+
+    Rooms are drawn from the priors of the network (`network.priors`). Heat enters the air at once here, which is the
+    most it can do. `heat_W_m2`: heat of full level per m² of floor; NaN, where not metered: as the priors have it.
+    """
+    return np.array(_most_K(tuple(hours), round(heat_W_m2, 1) if np.isfinite(heat_W_m2) else None))
+
+
+@lru_cache(maxsize=64)
+def _most_K(hours: tuple[float, ...], heat_W_m2: float | None) -> tuple[float, ...]:
+    room = Room((1,), (float("nan") if heat_W_m2 is None else heat_W_m2,))
+    draws = room.mean + room.sd * np.random.default_rng(_SEED).normal(size=(_ROOMS, room.mean.size))
+    draws[:, room.place["H_emitter_0"]] = _NOTHING
+    F = np.array([room.equations(theta).matrix[:EMITTER, :EMITTER] for theta in draws])
+    heat = np.array([room.value(theta, "heat_0") / room.value(theta, "C_room") for theta in draws])
+    rates, modes = np.linalg.eig(F)
+    entering = np.linalg.inv(modes)[:, :, ROOM] * heat[:, None]
+    rising = np.expm1(rates[:, None] * np.asarray(hours)[:, None]) / rates[:, None]
+    responses = np.einsum("nm,nhm,nm->nh", modes[:, ROOM], rising, entering).real
+    return tuple(np.quantile(responses, _SHARE, axis=0).tolist())

@@ -183,10 +183,10 @@ def ranges(histories: Sequence[Record]) -> dict[str, tuple[float, float]]:
     return out
 
 
-def named(names: Sequence[str], runs: Sequence[Record], pairs: Sequence[Pair]) -> list[tuple[str, Record]]:
-    """Return every record with its name on the model card."""
-    out = list(zip(names, runs, strict=True))
+def named(runs: Sequence[Record], pairs: Sequence[Pair]) -> dict[str, Record]:
+    """Every record by its name on the model card."""
+    found = {f"run {i}" if len(runs) > 1 else "run": run for i, run in enumerate(runs)}
     for i, pair in enumerate(pairs):
         label = pair.label or str(i)
-        out += [(f"pair {label} a", pair.a), (f"pair {label} b", pair.b)]
-    return out
+        found |= {f"pair {label} a": pair.a, f"pair {label} b": pair.b}
+    return found

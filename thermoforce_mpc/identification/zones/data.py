@@ -12,10 +12,10 @@ from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.level_laws import Estimates
+from thermoforce_mpc.identification.estimation.modes import Effect
 from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
 from thermoforce_mpc.identification.estimation.regression import RegressionData, pair_regression, run_regression
 from thermoforce_mpc.identification.estimation.rest import fitted_to_pairs
-from thermoforce_mpc.identification.estimation.uncertainty import Effect
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.identification.validation.held_out import (
     before_held_out,
@@ -26,7 +26,6 @@ from thermoforce_mpc.identification.validation.held_out import (
 from thermoforce_mpc.measurements.checks import Remark
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
-from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
 # Least gain, K or K/h: an effect that the record denies keeps the sign of its actuator.
@@ -38,18 +37,15 @@ class ZoneData:
     """What one zone is identified from.
 
     Attributes:
-        config: options.
-        runs, pairs: records of the zone, prepared (`identification.records`); the first level is that of its own
-            actuator, the rest are those of the others.
+        runs, pairs: records of the zone, prepared (`estimation.records`); the first level is that of its own actuator,
+            the rest are those of the others.
         heat_input: what the own actuator delivers.
         sign: +1 if it heats, −1 if it cools.
         step_s: step of the operator, s; None: that of the data.
         card: what the model card says already.
-        power: of the machine, where it feeds this actuator alone.
-        level_sd: relative standard deviation of the effect that comes from heat that was not measured; `advice` on it.
-        bars: what says that the level is none, so that the model may not act.
         alone: whether the building has no other actuator. Of several, one without an effect must not refuse the rest:
             its model is returned, not competent.
+        bars: what says that the level is none, so that the model may not act.
         area_m2: floor area of the zone, m², NaN where it is not known.
     """
 
@@ -60,17 +56,9 @@ class ZoneData:
     sign: int
     step_s: float | None = None
     card: ModelCard = field(default_factory=lambda: ModelCard("identified"))
-    power: PowerModel | None = None
     alone: bool = True
-    level_sd: float = 0.0
-    advice: str = ""
     bars: Sequence[Remark] = ()
     area_m2: float = float("nan")
-
-    @property
-    def heat_W_m2(self) -> float:
-        """Metered heat of full level per m² of floor; NaN where it or the area is not known."""
-        return self.heat_input.reference_W / self.area_m2 if self.heat_input.law is not None else float("nan")
 
     @cached_property
     def grid_K(self) -> float:

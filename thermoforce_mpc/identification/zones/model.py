@@ -1,18 +1,18 @@
-"""Model of one zone from its records: effects and free part of the network, monotone-neural gain, verdict.
+"""Model of one zone from its linear estimate: monotone-neural gain, free part, verdict.
 
-The network of the first part of the data gives the verdict, that of everything the model; the modulation is trained the
-same way, and kept unless it is worse; an operator whose actuator is not shown to act or whose sign is not proven is
-refused, whatever the method. The zone's own actuator is the first of its records.
+The estimate of the first part of the data gives the verdict, that of everything the model; the modulation is trained
+the same way, and kept unless it is worse. An operator whose sign is not proven is refused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.effects.confounding import Unknown
 from thermoforce_mpc.identification.effects.level_laws import part_load_costs
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
 from thermoforce_mpc.identification.validation.competence import judge
@@ -20,6 +20,7 @@ from thermoforce_mpc.identification.validation.held_out import ranges
 from thermoforce_mpc.identification.validation.reasons import UNJUDGED
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
 from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.zone_model import ZoneModel
 
 # Least log odds that the actuator acts: of 84 random houses with the levels of another one, 2 had more
@@ -34,19 +35,57 @@ _LEVEL_FOR_HEAT = (
 )
 
 
-def identify_zone(data: ZoneData, estimate: Estimate, say: Callable[[str], None]) -> ZoneModel:
-    """The zone's model from a linear estimate.
+def identify_zone(
+    data: ZoneData,
+    estimate: Estimate,
+    power: PowerModel | None,
+    unknown: Unknown,
+    notes: Sequence[str],
+    say: Callable[[str], None],
+) -> ZoneModel:
+    """The zone's model.
+
+    Args:
+        power: of the machine, where it feeds the own actuator alone.
+        unknown: what its levels do not say of its heat.
+        notes: for the model card, on the power.
 
     Raises:
         DataError: nothing shows that the actuator acts (where it is alone), or its effect has no proven sign.
     """
-    model = _modelled(data, estimate, say)
-    prove(model.operator)
-    say(f"identified an operator of order {model.operator.order}")
-    return model
+    config, everything, last, before = data.config, estimate.everything, estimate.last, estimate.before
+    histories, heat_input = data.histories, everything.heat_input
+    step_s = data.step_s or histories[0].step_s
+    operator = replace(everything.operator(config), feedback=config.feedback)
+    scores, said = {**data.card.scores, **estimate.scores}, [*data.card.notes, *notes, *unknown.notes]
+    if data.grid_K:
+        said.append(f"the zone sensor reads in steps of {data.grid_K:.2g} K")
+    if heat_input.law is not None and last.heat_input.law is None:
+        said.append(_LEVEL_FOR_HEAT)
+    if config.modulation != "linear":
+        say("training the modulation of the gain")
+        operator, (last, before), found, on_network = modulate(everything, last, before, config, power)
+        scores, said = scores | found, [*said, *on_network]
+    certainty = estimate.effects[0].uncertainty(unknown.sd) | {"sensor_resolution_K": data.grid_K}
+    operator = operator.resampled(step_s)
+    for cost in part_load_costs(estimate.laws, histories, power, heat_input):
+        certainty |= cost.numbers()
+    heat_W_m2 = heat_input.reference_W / data.area_m2 if heat_input.law is not None else float("nan")
+    judged = judge(last, before, operator, certainty, scores["acts_log_odds"], heat_W_m2)
+    card = replace(
+        data.card,
+        ranges=ranges(histories),
+        scores=scores,
+        uncertainty=certainty,
+        notes=(*said, *uncertain(certainty)),
+        competence=_verdict(judged, data, estimate, unknown.advice),
+    )
+    prove(operator)
+    say(f"identified an operator of order {operator.order}")
+    return ZoneModel(operator, power, everything.free and everything.free.resampled(step_s), card)
 
 
-def _verdict(judged: Competence, data: ZoneData, estimate: Estimate) -> Competence:
+def _verdict(judged: Competence, data: ZoneData, estimate: Estimate, advice: str) -> Competence:
     """`judged`, but not competent where there is a stronger reason than its errors.
 
     Raises:
@@ -63,8 +102,8 @@ def _verdict(judged: Competence, data: ZoneData, estimate: Estimate) -> Competen
         reasons = tuple(f"{remark.kind}: {remark.where}: {remark.words}" for remark in data.bars)
         remedies = tuple(remark.remedy for remark in data.bars)
         return replace(judged, competent=False, reasons=reasons, advice=remedies, plainly=_NO_LEVEL)
-    if data.advice and not judged.competent:
-        judged = replace(judged, advice=(data.advice, *judged.advice))
+    if advice and not judged.competent:
+        judged = replace(judged, advice=(advice, *judged.advice))
     return judged
 
 
@@ -86,39 +125,4 @@ def _without_effect(log_odds: float, data: ZoneData) -> str:
         f"data: the log odds that it acts are {log_odds:.1f}, need {_LEAST_LOG_ODDS:g}; check the sign of u, whether "
         "the actuator reached the zone, and that the zone sensor is in the room that it serves, or probe "
         f"harder{'; the record has no irradiance: name a signal for the sun' if dark else ''}"
-    )
-
-
-def _modelled(data: ZoneData, estimate: Estimate, say: Callable[[str], None]) -> ZoneModel:
-    """The zone's model of an estimate, with its network and its verdict."""
-    config, everything, last, before = data.config, estimate.everything, estimate.last, estimate.before
-    histories, step_s = data.histories, data.histories[0].step_s
-    operator = replace(everything.operator(config), feedback=config.feedback)
-    heat_W_m2 = replace(data, heat_input=everything.heat_input).heat_W_m2
-    scores, notes = {**data.card.scores, **estimate.scores}, list(data.card.notes)
-    if data.grid_K:
-        notes.append(f"the zone sensor reads in steps of {data.grid_K:.2g} K")
-    if everything.heat_input.law is not None and last.heat_input.law is None:
-        notes.append(_LEVEL_FOR_HEAT)
-    if config.modulation != "linear":
-        say("training the modulation of the gain")
-        operator, (last, before), found, said = modulate(everything, last, before, config, data.power)
-        scores, notes = scores | found, [*notes, *said]
-    certainty = estimate.effects[0].uncertainty(data.level_sd) | {"sensor_resolution_K": data.grid_K}
-    operator = operator.resampled(data.step_s or step_s)
-    for cost in part_load_costs(estimate.laws, histories, data.power, everything.heat_input):
-        certainty |= cost.numbers()
-    judged = judge(last, before, operator, certainty, scores["acts_log_odds"], heat_W_m2)
-    return ZoneModel(
-        operator=operator,
-        power=data.power,
-        free=everything.free and everything.free.resampled(data.step_s or step_s),
-        card=replace(
-            data.card,
-            ranges=ranges(histories),
-            scores=scores,
-            uncertainty=certainty,
-            notes=(*notes, *uncertain(certainty)),
-            competence=_verdict(judged, data, estimate),
-        ),
     )

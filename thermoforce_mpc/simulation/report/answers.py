@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.identification.estimation.uncertainty import STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
 from thermoforce_mpc.identification.validation.report import BAND, full_level_of, step_answer, step_response_of
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.report.packing import Json
