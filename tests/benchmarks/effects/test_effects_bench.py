@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from benchmarks.effects import bench
-from benchmarks.effects.asking import Answer, Score, said, scored
+from benchmarks.effects.asking import Answer, Score, said, scored, without_steps
 from benchmarks.effects.windows import OFF_H, STEP_S, WINDOWS, block
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
@@ -19,6 +19,7 @@ from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.plants.random_houses import GeneratedHousePlant
 
 HOURS = (1, 2, 4, 8, 12, 24, 48)
 STEPS = block().size
@@ -63,6 +64,18 @@ def test_the_question_is_six_hours_at_full_level_and_the_windows_begin_with_it()
     assert found["6 h, end"] == 6.0
     assert found["8 h"] == pytest.approx((24 * 3.125 + 8 * 6.0) / 32)
     assert found["48 h"] == pytest.approx((24 * 3.125 + 168 * 6.0) / 192)
+
+
+def test_the_truth_of_a_house_is_not_in_the_steps_of_its_sensor() -> None:
+    name = "generated:62202:1"  # reads in steps of 0.5 K
+    plant = without_steps(name)
+    assert isinstance(plant, GeneratedHousePlant)
+    plant.reset(35 * DAY_S, 0.0)
+    for _ in range(8):
+        plant.advance(1.0, STEP_S)
+    read = plant.past(STEP_S).T_zone_C[0]
+    assert np.abs(read / 0.5 - np.round(read / 0.5)).max() > 0.01
+    assert without_steps("bestest_hydronic_heat_pump") is None
 
 
 def test_a_model_says_what_its_equations_say() -> None:
