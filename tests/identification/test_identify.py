@@ -17,8 +17,8 @@ from thermoforce_mpc.model.operator import certificate
 from thermoforce_mpc.scenario.settings import validate
 
 HOUSE = House()
-LINEAR = IdentificationConfig(order=3, modulation="linear")
-QUICK = IdentificationConfig(epochs=40)
+LINEAR = IdentificationConfig(order=3, modulation="linear", sun_on_sensor=False)
+QUICK = IdentificationConfig(epochs=40, sun_on_sensor=False)
 
 
 def test_three_days_of_one_run_tell_what_an_action_does():

@@ -21,7 +21,7 @@ from thermoforce_mpc.model.zone_model import ZoneModel
 pytestmark = pytest.mark.slow
 
 STEP_S = 1800.0
-LINEAR = IdentificationConfig(modulation="linear")
+LINEAR = IdentificationConfig(modulation="linear", sun_on_sensor=False)
 NAMES = Names(("living", "bed"), ("floor", "radiator"), ("pump", "boiler"))
 LAYOUT = Layout(
     NAMES,

@@ -24,7 +24,7 @@ LAYOUT = Layout(
     shares=(0.0, 0.0),
     floor_area_m2=(float("nan"),) * 2,
 )
-LINEAR = IdentificationConfig(order=1, modulation="linear")
+LINEAR = IdentificationConfig(order=1, modulation="linear", sun_on_sensor=False)
 ROWS = (0, 1)
 
 

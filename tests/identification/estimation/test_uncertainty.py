@@ -19,7 +19,7 @@ from thermoforce_mpc.model.thermal_model import load_model
 pytestmark = pytest.mark.slow
 
 HOUSE = House()
-LINEAR = IdentificationConfig(order=3, modulation="linear")
+LINEAR = IdentificationConfig(order=3, modulation="linear", sun_on_sensor=False)
 
 
 @pytest.fixture(scope="module")

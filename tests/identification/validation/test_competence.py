@@ -27,7 +27,7 @@ from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
 HOUSE = House()
-LINEAR = IdentificationConfig(modulation="linear")
+LINEAR = IdentificationConfig(modulation="linear", sun_on_sensor=False)
 
 
 def _verdict(run: Record, **options) -> Competence:
