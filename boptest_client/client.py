@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from boptest_client import answers
+from boptest_client.answers import Point, Scenario
 from boptest_client.clock import TOLERANCE_S, Clock
 from boptest_client.errors import (
     AdvanceInterrupted,
@@ -24,7 +25,6 @@ from boptest_client.errors import (
     UnknownTest,
 )
 from boptest_client.transport import Transport, TransportConfig
-from boptest_client.types import Point, Scenario
 
 _LOG = logging.getLogger(__name__)
 _POLL_S = 0.2

@@ -15,6 +15,7 @@ import requests
 import tenacity
 
 from boptest_client.adapter import Bearer, CuttableAdapter
+from boptest_client.answers import safe_text
 from boptest_client.errors import (
     BadAddress,
     BoptestError,
@@ -28,7 +29,6 @@ from boptest_client.errors import (
     TransportError,
     UnknownTest,
 )
-from boptest_client.texts import safe_text
 
 Method = Literal["GET", "PUT", "POST"]
 

@@ -15,8 +15,7 @@ from typing import Any
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.errors import ConfigError, suggestion
 from thermoforce_mpc.files import storage_errors
-from thermoforce_mpc.gym.env import BuildingEnv
-from thermoforce_mpc.gym.episodes import Episodes
+from thermoforce_mpc.gym.env import BuildingEnv, Episodes
 from thermoforce_mpc.gym.points import PointsView
 from thermoforce_mpc.gym.sources import EmbeddedSource, ServiceSource, Source
 from thermoforce_mpc.gym.wrappers import (

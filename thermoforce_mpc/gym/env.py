@@ -1,20 +1,120 @@
-"""The environment: episodes, reward, snapshot and branch over a view of a plant."""
+"""The environment: episodes, reward, snapshot, branch and picture over a view of a plant."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
 
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.gym.episodes import Episodes
 from thermoforce_mpc.gym.view import Observed, View, ViewState
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """Length and start of episodes, s; times count from 1 January.
+
+    `start_time` is the start of every episode unless `random_start_time`: then it is any whole number of steps after 1
+    January for which the episode, with `behind` before it and `ahead` after it, lies in the year and overlaps none of
+    `excluding_periods`. An episode may touch an excluded period. `warmup_period` under native control comes before it.
+
+    Raises:
+        ConfigError: a length is out of range, or no start is possible; names the argument.
+    """
+
+    step_period: float = 900.0
+    max_episode_length: float = 7 * DAY_S
+    warmup_period: float = DAY_S
+    start_time: float = 0.0
+    random_start_time: bool = False
+    excluding_periods: Sequence[tuple[float, float]] | None = None
+    ahead: float = 0.0
+    behind: float = 0.0
+
+    def __post_init__(self) -> None:
+        least = {"step_period": 30.0, "max_episode_length": self.step_period, "warmup_period": 0.0, "start_time": 0.0}
+        for name, low in least.items():
+            value = getattr(self, name)
+            if not (np.isfinite(value) and low <= value < YEAR_S):
+                raise ConfigError(f"{name}: {value!r} s: expected {low:g} s or more, less than a year")
+        # Their limits are the view's, which knows what it observes; here they only have to be numbers.
+        for name, value in (("predictive_period", self.ahead), ("regressive_period", self.behind)):
+            if not np.isfinite(value):
+                raise ConfigError(f"{name}: {value!r} s: expected a finite number")
+        for pair in self.excluding_periods or ():
+            if not (np.shape(pair) == (2,) and _number(pair[0]) and _number(pair[1]) and pair[0] < pair[1]):
+                raise ConfigError(
+                    f"excluding_periods: {pair!r}: expected pairs of begin and later end, s since 1 January; a period "
+                    "over New Year is two of them"
+                )
+        if self.random_start_time and not self.possible_starts.size:
+            raise ConfigError(
+                "excluding_periods: with random_start_time no episode of "
+                f"{self.max_episode_length / DAY_S:g} days fits into the rest of the year"
+            )
+
+    @cached_property
+    def possible_starts(self) -> Array:
+        """Every start that `random_start_time` may draw (n,), s."""
+        last = YEAR_S - self.max_episode_length - self.ahead
+        starts = np.arange(np.ceil(self.behind / self.step_period), last / self.step_period + 1e-9) * self.step_period
+        free = np.ones(starts.size, dtype=bool)
+        for first, final in self.excluding_periods or ():
+            free &= (starts + self.max_episode_length <= first) | (starts >= final)
+        return np.asarray(starts[free])
+
+    def start_s(self, rng: np.random.Generator) -> float:
+        """Start of the next episode, s; draws from `rng` only with `random_start_time`."""
+        return float(rng.choice(self.possible_starts)) if self.random_start_time else float(self.start_time)
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
+
+
+def drawn(
+    trace: Sequence[tuple[Mapping[str, float], Array]], rewards: Sequence[float], actions: Sequence[str]
+) -> NDArray[np.uint8]:
+    """Temperatures with their bounds, actions and summed reward over the hours, as pixels (400, 800, 3).
+
+    Args:
+        trace: measured values by name, °C for names that begin with T, and actions (A,), one pair per step.
+        rewards: reward of each step.
+        actions: names of the actions.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 4), dpi=100, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    above, below, last = figure.subplots(3, 1, sharex=True, height_ratios=(3, 1, 1))
+    if trace:
+        hours = (np.array([state["time"] for state, _ in trace]) - trace[0][0]["time"]) / HOUR_S
+        for name in trace[0][0]:
+            values = [state[name] for state, _ in trace]
+            if name.startswith("T_zone"):
+                above.plot(hours, values, label=name)
+            elif name.startswith(("lower", "upper")):
+                above.plot(hours, values, color="0.6", linewidth=1, drawstyle="steps-post")
+        for i, name in enumerate(actions):
+            below.plot(hours, [action[i] for _, action in trace], drawstyle="steps-pre", label=name)
+        last.plot(hours, np.cumsum(rewards))
+        above.legend(fontsize=7, ncols=3)
+    above.set_ylabel("°C")
+    below.set_ylabel("action")
+    last.set_ylabel("reward")
+    last.set_xlabel("hours")
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
 
 _RESET_OPTIONS = ("start_time",)
 # Tolerance on times, s.
@@ -207,7 +307,7 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         """The episode so far as a picture (height, width, 3); None without `render_mode`."""
         if self.render_mode is None:
             return None
-        from thermoforce_mpc.gym.render import drawn
+        from thermoforce_mpc.gym.env import drawn
 
         return drawn(self._trace, self.episode_rewards, self.action_names)
 

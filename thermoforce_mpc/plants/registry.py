@@ -231,7 +231,7 @@ def _of_weather(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
 
 
 def _weeks(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
-    from thermoforce_mpc.plants.drawn_houses.weeks import NAMES
+    from thermoforce_mpc.plants.drawn_houses.plant import NAMES
 
     return NAMES
 

@@ -15,6 +15,7 @@ from typing import Any, Generic, Protocol, Self, TypeVar, cast
 
 import numpy as np
 
+from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.data import SINGLE, Array, Bands, Block, Boundary, Levels, Measurement, Names, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import check_levels, check_start, forecast_times, record_times
@@ -74,6 +75,7 @@ class PlantShell(Releasing, ABC):
     _names: Names = SINGLE
     _lowest: float | Sequence[float] = 0.0
     _price: Price = "constant"
+    _tariffs: Mapping[str, tariffs.Tariff]
     _start_s = _begin_s = _now_s = 0.0
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
@@ -116,6 +118,10 @@ class PlantShell(Releasing, ABC):
             InputError: `step_s` is not positive, or the plant was not reset.
         """
         return self._past(record_times(self._begin_s, self._now_s, step_s))
+
+    def _bought(self, time_s: Array) -> tuple[Array, Array]:
+        """Price per kWh and emissions, kg/kWh, of electricity at times (n,)."""
+        return self._tariffs[self._price](time_s), np.full(time_s.shape, tariffs.EMISSION_KG_PER_KWH)
 
     def _advanced(self, block: Block) -> Measurement:
         before_s = self._now_s

@@ -14,8 +14,7 @@ from thermoforce_mpc.plants.drawn_houses.envelope import MASSES
 from thermoforce_mpc.plants.drawn_houses.occupants import HOUSEHOLDS, at_home
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, house_testcase, physics
 from thermoforce_mpc.plants.random_houses.draw import MACHINES, heat_pump_cop
-from thermoforce_mpc.plants.random_houses.plant import year_of
-from thermoforce_mpc.plants.random_houses.schedule import bounds_C, native_setpoint_C
+from thermoforce_mpc.plants.random_houses.plant import bounds_C, native_setpoint_C, year_of
 from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant

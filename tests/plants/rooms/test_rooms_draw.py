@@ -11,7 +11,7 @@ from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.drawn_houses.envelope import FACADES, HEIGHT_M
 from thermoforce_mpc.plants.rooms import draw_rooms, house_of_rooms
 from thermoforce_mpc.plants.rooms.draw import emulator_fixed_share
-from thermoforce_mpc.plants.rooms.plan import facade_lengths
+from thermoforce_mpc.plants.rooms.house import facade_lengths
 from thermoforce_mpc.plants.rooms.use import HOUSE
 
 SEED = 7

@@ -13,15 +13,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date, timedelta
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.errors import PlantError
-from thermoforce_mpc.plants.energyplus.engine import reference_building, weather_file
+from thermoforce_mpc.plants.energyplus.engine import (
+    WEATHER_SENSORS,
+    Wiring,
+    reference_building,
+    weather_file,
+    weather_reading,
+)
 from thermoforce_mpc.plants.energyplus.idf import Calendar, Schedule, idf_objects
-from thermoforce_mpc.plants.energyplus.simulate import WEATHER_SENSORS, Wiring, weather_reading
+from thermoforce_mpc.plants.energyplus.process import Building
 from thermoforce_mpc.plants.energyplus.zone import YEAR
 
 BUILDING = "RefBldgSmallOfficeNew2004_Chicago"
@@ -142,45 +147,8 @@ def _shipped() -> str:
     return reference_building(BUILDING).read_text(encoding="latin-1")
 
 
-@dataclass(frozen=True)
-class OfficeRun:
-    """`live.Building` of the office: told a set-point per actuator, °C, NaN for that of the file's schedule."""
-
-    first_day: int
-    days: int
-
-    @property
-    def step_s(self) -> float:
-        """Length of a step, s."""
-        return STEP_S
-
-    @property
-    def n_steps(self) -> int:
-        """Length of the run, steps."""
-        return round(self.days * DAY_S / self.step_s)
-
-    def model(self) -> str:
-        """Return the IDF."""
-        return office_model(self.first_day, self.days, STEPS_PER_HOUR)
-
-    def weather(self) -> Path:
-        """Return the weather file."""
-        return weather_file(WEATHER)
-
-    def wiring(self) -> Wiring[OfficeReading]:
-        """Return the sensors and actuators."""
-        return _WIRING
-
-    def acting(self) -> OfficeActing:
-        """Return the rule of a new run."""
-        begin_s = self.first_day * DAY_S
-        return OfficeActing(
-            *office_schedules().setpoints_C(begin_s + self.step_s * np.arange(self.n_steps, dtype=np.float64))
-        )
-
-
 class OfficeActing:
-    """`live.Acting` of the office.
+    """`acting` of the office, told a set-point per actuator, °C, NaN for that of the file's schedule.
 
     Where one set-point of a zone is told and the other is native, the native one gives way if it would lie on the wrong
     side: the engine refuses a zone that is to be heated above the temperature it is to be cooled to.
@@ -217,6 +185,15 @@ def _read(value: Mapping[str, float]) -> OfficeReading:
         heat_W=each("burner") + tuple(0.0 - heat for heat in each("coil")),
         power_W=each("gas") + tuple(a + b for a, b in zip(each("compressor"), each("fan"), strict=True)),
     )
+
+
+def office_building(first_day: int, days: int) -> Building[tuple[float, ...], OfficeReading]:
+    """Return what the engine simulates from midnight of a day on."""
+    n = round(days * DAY_S / STEP_S)
+    times_s = first_day * DAY_S + STEP_S * np.arange(n, dtype=np.float64)
+    acting = OfficeActing(*office_schedules().setpoints_C(times_s))
+    model = office_model(first_day, days, STEPS_PER_HOUR)
+    return Building(first_day, STEP_S, n, model, weather_file(WEATHER), _WIRING, acting)
 
 
 def _points(names: Mapping[str, tuple[str, str]]) -> dict[str, tuple[str, str]]:

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.boundary import tariffs
-from thermoforce_mpc.data import ZERO_C_K, Array, Block, Boundary, Measurement, PlantInfo, Record
-from thermoforce_mpc.plants.energyplus.engine import engine_version, file_hash, reference_building
-from thermoforce_mpc.plants.energyplus.live import Stretch
+from thermoforce_mpc.data import ZERO_C_K, Array, Block, Measurement, PlantInfo, Record
+from thermoforce_mpc.plants.energyplus.engine import file_hash, reference_building
 from thermoforce_mpc.plants.energyplus.office_model import (
     AREA_PER_PERSON_M2,
     BUILDING,
@@ -24,12 +23,11 @@ from thermoforce_mpc.plants.energyplus.office_model import (
     WEATHER,
     ZONES,
     OfficeReading,
-    OfficeRun,
+    office_building,
     office_schedules,
 )
-from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, whole_steps
-from thermoforce_mpc.plants.energyplus.shell import EnginePlant
-from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, Building, EnginePlant, Stretch, whole_steps
+from thermoforce_mpc.plants.kpis import Supply
 from thermoforce_mpc.plants.shell import RoomSetpointShell
 from thermoforce_mpc.scenario.actuator import RoomSetpoints
 from thermoforce_mpc.scenario.testcase import TestCase
@@ -55,6 +53,8 @@ class SmallOfficePlant(EnginePlant[tuple[float, ...], OfficeReading], RoomSetpoi
     """
 
     _periods = PERIODS
+    _zones = tuple(zone.name for zone in ZONES)
+    _carriers = ("GasPower", "ElectricPower")
 
     def __init__(self, testcase: TestCase, **options: Any) -> None:
         """Read the weather and the schedules; `options`: see `EnginePlant`, as for errors."""
@@ -66,25 +66,16 @@ class SmallOfficePlant(EnginePlant[tuple[float, ...], OfficeReading], RoomSetpoi
     @property
     def info(self) -> PlantInfo:
         """Building, weather and engine version."""
-        return PlantInfo(
-            kind="energyplus",
-            testcase="energyplus:small_office",
-            description=f"DOE small office of {_FLOOR_AREA_M2.sum():.0f} m2, five zones with a rooftop unit each",
-            weather=self._file.stem,
-            version=engine_version(),
-            details={
-                "weather_sha256": file_hash(self._file),
-                "building_sha256": file_hash(reference_building(BUILDING)),
-            },
-        )
+        what = f"DOE small office of {self.testcase.area_m2:.0f} m2, five zones with a rooftop unit each"
+        return self._info("energyplus:small_office", what, building_sha256=file_hash(reference_building(BUILDING)))
 
     def _check_reset(self, start_s: float, warmup_s: float, price: str) -> None:
         super()._check_reset(start_s, warmup_s, price)
         for what, duration_s in (("start", start_s), ("warm-up", warmup_s)):
             whole_steps(what, duration_s, STEP_S)
 
-    def _building(self, first_day: int) -> OfficeRun:
-        return OfficeRun(first_day, RUN_DAYS)
+    def _building(self, first_day: int) -> Building[tuple[float, ...], OfficeReading]:
+        return office_building(first_day, RUN_DAYS)
 
     def _demand(self, block: Block) -> tuple[float, ...]:
         setpoints_C = np.full(2 * _Z, math.nan)
@@ -105,27 +96,11 @@ class SmallOfficePlant(EnginePlant[tuple[float, ...], OfficeReading], RoomSetpoi
     def _rows(self, stretch: Stretch[tuple[float, ...], OfficeReading]) -> Array:
         return _rows_of(stretch.readings)
 
-    def _boundary(self, time_s: Array) -> Boundary:
-        """See `PlantShell`.
+    def _people(self, time_s: Array) -> Array:
+        return np.asarray(_FLOOR_AREA_M2[:, None] / AREA_PER_PERSON_M2 * self._schedules.occupancy(time_s))
 
-        Comfort bounds, the same in every zone: the thermostats' set-points of the day while `OCCUPIED_FROM` of the
-        people are present; otherwise those of the night, and the tolerance at which a unit starts at night.
-        """
-        self._check_started()
-        T_out, solar = self._weather_ahead(time_s)
-        lower, upper = self._bounds(time_s)
-        return Boundary(
-            time_s=time_s,
-            T_out_C=T_out,
-            solar_W_m2=solar,
-            occupancy=_FLOOR_AREA_M2[:, None] / AREA_PER_PERSON_M2 * self._schedules.occupancy(time_s),
-            lower_C=np.tile(lower, (_Z, 1)),
-            upper_C=np.tile(upper, (_Z, 1)),
-            price_per_kWh=np.tile(self._tariffs[self._price](time_s), (_Z, 1)),
-            emission_kg_per_kWh=np.full((_Z, time_s.size), tariffs.EMISSION_KG_PER_KWH),
-            heating_price_per_kWh=np.full((_Z, time_s.size), tariffs.GAS),
-            names=self._names,
-        )
+    def _heating_price(self, time_s: Array) -> Array:
+        return np.full(time_s.size, tariffs.GAS)
 
     def _past(self, edges: Array) -> Record:
         self._check_started()
@@ -151,33 +126,19 @@ class SmallOfficePlant(EnginePlant[tuple[float, ...], OfficeReading], RoomSetpoi
             names=self._names,
         )
 
-    def kpis(self) -> dict[str, float]:
-        """Return BOPTEST's KPIs of the building since the end of the warm-up, from the 5-min record.
-
-        Energy is that of burners, compressors and fans, not of lights and plugs; discomfort is the mean over zones.
-        """
-        self._check_started()
-        time_s, rows = self._samples.between(self._start_s, self._now_s)
-        if len(rows) < 2:
-            names = ("ener_tot", "cost_tot", "emis_tot", "tdis_tot", "pele_tot", "pgas_tot")
-            return dict.fromkeys((*names, *(f"tdis_tot[{zone.name}]" for zone in ZONES)), 0.0)
-        lower, upper = self._bounds(time_s)
-        power, T_zone = rows[:, _PLACE["power_W"]], rows[:, _PLACE["T_zone_C"]]
+    def _supplies(self, time_s: Array, rows: Array) -> list[Supply]:
+        power = rows[:, _PLACE["power_W"]]
         gas = np.full(time_s.size, tariffs.GAS), np.full(time_s.size, tariffs.GAS_EMISSION_KG_PER_KWH)
-        electricity = self._tariffs[self._price](time_s), np.full(time_s.size, tariffs.EMISSION_KG_PER_KWH)
-        return building_kpis(
-            time_s,
-            supplies=[
-                Supply("GasPower", power[:, :_Z].sum(axis=1), *gas, of_steps=True),
-                Supply("ElectricPower", power[:, _Z:].sum(axis=1), *electricity, of_steps=True),
-            ],
-            thermal=[Violation(zone.name, excess(T_zone[:, z], lower, upper)) for z, zone in enumerate(ZONES)],
-            air_quality=[],
-            area_m2=float(_FLOOR_AREA_M2.sum()),
-        )
+        return [
+            Supply("GasPower", power[:, :_Z].sum(axis=1), *gas, of_steps=True),
+            Supply("ElectricPower", power[:, _Z:].sum(axis=1), *self._bought(time_s), of_steps=True),
+        ]
 
     def _bounds(self, time_s: Array) -> tuple[Array, Array]:
-        """Return the comfort bounds of every zone, °C, (n,) each."""
+        """The thermostats' set-points of the day while `OCCUPIED_FROM` of the people are present.
+
+        Otherwise those of the night, and the tolerance at which a unit starts at night.
+        """
         occupied = self._schedules.occupancy(time_s) >= OCCUPIED_FROM
         tight, wide = self._schedules.tight_C(), self._schedules.wide_C()
         return np.where(occupied, tight[0], wide[0]), np.where(occupied, tight[1], wide[1])

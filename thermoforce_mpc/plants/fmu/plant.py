@@ -27,7 +27,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.checks import day_period
 from thermoforce_mpc.plants.fmu.archive import read_archive, unpack
-from thermoforce_mpc.plants.fmu.run import FmuRun
+from thermoforce_mpc.plants.fmu.process import FmuRun
 from thermoforce_mpc.plants.fmu.scores import Scores
 from thermoforce_mpc.plants.records import (
     acting_means,
@@ -39,7 +39,7 @@ from thermoforce_mpc.plants.records import (
     recorded_levels,
 )
 from thermoforce_mpc.plants.shell import RoomSetpointShell, Samples, WithProcess
-from thermoforce_mpc.plants.waiting import PATIENCE_S
+from thermoforce_mpc.plants.worker_process import PATIENCE_S
 from thermoforce_mpc.scenario.testcase import TestCase
 
 

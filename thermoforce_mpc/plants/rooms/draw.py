@@ -12,13 +12,16 @@ from thermoforce_mpc.plants.random_houses.draw import ground_C
 from thermoforce_mpc.plants.rooms.house import (
     DESIGN_OUT_C,
     DESIGN_ROOM_C,
+    Contact,
     Curve,
     Door,
     DrawnHouse,
     HeatPump,
     Room,
+    contacts,
+    facade_lengths,
+    lay_out,
 )
-from thermoforce_mpc.plants.rooms.plan import Contact, contacts, facade_lengths, lay_out
 from thermoforce_mpc.plants.rooms.use import HOUSE, Kind, RoomEmitter, Use
 
 MOST_ROOMS = 30
