@@ -64,14 +64,13 @@ class BoptestClient:
     ) -> None:
         """Select `testcase` and wait until it runs; with `testid`, take up the test of that name instead.
 
-        `start_timeout_s` and `stop_timeout_s`: longest time that the test may be queued, and that a stop may take; the
-        service drops an idle test. Lists of points and the like may take 30 s before the test is initialised.
+        `start_timeout_s` and `stop_timeout_s`: longest time that the test may be queued, and that a stop may take.
+        Lists of points and the like may take 30 s before the test is initialised.
 
         Raises:
             BadAddress: `url` is not an http(s) address.
             ServiceTimeout: nothing answers there within 10 s, or the test was still queued after `start_timeout_s`.
-            UnknownTest: the service does not offer the test case (the message lists what it offers), or has no test
-                `testid`.
+            UnknownTest: no such test case (the message lists what is offered), or no test `testid`.
             TransportError: the service cannot be reached.
         """
         self.testcase = testcase
@@ -145,11 +144,9 @@ class BoptestClient:
         return self._get("scenario", answers.scenario)
 
     def set_scenario(self, scenario: Scenario) -> dict[str, float]:
-        """Set the scenario.
+        """Set the scenario; returns the first measurements if it names a `time_period`, else an empty dictionary.
 
-        Returns:
-            The first measurements if the scenario names a `time_period`, which initialises the test (7 days of
-            warm-up, two scored weeks); otherwise an empty dictionary.
+        A `time_period` initialises the test (7 days of warm-up, two scored weeks).
         """
 
         def parse(at: str, payload: Any) -> dict[str, float]:
@@ -195,10 +192,8 @@ class BoptestClient:
 
         If the answer is lost, an error, nonsense or of another time, the record of the service shows whether the step
         was simulated, before the request is repeated. If it was, the values at its end are read from the record.
-        Messages of the service (for example about a clipped input) are logged as warnings.
-
-        Raises:
-            AdvanceInterrupted: there was no answer to this step in every attempt.
+        Messages of the service (for example about a clipped input) are logged. Raises `AdvanceInterrupted` where no
+        attempt had an answer.
         """
         body, in_doubt = dict(inputs or {}), False
 
@@ -242,11 +237,8 @@ class BoptestClient:
     def go_on_from(self, time_s: float, step_s: float) -> dict[str, float]:
         """Take the test up at `time_s`, when the last answer was received; `step_s` is the step in force.
 
-        Returns:
-            The values at the end of a step that was simulated since then; nothing if there was none.
-
-        Raises:
-            AdvanceInterrupted: the test stands elsewhere.
+        Returns the values at the end of a step that was simulated since then, or nothing; raises `AdvanceInterrupted`
+        where the test stands elsewhere.
         """
         self._clock.now_s = self._clock.started_s = time_s
         self._clock.step_s, self._transport.in_a_run = step_s, True

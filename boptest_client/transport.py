@@ -49,11 +49,10 @@ class TransportConfig:
 
     Attributes:
         connect_timeout_s: time limit for making a connection, s.
-        read_timeout_s: time limit between two received bytes, s; `connect_timeout_s + read_timeout_s` also limits the
-            whole request, since a peer that sends single bytes would never exceed the first limit.
-        patience_s: how long a request of a run is repeated while the service is away or is not itself (something else
-            answers, or its clock is wrong), s; before the test was initialised it is `connect_timeout_s`, since address
-            or test case may be wrong. No repeat takes longer than what is left of it.
+        read_timeout_s: time limit between two received bytes, s; the sum of both also limits the whole request, since a
+            peer that sends single bytes would never exceed the first limit.
+        patience_s: how long a request of a run is repeated while the service is away or is not itself, s; before the
+            test was initialised it is `connect_timeout_s`, since address or test case may be wrong.
         backoff_s: pause before the first repeat, s; it doubles with each.
         longest_pause_s: longest pause, s.
         sleep: waits for the given number of seconds.
@@ -132,14 +131,11 @@ class Transport:
         """The result of `request`, repeated with growing pauses while it fails in a way that may pass.
 
         Patience is that of each request: where `request` sends others patiently, their time does not count, and where
-        one of them is given up so is `request`.
+        one of them is given up so is `request`. Raises the `BoptestError` of the last attempt.
 
         Args:
             passing: errors that may pass; a refused request is repeated `refusals` times.
             most_s: gives up after this time, s, if patience lasts longer.
-
-        Raises:
-            BoptestError: that of the last attempt.
         """
         c, around, refused = self.config, self._wait, 0
         wait = self._wait = _Wait(min(self.patience_s, most_s))
@@ -183,21 +179,18 @@ class Transport:
             if around is not None:
                 around.apart_s += time.monotonic() - wait.began_s
 
+    def close(self) -> None:
+        """Close the connections."""
+        self._session.close()
+
     def call(
         self, method: Method, path: str, body: dict[str, Any] | None = None, *, most_s: float = math.inf
     ) -> Answer:
         """Send one request, once, and return the answer; it is waited for `most_s` at most, s.
 
-        Raises:
-            BoptestError: see `boptest_client.errors`.
+        Raises `BoptestError`, see `boptest_client.errors`.
         """
-        return self._once(method, path, f"{method} {self.url}/{path}", body, most_s)
-
-    def close(self) -> None:
-        """Close the connections."""
-        self._session.close()
-
-    def _once(self, method: Method, path: str, endpoint: str, body: dict[str, Any] | None, most_s: float) -> Answer:
+        endpoint = f"{method} {self.url}/{path}"
         # No repeat takes longer than what is left of its patience.
         wait = self._wait
         left_s = wait.patience_s - wait.used_s if wait and wait.repeats else math.inf

@@ -26,8 +26,7 @@ class Episodes:
     January for which the episode, with `behind` before it and `ahead` after it, lies in the year and overlaps none of
     `excluding_periods`. An episode may touch an excluded period. `warmup_period` under native control comes before it.
 
-    Raises:
-        ConfigError: a length is out of range, or no start is possible; names the argument.
+    Raises `ConfigError`, which names the argument, where a length is out of range, or no start is possible.
     """
 
     step_period: float = 900.0
@@ -85,10 +84,7 @@ def drawn(
 ) -> NDArray[np.uint8]:
     """Temperatures with their bounds, actions and summed reward over the hours, as pixels (400, 800, 3).
 
-    Args:
-        trace: measured values by name, °C for names that begin with T, and actions (A,), one pair per step.
-        rewards: reward of each step.
-        actions: names of the actions.
+    `trace`: measured values by name, °C for names that begin with T, and actions (A,), one pair per step.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -157,16 +153,13 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         reward: Callable[[BuildingEnv], float] | None = None,
         render_mode: str | None = None,
     ) -> None:
-        """Put a view into episodes.
+        """Put a view into episodes; raises `ConfigError` where an option is out of range.
 
         Args:
             scenario: BOPTEST's scenario, of which `electricity_price` is known to every plant.
             discomfort_weight: weight of a K·h, currency/m².
             reward: the reward of the last step of the environment that it is called with, instead of `get_reward`'s.
             render_mode: 'rgb_array', or None.
-
-        Raises:
-            ConfigError: an option is out of range.
         """
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"render_mode: {render_mode!r}: expected None or one of {self.metadata['render_modes']}")
@@ -278,11 +271,7 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         return dict(self._kpis)
 
     def snapshot(self) -> EnvSnapshot:
-        """State of plant, episode and random numbers, for `restore`.
-
-        Raises:
-            ConfigError: the plant has no snapshots.
-        """
+        """State of plant, episode and random numbers, for `restore`; raises `ConfigError` as `View.snapshot`."""
         return EnvSnapshot(self._view.snapshot(), copy.deepcopy(self._episode()), self.np_random.bit_generator.state)
 
     def restore(self, snapshot: EnvSnapshot) -> None:
@@ -294,8 +283,7 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
     def branch(self) -> BuildingEnv:
         """Another environment in the same state with a plant of its own: what happens to one leaves the other alone.
 
-        Raises:
-            ConfigError: the plant has no snapshots.
+        Raises `ConfigError` where the plant has no snapshots.
         """
         other = copy.copy(self)
         other._view = self._view.branched()

@@ -43,8 +43,8 @@ class PointsView(View):
             predictive_s: length of the forecasts, s; needed where one is observed, 0 is the value now.
             regressive_s: length of the past of every measurement, s; None or a step or more.
 
-        Raises:
-            ConfigError: a name is unknown, bounds are no pair, or a length is out of range; names the argument.
+        Raises `ConfigError`, which names the argument, for an unknown name, bounds that are no pair, or a length out of
+        range.
         """
         self.plant, self.action_names, self._step_s = source, tuple(actions), step_s
         for name in actions:

@@ -84,10 +84,7 @@ class View(ABC):
         self.__dict__.update(snapshot.changed)
 
     def branched(self) -> Self:
-        """Another view on a plant of its own, in the same state; both plants share what no step changes.
-
-        Raises as `snapshot` does.
-        """
+        """Another view, in the same state on a plant of its own, with what no step changes shared; raises as `snapshot`."""
         snapshot, other = self.snapshot(), copy.copy(self)
         other.plant = copy.copy(self.plant)
         other.restore(snapshot)
@@ -102,8 +99,7 @@ class View(ABC):
 class ObservationBox:
     """Names and bounds of observations (n,), each in its own unit.
 
-    Raises:
-        ConfigError: bounds that are not finite or not in order; names the observation.
+    Raises `ConfigError`, which names the observation, for bounds that are not finite or not in order.
     """
 
     names: tuple[str, ...]

@@ -129,7 +129,7 @@ def _cooking(rng: np.random.Generator, residents: Array, guests: Array) -> Array
 def _open_windows(rng: np.random.Generator, residents: Array, T_out_C: Array, changes_1_h: Array) -> None:
     """Write air changes per hour through the windows of a zone into `changes_1_h` (n,).
 
-    Airing at habitual hours, less often in the cold and longer in mild weather; now and then a tilted window is left.
+    Airing at habitual hours, less often in the cold, longer in mild weather; now and then a tilted window is left.
     """
     airings_h, chance = (rng.uniform(6.5, 9.0), rng.uniform(19.5, 22.0)), rng.uniform(0.3, 0.9, (2, 7))
     wide_1_h = rng.uniform(0.8, 2.8)

@@ -80,8 +80,7 @@ def with_comfort(plant: Plant, comfort: Comfort | None, testcase: TestCase) -> P
 def plant_name(spec: PlantSpec, testcase: TestCase) -> str:
     """Name of the plant of a scenario: the one that it names, else the one that implements its test case.
 
-    Raises:
-        ConfigError: nothing implements the test case.
+    Raises `ConfigError` where nothing implements the test case.
     """
     if spec.kind != "embedded":
         return spec.kind
@@ -97,8 +96,7 @@ def plant_name(spec: PlantSpec, testcase: TestCase) -> str:
 def check_plant(spec: PlantSpec, testcase: TestCase) -> StrictModel:
     """Validated options of the plant of a scenario.
 
-    Raises:
-        ConfigError: there is no such plant, it lacks something, or it would ignore a setting.
+    Raises `ConfigError` where there is no such plant, it lacks something, or it would ignore a setting.
     """
     name = plant_name(spec, testcase)
     entry = REGISTRY.find(name)
@@ -112,12 +110,7 @@ def check_plant(spec: PlantSpec, testcase: TestCase) -> StrictModel:
 
 
 def check_surroundings(spec: PlantSpec) -> None:
-    """Read the files of weather and prices that a plant is given.
-
-    Raises:
-        WeatherError: that of the weather cannot be used.
-        ConfigError: that of the prices cannot be.
-    """
+    """Read the files of weather and prices that a plant is given; raises `WeatherError` or `ConfigError`."""
     _weather(spec)
     _tariff(spec)
 
@@ -125,8 +118,7 @@ def check_surroundings(spec: PlantSpec) -> None:
 def windows_of(spec: PlantSpec, testcase: TestCase) -> tuple[str, ...] | None:
     """Names of the windows that the plant of a scenario has beside start days; None where only the plant knows them.
 
-    Raises:
-        ConfigError: nothing implements the test case, or its FMU cannot be read.
+    Raises `ConfigError` where nothing implements the test case, or its FMU cannot be read.
     """
     names = REGISTRY.find(plant_name(spec, testcase)).windows(spec, testcase)
     return None if names is None else tuple(names)

@@ -99,23 +99,18 @@ class PlantShell(Releasing, ABC):
 
         Raises:
             InputError: `u` or `duration_s` is out of range, or the plant was not reset.
-            PlantError: what simulates it failed.
+            PlantError: what simulates it failed or took too long.
         """
         return self._advanced(check_levels(u, duration_s, names=self._names, lowest=self._lowest))
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """Return boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors if set.
-
-        Raises:
-            InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
-        """
+        """Return boundary conditions, with forecast errors if set; raises `InputError` as `forecast_times`."""
         return self._boundary(forecast_times(self._now_s, horizon_s, interval_s))
 
     def past(self, step_s: float) -> Record:
         """Return the record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
 
-        Raises:
-            InputError: `step_s` is not positive, or the plant was not reset.
+        Raises `InputError` where `step_s` is not positive, or the plant was not reset.
         """
         return self._past(record_times(self._begin_s, self._now_s, step_s))
 
@@ -167,12 +162,7 @@ class RoomSetpointShell(PlantShell):
     """A `RoomSetpointPlant` in a shell."""
 
     def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
-        """Apply `u` (None: native control), or the room set-points `band_C`, °C, for `duration_s`.
-
-        Raises:
-            InputError: `u`, `band_C` or `duration_s` is out of range, or the plant was not reset.
-            PlantError: what simulates it failed, or took too long.
-        """
+        """As `PlantShell.advance`, or with the room set-points `band_C`, °C."""
         return self._advanced(check_levels(u, duration_s, band_C, names=self._names, lowest=self._lowest))
 
 
@@ -254,8 +244,7 @@ class BranchingShell(PlantShell):
     def _kpis_so_far(self, between: Callable[[float, float], dict[str, float]]) -> dict[str, float]:
         """KPIs since the end of the warm-up, from those of the samples `between` two times, both included.
 
-        Sums are cached: later calls read only the new samples, and those of a 15-min peak window that is not over or
-        ends between two samples.
+        Sums are cached: later calls read only the new samples, and those of a peak window that is not over.
         """
         counted = self._counted.get(self._price, CountedKpis(self._start_s))
         recent = self._samples.times[np.searchsorted(self._samples.times, counted.until_s) :]

@@ -46,11 +46,8 @@ T = TypeVar("T")
 def wait_for(receive: Callable[[], T], kill: Callable[[], None], what: str, limit_s: float) -> T:
     """Return the result of `receive`, which blocks in a thread; `kill` ends what it waits for, then it must return.
 
-    `what` names it in messages, such as "the FMU's step from day 3.51". `kill` is also called where the wait is
-    interrupted (Ctrl-C).
-
-    Raises:
-        PlantError: it took more than `limit_s`; or what `receive` raises.
+    `what` names it in messages, such as "the FMU's step from day 3.51". `kill` is also called at Ctrl-C. Raises
+    `PlantError` where it took more than `limit_s`, or what `receive` raises.
     """
     answer: Future[T] = Future()
 
@@ -86,9 +83,9 @@ _SAID_BYTES = 500
 
 
 class WorkerProcess:
-    """Process of one run of `what`; it is never used for a second run.
+    """Process of one run of `what`, never used for a second; `now_s`: time of the run, s.
 
-    `patience_s`: longest time for a quarter of an hour of the building's time, s. `now_s`: time of the run, s.
+    `patience_s`: longest time for a quarter of an hour of the building's time, s.
     """
 
     def __init__(self, module: str, what: str, work_folder: Path, patience_s: float = PATIENCE_S) -> None:
@@ -114,10 +111,8 @@ class WorkerProcess:
     def ask(self, phase: str, request: object, *, doing: str = "simulate", limit_s: float | None = None) -> Any:
         """The answer to `request`; without one the process is closed: an incomplete step cannot be continued.
 
-        `phase` and `doing` name it in messages, such as 'step from' and 'simulate'.
-
-        Raises:
-            PlantError: it failed, or took more than `limit_s`, by default its patience.
+        `phase` and `doing` name it in messages, such as 'step from' and 'simulate'. Raises `PlantError` where it
+        failed, or took more than `limit_s`, by default its patience.
         """
         if self.closed:
             raise PlantError(f"{self._what} was closed; reset the plant to start it again")
@@ -175,7 +170,7 @@ class WorkerProcess:
         return f"ended with code {code}"
 
     def _last_words(self) -> str:
-        """Return the last of what the simulation and its process printed."""
+        """The last of what the simulation and its process printed."""
         size = os.fstat(self._said.fileno()).st_size
         said = os.pread(self._said.fileno(), _SAID_BYTES, max(size - _SAID_BYTES, 0)) if hasattr(os, "pread") else b""
         text = safe_text(said.decode(errors="replace").strip())
@@ -206,10 +201,7 @@ def channel() -> tuple[Callable[[], Any], Callable[[Any], None]]:
 
 
 def _receive(requests: SimpleQueue[Any]) -> None:
-    """Queue what comes; at the end of the stream end the process.
-
-    Libraries are not unloaded: those of others tend to crash then, and nothing is left to save.
-    """
+    """Queue what comes; at the end of the stream end the process without unloading libraries, which tend to crash."""
     try:
         while True:
             requests.put(pickle.load(sys.stdin.buffer))

@@ -16,7 +16,7 @@ from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, emulator, heat_pump, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
-from thermoforce_mpc.plants.embedded.counting import integrals
+from thermoforce_mpc.plants.embedded.kernel import integrals
 from thermoforce_mpc.protocols import Plant
 
 

@@ -32,9 +32,8 @@ def check_points(
 ) -> None:
     """Compare a test case file with the points that `plant` offers.
 
-    Raises:
-        ConfigError: lists every key that names an unknown point or one in another unit, and every value that the plant
-            would silently clip.
+    Raises `ConfigError`, which lists every key that names an unknown point or one in another unit, and every value that
+    the plant would silently clip.
     """
     points, several = testcase.points, bool(testcase.zones)
     wanted = [

@@ -28,8 +28,8 @@ from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import day_period, is_day
 from thermoforce_mpc.plants.embedded import exposure, kernel, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
-from thermoforce_mpc.plants.embedded.counting import integrals
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
+from thermoforce_mpc.plants.embedded.kernel import integrals
 from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, peak_power
 from thermoforce_mpc.plants.people import live
 from thermoforce_mpc.plants.records import interval_means
@@ -99,7 +99,7 @@ class EmbeddedPlant(BranchingShell):
         self.weather = weather
         self._forecast_error = forecast_error
         self._network = build_network()
-        grid = build_exposure(weather).grid
+        grid = build_exposure(weather)
         self._scheduled = grid, kernel.AS_SCHEDULED
         self._lived = self._scheduled if people is None else _with_people(grid, people)
         self._tariffs = tariffs.by_name(highly_dynamic)
@@ -120,8 +120,7 @@ class EmbeddedPlant(BranchingShell):
     def period(self, name: str) -> Period:
         """Return the window 'peak_heat_day' or 'typical_heat_day' (BOPTEST's rule for this weather), or of a start day.
 
-        Raises:
-            InputError: `name` is neither a known window nor a day of the year.
+        Raises `InputError` where `name` is neither a known window nor a day of the year.
         """
         if is_day(name):
             return day_period(name, ())
@@ -141,7 +140,7 @@ class EmbeddedPlant(BranchingShell):
         return row
 
     def _run(self, block: Block) -> None:
-        self._advance(_overrides(block), block.duration_s)
+        self._samples.append(*self._simulated(_overrides(block), block.duration_s))
 
     def _advanced(self, block: Block) -> Measurement:
         return self.advance_points(_overrides(block), block.duration_s)
@@ -149,9 +148,8 @@ class EmbeddedPlant(BranchingShell):
     def advance_points(self, overrides: Mapping[str, float], duration_s: float) -> Measurement:
         """Advance with overwrite inputs by BOPTEST name (temperatures in K); inputs not given stay native.
 
-        Raises:
-            InputError: an unknown input, a value that is neither 0 nor a finite number within its limits, or a duration
-                that is not between 1 ms and a year.
+        Raises `InputError` for an unknown input, a value that is neither 0 nor a finite number within its limits, or a
+        duration that is not between 1 ms and a year.
         """
         for name, value in overrides.items():
             if name not in _LIMITS:
@@ -165,12 +163,13 @@ class EmbeddedPlant(BranchingShell):
         if not LEAST_STEP_S <= duration_s < YEAR_S:
             raise InputError(f"step of {duration_s:g} s: expected {LEAST_STEP_S:g} s or more, less than a year")
         before_s = self._now_s
-        self._advance(overrides, float(duration_s))
+        self._samples.append(*self._simulated(overrides, float(duration_s)))
         return self._measured(before_s)
 
     def _boundary(self, time_s: Array) -> Boundary:
         lower, upper = schedule.bounds_C(time_s)
         T_out, solar = forecast_weather(self.weather, self._forecast_error, time_s)
+        price, emission = self._bought(time_s)
         return Boundary(
             time_s=time_s,
             T_out_C=T_out,
@@ -178,18 +177,19 @@ class EmbeddedPlant(BranchingShell):
             occupancy=schedule.PEOPLE * schedule.occupied_sample(time_s),
             lower_C=lower,
             upper_C=upper,
-            price_per_kWh=self._tariffs[self._price](time_s),
-            emission_kg_per_kWh=np.full(time_s.shape, tariffs.EMISSION_KG_PER_KWH),
+            price_per_kWh=price,
+            emission_kg_per_kWh=emission,
         )
 
     def _past(self, edges: Array) -> Record:
         record = self.recorded(self._begin_s, self._now_s)
-        sampled = {name: np.interp(edges, record["time"], record[name]) for name in ("T_operative", "T_out", "solar")}
+        names = ("T_operative", "T_out", "solar")
+        T_zone, T_out, solar = (np.interp(edges, record["time"], record[name]) for name in names)
         return Record(
             time_s=edges,
-            T_zone_C=sampled["T_operative"] - ZERO_C_K,
-            T_out_C=sampled["T_out"] - ZERO_C_K,
-            solar_W_m2=sampled["solar"],
+            T_zone_C=T_zone - ZERO_C_K,
+            T_out_C=T_out - ZERO_C_K,
+            solar_W_m2=solar,
             u=interval_means(record, ["level"], edges),
             power_W=interval_means(record, ["P_heat_pump", "P_fan", "P_pump"], edges),
             heat_W=interval_means(record, ["Q_condenser"], edges),
@@ -203,7 +203,7 @@ class EmbeddedPlant(BranchingShell):
         return self._kpis_so_far(self._kpis_between)
 
     def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
-        """Return the KPIs of the samples between two times, both included."""
+        """KPIs of the samples between two times, both included."""
         time_s, rows = self._samples.between(start_s, final_s)
         Wh, cost, discomfort_Kh, excess_ppm_h = integrals(time_s, rows, self._tariffs[self._price](time_s)).tolist()
         span_s = final_s - start_s
@@ -241,26 +241,18 @@ class EmbeddedPlant(BranchingShell):
         return self._tariffs[name]
 
     def use(self, price: str, forecast_error: ForecastError | None) -> None:
-        """Set tariff and forecast errors; the plant's state does not change.
-
-        Raises:
-            InputError: the tariff is unknown.
-        """
+        """Set tariff and forecast errors, and nothing else; raises `InputError` for an unknown tariff."""
         self.tariff(price)
         self._price, self._forecast_error = cast(Price, price), forecast_error
 
     def recorded(self, start_s: float, final_s: float) -> dict[str, Array]:
-        """Return the samples between two times: 'time' s and every column of `kernel.RECORD`, shape (n,) each.
+        """Return the samples between two times: 'time' s and every column of `kernel.RECORD`, in its units, (n,) each.
 
-        Units are those of `kernel.RECORD`. Each advance adds equally spaced samples, 30 to 60 s apart (30 s if its
-        length is a multiple of 30 s), or one sample if it is shorter. The record starts with the warm-up and ends now;
-        arrays are empty if nothing was recorded.
+        Each advance adds equally spaced samples, 30 to 60 s apart (30 s if its length is a multiple of 30 s), or one if
+        it is shorter. The record starts with the warm-up and ends now; arrays are empty if nothing was recorded.
         """
         time_s, values = self._samples.between(start_s, final_s)
         return {"time": time_s} | {name: values[:, i] for name, i in _COLUMN.items()}
-
-    def _advance(self, overrides: Mapping[str, float], duration_s: float) -> None:
-        self._samples.append(*self._simulated(overrides, duration_s))
 
     def _simulated(self, overrides: Mapping[str, float], duration_s: float) -> tuple[Array, Array]:
         """Simulate, and set the clock to the end; times (n,) and samples (n, 17)."""

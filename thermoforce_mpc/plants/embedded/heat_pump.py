@@ -118,11 +118,7 @@ PROTECTION_HYSTERESIS_K = 3.0
 
 @njit(cache=True)
 def heat_pump(T_evaporating: float, T_condensing: float, speed: float) -> tuple[float, float, float]:
-    """Return electric power of the compressor, condenser heat and evaporator heat, W, at `speed` in (0, 1].
-
-    Args:
-        T_evaporating, T_condensing: refrigerant temperatures, K.
-    """
+    """Return power, condenser and evaporator heat, W, at `speed` in (0, 1]; refrigerant temperatures in K."""
     p_low = saturation_pressure(T_evaporating)
     p_high = saturation_pressure(T_condensing)
     T_suction = T_evaporating + SUPERHEAT_K

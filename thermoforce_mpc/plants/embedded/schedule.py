@@ -21,16 +21,10 @@ _DATA_S = 900.0
 @njit(cache=True)
 def is_occupied(time_s: float) -> bool:
     """Whether the house is occupied: weekdays before 07:00 and from 20:00, weekends all day; day 0 is a Tuesday."""
-    day = math_floor(time_s / 86400.0)
+    day = int(np.floor(time_s / 86400.0))
     weekday = day % 7
     hour = (time_s - day * 86400.0) / 3600.0
     return weekday == 4 or weekday == 5 or hour < 7.0 or hour >= 20.0
-
-
-@njit(cache=True, inline="always")
-def math_floor(x: float) -> int:
-    """Return the largest integer not above `x`."""
-    return int(np.floor(x))
 
 
 def occupied(time_s: Array) -> Array:

@@ -59,11 +59,7 @@ def weather_file(name: str) -> Path:
 
 
 def reference_building(name: str) -> Path:
-    """Return the IDF of a DOE reference building shipped with the engine, as 'RefBldgSmallOfficeNew2004_Chicago'.
-
-    Raises:
-        PlantError: there is no building of that name.
-    """
+    """Return the IDF of a DOE reference building, as 'RefBldgSmallOfficeNew2004_Chicago'; raises `PlantError`."""
     path = engine_folder() / "data" / "model" / f"{name}.idf"
     if not path.is_file():
         raise PlantError(f"EnergyPlus: no reference building '{name}' in {path.parent}")
@@ -91,7 +87,7 @@ WEATHER_SENSORS = {
 class Reading:
     """Reading at the end of a step: temperatures °C, global horizontal irradiance W/m², heat over the step W.
 
-    `heat_W` is given only if the engine decides the heat, else NaN.
+    `heat_W` is NaN unless the engine decides the heat.
     """
 
     T_zone_C: float
@@ -106,8 +102,8 @@ class Wiring(Generic[R]):
 
     `sensors` and `means` map names to (variable, key), `actuators` names to (component, control, key); `read` converts
     the values of sensors and means to a reading; `suffix` is the model's file format. A sensor shows the value at the
-    end of a zone time step. A mean is taken over the step: the engine divides a step with large changes into several
-    system steps, and a sensor of the system shows the last of them.
+    end of a zone time step, a mean is taken over it: the engine divides a step with large changes into several system
+    steps, and a sensor of the system shows the last of them.
     """
 
     sensors: Mapping[str, tuple[str, str]]
@@ -143,9 +139,7 @@ class Driver(Protocol[R_contra]):
 def run_engine(model: str, weather: Path, recorder: Driver[R], wiring: Wiring[R]) -> None:
     """Run the model text `model` with a weather file in this process, with the callbacks of `recorder`.
 
-    Raises:
-        PlantError: the engine failed; includes the errors of its error file.
-        Exception: an exception of a callback.
+    Raises `PlantError` with the errors of the engine's error file where it failed, and what a callback raises.
     """
     from pyenergyplus.api import EnergyPlusAPI
 
@@ -243,7 +237,7 @@ def run_engine(model: str, weather: Path, recorder: Driver[R], wiring: Wiring[R]
 
 
 def _complaints(text: str) -> str:
-    """Return the first severe and continuation lines of an error file (6 at most), or its last 500 characters."""
+    """The first severe and continuation lines of an error file (6 at most), or its last 500 characters."""
     lines = [line.strip() for line in text.splitlines()]
     marks = ("** Severe", "**  Fatal", "**   ~~~   **")
     said = [line for line in lines if line.startswith(marks)]

@@ -111,8 +111,7 @@ class Schedule:
     def at(self, time_s: Array, calendar: Calendar) -> Array:
         """Return the value over the step that begins at each of `time_s` (n,), s since 1 January, shape (n,).
 
-        Raises:
-            PlantError: no rule covers one of the days.
+        Raises `PlantError` where no rule covers one of the days.
         """
         clock_s = calendar.clock_s(np.asarray(time_s, dtype=np.float64)) + _CLOCK_S
         day = np.floor(clock_s / DAY_S).astype(int)

@@ -120,8 +120,7 @@ def office_schedules() -> OfficeSchedules:
 def office_model(first_day: int, days: int, steps_per_hour: int) -> str:
     """Return the shipped IDF with the given run period and zone time steps; `first_day` counts from 1 January (0).
 
-    Raises:
-        PlantError: the file differs from the expected version.
+    Raises `PlantError` where the file differs from the expected version.
     """
     begin = date(YEAR, 1, 1) + timedelta(days=first_day)
     end = begin + timedelta(days=days - 1)

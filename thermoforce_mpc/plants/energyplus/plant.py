@@ -1,7 +1,7 @@
-"""EnergyPlus zone behind the `Plant` protocol; the engine runs in its own process.
+"""EnergyPlus zone behind the `Plant` protocol: the building, gains and climates of the interventional suite.
 
-Building, gains and climates are those of the interventional suite. The plant adds the electric power of a machine with
-a fixed fraction of the Carnot efficiency, comfort bounds, tariffs and a forecast.
+The plant adds the electric power of a machine with a fixed fraction of the Carnot efficiency, comfort bounds, tariffs
+and a forecast.
 """
 
 from __future__ import annotations
@@ -75,9 +75,8 @@ class EnergyPlusPlant(EnginePlant[float, Reading]):
     def __init__(self, testcase: TestCase, **options: Any) -> None:
         """`options`: see `EnginePlant`.
 
-        Raises:
-            ConfigError: the test case has no `energyplus` section or not the zone's actuator, or the engine is not
-                installed.
+        Raises `ConfigError` where the test case has no `energyplus` section or not the zone's actuator, or the engine
+        is missing.
         """
         if testcase.energyplus is None:
             raise ConfigError(f"test case '{testcase.name}' has no `energyplus` section: it is of another plant")

@@ -145,9 +145,8 @@ class EngineProcess(WorkerProcess, Generic[U, R]):
     def advance(self, demand: U | None, duration_s: float) -> Stretch[U, R]:
         """Do what is `demand` (None: the building's own control) for `duration_s`.
 
-        Raises:
-            InputError: the duration is no multiple of the engine's step.
-            PlantError: the engine failed or took too long, or its run period is over.
+        Raises `InputError` where that is no multiple of the engine's step, `PlantError` where the engine failed or took
+        too long, or its run period is over.
         """
         n = whole_steps("step", duration_s, self.step_s)
         if n > self._left:
@@ -189,16 +188,13 @@ class EnginePlant(WithProcess[EngineProcess[U, R]], PlantShell, Generic[U, R]):
         forecast_error: ForecastError | None = None,
         patience_s: float = PATIENCE_S,
     ) -> None:
-        """Read the weather; the engine starts at `reset`.
+        """Read the weather; the engine starts at `reset`; raises `ConfigError` where it is not installed.
 
         Args:
             weather: part of the name of the TMY3 file.
             highly_dynamic: highly dynamic tariff of electricity; default: a synthetic one, see `boundary.tariffs`.
             forecast_error: weather forecast errors; default: a perfect forecast.
             patience_s: longest time for a quarter of an hour of the building's time, and for the engine's warm-up, s.
-
-        Raises:
-            ConfigError: the engine is not installed.
         """
         try:
             engine_folder()
@@ -210,11 +206,7 @@ class EnginePlant(WithProcess[EngineProcess[U, R]], PlantShell, Generic[U, R]):
         self._tariffs = tariffs.by_name(highly_dynamic)
 
     def period(self, name: str) -> Period:
-        """Return the named window of two weeks, or that of a start day.
-
-        Raises:
-            InputError: `name` is neither a window of the building nor a day of the year.
-        """
+        """Return the named window of two weeks, or that of a start day; raises `InputError` for another name."""
         if name in self._periods:
             return Period(name, self._periods[name] * DAY_S)
         return day_period(name, self._periods)

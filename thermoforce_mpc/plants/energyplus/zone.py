@@ -45,9 +45,9 @@ class ZoneSpec:
         window_shgc: solar heat gain coefficient of the glazing.
         gains_W: full internal gains, W.
         steps_per_hour: data steps per hour; the source is constant over a step.
-        engine_steps_per_hour: zone time steps of the engine, a multiple of `steps_per_hour`. With 15-min zone time
-            steps the engine subdivides only steps with large changes and reports their mean instead of their end, so
-            the response to an action would depend on its size.
+        engine_steps_per_hour: zone time steps of the engine, a multiple of `steps_per_hour`. With 15-min ones the
+        engine
+            subdivides only steps with large changes, so the response to an action would depend on its size.
         floor_area_m2: floor area of the model, m².
     """
 
@@ -102,7 +102,7 @@ COMFORT_H = (5.0, 23.0)
 
 @dataclass(frozen=True)
 class Climate:
-    """Zone, first day of the probing part (day of the year, from 0) and set-points of one building.
+    """Zone, first day of the probing part (from 0) and set-points of one building.
 
     `comfort_C` holds from 05:00 to 23:00, which contains every evaluation window with its horizon; `setback_C` at
     night.
@@ -183,9 +183,8 @@ ZONE_WIRING: Wiring[Reading] = Wiring(
 
 @dataclass(frozen=True)
 class Job:
-    """Simulation job from midnight of `first_day`.
+    """Simulation job from midnight of `first_day`; `setpoint_C` and `gains` (fraction of the full ones) (n_steps,).
 
-    `setpoint_C` and `gains` (fraction of the zone's internal gains) have shape (n_steps,), one value per recorded step.
     Runs that must be equal up to an intervention need the same length: the engine's results differ by microkelvins
     between run periods with different last days.
     """

@@ -5,10 +5,10 @@ from __future__ import annotations
 import io
 import math
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 from xml.parsers import expat
 
 from boptest_client import Point
@@ -25,8 +25,7 @@ _PIECE = 4096
 _MOST_REFERENCE = 2**32 - 1
 
 
-@dataclass(frozen=True)
-class Signal:
+class Signal(NamedTuple):
     """Input or output of the FMU: value reference, FMI type ('Real', 'Integer', 'Boolean'), and description."""
 
     reference: int
@@ -150,28 +149,27 @@ class FmuArchive:
             guid=self.guid,
             model_identifier=self.model_identifier,
             tolerance=self.tolerance,
-            inputs={name: (signal.reference, signal.kind) for name, signal in self.inputs.items()},
-            outputs={name: (signal.reference, signal.kind) for name, signal in self.outputs.items()},
+            inputs={name: signal[:2] for name, signal in self.inputs.items()},
+            outputs={name: signal[:2] for name, signal in self.outputs.items()},
             recorded=recorded,
         )
-
-    def points(self, signals: Mapping[str, Signal]) -> dict[str, Point]:
-        """Return the description of each of `signals`, by name."""
-        return {name: signal.point for name, signal in signals.items()}
 
 
 def read_archive(path: Path) -> FmuArchive:
     """Read an FMU without running it.
 
-    Raises:
-        ConfigError: the file is missing, not an FMU, of another FMI version or kind, has no binaries for this machine,
-            or its members or resources are damaged or too large; the message says which.
+    Raises `ConfigError`, which says why, for a file that is missing, not an FMU, of another FMI version or kind,
+    without binaries for this machine, or whose members or resources are damaged or too large.
     """
     members = Members(path)
     description = read_description(path, members)
     identifier = str(description.coSimulation.modelIdentifier)
     _check_binaries(path, members, identifier)
     kpis, days, config = (_json(path, members, name) for name in ("kpis.json", "days.json", "config.json"))
+    resources = f"{path}: {_RESOURCES}"
+    excluded = _names(
+        config.get("resource_file_exclusion", []), f"{resources}config.json: resource_file_exclusion", "files"
+    )
     tolerance = getattr(description.defaultExperiment, "tolerance", None)
     return FmuArchive(
         path=path,
@@ -183,10 +181,12 @@ def read_archive(path: Path) -> FmuArchive:
         tolerance=None if tolerance is None else finite(tolerance, f"{path}: tolerance"),
         inputs=read_signals(path, description, "input"),
         outputs=read_signals(path, description, "output"),
-        kpi_signals=_kpi_signals(path, kpis),
+        kpi_signals={
+            key: _names(named, f"{resources}kpis.json: '{key:.100}'", "outputs") for key, named in kpis.items()
+        },
         days=_days(path, days),
         area_m2=_area(path, config),
-        boundary=_tables(path, members, _excluded(path, config)),
+        boundary=_tables(path, members, excluded),
     )
 
 
@@ -222,7 +222,7 @@ def _json(path: Path, members: Members, name: str) -> dict[str, Any]:
     return parse_json(members.read(_RESOURCES + name, _MOST_JSON_BYTES), f"{path}: {_RESOURCES}{name}", ConfigError)
 
 
-def _tables(path: Path, members: Members, excluded: list[str]) -> BoundaryData:
+def _tables(path: Path, members: Members, excluded: Sequence[str]) -> BoundaryData:
     data, left = BoundaryData({}), _MOST_TABLES_BYTES
     for name in sorted(members.names):
         if name.startswith(_RESOURCES) and name.endswith(".csv") and name.rsplit("/", 1)[1] not in excluded:
@@ -232,22 +232,11 @@ def _tables(path: Path, members: Members, excluded: list[str]) -> BoundaryData:
     return data
 
 
-def _excluded(path: Path, config: Mapping[str, Any]) -> list[str]:
-    names = config.get("resource_file_exclusion", [])
+def _names(names: Any, where: str, what: str) -> tuple[str, ...]:
+    """A list of names; raises `ConfigError` for anything else."""
     if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
-        raise ConfigError(
-            f"{path}: {_RESOURCES}config.json: resource_file_exclusion is {names!r:.100}, expected a list of files"
-        )
-    return names
-
-
-def _kpi_signals(path: Path, kpis: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
-    for category, names in kpis.items():
-        if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
-            raise ConfigError(
-                f"{path}: {_RESOURCES}kpis.json: '{category:.100}' is {names!r:.100}, expected a list of outputs"
-            )
-    return {category: tuple(names) for category, names in kpis.items()}
+        raise ConfigError(f"{where} is {names!r:.100}, expected a list of {what}")
+    return tuple(names)
 
 
 def _days(path: Path, days: Mapping[str, Any]) -> dict[str, int]:

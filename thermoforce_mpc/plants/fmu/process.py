@@ -159,8 +159,7 @@ class FmuRun:
 
     A new process then repeats all stretches since the start at a tenth of the tolerance, and if one fails again at ten
     times the tolerance. Few FMUs can save their state, so this takes as long as it took until there. What was
-    returned before is not taken back; the repeated course differs from it by the integration error, and the run goes
-    on from there.
+    returned before is not taken back; the repeated course differs from it by the integration error.
     """
 
     def __init__(self, job: Job, work_folder: Path, patience_s: float) -> None:
@@ -180,13 +179,9 @@ class FmuRun:
         return self._begin(self._job)
 
     def advance(self, inputs: Mapping[str, float], duration_s: float, told: Sequence[str] = ()) -> Stretch:
-        """Set inputs by name and simulate.
+        """Set inputs by name and simulate; raises `PlantError` where it failed at all tolerances.
 
-        Args:
-            told: `restarts` after this stretch in a run that is repeated, which are not waited for again.
-
-        Raises:
-            PlantError: it failed at all tolerances.
+        `told`: `restarts` after this stretch in a run that is repeated, which are not waited for again.
         """
         process = self._running
         if process.closed:

@@ -25,8 +25,7 @@ class Scores:
     def __init__(self, archive: FmuArchive, testcase: TestCase) -> None:
         """Collect the signals and the boundary series of the KPIs.
 
-        Raises:
-            ConfigError: a signal or series is missing, or the floor areas of FMU and test case file differ.
+        Raises `ConfigError` where one is missing, or the floor areas of FMU and test case file differ.
         """
         self._boundary = archive.boundary
         self._area_m2 = testcase.area_m2

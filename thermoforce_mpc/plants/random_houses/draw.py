@@ -112,7 +112,7 @@ class House:
 
     @property
     def name(self) -> str:
-        """Name of the house, from which it can be drawn again."""
+        """Name from which the house can be drawn again."""
         return f"house_{self.seed}_{self.index}"
 
     @property

@@ -180,11 +180,8 @@ def advance(
 ) -> None:
     """Advance `state` (8,) in place by `n_steps` of `dt` s and fill `record` (n_steps, 12).
 
-    Args:
-        forced: level in [0, 1], NaN: native control.
-        grid: weather and schedules of a year every 15 min, shape (35041, 7).
-        noise: standard normal noise of the sensor, one value per 30 s of the year.
-        p: parameters, see `parameters`.
+    `forced`: level in [0, 1], NaN: native control. `grid`: weather and schedules of a year every 15 min, (35041, 7).
+    `noise`: standard normal noise of the sensor, one value per 30 s of the year. `p`: see `parameters`.
     """
     w = np.empty(N_COLUMNS)
     a, b = np.empty((5, 5)), np.empty(5)

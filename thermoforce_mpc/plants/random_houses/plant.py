@@ -57,10 +57,7 @@ def native_setpoint_C(house: House, time_s: Array) -> Array:
 
 
 def gains_W(house: House, time_s: Array) -> Array:
-    """Return internal heat gains on an equally spaced grid `time_s`, W: people, and appliances that vary at random.
-
-    Appliances follow a log-normal first-order process with a correlation time of 2 h, seeded by the house.
-    """
+    """Return internal heat gains on an equally spaced grid `time_s`, W: people, and appliances (see `varying`)."""
     home = at_home(house.pattern, time_s)
     varied = varying(np.random.default_rng([house.seed, house.index, 1]), time_s, house.gains_sd)
     appliances = np.where(home, house.gains_home_W_m2, house.gains_empty_W_m2) * house.floor_area_m2
@@ -74,11 +71,7 @@ _FULL_SUN_W_M2 = 800.0
 
 
 def generated_house(name: str) -> House:
-    """Return the house `generated:SEED:INDEX`: number INDEX of the population SEED.
-
-    Raises:
-        InputError: `name` has another form.
-    """
+    """Return house INDEX of the population SEED, `generated:SEED:INDEX`; raises `InputError` for another name."""
     match = _NAME.fullmatch(name)
     if match is None:
         raise InputError(f"house '{name}': expected generated:SEED:INDEX, such as generated:2026:0")
@@ -112,10 +105,7 @@ def named_testcase(name: str) -> TestCase:
 
 
 class GeneratedHousePlant(DrawnHousePlant):
-    """A generated house behind the `Plant` protocol. Deterministic: same house and inputs, same bytes.
-
-    Comfort is judged by the true operative temperature; records and measurements hold what the sensor reads.
-    """
+    """A generated house behind the `Plant` protocol; records and measurements hold what the sensor reads."""
 
     house: House
     _kind = "generated"

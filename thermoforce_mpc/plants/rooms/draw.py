@@ -57,10 +57,8 @@ def emulator_fixed_share() -> float:
 def draw_rooms(n_rooms: int, seed: int, use: Use = HOUSE) -> DrawnHouse:
     """Draw a house, or an office, of `n_rooms` rooms; the same arguments give the same one.
 
-    Every distribution is given here; sources in docs/how-it-works/random-buildings.md.
-
-    Raises:
-        InputError: `n_rooms` is not a whole number from 1 to 30.
+    Every distribution is given here; sources in docs/how-it-works/random-buildings.md. Raises `InputError` where
+    `n_rooms` is not a whole number from 1 to 30.
     """
     if isinstance(n_rooms, bool) or not isinstance(n_rooms, int | np.integer) or not 1 <= n_rooms <= MOST_ROOMS:
         raise InputError(f"{use.name} of {n_rooms!r} rooms: expected a whole number from 1 to {MOST_ROOMS}")

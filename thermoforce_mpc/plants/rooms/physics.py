@@ -277,13 +277,10 @@ def advance(
     """Advance nodes `T` (5 Z,) °C and thermostats `on` (Z,) in place by `n_steps` of `dt` s and fill `record`.
 
     Args:
-        T, on: see above.
         time_s: time at the start, s since 1 January.
-        n_steps, dt: number and length of the steps.
         forced: levels in [0, 1], shape (Z,); NaN: native control.
         weather: year every 15 min, shape (35041, 2 + 2 Z), see `T_OUT` and following; interpolated.
         gains, setpoints: internal gains W and native set-points °C, shape (35041, Z); held for 15 min.
-        h: parameters, see `network`.
         record: one row per step, shape (n_steps, 8 + 3 Z), see `POWER` and following.
     """
     n = on.size

@@ -33,10 +33,8 @@ _NAME = re.compile(r"(house|office):(\d+)rooms?(?::(\d+))?")
 def house_of_rooms(name: str, people: int | None = None) -> HouseOfRooms:
     """Return the house `house:Nrooms`, N from 1 to 30, or `house:Nrooms:SEED` of another seed; `office:…` likewise.
 
-    `people`: seed of people who do not keep to the schedule, see `plants.people`; without they keep to it.
-
-    Raises:
-        InputError: `name` has another form, or N is out of range.
+    `people`: seed of people who do not keep to the schedule, see `plants.people`; without they keep to it. Raises
+    `InputError` where `name` has another form, or N is out of range.
     """
     match = _NAME.fullmatch(name)
     if match is None or not 1 <= int(match[2]) <= MOST_ROOMS:
@@ -48,7 +46,7 @@ def house_of_rooms(name: str, people: int | None = None) -> HouseOfRooms:
 
 
 class HouseOfRooms(DrawnHousePlant):
-    """A drawn house with a valve in each room and one heat pump. Deterministic: same house and inputs, same bytes.
+    """A drawn house with a valve in each room and one heat pump.
 
     A level is the share of the heat that the circuit would take now with its valve fully open, at design flow and the
     supply temperature of the moment; 0 is none, and more level is never less heat to the circuit. None leaves a valve
@@ -58,10 +56,9 @@ class HouseOfRooms(DrawnHousePlant):
     Attributes:
         layout: rooms, valves and the heat pump; valve i stands in room i.
         zones, actuators, machines: names by row of all arrays.
-        floor_area_m2: of each room, shape (Z,).
+        floor_area_m2, thermostat_C: of each room and its baseline thermostat, shape (Z,).
         design_heat_W: of each emitter, shape (A,).
         capacity_W: of the heat pump at the design outdoor temperature, shape (1,).
-        thermostat_C: set-points of baseline thermostats, shape (Z,).
     """
 
     house: DrawnHouse
@@ -183,10 +180,7 @@ class HouseOfRooms(DrawnHousePlant):
 
 
 def weather_grid(house: DrawnHouse, weather: WeatherYear) -> Array:
-    """Return weather and sun through the rooms' windows every 15 min of a year, shape (35041, 2 + 2 Z), see `physics`.
-
-    Takes about 0.5 s.
-    """
+    """Return weather and sun through the windows every 15 min of a year, (35041, 2 + 2 Z), see `physics`; 0.5 s."""
     time_s, n = year(), len(house.rooms)
     windows = np.array([room.windows_m2 for room in house.rooms])
     grid = np.zeros((time_s.size, physics.SUN + 2 * n))

@@ -50,8 +50,7 @@ def bounds_C(house: DrawnHouse, time_s: Array) -> tuple[Array, Array]:
 def native_setpoints_C(house: DrawnHouse, time_s: Array) -> Array:
     """Return the rooms' native set-points at `time_s` (n,), °C, shape (Z, n): set back while unused, preheated before.
 
-    Set-back and preheating time are those of the emitter in a generated house; the set-back shrinks to nothing between
-    a heat pump of 1.3 and one of 0.8 times the design load.
+    Set-back, its shrinking with the machine, and preheating are those of the emitter in a generated house.
     """
     shrink = min(max((house.sizing - 0.8) / 0.5, 0.0), 1.0)
     unused: dict[tuple[str, str], NDArray[np.bool_]] = {}
