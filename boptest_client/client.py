@@ -37,6 +37,7 @@ LOOKUP_S = 30.0
 _STEPS_AHEAD = 10
 
 _Parsed = TypeVar("_Parsed")
+_Parse = Callable[[str, Any], _Parsed]
 
 
 class BoptestClient:
@@ -211,9 +212,8 @@ class BoptestClient:
                 raise
             except BoptestError as error:
                 if math.isnan(self.time_s):
-                    raise AdvanceInterrupted(
-                        error.endpoint, f"{error.message}; the time before it is unknown"
-                    ) from error
+                    why = f"{error.message}; the time before it is unknown"
+                    raise AdvanceInterrupted(error.endpoint, why) from error
                 in_doubt = True
                 raise
 
@@ -265,9 +265,7 @@ class BoptestClient:
             self._clock.check_forecast(at, series["time"], horizon_s, interval_s)
             return series
 
-        if patiently:
-            return self._put("forecast", body, parse)
-        return self._put("forecast", body, parse, refusals=0, most_s=0.0)
+        return self._put("forecast", body, parse) if patiently else self._put("forecast", body, parse, 0, 0.0)
 
     def results(self, point_names: Sequence[str], start_s: float, final_s: float) -> dict[str, list[float]]:
         """Recorded values of each point and 'time', s, between two times, warm-up included, at 30-s samples.
@@ -347,14 +345,13 @@ class BoptestClient:
             answer = self._transport.patiently(
                 lambda: self._transport.call("POST", path, {}, most_s=most_s), passing=(ConnectError,), refusals=0
             ).payload
-            testid = answers.text(f"POST {self.url}/{path}", answer, "testid")
+            return answers.text(f"POST {self.url}/{path}", answer, "testid")
         except UnknownTest as error:
             offered = self._available_testcases()
             raise UnknownTest(error.endpoint, f"no test case '{self.testcase}'{offered}", error.status) from error
         except BaseException:
             self._transport.close()
             raise
-        return testid
 
     def _available_testcases(self) -> str:
         """Available test cases, for an error message; empty if the service does not list them."""
@@ -391,7 +388,7 @@ class BoptestClient:
             self._clock.step_s = self.step()
         return self._clock.step_s
 
-    def _get(self, what: str, parse: Callable[[str, Any], _Parsed]) -> _Parsed:
+    def _get(self, what: str, parse: _Parse[_Parsed]) -> _Parsed:
         """The answer to a GET request, parsed with its address, repeated while it fails or is nonsense."""
         path, most_s = f"{what}/{self.testid}", math.inf if self._transport.in_a_run else LOOKUP_S
         return self._transport.patiently(
@@ -399,19 +396,12 @@ class BoptestClient:
         )
 
     def _put(
-        self,
-        what: str,
-        body: dict[str, Any],
-        parse: Callable[[str, Any], _Parsed],
-        refusals: int = 2,
-        most_s: float = math.inf,
+        self, what: str, body: dict[str, Any], parse: _Parse[_Parsed], refusals: int = 2, most_s: float = math.inf
     ) -> _Parsed:
         """The same for PUT; all PUT requests of the protocol may be repeated."""
-        path = f"{what}/{self.testid}"
+        path, put = f"{what}/{self.testid}", self._transport.call
         return self._transport.patiently(
-            lambda: parse(self._at(what), self._transport.call("PUT", path, body).payload),
-            refusals=refusals,
-            most_s=most_s,
+            lambda: parse(self._at(what), put("PUT", path, body).payload), refusals=refusals, most_s=most_s
         )
 
     def _at(self, what: str) -> str:

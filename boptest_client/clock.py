@@ -42,9 +42,8 @@ class Clock:
         found_s = state.get("time", math.nan)
         cut = self.scenario_ends and abs(found_s - self.started_s - _SCENARIO_S) <= TOLERANCE_S
         if not cut and (abs(found_s - self.now_s - step_s) > TOLERANCE_S or math.isnan(found_s)):
-            raise ProtocolError(
-                at, f"its time is {found_s:.10g} s, expected is that of a step of {step_s:g} s from {self.now_s:.10g} s"
-            )
+            expected = f"expected is that of a step of {step_s:g} s from {self.now_s:.10g} s"
+            raise ProtocolError(at, f"its time is {found_s:.10g} s, {expected}")
         return self.move(at, state)
 
     def move(self, at: str, state: dict[str, float]) -> dict[str, float]:
@@ -68,25 +67,18 @@ class Clock:
         if last > now_s + TOLERANCE_S:  # steps that we do not know of; or the clock is wrong
             whole &= first <= start_s + TOLERANCE_S
         if not whole:
-            raise ProtocolError(
-                at,
-                f"its times are {first:.10g} to {last:.10g} s, asked for {start_s:.10g} to {final_s:.10g} s while the "
-                f"test stands at {now_s:.10g} s",
-            )
+            asked = f"asked for {start_s:.10g} to {final_s:.10g} s while the test stands at {now_s:.10g} s"
+            raise ProtocolError(at, f"its times are {first:.10g} to {last:.10g} s, {asked}")
 
     def check_forecast(self, at: str, clock: Sequence[float], horizon_s: float, interval_s: float) -> None:
         """Raise `ProtocolError` unless `clock` rises from now by `interval_s` to `horizon_s` or farther."""
         if clock and abs(clock[0] - self.now_s) > TOLERANCE_S:
-            raise ProtocolError(
-                at, f"it begins at {clock[0]:.10g} s, expected is {self.now_s:.10g} s, where the test stands"
-            )
+            expected = f"expected is {self.now_s:.10g} s, where the test stands"
+            raise ProtocolError(at, f"it begins at {clock[0]:.10g} s, {expected}")
         if not clock or any(a == b for a, b in pairwise(clock)):
             raise ProtocolError(at, f"its clock ('time') does not rise: {list(clock[:3])} …")
         n = math.floor(horizon_s / interval_s + 1e-9) + 1
         steps = [(i, time_s - clock[0]) for i, time_s in enumerate(clock[:n])]
         if len(clock) < n or any(abs(after_s - i * interval_s) > TOLERANCE_S for i, after_s in steps):
-            raise ProtocolError(
-                at,
-                f"asked for {n} instants every {interval_s:g} s, got {len(clock)} from {clock[0]:g} s to "
-                f"{clock[-1]:g} s",
-            )
+            got = f"got {len(clock)} from {clock[0]:g} s to {clock[-1]:g} s"
+            raise ProtocolError(at, f"asked for {n} instants every {interval_s:g} s, {got}")

@@ -49,7 +49,7 @@ class Episodes:
             if not np.isfinite(value):
                 raise ConfigError(f"{name}: {value!r} s: expected a finite number")
         for pair in self.excluding_periods or ():
-            if not (np.shape(pair) == (2,) and _number(pair[0]) and _number(pair[1]) and pair[0] < pair[1]):
+            if not (np.shape(pair) == (2,) and all(map(_is_number, pair)) and pair[0] < pair[1]):
                 raise ConfigError(
                     f"excluding_periods: {pair!r}: expected pairs of begin and later end, s since 1 January; a period "
                     "over New Year is two of them"
@@ -75,7 +75,7 @@ class Episodes:
         return float(rng.choice(self.possible_starts)) if self.random_start_time else float(self.start_time)
 
 
-def _number(value: Any) -> bool:
+def _is_number(value: Any) -> bool:
     return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
 
 
@@ -134,8 +134,9 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
     `compute_truncated` for other tasks. Episodes never terminate; they are truncated after `max_episode_length`.
 
     Attributes:
-        observations: names of the observations, in order.
-        action_names: names of the actions.
+        view: what is seen and done of the plant.
+        observations, action_names: names of the observations, in order, and of the actions.
+        max_episode_length, step_period: lengths of an episode and of a step, s.
         start_time: start of the episode, s since 1 January.
         episode_rewards: rewards since the start.
         objective_integrand: cost_tot + `discomfort_weight` · tdis_tot since the start.
@@ -165,7 +166,8 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
             raise ConfigError(f"render_mode: {render_mode!r}: expected None or one of {self.metadata['render_modes']}")
         if not (np.isfinite(discomfort_weight) and discomfort_weight >= 0):
             raise ConfigError(f"discomfort_weight: {discomfort_weight!r}: expected a number from 0")
-        self._view, self._episodes = view, episodes
+        self.view, self._episodes = view, episodes
+        self.max_episode_length, self.step_period = episodes.max_episode_length, episodes.step_period
         self.scenario = dict(scenario or {"electricity_price": "constant"})
         self.discomfort_weight, self.render_mode, self._reward = discomfort_weight, render_mode, reward
         self.observation_space, self.action_space = view.box.space, view.action_space
@@ -177,21 +179,6 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         self._last: Array | None = None
         self._kpis: dict[str, float] = {}
         self._running = False
-
-    @property
-    def view(self) -> View:
-        """What is seen and done of the plant."""
-        return self._view
-
-    @property
-    def max_episode_length(self) -> float:
-        """Length of an episode, s."""
-        return self._episodes.max_episode_length
-
-    @property
-    def step_period(self) -> float:
-        """Length of a step, s."""
-        return self._episodes.step_period
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -207,11 +194,11 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         for unknown in sorted(set(options or {}) - set(_RESET_OPTIONS)):
             raise ConfigError(f"reset: unknown option '{unknown}'; known: {', '.join(_RESET_OPTIONS)}")
         start_s = (options or {}).get("start_time")
-        if start_s is not None and not (isinstance(start_s, int | float | np.number) and 0 <= start_s < np.inf):
+        if start_s is not None and not (_is_number(start_s) and start_s >= 0):
             raise ConfigError(f"reset: start_time: {start_s!r}: expected seconds since 1 January")
         self._running = False  # until the plant stands at the new start
         self.start_time = self._episodes.start_s(self.np_random) if start_s is None else float(start_s)
-        self._view.begin(self.start_time, self._episodes.warmup_period, self.max_episode_length, self.scenario)
+        self.view.begin(self.start_time, self._episodes.warmup_period, self.max_episode_length, self.scenario)
         self.objective_integrand, self.episode_rewards, self._trace = 0.0, [], []
         self._last, self._kpis, self._running = None, {}, True
         return self._observe()
@@ -235,13 +222,14 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
                 f"action {action!r}: expected {self.action_space.shape[0]} finite numbers "  # type: ignore[index]
                 f"({', '.join(self.action_names)})"
             )
-        applied = np.minimum(np.maximum(requested, self._view.action_space.low), self._view.action_space.high)
-        self._view.act(applied)
+        applied = np.minimum(np.maximum(requested, self.view.action_space.low), self.view.action_space.high)
+        self.view.act(applied)
         self._kpis = {}
         reward = float(self._reward(self) if self._reward else self.get_reward())
         self.episode_rewards.append(reward)
-        state = {"time": self._view.now_s} if self.render_mode is None else self._view.state()
+        state = {"time": self.view.now_s}
         if self.render_mode is not None:
+            state = self.view.state()
             self._trace.append((state, applied))
         observation, info = self._observe()
         terminated = bool(self.compute_terminated(state, reward))
@@ -267,16 +255,16 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
     def get_kpis(self) -> dict[str, float]:
         """BOPTEST's KPIs since the start of the episode."""
         if not self._kpis:
-            self._kpis = self._view.kpis()
+            self._kpis = self.view.kpis()
         return dict(self._kpis)
 
     def snapshot(self) -> EnvSnapshot:
         """State of plant, episode and random numbers, for `restore`; raises `ConfigError` as `View.snapshot`."""
-        return EnvSnapshot(self._view.snapshot(), copy.deepcopy(self._episode()), self.np_random.bit_generator.state)
+        return EnvSnapshot(self.view.snapshot(), copy.deepcopy(self._episode()), self.np_random.bit_generator.state)
 
     def restore(self, snapshot: EnvSnapshot) -> None:
         """Return to a snapshot of this environment, or of one that was branched from it."""
-        self._view.restore(snapshot.view)
+        self.view.restore(snapshot.view)
         self.__dict__.update(copy.deepcopy(dict(snapshot.episode)))
         self.np_random.bit_generator.state = snapshot.random
 
@@ -286,7 +274,7 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         Raises `ConfigError` where the plant has no snapshots.
         """
         other = copy.copy(self)
-        other._view = self._view.branched()
+        other.view = self.view.branched()
         other.__dict__.update(copy.deepcopy(self._episode()))
         other.np_random = copy.deepcopy(self.np_random)
         return other
@@ -301,12 +289,12 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
 
     def close(self) -> None:
         """Release the plant; safe to call twice."""
-        self._view.close()
+        self.view.close()
 
     def _observe(self) -> tuple[Observed, dict[str, Any]]:
-        observation, self._last, missing = self._view.box.inside(self._view.observe(), self._last)
+        observation, self._last, missing = self.view.box.inside(self.view.observe(), self._last)
         kpis = self.get_kpis()
-        info = {"time_s": self._view.now_s, "missing": missing}
+        info = {"time_s": self.view.now_s, "missing": missing}
         return observation, info | {name: kpis[name] for name in ("cost_tot", "tdis_tot") if name in kpis}
 
     def _episode(self) -> dict[str, Any]:

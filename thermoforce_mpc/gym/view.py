@@ -66,8 +66,7 @@ class View(ABC):
 
     def kpis(self) -> dict[str, float]:
         """BOPTEST's KPIs since the start."""
-        kpis: dict[str, float] = self.plant.kpis()
-        return kpis
+        return dict(self.plant.kpis())
 
     def snapshot(self) -> ViewState:
         """State of plant and view, for `restore`; raises `ConfigError` where the plant has none."""
@@ -84,7 +83,7 @@ class View(ABC):
         self.__dict__.update(snapshot.changed)
 
     def branched(self) -> Self:
-        """Another view, in the same state on a plant of its own, with what no step changes shared; raises as `snapshot`."""
+        """Another view in the same state on a plant of its own, with what no step changes shared; raises as `snapshot`."""
         snapshot, other = self.snapshot(), copy.copy(self)
         other.plant = copy.copy(self.plant)
         other.restore(snapshot)

@@ -58,14 +58,13 @@ def build_plant(spec: PlantSpec, testcase: TestCase, seed: int, comfort: Comfort
     """Build the plant of a scenario; `comfort` takes the place of its own comfort bounds.
 
     Raises:
-        ConfigError: the FMU cannot be used, or the test case or a setting does not fit the plant.
+        ConfigError: the FMU cannot be used, or the test case, a setting or a zone of `comfort` does not fit the plant.
         WeatherError: the weather file cannot be used.
         PlantError: the service does not answer.
     """
     options = check_plant(spec, testcase)
-    return with_comfort(
-        REGISTRY.find(plant_name(spec, testcase)).build(spec, testcase, options, seed), comfort, testcase
-    )
+    plant = REGISTRY.find(plant_name(spec, testcase)).build(spec, testcase, options, seed)
+    return with_comfort(plant, comfort, testcase)
 
 
 def with_comfort(plant: Plant, comfort: Comfort | None, testcase: TestCase) -> Plant:
@@ -130,13 +129,9 @@ def boptest_plant(spec: PlantSpec, testcase: TestCase, options: Any, seed: int, 
     from thermoforce_mpc.plants.boptest.token import check_token
 
     check_token(spec.url)
+    uncertainty = spec.forecast_uncertainty
     return BoptestPlant(
-        spec.url,
-        testcase,
-        forecast_uncertainty=spec.forecast_uncertainty,
-        seed=seed,
-        testid=testid,
-        config=patience(spec),
+        spec.url, testcase, forecast_uncertainty=uncertainty, seed=seed, testid=testid, config=patience(spec)
     )
 
 
@@ -144,18 +139,14 @@ def patience(spec: PlantSpec) -> TransportConfig:
     """How long a service may be away."""
     from boptest_client import TransportConfig
 
-    return TransportConfig(patience_s=_patience_s(spec))
-
-
-def _patience_s(spec: PlantSpec) -> float:
-    return 60.0 * spec.patience_min
+    return TransportConfig(patience_s=60.0 * spec.patience_min)
 
 
 def _fmu(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
     from thermoforce_mpc.plants.fmu import FmuPlant
 
-    assert spec.path is not None  # PlantSpec has both or neither
-    return FmuPlant(Path(spec.path), testcase, forecast_error=_error(spec, seed), patience_s=_patience_s(spec))
+    error, patience_s = _error(spec, seed), 60.0 * spec.patience_min
+    return FmuPlant(Path(spec.path or ""), testcase, forecast_error=error, patience_s=patience_s)
 
 
 def _rooms(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
@@ -183,19 +174,15 @@ def _energyplus(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) ->
 
 
 def _on_engine(spec: PlantSpec, seed: int) -> dict[str, Any]:
-    return {
-        "highly_dynamic": _tariff(spec),
-        "forecast_error": _error(spec, seed),
-        "patience_s": _patience_s(spec),
-    }
+    patience_s = 60.0 * spec.patience_min
+    return {"highly_dynamic": _tariff(spec), "forecast_error": _error(spec, seed), "patience_s": patience_s}
 
 
 def _emulator(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
     from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
-    return EmbeddedPlant(
-        _weather(spec), highly_dynamic=_tariff(spec), forecast_error=_error(spec, seed), people=spec.people
-    )
+    error, tariff = _error(spec, seed), _tariff(spec)
+    return EmbeddedPlant(_weather(spec), highly_dynamic=tariff, forecast_error=error, people=spec.people)
 
 
 def _error(spec: PlantSpec, seed: int) -> ForecastError | None:
@@ -228,11 +215,6 @@ def _weeks(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
     return NAMES
 
 
-def _of_zone(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
-    assert testcase.energyplus is not None  # else it is another plant
-    return testcase.energyplus.periods
-
-
 def _of_office(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
     from thermoforce_mpc.plants.energyplus.office_plant import PERIODS
 
@@ -242,8 +224,7 @@ def _of_office(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
 def _of_fmu(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
     from thermoforce_mpc.plants.fmu.archive import scenario_days
 
-    assert spec.path is not None  # PlantSpec has both or neither
-    return scenario_days(Path(spec.path))
+    return scenario_days(Path(spec.path or ""))
 
 
 def _without_engine() -> str:
@@ -279,7 +260,7 @@ _OWN = {
         _energyplus,
         takes=_ON_ENGINE,
         missing=_without_engine,
-        windows=_of_zone,
+        windows=lambda _, testcase: testcase.energyplus.periods if testcase.energyplus else (),
     ),
     "small_office": PlantEntry(
         "an office of five zones on EnergyPlus (--testcase energyplus:small_office), extra [energyplus]",

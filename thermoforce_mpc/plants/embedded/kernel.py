@@ -339,9 +339,6 @@ def advance(
         _note(scalars, w, record[step])
 
 
-_POWERS = tuple(RECORD.index(name) for name in ("P_heat_pump", "P_fan", "P_pump"))
-
-
 @njit(cache=True)
 def integrals(time_s: Array, rows: Array, price_per_kWh: Array) -> Array:
     """Integrate samples (n, 17) at times (n,), s, by the trapezoidal rule, in one pass: a reward asks after every step.
@@ -355,7 +352,7 @@ def integrals(time_s: Array, rows: Array, price_per_kWh: Array) -> Array:
             weight_h += (time_s[i] - time_s[i - 1]) / (2.0 * HOUR_S)
         if i < time_s.size - 1:
             weight_h += (time_s[i + 1] - time_s[i]) / (2.0 * HOUR_S)
-        power_W = rows[i, _POWERS[0]] + rows[i, _POWERS[1]] + rows[i, _POWERS[2]]
+        power_W = rows[i, 1] + rows[i, 2] + rows[i, 3]  # columns of `RECORD`, as in `_note`
         out[0] += weight_h * power_W
         out[1] += weight_h * power_W * price_per_kWh[i]
         at_home = s.is_occupied_sample(time_s[i])

@@ -12,7 +12,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date, timedelta
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -146,30 +146,24 @@ def _shipped() -> str:
     return reference_building(BUILDING).read_text(encoding="latin-1")
 
 
-class OfficeActing:
-    """`acting` of the office, told a set-point per actuator, °C, NaN for that of the file's schedule.
+def _acting(
+    heating_C: Array, cooling_C: Array, step: int, demand: tuple[float, ...] | None, last: OfficeReading | None
+) -> tuple[dict[str, float], tuple[float, ...]]:
+    """`Building.acting` of the office: told a set-point per actuator, °C, NaN for the native one of its schedule.
 
     Where one set-point of a zone is told and the other is native, the native one gives way if it would lie on the wrong
     side: the engine refuses a zone that is to be heated above the temperature it is to be cooled to.
     """
-
-    def __init__(self, heating_C: Array, cooling_C: Array) -> None:
-        self._heating_C, self._cooling_C = heating_C, cooling_C
-
-    def __call__(
-        self, step: int, demand: tuple[float, ...] | None, last: OfficeReading | None
-    ) -> tuple[dict[str, float], tuple[float, ...]]:
-        """Return the set-points of a step by actuator, and what was told."""
-        demand = demand or (math.nan,) * (2 * len(ZONES))
-        native = float(self._heating_C[max(step, 0)]), float(self._cooling_C[max(step, 0)])
-        values: dict[str, float] = {}
-        for zone, heating, cooling in zip(ZONES, demand[: len(ZONES)], demand[len(ZONES) :], strict=True):
-            if math.isnan(heating) and native[0] > cooling:
-                heating = cooling
-            if math.isnan(cooling) and native[1] < heating:
-                cooling = heating
-            values |= {f"{zone.name}_heating": heating, f"{zone.name}_cooling": cooling}
-        return values, demand
+    demand = demand or (math.nan,) * (2 * len(ZONES))
+    native = float(heating_C[max(step, 0)]), float(cooling_C[max(step, 0)])
+    values: dict[str, float] = {}
+    for zone, heating, cooling in zip(ZONES, demand[: len(ZONES)], demand[len(ZONES) :], strict=True):
+        if math.isnan(heating) and native[0] > cooling:
+            heating = cooling
+        if math.isnan(cooling) and native[1] < heating:
+            cooling = heating
+        values |= {f"{zone.name}_heating": heating, f"{zone.name}_cooling": cooling}
+    return values, demand
 
 
 def _read(value: Mapping[str, float]) -> OfficeReading:
@@ -190,7 +184,7 @@ def office_building(first_day: int, days: int) -> Building[tuple[float, ...], Of
     """Return what the engine simulates from midnight of a day on."""
     n = round(days * DAY_S / STEP_S)
     times_s = first_day * DAY_S + STEP_S * np.arange(n, dtype=np.float64)
-    acting = OfficeActing(*office_schedules().setpoints_C(times_s))
+    acting = partial(_acting, *office_schedules().setpoints_C(times_s))
     model = office_model(first_day, days, STEPS_PER_HOUR)
     return Building(first_day, STEP_S, n, model, weather_file(WEATHER), _WIRING, acting)
 
