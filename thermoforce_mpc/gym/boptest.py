@@ -18,11 +18,7 @@ from thermoforce_mpc.files import storage_errors
 from thermoforce_mpc.gym.env import BuildingEnv, Episodes
 from thermoforce_mpc.gym.points import PointsView
 from thermoforce_mpc.gym.sources import EmbeddedSource, ServiceSource, Source
-from thermoforce_mpc.gym.wrappers import (
-    DiscretizedActionWrapper,
-    NormalizedActionWrapper,
-    NormalizedObservationWrapper,
-)
+from thermoforce_mpc.gym.wrappers import DiscretizedActionWrapper, NormalizedActionWrapper, NormalizedObservationWrapper
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
 __all__ = [

@@ -15,11 +15,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.gym.env import BuildingEnv
 from thermoforce_mpc.gym.levels import LevelsView
-from thermoforce_mpc.gym.wrappers import (
-    DiscretizedActionWrapper,
-    NormalizedActionWrapper,
-    NormalizedObservationWrapper,
-)
+from thermoforce_mpc.gym.wrappers import DiscretizedActionWrapper, NormalizedActionWrapper, NormalizedObservationWrapper
 from thermoforce_mpc.scenario.own_code import policy_settings
 
 # Wrappers that change neither observations nor actions.

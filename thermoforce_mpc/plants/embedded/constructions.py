@@ -36,11 +36,7 @@ _WOOD = Layer(0.009, 0.14, 530.0, 900.0, 2)
 _INSULATION = Layer(0.0615, 0.04, 10.0, 1400.0, 2)
 _BLOCK = Layer(0.100, 0.51, 1400.0, 1000.0, 3)
 WALL = (_WOOD, _INSULATION, _BLOCK)
-ROOF = (
-    Layer(0.019, 0.14, 530.0, 900.0, 2),
-    Layer(0.1118, 0.04, 12.0, 840.0, 2),
-    Layer(0.010, 0.16, 950.0, 840.0, 2),
-)
+ROOF = (Layer(0.019, 0.14, 530.0, 900.0, 2), Layer(0.1118, 0.04, 12.0, 840.0, 2), Layer(0.010, 0.16, 950.0, 840.0, 2))
 # From the tile down to the soil; the pipes lie between screed and PUR insulation.
 TILE = Layer(0.01, 1.4, 2100.0, 840.0, 2)
 SCREED = Layer(0.05, 0.6, 1100.0, 840.0, 2)

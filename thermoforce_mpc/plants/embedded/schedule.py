@@ -67,7 +67,4 @@ def bounds_C(time_s: Array) -> tuple[Array, Array]:
 
 def set_points_C(at_home: Array) -> tuple[Array, Array]:
     """Return heating and cooling set-points, °C, for occupancy `at_home` (booleans)."""
-    return (
-        np.where(at_home, LOWER_OCCUPIED_C, LOWER_EMPTY_C),
-        np.where(at_home, UPPER_OCCUPIED_C, UPPER_EMPTY_C),
-    )
+    return (np.where(at_home, LOWER_OCCUPIED_C, LOWER_EMPTY_C), np.where(at_home, UPPER_OCCUPIED_C, UPPER_EMPTY_C))

@@ -12,17 +12,7 @@ import numpy as np
 from boptest_client import Point
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.boundary.periods import centred_window
-from thermoforce_mpc.data import (
-    HOUR_S,
-    ZERO_C_K,
-    Array,
-    Block,
-    Boundary,
-    Measurement,
-    Period,
-    PlantInfo,
-    Record,
-)
+from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array, Block, Boundary, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.checks import day_period

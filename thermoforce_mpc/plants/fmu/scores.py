@@ -90,13 +90,7 @@ class Scores:
             for zone, signals in self._air_quality.items()
             for signal in signals
         ]
-        return building_kpis(
-            time_s,
-            supplies=supplies,
-            thermal=thermal,
-            air_quality=air_quality,
-            area_m2=self._area_m2,
-        )
+        return building_kpis(time_s, supplies=supplies, thermal=thermal, air_quality=air_quality, area_m2=self._area_m2)
 
     def _price(self, carrier: str, price: Price) -> str:
         return self._prices[price] if carrier == _ELECTRIC else f"Price{carrier}"

@@ -38,10 +38,7 @@ PREHEAT_H = {"floor": 4.0, "radiator": 3.0, "air": 2.0}
 def bounds_C(house: House, time_s: Array) -> tuple[Array, Array]:
     """Return lower and upper comfort bound at `time_s`, °C."""
     home = at_home(house.pattern, time_s)
-    return (
-        np.where(home, house.lower_C, house.empty_lower_C),
-        np.where(home, house.upper_C, house.empty_upper_C),
-    )
+    return (np.where(home, house.lower_C, house.empty_lower_C), np.where(home, house.upper_C, house.empty_upper_C))
 
 
 def native_setpoint_C(house: House, time_s: Array) -> Array:
