@@ -16,10 +16,7 @@ _UNSAFE = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
 def safe_text(text: object, most: int = 500) -> str:
-    """`text` without control characters but line breaks and tabs, so that a terminal shows it and does nothing else.
-
-    Longer text is cut to `most` characters, and how many were left out is said.
-    """
+    """`text` without control characters but line breaks and tabs, cut to `most` characters, for a terminal."""
     whole = str(text)
     kept = "".join(c for c in whole[:most] if c in "\n\t" or unicodedata.category(c) not in _UNSAFE)
     return kept if len(whole) <= most else f"{kept} … ({len(whole) - most:,} more characters left out)"

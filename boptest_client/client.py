@@ -145,10 +145,7 @@ class BoptestClient:
         return self._get("scenario", answers.scenario)
 
     def set_scenario(self, scenario: Scenario) -> dict[str, float]:
-        """Set the scenario; returns the first measurements if it names a `time_period`, else an empty dictionary.
-
-        A `time_period` initialises the test (7 days of warm-up, two scored weeks).
-        """
+        """Set the scenario; a `time_period` initialises the test (7 days of warm-up): first measurements, else {}."""
 
         def parse(at: str, payload: Any) -> dict[str, float]:
             answer = answers.mapping(at, payload)
@@ -254,10 +251,7 @@ class BoptestClient:
     def forecast(
         self, point_names: Sequence[str], horizon_s: float, interval_s: float, *, patiently: bool = True
     ) -> dict[str, list[float]]:
-        """Forecast of each point and strictly increasing 'time', s, from now to `horizon_s` every `interval_s`.
-
-        Where `patiently` is false, a request that failed is not repeated.
-        """
+        """Forecast of points and rising 'time', s, to `horizon_s`; not repeated where it failed unless `patiently`."""
         body = {"point_names": list(point_names), "horizon": horizon_s, "interval": interval_s}
 
         def parse(at: str, payload: Any) -> dict[str, list[float]]:
@@ -383,7 +377,6 @@ class BoptestClient:
         return self._clock.move(self._at("results"), {name: values[-1] for name, values in record.items()})
 
     def _in_force(self) -> float:
-        """Length of a step, s, asked for once."""
         if math.isnan(self._clock.step_s):
             self._clock.step_s = self.step()
         return self._clock.step_s
@@ -405,7 +398,6 @@ class BoptestClient:
         )
 
     def _at(self, what: str) -> str:
-        """Address of the endpoint `what` of this test, for an error message."""
         return f"{self.url}/{what}/{self.testid}"
 
 

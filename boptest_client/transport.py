@@ -186,10 +186,7 @@ class Transport:
     def call(
         self, method: Method, path: str, body: dict[str, Any] | None = None, *, most_s: float = math.inf
     ) -> Answer:
-        """Send one request, once, and return the answer; it is waited for `most_s` at most, s.
-
-        Raises `BoptestError`, see `boptest_client.errors`.
-        """
+        """Send one request, once; the answer is waited for `most_s` at most, s; raises `BoptestError`s."""
         endpoint = f"{method} {self.url}/{path}"
         # No repeat takes longer than what is left of its patience.
         wait = self._wait
@@ -248,7 +245,6 @@ def _unpacked(endpoint: str, response: requests.Response) -> Answer:
 
 
 def _came(response: requests.Response) -> str:
-    """What came in place of an answer."""
     kind = response.headers.get("Content-Type") or "no content type"
     if "Location" in response.headers:
         kind = f"a redirect to {response.headers['Location']}, which is not followed; {kind}"
@@ -305,7 +301,6 @@ def _never_connected(error: BaseException) -> bool:
 
 
 def _root(error: BaseException) -> BaseException:
-    """The innermost error of a chain of network errors."""
     while error.__context__ is not None:
         error = error.__context__
     return error

@@ -185,10 +185,7 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
     ) -> tuple[Observed, dict[str, Any]]:
         """Begin an episode. `seed` alone determines it; `options={"start_time": s}` sets its start instead.
 
-        Raises:
-            ConfigError: an unknown option, or a start that is no time.
-            InputError: a start that the plant does not have.
-            PlantError: the plant or its service failed.
+        Raises `ConfigError` for an unknown option, `InputError` for a start that the plant does not have, `PlantError`.
         """
         super().reset(seed=seed)
         for unknown in sorted(set(options or {}) - set(_RESET_OPTIONS)):
@@ -269,10 +266,7 @@ class BuildingEnv(gymnasium.Env[Any, Any]):
         self.np_random.bit_generator.state = snapshot.random
 
     def branch(self) -> BuildingEnv:
-        """Another environment in the same state with a plant of its own: what happens to one leaves the other alone.
-
-        Raises `ConfigError` where the plant has no snapshots.
-        """
+        """Another environment in the same state with a plant of its own; raises `ConfigError` as `snapshot`."""
         other = copy.copy(self)
         other.view = self.view.branched()
         other.__dict__.update(copy.deepcopy(self._episode()))

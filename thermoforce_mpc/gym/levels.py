@@ -118,7 +118,6 @@ class LevelsView(View):
         return values
 
     def _coming(self) -> Array:
-        """Forecast from now at the observed instants (signals, n)."""
         start_s, table = self._table
         first = round((self.now_s - start_s) / self._step_s)
         if not table.size or first + self.spec.offsets[-1] >= table.shape[1]:

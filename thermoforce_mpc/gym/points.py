@@ -130,7 +130,6 @@ class PointsView(View):
         return {"time": self.now_s} | measured | zones
 
     def _coming(self) -> Array:
-        """Forecasts from now (n, m)."""
         if not self._forecast:
             return np.empty(0)
         start_s, table = self._table

@@ -23,10 +23,7 @@ _TRANSPARENT = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, Time
 
 
 def spec_of(env: gymnasium.Env[Any, Any]) -> PolicySpec:
-    """What an agent sees and does in an environment of convention 'levels', wrappers of `wrappers.py` included.
-
-    Raises `ConfigError` where it is of another convention, or in another wrapper.
-    """
+    """What an agent sees and does in an environment of convention 'levels', in our wrappers; raises `ConfigError`."""
     changes: dict[str, Any] = {}
     while isinstance(env, gymnasium.Wrapper):
         if isinstance(env, NormalizedObservationWrapper):
@@ -47,10 +44,7 @@ def spec_of(env: gymnasium.Env[Any, Any]) -> PolicySpec:
 
 
 def observe(spec: PolicySpec, observation: Observation) -> Seen:
-    """The environment's observation of what a controller sees; `spec` is that of `spec_of`.
-
-    Raises `DataError` where the observation is of another building, or its step is another.
-    """
+    """The environment's observation of what a controller sees; raises `DataError` for another building or step."""
     return spec.observe(observation)
 
 

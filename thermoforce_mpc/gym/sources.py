@@ -143,10 +143,7 @@ class EmbeddedSource:
 
 
 class ServiceSource:
-    """A BOPTEST service at `url`; closing stops the test.
-
-    Raises `ConfigError` where the test case is not offered, `PlantError` where the service is away or failed.
-    """
+    """A BOPTEST service at `url`; closing stops the test. Raises `ConfigError` where the test case is not offered."""
 
     perfect = False
 

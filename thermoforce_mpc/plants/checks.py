@@ -14,10 +14,7 @@ from thermoforce_mpc.scenario.actuator import Actuator, RoomSetpoints
 
 
 def day_period(name: str, named: Iterable[str]) -> Period:
-    """Return two weeks from start day `name`.
-
-    Raises `InputError`, which lists the windows `named`, where it is no day of the year.
-    """
+    """Return two weeks from start day `name`; raises `InputError`, with the windows `named`, for anything else."""
     if not is_day(name):
         raise InputError(f"period '{name}': expected {', '.join(named) or 'nothing else'} or a start day")
     day = float(name)

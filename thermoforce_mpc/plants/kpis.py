@@ -123,7 +123,6 @@ def _trapezoid_h(time_s: Array) -> Array:
 
 
 def _of_each_zone(name: str, zones: Sequence[Violation], integrals: Sequence[float]) -> dict[str, float]:
-    """Mean integral of each zone by `name[zone]`; a zone may have several signals."""
     grouped: dict[str, list[float]] = {}
     for zone, integral in zip(zones, integrals, strict=True):
         grouped.setdefault(f"{name}[{zone.zone}]", []).append(integral)

@@ -127,10 +127,7 @@ def _cooking(rng: np.random.Generator, residents: Array, guests: Array) -> Array
 
 
 def _open_windows(rng: np.random.Generator, residents: Array, T_out_C: Array, changes_1_h: Array) -> None:
-    """Write air changes per hour through the windows of a zone into `changes_1_h` (n,).
-
-    Airing at habitual hours, less often in the cold, longer in mild weather; now and then a tilted window is left.
-    """
+    """Write air changes 1/h into `changes_1_h` (n,): habitual airing, less in the cold; a window left tilted."""
     airings_h, chance = (rng.uniform(6.5, 9.0), rng.uniform(19.5, 22.0)), rng.uniform(0.3, 0.9, (2, 7))
     wide_1_h = rng.uniform(0.8, 2.8)
     for day in range(_days(residents)):
@@ -146,10 +143,7 @@ def _open_windows(rng: np.random.Generator, residents: Array, T_out_C: Array, ch
 
 
 def _close_blinds(rng: np.random.Generator, residents: Array, solar_W_m2: Array, sun: Array) -> None:
-    """Write the share of the sun that the blinds of a zone let pass into `sun` (n,).
-
-    Closed by people who are in when it is bright, until the evening; sometimes left closed over the next day.
-    """
+    """Write the share of the sun that blinds pass into `sun` (n,): closed when bright until evening, or left closed."""
     bright_W_m2, passing, chance = rng.uniform(200.0, 450.0), rng.uniform(0.25, 0.75), rng.uniform(0.2, 0.9, 7)
     for day in range(_days(residents)):
         today = slice(day * _PER_DAY, (day + 1) * _PER_DAY)

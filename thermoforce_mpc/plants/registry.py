@@ -77,10 +77,7 @@ def with_comfort(plant: Plant, comfort: Comfort | None, testcase: TestCase) -> P
 
 
 def plant_name(spec: PlantSpec, testcase: TestCase) -> str:
-    """Name of the plant of a scenario: the one that it names, else the one that implements its test case.
-
-    Raises `ConfigError` where nothing implements the test case.
-    """
+    """Name of the plant that a scenario names, else of that which implements its test case; raises `ConfigError`."""
     if spec.kind != "embedded":
         return spec.kind
     own = "emulator" if testcase.embedded else "energyplus" if testcase.energyplus else testcase.plant
@@ -93,10 +90,7 @@ def plant_name(spec: PlantSpec, testcase: TestCase) -> str:
 
 
 def check_plant(spec: PlantSpec, testcase: TestCase) -> StrictModel:
-    """Validated options of the plant of a scenario.
-
-    Raises `ConfigError` where there is no such plant, it lacks something, or it would ignore a setting.
-    """
+    """Validated options of a scenario's plant; raises `ConfigError` where it lacks or would ignore something."""
     name = plant_name(spec, testcase)
     entry = REGISTRY.find(name)
     for key in (WEATHER, PRICES, UNCERTAINTY, PEOPLE):
@@ -115,10 +109,7 @@ def check_surroundings(spec: PlantSpec) -> None:
 
 
 def windows_of(spec: PlantSpec, testcase: TestCase) -> tuple[str, ...] | None:
-    """Names of the windows that the plant of a scenario has beside start days; None where only the plant knows them.
-
-    Raises `ConfigError` where nothing implements the test case, or its FMU cannot be read.
-    """
+    """Names of the windows of a plant beside start days, None where only it knows them; raises `ConfigError`."""
     names = REGISTRY.find(plant_name(spec, testcase)).windows(spec, testcase)
     return None if names is None else tuple(names)
 

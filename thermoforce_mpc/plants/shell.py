@@ -108,10 +108,7 @@ class PlantShell(Releasing, ABC):
         return self._boundary(forecast_times(self._now_s, horizon_s, interval_s))
 
     def past(self, step_s: float) -> Record:
-        """Return the record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
-
-        Raises `InputError` where `step_s` is not positive, or the plant was not reset.
-        """
+        """Return the record since the start of the warm-up, without the oldest partial step; raises `InputError`."""
         return self._past(record_times(self._begin_s, self._now_s, step_s))
 
     def _bought(self, time_s: Array) -> tuple[Array, Array]:
@@ -176,10 +173,7 @@ class _Kept:
 
 
 class Samples:
-    """Rows (n, k) of k signals at n rising times, s, in arrays that grow by doubling: steps are many and short.
-
-    Copies share the arrays, until two of them add samples.
-    """
+    """Rows (n, k) at n rising times, s, in arrays that grow by doubling; copies share them until two add samples."""
 
     def __init__(self, time_s: float, row: Array) -> None:
         self._kept, self._n = _Kept(np.array([time_s]), row[None].copy(), 1), 1
@@ -214,11 +208,8 @@ class Samples:
         return self.times[first:last], self.rows[first:last]
 
 
-@dataclass(frozen=True)
-class Snapshot:
-    """State, clock and record of a plant at one instant; opaque, for `BranchingShell.restore`."""
-
-    values: Mapping[str, Any]
+# State, clock and record of a plant at one instant; opaque, for `BranchingShell.restore`.
+Snapshot = Mapping[str, Any]
 
 
 class BranchingShell(PlantShell):
@@ -232,11 +223,11 @@ class BranchingShell(PlantShell):
 
     def snapshot(self) -> Snapshot:
         """Return a snapshot, to restore or branch from."""
-        return Snapshot({name: copy.deepcopy(getattr(self, name)) for name in self._changing})
+        return {name: copy.deepcopy(getattr(self, name)) for name in self._changing}
 
     def restore(self, snapshot: Snapshot) -> None:
         """Restore a snapshot of this plant, or of another one of the same building and weather."""
-        vars(self).update(copy.deepcopy(dict(snapshot.values)))
+        vars(self).update(copy.deepcopy(dict(snapshot)))
 
     def _begin(self) -> None:
         self._samples, self._counted = Samples(self._begin_s, self._first_row()), {}

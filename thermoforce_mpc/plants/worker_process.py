@@ -83,10 +83,7 @@ _SAID_BYTES = 500
 
 
 class WorkerProcess:
-    """Process of one run of `what`, never used for a second; `now_s`: time of the run, s.
-
-    `patience_s`: longest time for a quarter of an hour of the building's time, s.
-    """
+    """Process of one run of `what`; `patience_s` for a piece of `PIECE_S`, s; `now_s`: time of the run, s."""
 
     def __init__(self, module: str, what: str, work_folder: Path, patience_s: float = PATIENCE_S) -> None:
         """Start `main` of `module`; `work_folder` is its working directory, and where it puts temporary files."""
@@ -170,7 +167,6 @@ class WorkerProcess:
         return f"ended with code {code}"
 
     def _last_words(self) -> str:
-        """The last of what the simulation and its process printed."""
         size = os.fstat(self._said.fileno()).st_size
         said = os.pread(self._said.fileno(), _SAID_BYTES, max(size - _SAID_BYTES, 0)) if hasattr(os, "pread") else b""
         text = safe_text(said.decode(errors="replace").strip())

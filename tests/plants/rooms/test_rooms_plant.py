@@ -8,6 +8,7 @@ import pytest
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.data import DAY_S, HOUR_S, Names
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.plants.rooms import HouseOfRooms, draw_rooms, house_of_rooms, physics
 from thermoforce_mpc.plants.rooms.plant import weather_grid
@@ -196,7 +197,7 @@ def test_weeks_are_the_coldest_and_a_sunny_one():
 
 def test_sun_reaches_a_room_through_its_own_facades():
     plant = house_of_rooms("house:5rooms")
-    noon, day = 12 * 4, round(100 * DAY_S / physics.GRID_S)
+    noon, day = 12 * 4, round(100 * DAY_S / GRID_S)
     sun = weather_grid(plant.house, plant.weather)[day : day + 96, physics.SUN : physics.SUN + len(plant.zones)]
     for room, light in zip(plant.house.rooms, sun.T, strict=True):
         south, _, north, _ = room.windows_m2

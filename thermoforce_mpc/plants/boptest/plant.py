@@ -69,7 +69,6 @@ class BoptestPlant(Releasing):
         forecast_uncertainty: Uncertainty = "none",
         seed: int = 1,
         config: TransportConfig | None = None,
-        start_timeout_s: float = 120.0,
         testid: str | None = None,
     ) -> None:
         """Select the test case and check that every point of `testcase` exists there in the expected unit.
@@ -77,7 +76,6 @@ class BoptestPlant(Releasing):
         Args:
             forecast_uncertainty: level of the service's weather forecast errors, drawn with `seed`.
             config: time-outs and retries of the client.
-            start_timeout_s: longest time the test may be queued, s.
             testid: take up the test of this name instead of selecting one; see `go_on`.
 
         Raises:
@@ -86,18 +84,12 @@ class BoptestPlant(Releasing):
             PlantError: the service cannot be reached or failed.
         """
         self.testcase, self._points = testcase, testcase.points
-        self._url, self._config, self._start_timeout_s = url, config, start_timeout_s
+        self._url, self._config = url, config
         level = None if forecast_uncertainty == "none" else forecast_uncertainty
         if level and seed < 1:
-            raise ConfigError(
-                f"seed: {seed} means 'no seed' to a BOPTEST service and cannot be repeated; use 1 or more"
-            )
-        self._scenario = Scenario(
-            electricity_price="constant",
-            temperature_uncertainty=level,
-            solar_uncertainty=level,
-            seed=None if level is None else seed,
-        )
+            why = "means 'no seed' to a BOPTEST service and cannot be repeated; use 1 or more"
+            raise ConfigError(f"seed: {seed} {why}")
+        self._scenario = Scenario("constant", None, level, level, None if level is None else seed)
         self._start_of: dict[str, float] = {}
         self._step_s = math.nan
         self._now_s = self._begin_s = 0.0
@@ -130,10 +122,9 @@ class BoptestPlant(Releasing):
         )
 
     def period(self, name: str) -> Period:
-        """Return the window of the service's scenario `name`, or of a start day.
+        """Return the window of the service's scenario `name`, or of a start day; raises `InputError` for neither.
 
         The service gives the start of a scenario only by initialising it, so the first call puts the plant there.
-        Raises `InputError` where `name` is neither, `PlantError` where the service failed.
         """
         if is_day(name):
             return day_period(name, self._start_of)
@@ -210,9 +201,7 @@ class BoptestPlant(Releasing):
         tariff = next(name for name in PRICES if name == self._scenario.electricity_price)
         names = self._points.forecast(tariff)
         if self._missed:
-            raise NoForecast(
-                f"BOPTEST service: {self._client.url}: its test was advanced since: it is asked after a step"
-            )
+            raise NoForecast(f"BOPTEST service: {self._client.url}: its test was advanced; it is asked after a step")
         with failures():
             try:
                 data = self._client.forecast(list(names), horizon_s, interval_s, patiently=self._forecasts)
@@ -227,10 +216,7 @@ class BoptestPlant(Releasing):
         return boundary(series["time"], series, self._points, tariff, weather)
 
     def past(self, step_s: float) -> Record:
-        """Return the service's record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
-
-        Raises `InputError` where `step_s` is not positive, `PlantError` where the service failed.
-        """
+        """Return the record since the start of the warm-up, without the oldest partial step; raises as `reset`."""
         checks.check_record_step(step_s)
         with failures():
             record = self._recorded(self._begin_s, self._now_s, self._watched_names())
@@ -255,10 +241,7 @@ class BoptestPlant(Releasing):
         periods: Mapping[str, Period],
         anywhere: bool = False,
     ) -> None:
-        """See `OutlivingPlant.go_on`; the plant was made with the `testid` of the test.
-
-        Raises `PlantError` where the test stands elsewhere than `last` or the end of the step after it.
-        """
+        """See `OutlivingPlant.go_on`; raises `PlantError` where the test is neither at `last` nor a step after it."""
         self._scenario = replace(self._scenario, electricity_price=price)
         named = {name: period.start_s for name, period in periods.items() if not is_day(name)}
         self._start_of |= named
@@ -278,7 +261,6 @@ class BoptestPlant(Releasing):
             )  # fmt: skip
 
     def _stands_s(self) -> float:
-        """Time until which the test was advanced, s."""
         return float(self._recorded(self._now_s, self._now_s + YEAR_S, [self._points.outdoor_temperature])["time"][-1])
 
     def close(self) -> None:
@@ -293,10 +275,7 @@ class BoptestPlant(Releasing):
         self._client.leave()
 
     def _stepped(self, applied: Mapping[str, float], duration_s: float) -> dict[str, float]:
-        """The points at the end of a step, to which the clock is set: of a new one, or of that whose answer was lost.
-
-        A step whose answer was lost is one of the same inputs: what is journalled acts again.
-        """
+        """Points at the end of a step, of a new one or of that whose answer was lost (same inputs); sets the clock."""
         before_s, points = self._now_s, self._missed
         self._missed = {}
         if not points:
@@ -314,13 +293,7 @@ class BoptestPlant(Releasing):
     def _select(self, testid: str | None = None) -> BoptestClient:
         with failures():
             try:
-                return BoptestClient(
-                    self._url,
-                    self.testcase.name,
-                    config=self._config,
-                    start_timeout_s=self._start_timeout_s,
-                    testid=testid,
-                )
+                return BoptestClient(self._url, self.testcase.name, config=self._config, testid=testid)
             except BadAddress as error:
                 raise ConfigError(f"plant.url: {error}") from error
             except (RequestRejected, UnknownTest) as error:
@@ -346,9 +319,8 @@ class BoptestPlant(Releasing):
             try:
                 points = self._client.set_scenario(replace(self._scenario, time_period=name))
             except RequestRejected as error:
-                raise InputError(
-                    f"period '{name}': neither a start day nor a scenario of the service ({error})"
-                ) from error
+                why = f"neither a start day nor a scenario of the service ({error})"
+                raise InputError(f"period '{name}': {why}") from error
         return self._at_rest(points, _SCENARIO_WARMUP_S, end_s=points["time"] + _SCENARIO_LENGTH_S)
 
     def _at_rest(self, points: dict[str, float], warmup_s: float, end_s: float) -> Measurement:

@@ -42,10 +42,7 @@ _WIND_SHARE, _MEAN_WIND_M_S = 0.3, 3.9
 
 @njit(cache=True)
 def solve(a: np.ndarray, b: np.ndarray) -> None:
-    """Solve a x = b in place for a diagonally dominant matrix (n, n); the solution is in `b`.
-
-    Zeros below the diagonal are skipped: nodes with few neighbours come first.
-    """
+    """Solve a x = b, a diagonally dominant (n, n), into `b`; skips zeros below the diagonal: few neighbours first."""
     n = b.size
     for k in range(n):
         for i in range(k + 1, n):

@@ -53,10 +53,7 @@ def hour_of_day(time_s: Array) -> Array:
 
 
 def varying(rng: np.random.Generator, time_s: Array, relative_sd: float) -> Array:
-    """Return a random factor of mean 1 on an equally spaced grid `time_s`, shape of `time_s`.
-
-    It follows a log-normal first-order process with a correlation time of 2 h.
-    """
+    """Return a log-normal first-order process of mean 1 on an equally spaced grid `time_s`; correlation time 2 h."""
     memory = np.exp(-(time_s[1] - time_s[0]) / HOUR_S / _GAINS_HOURS)
     draws = rng.standard_normal(time_s.size)
     draws[1:] *= np.sqrt(1.0 - memory**2)

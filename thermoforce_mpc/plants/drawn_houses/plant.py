@@ -86,7 +86,6 @@ class DrawnHousePlant(BranchingShell):
         return self._kpis_so_far(self._kpis_between)
 
     def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
-        """KPIs of the samples between two times, both included."""
         time_s, rows = self._samples.between(start_s, final_s)
         power_W, T_C = self._power_and_rooms(rows)
         outside = map(excess, T_C, *map(np.atleast_2d, self._bounds_C(time_s)))

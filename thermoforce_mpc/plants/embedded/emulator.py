@@ -118,10 +118,7 @@ class EmbeddedPlant(BranchingShell):
         )
 
     def period(self, name: str) -> Period:
-        """Return the window 'peak_heat_day' or 'typical_heat_day' (BOPTEST's rule for this weather), or of a start day.
-
-        Raises `InputError` where `name` is neither a known window nor a day of the year.
-        """
+        """Return 'peak_heat_day' or 'typical_heat_day' by BOPTEST's rule, or a start day; raises `InputError`."""
         if is_day(name):
             return day_period(name, ())
         if self._periods is None:
@@ -203,7 +200,6 @@ class EmbeddedPlant(BranchingShell):
         return self._kpis_so_far(self._kpis_between)
 
     def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
-        """KPIs of the samples between two times, both included."""
         time_s, rows = self._samples.between(start_s, final_s)
         Wh, cost, discomfort_Kh, excess_ppm_h = integrals(time_s, rows, self._tariffs[self._price](time_s)).tolist()
         span_s = final_s - start_s
@@ -270,10 +266,7 @@ class EmbeddedPlant(BranchingShell):
         return time_s, rows
 
     def native_power_W(self) -> Array:
-        """Return 15-min means of the compressor power over a year of native control, W, shape (35040,).
-
-        People keep to the schedule, so that windows are the same with and without others.
-        """
+        """Return 15-min means of the compressor power over a year under native control and schedule, W, (35040,)."""
         here, lived = self.snapshot(), self._lived
         self._lived = self._scheduled
         try:
@@ -306,7 +299,6 @@ class EmbeddedPlant(BranchingShell):
 
 
 def _overrides(block: Block) -> dict[str, float]:
-    """Overwrite inputs for the level of the compressor; none under native control."""
     level = block.u[0]
     return {} if level is None else {"oveHeaPumY": level}
 

@@ -157,7 +157,6 @@ def _operate(scalars: np.ndarray, time_s: float, overrides: np.ndarray) -> None:
 
 @njit(cache=True)
 def _note(scalars: np.ndarray, w: np.ndarray, row: np.ndarray) -> None:
-    """Write the sample of this instant into `row` (17,)."""
     T_supply, T_return, floor_W = scalars[T_SUPPLY], scalars[T_RETURN], 0.0
     if scalars[PUMP] > 0.5:
         floor_W = _FLOOR_W_K * (T_supply - scalars[LAST_T_PIPE])

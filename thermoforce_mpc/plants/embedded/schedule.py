@@ -46,7 +46,6 @@ def occupied_sample(time_s: Array) -> Array:
 
 @njit(cache=True)
 def _occupied_samples(time_s: Array) -> NDArray[np.bool_]:
-    """Return `occupied_sample` of times (n,)."""
     occupied = np.empty(time_s.size, np.bool_)
     for i, at_s in enumerate(time_s):
         occupied[i] = is_occupied_sample(at_s)

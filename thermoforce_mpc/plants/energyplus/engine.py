@@ -85,10 +85,7 @@ WEATHER_SENSORS = {
 
 @dataclass(frozen=True)
 class Reading:
-    """Reading at the end of a step: temperatures °C, global horizontal irradiance W/m², heat over the step W.
-
-    `heat_W` is NaN unless the engine decides the heat.
-    """
+    """At the end of a step: temperatures °C, irradiance W/m², heat over it W, NaN unless the engine decides that."""
 
     T_zone_C: float
     T_out_C: float
@@ -127,10 +124,7 @@ class Driver(Protocol[R_contra]):
         """Whether all requested steps were simulated."""
 
     def begin(self, warming_up: bool) -> dict[str, float]:
-        """Return the value of each actuator over the next zone time step, NaN to leave it to the model's own control.
-
-        An actuator that is left out keeps its value.
-        """
+        """Return the actuators' values over the next zone time step, NaN: the model's own control; others stay."""
 
     def end(self, warming_up: bool, read: Callable[[], R_contra]) -> bool:
         """Process the end of a zone time step, reading it if needed; return True when the run may stop."""

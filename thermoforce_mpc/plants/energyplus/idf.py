@@ -109,10 +109,7 @@ class Schedule:
         return tuple(value for _, _, values in self.rules for value in values)
 
     def at(self, time_s: Array, calendar: Calendar) -> Array:
-        """Return the value over the step that begins at each of `time_s` (n,), s since 1 January, shape (n,).
-
-        Raises `PlantError` where no rule covers one of the days.
-        """
+        """Return values over the steps that begin at `time_s` (n,), s since 1 January; raises `PlantError`."""
         clock_s = calendar.clock_s(np.asarray(time_s, dtype=np.float64)) + _CLOCK_S
         day = np.floor(clock_s / DAY_S).astype(int)
         hour = (clock_s - day * DAY_S) / HOUR_S

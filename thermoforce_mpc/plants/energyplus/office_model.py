@@ -37,10 +37,7 @@ STEP_S = HOUR_S / STEPS_PER_HOUR
 
 @dataclass(frozen=True)
 class OfficeZone:
-    """Zone, its names in the engine's file, floor area, m², and what its unit was sized to there, W.
-
-    `heating_W` is the burner's heat, `cooling_W` the gross sensible cooling at rated conditions.
-    """
+    """Zone, its names in the engine's file, floor area, m², rated heat of its burner and gross sensible cooling, W."""
 
     name: str
     engine_name: str
@@ -118,10 +115,7 @@ def office_schedules() -> OfficeSchedules:
 
 
 def office_model(first_day: int, days: int, steps_per_hour: int) -> str:
-    """Return the shipped IDF with the given run period and zone time steps; `first_day` counts from 1 January (0).
-
-    Raises `PlantError` where the file differs from the expected version.
-    """
+    """Return the shipped IDF with a run period from `first_day` (0) and time steps; raises `PlantError`."""
     begin = date(YEAR, 1, 1) + timedelta(days=first_day)
     end = begin + timedelta(days=days - 1)
     text = _shipped()

@@ -37,10 +37,7 @@ _GAINS_SEED = 1
 
 
 def electric_power_W(zone: EnergyPlusZone, mode: str, heat_W: Array, T_out_C: Array) -> Array:
-    """Return the electric power for a heat flow of either sign, W: a fixed fraction of the Carnot efficiency.
-
-    The temperature lift is that between supply and outdoor air, at least `least_lift_K`.
-    """
+    """Return electric power for heat of either sign, W: a share of Carnot's, at a lift of `least_lift_K` or more."""
     supply_K = zone.supply_C + ZERO_C_K
     lift = (zone.supply_C - T_out_C) if mode == "heating" else (T_out_C - zone.supply_C)
     return np.asarray(np.abs(heat_W) * np.maximum(lift, zone.least_lift_K) / (zone.carnot_share * supply_K))

@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -55,30 +55,25 @@ class Building(Generic[U, R]):
     acting: Callable[[int, U | None, R | None], tuple[dict[str, float], U]]
 
 
-@dataclass(frozen=True)
-class Advance(Generic[U]):
-    """Request: do what is `demand` (None: the building's own control) for `steps` steps."""
-
-    demand: U | None
-    steps: int
-
-
-@dataclass(frozen=True)
-class Stretch(Generic[U, R]):
-    """Answer: the reading at the end of each step, and what acted in each step."""
+class Stretch(NamedTuple, Generic[U, R]):
+    """The reading at the end of each step, and what acted in each step."""
 
     readings: tuple[R, ...]
     acted: tuple[U, ...]
 
 
 class _Live(Generic[U, R]):
-    """`Driver` that answers requests; the first answer is the state after the engine's warm-up."""
+    """`Driver` that answers requests: do what is demanded (None: the building's own control) for so many steps.
+
+    The first answer is the state after the engine's warm-up.
+    """
 
     def __init__(self, building: Building[U, R], receive: Callable[[], Any], send: Callable[[Any], None]) -> None:
         self._n_steps, self._act = building.n_steps, building.acting
         self._received, self._sent = receive, send
         self._last: R | None = None
-        self._request = Advance[U](None, 0)
+        self._demand: U | None = None
+        self._steps = 0
         self._answer: list[tuple[R, U]] = []
         self._now: U | None = None
         self._step = 0
@@ -89,14 +84,14 @@ class _Live(Generic[U, R]):
 
     def begin(self, warming_up: bool) -> dict[str, float]:
         """The actuator values of the next step; waits for a request if the last is done."""
-        if not self.done and not warming_up and len(self._answer) >= self._request.steps:
+        if not self.done and not warming_up and len(self._answer) >= self._steps:
             if self._last is None:
                 raise RuntimeError("the engine asked for an action before its warm-up")
             self._send() if self._answer else self._sent(Stretch((self._last,), ()))
-            self._request, self._answer = self._received(), []
+            (self._demand, self._steps), self._answer = self._received(), []
         if self.done:
             return {}
-        demand = None if warming_up else self._request.demand
+        demand = None if warming_up else self._demand
         values, self._now = self._act(-1 if warming_up else self._step, demand, self._last)
         return values
 
@@ -155,7 +150,7 @@ class EngineProcess(WorkerProcess, Generic[U, R]):
         readings: list[R] = []
         acted: list[U] = []
         for steps in (min(most, n - i) for i in range(0, n, most)):
-            piece: Stretch[U, R] = self.ask("step from", Advance(demand, steps))
+            piece: Stretch[U, R] = self.ask("step from", (demand, steps))
             self._left -= steps
             self.now_s += steps * self.step_s
             readings += piece.readings

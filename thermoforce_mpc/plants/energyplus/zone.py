@@ -201,10 +201,7 @@ class Job:
 
 
 class PiPolicy:
-    """PI loop that tracks the set-points of a job, signed for heating or cooling.
-
-    The integral is clamped while u is at a limit (conditional integration, anti-windup).
-    """
+    """PI loop on a job's set-points, signed for heating or cooling; its integral is clamped at a limit of u."""
 
     def __init__(self, job: Job) -> None:
         self._job, self._sign, self._integral = job, job.spec.sign, 0.0

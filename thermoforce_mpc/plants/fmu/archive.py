@@ -233,7 +233,6 @@ def _tables(path: Path, members: Members, excluded: Sequence[str]) -> BoundaryDa
 
 
 def _names(names: Any, where: str, what: str) -> tuple[str, ...]:
-    """A list of names; raises `ConfigError` for anything else."""
     if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
         raise ConfigError(f"{where} is {names!r:.100}, expected a list of {what}")
     return tuple(names)

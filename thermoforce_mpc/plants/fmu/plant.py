@@ -111,10 +111,7 @@ class FmuPlant(WithProcess[FmuRun], RoomSetpointShell):
         self._told_restarts = restarts
 
     def period(self, name: str) -> Period:
-        """Return the window of the FMU's scenario `name`, or of a start day.
-
-        Raises `InputError` where `name` is neither a scenario in the FMU's days.json nor a day of the year.
-        """
+        """Return the window of a scenario in the FMU's days.json, or of a start day; raises `InputError`."""
         days = self._archive.days
         return centred_window(name, days[name]) if name in days else day_period(name, days)
 

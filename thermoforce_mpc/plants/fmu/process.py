@@ -179,10 +179,7 @@ class FmuRun:
         return self._begin(self._job)
 
     def advance(self, inputs: Mapping[str, float], duration_s: float, told: Sequence[str] = ()) -> Stretch:
-        """Set inputs by name and simulate; raises `PlantError` where it failed at all tolerances.
-
-        `told`: `restarts` after this stretch in a run that is repeated, which are not waited for again.
-        """
+        """Simulate; `told`: `restarts` in a run that is repeated; raises `PlantError` at the last tolerance."""
         process = self._running
         if process.closed:
             raise PlantError("the FMU was closed; reset the plant to start it again")

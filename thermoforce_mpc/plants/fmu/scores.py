@@ -23,10 +23,7 @@ class Scores:
     """Outputs that make up each KPI, from the FMU's kpis.json or else from the test case file."""
 
     def __init__(self, archive: FmuArchive, testcase: TestCase) -> None:
-        """Collect the signals and the boundary series of the KPIs.
-
-        Raises `ConfigError` where one is missing, or the floor areas of FMU and test case file differ.
-        """
+        """Collect signals and series; raises `ConfigError` where one is missing or the floor areas differ."""
         self._boundary = archive.boundary
         self._area_m2 = testcase.area_m2
         if archive.area_m2 is not None and abs(archive.area_m2 - testcase.area_m2) > 0.01 * archive.area_m2:

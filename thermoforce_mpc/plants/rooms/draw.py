@@ -46,10 +46,7 @@ _LEAST_EMITTER_W = 150.0
 
 
 def emulator_fixed_share() -> float:
-    """Return the fixed electric power of the embedded emulator's heat pump per W of its heat at A2/W35 and full speed.
-
-    Constant loss of the compressor, fan and pump; air and refrigerant are 4 K apart.
-    """
+    """Return the fixed power of the emulator's heat pump over its heat at A2/W35; air and refrigerant are 4 K apart."""
     _, heat_W, _ = emulator.heat_pump(2.0 - 4.0 + ZERO_C_K, 35.0 + ZERO_C_K, 1.0)
     return float((emulator.CONSTANT_LOSS_W + emulator.FAN_W + emulator.PUMP_W) / heat_W)
 

@@ -33,10 +33,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Contact:
-    """Surface shared by two rooms, by index: a wall of length `length_m`, or a floor of `area_m2` (length 0).
-
-    Of a floor `first` is the room below it.
-    """
+    """A wall of `length_m` between two rooms, by index, or a floor of `area_m2` (length 0), `first` below `second`."""
 
     first: int
     second: int

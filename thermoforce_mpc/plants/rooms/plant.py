@@ -194,7 +194,6 @@ def weather_grid(house: DrawnHouse, weather: WeatherYear) -> Array:
 
 
 def _with_people(weather: Array, gains: Array, house: DrawnHouse, seed: int) -> tuple[Array, Array]:
-    """Return weather and gains of a house whose people do not keep to the schedule."""
     time_s, n = year(), len(house.rooms)
     usual = schedule.at_home_or_asleep(house, time_s)
     life = live(

@@ -25,10 +25,7 @@ def at_home_or_asleep(house: DrawnHouse, time_s: Array) -> NDArray[np.bool_]:
 
 
 def in_use(house: DrawnHouse, kind: Kind, time_s: Array) -> NDArray[np.bool_]:
-    """Return whether rooms of `kind` are in use at `time_s`, shape of `time_s`; only while people are in.
-
-    Bedrooms 20 to 9 h; baths 6 to 9 h and 18 to 22 h; others 6 to 22 h.
-    """
+    """Bedrooms 20 to 9 h, baths 6 to 9 and 18 to 22 h, others 6 to 22 h, while people are in; like `time_s`."""
     hour = hour_of_day(time_s)
     if kind == "bedroom":
         used = (hour < 9.0) | (hour >= 20.0)
