@@ -11,8 +11,7 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from boptest_client import answers
-from boptest_client.answers import Point, Scenario
-from boptest_client.clock import TOLERANCE_S, Clock
+from boptest_client.answers import TOLERANCE_S, Clock, Point, Scenario
 from boptest_client.errors import (
     AdvanceInterrupted,
     BoptestError,

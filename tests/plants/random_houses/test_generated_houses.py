@@ -12,7 +12,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.plants.drawn_houses import envelope
 from thermoforce_mpc.plants.drawn_houses.envelope import MASSES
-from thermoforce_mpc.plants.drawn_houses.occupants import HOUSEHOLDS, at_home
+from thermoforce_mpc.plants.people import HOUSEHOLDS, at_home
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house, house_testcase, physics
 from thermoforce_mpc.plants.random_houses.draw import MACHINES, heat_pump_cop
 from thermoforce_mpc.plants.random_houses.plant import bounds_C, native_setpoint_C, year_of

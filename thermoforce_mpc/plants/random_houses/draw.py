@@ -18,7 +18,7 @@ from thermoforce_mpc.plants.drawn_houses.envelope import (
     Facade,
     Mass,
 )
-from thermoforce_mpc.plants.drawn_houses.occupants import HOUSEHOLDS, Pattern
+from thermoforce_mpc.plants.people import HOUSEHOLDS, Pattern
 
 Emitter = Literal["floor", "radiator", "air"]
 Machine = Literal["heat pump with fixed loss", "heat pump", "boiler", "electric"]

@@ -21,9 +21,8 @@ from thermoforce_mpc.plants.drawn_houses.envelope import (
     on_facades,
     year,
 )
-from thermoforce_mpc.plants.drawn_houses.occupants import PERSON_W, at_home, set_back, varying
 from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K, DrawnHousePlant
-from thermoforce_mpc.plants.people import live
+from thermoforce_mpc.plants.people import PERSON_W, at_home, live, set_back, varying
 from thermoforce_mpc.plants.random_houses import physics
 from thermoforce_mpc.plants.random_houses.draw import House, draw_house
 from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record

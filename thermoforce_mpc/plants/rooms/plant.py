@@ -13,9 +13,8 @@ from thermoforce_mpc.boundary.weather.year import Weather as WeatherYear
 from thermoforce_mpc.data import Array, Layout, Measurement, Names, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.drawn_houses.envelope import air_change, on_facades, year
-from thermoforce_mpc.plants.drawn_houses.occupants import PERSON_W
 from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K, DrawnHousePlant
-from thermoforce_mpc.plants.people import live
+from thermoforce_mpc.plants.people import PERSON_W, live
 from thermoforce_mpc.plants.records import means_between
 from thermoforce_mpc.plants.rooms import physics, schedule
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms

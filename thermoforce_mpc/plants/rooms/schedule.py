@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.plants.drawn_houses.occupants import PERSON_W, at_home, hour_of_day, set_back, varying
+from thermoforce_mpc.plants.people import PERSON_W, at_home, hour_of_day, set_back, varying
 from thermoforce_mpc.plants.random_houses.plant import PREHEAT_H, SET_BACK_K
 from thermoforce_mpc.plants.rooms.house import DrawnHouse, Room
 from thermoforce_mpc.plants.rooms.use import Kind
