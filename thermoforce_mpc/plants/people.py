@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 
@@ -59,6 +58,8 @@ def hour_of_day(time_s: Array) -> Array:
 
 def varying(rng: np.random.Generator, time_s: Array, relative_sd: float) -> Array:
     """Return a log-normal first-order process of mean 1 on an equally spaced grid `time_s`; correlation time 2 h."""
+    from scipy.signal import lfilter  # only where houses are drawn: it loads slowly
+
     memory = np.exp(-(time_s[1] - time_s[0]) / HOUR_S / _GAINS_HOURS)
     draws = rng.standard_normal(time_s.size)
     draws[1:] *= np.sqrt(1.0 - memory**2)
