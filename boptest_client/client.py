@@ -304,10 +304,7 @@ class BoptestClient:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is None:
-            self.stop()
-        else:
-            self._stop_quietly()
+        self.stop() if error is None else self._stop_quietly()
 
     def _stop_quietly(self) -> None:
         """Stop during the handling of another error, which a failure to stop must not replace."""

@@ -81,14 +81,11 @@ def building_kpis(
     weights = _trapezoid_h(time_s)
     if not weights.size:
         raise DataError("KPIs: time must increase over at least two samples")
-    series = [
-        (f"{name} of {supply.carrier}", getattr(supply, name))
-        for supply in supplies
-        for name in ("power_W", "price_per_kWh", "emission_kg_per_kWh")
-    ]
-    series += [(f"zone {violation.zone}", violation.excess) for violation in (*thermal, *air_quality)]
-    for name, values in series:
-        _check(values, time_s, weights, name)
+    for supply in supplies:
+        for name in ("power_W", "price_per_kWh", "emission_kg_per_kWh"):
+            _check(getattr(supply, name), time_s, weights, f"{name} of {supply.carrier}")
+    for zone in (*thermal, *air_quality):
+        _check(zone.excess, time_s, weights, f"zone {zone.zone}")
     totals = {"ener_tot": 0.0, "cost_tot": 0.0, "emis_tot": 0.0}
     for supply in supplies:
         kW = supply.power_W / 1e3 / area_m2

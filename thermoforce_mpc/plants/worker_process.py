@@ -22,7 +22,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, wait
 from pathlib import Path
 from queue import SimpleQueue
-from typing import IO, Any, TypeVar
+from typing import IO, Any
 
 from boptest_client import safe_text
 from thermoforce_mpc.data import DAY_S
@@ -39,45 +39,6 @@ START_S = 60.0
 _SAID_AFTER_S = 60.0
 # An end, and what a killed process leaves unread, are waited for this long, s.
 _END_S = 5.0
-
-T = TypeVar("T")
-
-
-def wait_for(receive: Callable[[], T], kill: Callable[[], None], what: str, limit_s: float) -> T:
-    """Return the result of `receive`, which blocks in a thread; `kill` ends what it waits for, then it must return.
-
-    `what` names it in messages, such as "the FMU's step from day 3.51". `kill` is also called at Ctrl-C. Raises
-    `PlantError` where it took more than `limit_s`, or what `receive` raises.
-    """
-    answer: Future[T] = Future()
-
-    def read() -> None:
-        try:
-            answer.set_result(receive())
-        except BaseException as error:  # raised again where it is waited for
-            answer.set_exception(error)
-
-    reader = threading.Thread(target=read, daemon=True)
-    began = time.monotonic()
-    reader.start()
-    try:
-        _wait(answer, began, what, limit_s)
-    except BaseException:
-        kill()
-        reader.join(_END_S)
-        raise
-    return answer.result()
-
-
-def _wait(answer: Future[T], began: float, what: str, limit_s: float) -> None:
-    """Wait for `answer`, and say so; raises `PlantError` at the limit."""
-    say_s = min(limit_s / 2.0, _SAID_AFTER_S)
-    while not wait([answer], max(began + min(say_s, limit_s) - time.monotonic(), 0.0)).done:
-        if time.monotonic() - began >= limit_s:
-            raise PlantError(f"{what} took more than {limit_s:g} s and was ended (plant.patience_min allows more)")
-        _LOG.warning("%s takes %.3g s already; it is ended after %g s", what, time.monotonic() - began, limit_s)
-        say_s *= 2.0
-
 
 _SAID_BYTES = 500
 
@@ -136,25 +97,37 @@ class WorkerProcess:
     def _answer(self, phase: str, request: object, doing: str, limit_s: float) -> Any:
         when = f"day {self.now_s / DAY_S:g}"
         whose = f"{self._what}'" if self._what.endswith("s") else f"{self._what}'s"
+        answer: Future[Any] = Future()
+        reader = threading.Thread(target=self._exchange, args=(request, answer), daemon=True)
+        reader.start()
         try:
-            answer = wait_for(lambda: self._exchanged(request), self._process.kill, f"{whose} {phase} {when}", limit_s)
+            _wait(answer, f"{whose} {phase} {when}", limit_s)
+        except BaseException:  # also Ctrl-C
+            self._process.kill()
+            reader.join(_END_S)
+            raise
+        try:
+            said = answer.result()
         except (EOFError, OSError, pickle.UnpicklingError) as error:
             raise PlantError(f"{whose} process {self._end()} at {when}{self._last_words()}") from error
-        if isinstance(answer, Failed):
-            why = f"{safe_text(answer.why)}{self.advice(answer.why)}{self._last_words()}"
+        if isinstance(said, Failed):
+            why = f"{safe_text(said.why)}{self.advice(said.why)}{self._last_words()}"
             raise PlantError(f"{self._what} could not {doing} at {when}: {why}")
-        return answer
+        return said
 
     def advice(self, why: str) -> str:
         """What to do about a failure, for the end of its message."""
         return ""
 
-    def _exchanged(self, request: object) -> Any:
-        assert self._process.stdin is not None  # both are pipes
-        assert self._process.stdout is not None
-        pickle.dump(request, self._process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
-        self._process.stdin.flush()
-        return pickle.load(self._process.stdout)  # trusted: from our own process
+    def _exchange(self, request: object, answer: Future[Any]) -> None:
+        try:
+            assert self._process.stdin is not None  # both are pipes
+            assert self._process.stdout is not None
+            pickle.dump(request, self._process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
+            self._process.stdin.flush()
+            answer.set_result(pickle.load(self._process.stdout))  # trusted: from our own process
+        except BaseException as error:  # raised again where it is waited for
+            answer.set_exception(error)
 
     def _end(self) -> str:
         try:
@@ -168,9 +141,19 @@ class WorkerProcess:
 
     def _last_words(self) -> str:
         size = os.fstat(self._said.fileno()).st_size
-        said = os.pread(self._said.fileno(), _SAID_BYTES, max(size - _SAID_BYTES, 0)) if hasattr(os, "pread") else b""
+        said = os.pread(self._said.fileno(), _SAID_BYTES, max(size - _SAID_BYTES, 0))
         text = safe_text(said.decode(errors="replace").strip())
         return f"\nIts last output (of {size:,} bytes):\n{text}" if text else ""
+
+
+def _wait(answer: Future[Any], what: str, limit_s: float) -> None:
+    """Wait for `answer`, and say so; raises `PlantError` at the limit."""
+    began, say_s = time.monotonic(), min(limit_s / 2.0, _SAID_AFTER_S)
+    while not wait([answer], max(began + min(say_s, limit_s) - time.monotonic(), 0.0)).done:
+        if time.monotonic() - began >= limit_s:
+            raise PlantError(f"{what} took more than {limit_s:g} s and was ended (plant.patience_min allows more)")
+        _LOG.warning("%s takes %.3g s already; it is ended after %g s", what, time.monotonic() - began, limit_s)
+        say_s *= 2.0
 
 
 class Failed:

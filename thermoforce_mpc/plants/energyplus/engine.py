@@ -194,7 +194,6 @@ def run_engine(model: str, weather: Path, recorder: Driver[R], wiring: Wiring[R]
     def end(state: Any) -> None:
         if not handles:
             return
-
         parts = list(system_steps)
         system_steps.clear()
 

@@ -176,18 +176,17 @@ class FmuRun:
     def start(self, start_s: float) -> Stretch:
         """Load and initialise the FMU at `start_s`; raises `PlantError`, and is not tried again."""
         self._start_s = start_s
-        return self._begin(self._job)
+        return self._begin(self._job)[1]
 
     def advance(self, inputs: Mapping[str, float], duration_s: float, told: Sequence[str] = ()) -> Stretch:
         """Simulate; `told`: `restarts` in a run that is repeated; raises `PlantError` at the last tolerance."""
-        process = self._running
-        if process.closed:
+        if self._process is None or self._process.closed:
             raise PlantError("the FMU was closed; reset the plant to start it again")
         self._told.append((inputs, duration_s))
         try:
             if len(told) > len(self.restarts):
                 return self._again(told)
-            return process.advance(inputs, duration_s)
+            return self._process.advance(inputs, duration_s)
         except PlantError as error:
             return self._restarted(error)
 
@@ -196,15 +195,10 @@ class FmuRun:
         if self._process is not None:
             self._process.close()
 
-    @property
-    def _running(self) -> FmuProcess:
-        assert self._process is not None  # `start` comes first
-        return self._process
-
-    def _begin(self, job: Job) -> Stretch:
+    def _begin(self, job: Job) -> tuple[FmuProcess, Stretch]:
         self.close()
         self._process = FmuProcess(job, self._folder, self._patience_s)
-        return self._process.start(self._start_s)
+        return self._process, self._process.start(self._start_s)
 
     def _restarted(self, error: PlantError) -> Stretch:
         """The latest stretch at the next tolerance at which the run comes to its end; raises the last error."""
@@ -223,7 +217,9 @@ class FmuRun:
     def _again(self, restarts: Sequence[str]) -> Stretch:
         """The latest stretch, in a new process that has repeated those before."""
         self.restarts = tuple(restarts)
-        self._begin(replace(self._job, tolerance=self._other[min(len(restarts), len(self._other)) - 1]))
-        for inputs, duration_s in self._told[:-1]:
-            self._running.advance(inputs, duration_s)
-        return self._running.advance(*self._told[-1])
+        tolerance = self._other[min(len(restarts), len(self._other)) - 1]
+        process, _ = self._begin(replace(self._job, tolerance=tolerance))
+        *before, latest = self._told
+        for told in before:
+            process.advance(*told)
+        return process.advance(*latest)

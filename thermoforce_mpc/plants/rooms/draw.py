@@ -290,12 +290,6 @@ def _doors(rng: np.random.Generator, kinds: list[Kind], touching: list[Contact],
         if contact.kind == "wall":
             tighter = max((kinds[contact.first], kinds[contact.second]), key=lambda kind: rank[kind])
             low, high = use.kinds[tighter].openness
-        doors.append(
-            Door(
-                contact.first,
-                contact.second,
-                leak_W_K=float(rng.uniform(3.0, 8.0)),
-                open_W_K15=float(_OPEN_DOOR_W_K15 * rng.uniform(low, high)),
-            )
-        )
+        leak_W_K, open_share = float(rng.uniform(3.0, 8.0)), rng.uniform(low, high)
+        doors.append(Door(contact.first, contact.second, leak_W_K, float(_OPEN_DOOR_W_K15 * open_share)))
     return tuple(doors)
