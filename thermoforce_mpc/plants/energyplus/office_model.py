@@ -56,21 +56,17 @@ ZONES = (
 )
 # Floor area per person, m², at an occupancy of 1.
 AREA_PER_PERSON_M2 = 18.58
+# Share of people from which on the tight comfort band holds: weekdays 06:00 to 20:00, Saturdays 06:00 to 17:00.
+OCCUPIED_FROM = 0.1
 
 
-@dataclass(frozen=True)
-class OfficeReading:
-    """Reading at the end of a step: temperatures °C, global horizontal irradiance W/m², means over the step W.
-
-    Per zone (Z,): `T_zone_C`. All burners, then all coils (2 Z,): `heat_W`, of coils negative, and `power_W`, gas and
-    electric (compressor and fan).
-    """
-
-    T_zone_C: tuple[float, ...]
-    T_out_C: float
-    solar_W_m2: float
-    heat_W: tuple[float, ...]
-    power_W: tuple[float, ...]
+# A reading at the end of a step: temperatures of the zones, °C, outdoor temperature, global horizontal irradiance W/m²,
+# and means over the step, W, of all burners, then all coils: heat, of coils negative, and power, gas and electric
+# (compressor and fan).
+_Z = len(ZONES)
+T_ZONE, T_OUT, SOLAR = slice(0, _Z), _Z, _Z + 1
+HEAT, POWER = slice(_Z + 2, 3 * _Z + 2), slice(3 * _Z + 2, 5 * _Z + 2)
+OfficeReading = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -90,13 +86,14 @@ class OfficeSchedules:
         """Return the native heating and cooling set-points of every zone, °C, (n,) each."""
         return self.heating.at(time_s, self.calendar), self.cooling.at(time_s, self.calendar)
 
-    def tight_C(self) -> tuple[float, float]:
-        """Return the comfort band of the day, °C: the highest heating and the lowest cooling set-point."""
-        return max(self.heating.values), min(self.cooling.values)
+    def bounds_C(self, time_s: Array) -> tuple[Array, Array]:
+        """Return comfort bounds, °C, (n,) each: the set-points of the day while `OCCUPIED_FROM` of the people are in.
 
-    def wide_C(self) -> tuple[float, float]:
-        """Return the comfort band of the night, °C: the set-points of the night and the tolerance around them."""
-        return min(self.heating.values) - self.night_tolerance_K, max(self.cooling.values) + self.night_tolerance_K
+        Otherwise those of the night and the tolerance around them.
+        """
+        occupied, K = self.occupancy(time_s) >= OCCUPIED_FROM, self.night_tolerance_K
+        lower, upper = self.heating.values, self.cooling.values
+        return np.where(occupied, max(lower), min(lower) - K), np.where(occupied, min(upper), max(upper) + K)
 
     def occupancy(self, time_s: Array) -> Array:
         """Return the share of people who are present, (n,)."""
@@ -109,9 +106,8 @@ def office_schedules() -> OfficeSchedules:
     text = _shipped()
     heating, cooling, people = (Schedule.of(text, name) for name in ("HTGSETP_SCH", "CLGSETP_SCH", "BLDG_OCC_SCH"))
     night_cycles = idf_objects(text, "AvailabilityManager:NightCycle")
-    return OfficeSchedules(
-        Calendar.of(text), heating, cooling, people, max(float(fields[4]) for fields in night_cycles)
-    )
+    tolerance_K = max(float(fields[4]) for fields in night_cycles)
+    return OfficeSchedules(Calendar.of(text), heating, cooling, people, tolerance_K)
 
 
 def office_model(first_day: int, days: int, steps_per_hour: int) -> str:
@@ -148,10 +144,10 @@ def _acting(
     Where one set-point of a zone is told and the other is native, the native one gives way if it would lie on the wrong
     side: the engine refuses a zone that is to be heated above the temperature it is to be cooled to.
     """
-    demand = demand or (math.nan,) * (2 * len(ZONES))
+    demand = demand or (math.nan,) * (2 * _Z)
     native = float(heating_C[max(step, 0)]), float(cooling_C[max(step, 0)])
     values: dict[str, float] = {}
-    for zone, heating, cooling in zip(ZONES, demand[: len(ZONES)], demand[len(ZONES) :], strict=True):
+    for zone, heating, cooling in zip(ZONES, demand[:_Z], demand[_Z:], strict=True):
         if math.isnan(heating) and native[0] > cooling:
             heating = cooling
         if math.isnan(cooling) and native[1] < heating:
@@ -165,13 +161,9 @@ def _read(value: Mapping[str, float]) -> OfficeReading:
         return tuple(value[f"{zone.name}_{name}"] for zone in ZONES)
 
     weather = weather_reading(value, math.nan)
-    return OfficeReading(
-        T_zone_C=each("T"),
-        T_out_C=weather.T_out_C,
-        solar_W_m2=weather.solar_W_m2,
-        heat_W=each("burner") + tuple(0.0 - heat for heat in each("coil")),
-        power_W=each("gas") + tuple(a + b for a, b in zip(each("compressor"), each("fan"), strict=True)),
-    )
+    coils = tuple(0.0 - heat for heat in each("coil"))
+    electric = tuple(a + b for a, b in zip(each("compressor"), each("fan"), strict=True))
+    return (*each("T"), weather.T_out_C, weather.solar_W_m2, *each("burner"), *coils, *each("gas"), *electric)
 
 
 def office_building(first_day: int, days: int) -> Building[tuple[float, ...], OfficeReading]:

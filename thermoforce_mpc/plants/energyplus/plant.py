@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array, Block, Measurement, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.energyplus.engine import Reading
-from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, Building, EnginePlant, Stretch
+from thermoforce_mpc.plants.energyplus.process import RUN_DAYS, Building, EnginePlant
 from thermoforce_mpc.plants.energyplus.zone import (
     CLIMATES,
     GAINS,
@@ -107,16 +108,8 @@ class EnergyPlusPlant(EnginePlant[float, Reading]):
     def _demand(self, block: Block) -> float | None:
         return block.u[0]
 
-    def _first_row(self, reading: Reading, T_out_C: float, solar_W_m2: float) -> Array:
-        return np.array([reading.T_zone_C, T_out_C, solar_W_m2, 0.0])
-
-    def _rows(self, stretch: Stretch[float, Reading]) -> Array:
-        return np.array(
-            [
-                (reading.T_zone_C, reading.T_out_C, reading.solar_W_m2, level)
-                for reading, level in zip(stretch.readings, stretch.acted, strict=True)
-            ]
-        )
+    def _row(self, reading: Reading, acted: float | None) -> Sequence[float]:
+        return reading.T_zone_C, reading.T_out_C, reading.solar_W_m2, acted or 0.0
 
     def _people(self, time_s: Array) -> Array:
         return np.zeros((1, time_s.size))

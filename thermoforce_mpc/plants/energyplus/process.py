@@ -167,7 +167,7 @@ class EnginePlant(WithProcess[EngineProcess[U, R]], PlantShell, Generic[U, R]):
     """A building run through the engine's runtime API, in its own process.
 
     Durations are multiples of the 5-min step. There is no snapshot; every reset starts a new process. Samples begin
-    with the temperatures of the zones, °C.
+    with the temperatures of the zones, that outdoors, °C, and the irradiance, W/m².
     """
 
     _periods: Mapping[str, int]  # first day of the named windows, from 0
@@ -237,15 +237,17 @@ class EnginePlant(WithProcess[EngineProcess[U, R]], PlantShell, Generic[U, R]):
         self._now_s = building.first_day * DAY_S
         # The engine repeats its first day to warm up, so the weather of this reading is that of the next midnight.
         midnight = np.array([self._now_s])
-        T_out, solar = (float(self.weather.at(name, midnight)[0]) for name in ("T_dry_C", "global_W_m2"))
-        self._samples = Samples(self._now_s, self._first_row(self._process.first, T_out, solar))
+        row, zones = np.array(self._row(self._process.first, None)), len(self._zones)
+        row[zones : zones + 2] = [self.weather.at(name, midnight)[0] for name in ("T_dry_C", "global_W_m2")]
+        self._samples = Samples(self._now_s, row)
         if begin_s > self._now_s:
             self._run(Block.native(len(self._names.actuators), begin_s - self._now_s))
             # The engine starts at midnight; the time up to the warm-up is not recorded.
             self._samples = Samples(self._now_s, self._samples.rows[-1])
 
     def _run(self, block: Block) -> None:
-        rows = self._rows(self._running.advance(self._demand(block), block.duration_s))
+        stretch = self._running.advance(self._demand(block), block.duration_s)
+        rows = np.array(list(map(self._row, stretch.readings, stretch.acted)))
         self._samples.append(self._now_s + self._running.step_s * np.arange(1.0, len(rows) + 1), rows)
         self._now_s = self._running.now_s
 
@@ -281,12 +283,8 @@ class EnginePlant(WithProcess[EngineProcess[U, R]], PlantShell, Generic[U, R]):
         """What the building is told in a block."""
 
     @abstractmethod
-    def _first_row(self, reading: R, T_out_C: float, solar_W_m2: float) -> Array:
-        """The sample of the first midnight (k,), in this weather."""
-
-    @abstractmethod
-    def _rows(self, stretch: Stretch[U, R]) -> Array:
-        """The samples of a stretch (n, k)."""
+    def _row(self, reading: R, acted: U | None) -> Sequence[float]:
+        """The sample of a step, after which what acted is known."""
 
     @abstractmethod
     def _bounds(self, time_s: Array) -> tuple[Array, Array]:
