@@ -10,7 +10,7 @@ import numpy as np
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
 from thermoforce_mpc.boundary.weather.year import Weather as WeatherYear
-from thermoforce_mpc.data import Array, Layout, Measurement, Names, Record
+from thermoforce_mpc.data import Array, Measurement, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.drawn_houses.envelope import air_change, on_facades, year
 from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K, DrawnHousePlant
@@ -29,11 +29,10 @@ SEED = 15
 _NAME = re.compile(r"(house|office):(\d+)rooms?(?::(\d+))?")
 
 
-def house_of_rooms(name: str, people: int | None = None) -> HouseOfRooms:
+def named_house(name: str) -> DrawnHouse:
     """Return the house `house:Nrooms`, N from 1 to 30, or `house:Nrooms:SEED` of another seed; `office:…` likewise.
 
-    `people`: seed of people who do not keep to the schedule, see `plants.people`; without they keep to it. Raises
-    `InputError` where `name` has another form, or N is out of range.
+    Raises `InputError` where `name` has another form, or N is out of range.
     """
     match = _NAME.fullmatch(name)
     if match is None or not 1 <= int(match[2]) <= MOST_ROOMS:
@@ -41,7 +40,44 @@ def house_of_rooms(name: str, people: int | None = None) -> HouseOfRooms:
             f"house '{name}': expected house:Nrooms, house:Nrooms:SEED or office:… with N from 1 to {MOST_ROOMS}, "
             "such as house:5rooms"
         )
-    return HouseOfRooms(draw_rooms(int(match[2]), int(match[3] or SEED), USES[match[1]]), people)
+    return draw_rooms(int(match[2]), int(match[3] or SEED), USES[match[1]])
+
+
+def house_of_rooms(name: str, people: int | None = None) -> HouseOfRooms:
+    """Return the plant of a house, see `named_house`; `people`: seed of people who do not keep to the schedule."""
+    return HouseOfRooms(named_house(name), people)
+
+
+def house_testcase(name: str) -> TestCase:
+    """Return the test case of a house or an office, see `named_house`."""
+    return testcase_of(named_house(name), name)
+
+
+def testcase_of(house: DrawnHouse, name: str) -> TestCase:
+    """Return the test case of a house by `name`: its zones, valves and heat pump."""
+    zones, actuators = {}, {}
+    for room in house.rooms:
+        zones[room.name] = Zone(
+            temperature=f"T_zone[{room.name}]",
+            floor_area_m2=float(room.area_m2),
+            occupancy=f"occupancy[{room.name}]",
+            lower=f"lower[{room.name}]",
+            upper=f"upper[{room.name}]",
+            thermostat_C=room.lower_C + THERMOSTAT_ABOVE_K,
+        )
+        valve, share = f"{room.name}_valve", room.emitter_W / house.heat_pump.capacity_W
+        heat = (f"heat[{room.name}]",)
+        actuators[valve] = ZoneActuator(point=valve, zone=room.name, machine="heat_pump", heat=heat, share=share)
+    return TestCase(
+        name=name,
+        description=house.words,
+        step_s=900.0,
+        measurements=Weather(outdoor_temperature="T_out", solar="solar"),
+        zones=zones,
+        actuators=actuators,
+        machines={"heat_pump": Machine(power=("power",))},
+        plant="rooms",
+    )
 
 
 class HouseOfRooms(DrawnHousePlant):
@@ -54,10 +90,8 @@ class HouseOfRooms(DrawnHousePlant):
 
     Attributes:
         layout: rooms, valves and the heat pump; valve i stands in room i.
-        zones, actuators, machines: names by row of all arrays.
-        floor_area_m2, thermostat_C: of each room and its baseline thermostat, shape (Z,).
-        design_heat_W: of each emitter, shape (A,).
-        capacity_W: of the heat pump at the design outdoor temperature, shape (1,).
+        zones, actuators: names by row of all arrays.
+        thermostat_C: of the baseline thermostat of each room, shape (Z,).
     """
 
     house: DrawnHouse
@@ -67,24 +101,10 @@ class HouseOfRooms(DrawnHousePlant):
     def __init__(self, house: DrawnHouse, people: int | None = None) -> None:
         self.house = house
         self.weather = synthetic_weather(house.weather_seed, warmer_K=house.warmer_K, clearer=house.clearer)
-        self.zones = tuple(room.name for room in house.rooms)
-        self.actuators = tuple(f"{room.name}_valve" for room in house.rooms)
-        self.machines = ("heat_pump",)
-        self.floor_area_m2 = np.array([room.area_m2 for room in house.rooms])
-        self.design_heat_W = np.array([room.emitter_W for room in house.rooms])
-        self.capacity_W = np.array([house.heat_pump.capacity_W])
-        self.thermostat_C = np.array([room.lower_C for room in house.rooms]) + THERMOSTAT_ABOVE_K
-        n = len(self.zones)
-        self.layout = Layout(
-            names=Names(self.zones, self.actuators, self.machines),
-            signs=(1,) * n,
-            home=tuple(range(n)),
-            machine_of=(0,) * n,
-            lowest=(0.0,) * n,
-            shares=tuple((self.design_heat_W / self.capacity_W).tolist()) if n > 1 else (0.0,),
-            floor_area_m2=tuple(self.floor_area_m2.tolist()),
-        )
+        self.layout = testcase_of(house, house.name).layout
         self._names = self.layout.names
+        self.zones, self.actuators = self._names.zones, self._names.actuators
+        self.thermostat_C = np.array([room.lower_C for room in house.rooms]) + THERMOSTAT_ABOVE_K
         time_s = year()
         gains = np.ascontiguousarray(schedule.gains_W(house, time_s).T)
         self._scheduled = weather_grid(house, self.weather), gains
@@ -211,33 +231,3 @@ def _with_people(weather: Array, gains: Array, house: DrawnHouse, seed: int) -> 
     shaded[:, physics.SUN : physics.SUN + n] *= life.sun.T
     shaded[:, physics.SUN + n :] += life.windows_1_h.T / house.air_changes_1_h
     return shaded, np.ascontiguousarray(gains + heat_W.T)
-
-
-def house_testcase(name: str) -> TestCase:
-    """Return the test case of a house or an office, see `house_of_rooms`; raises `InputError` for another name."""
-    house = house_of_rooms(name)
-    zones = {
-        zone: Zone(
-            temperature=f"T_zone[{zone}]",
-            floor_area_m2=float(area),
-            occupancy=f"occupancy[{zone}]",
-            lower=f"lower[{zone}]",
-            upper=f"upper[{zone}]",
-            thermostat_C=float(thermostat_C),
-        )
-        for zone, area, thermostat_C in zip(house.zones, house.floor_area_m2, house.thermostat_C, strict=True)
-    }
-    actuators = {
-        valve: ZoneActuator(point=valve, zone=zone, machine="heat_pump", heat=(f"heat[{zone}]",), share=float(share))
-        for valve, zone, share in zip(house.actuators, house.zones, house.design_heat_W / house.capacity_W, strict=True)
-    }
-    return TestCase(
-        name=name,
-        description=house.house.words,
-        step_s=900.0,
-        measurements=Weather(outdoor_temperature="T_out", solar="solar"),
-        zones=zones,
-        actuators=actuators,
-        machines={"heat_pump": Machine(power=("power",))},
-        plant="rooms",
-    )
