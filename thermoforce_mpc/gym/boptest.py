@@ -19,7 +19,6 @@ from thermoforce_mpc.gym.env import BuildingEnv, Episodes
 from thermoforce_mpc.gym.points import PointsView
 from thermoforce_mpc.gym.sources import EmbeddedSource, ServiceSource, Source
 from thermoforce_mpc.gym.wrappers import DiscretizedActionWrapper, NormalizedActionWrapper, NormalizedObservationWrapper
-from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
 __all__ = [
     "BoptestGymEnv",
@@ -171,12 +170,10 @@ class EmbeddedBoptestGymEnv(BoptestGymEnv):
     default the synthetic one.
     """
 
-    def _source(
-        self, url: str, testcase: str, weather: Weather | None = None, plant: EmbeddedPlant | None = None
-    ) -> Source:
+    def _source(self, url: str, testcase: str, weather: Weather | None = None) -> Source:
         if testcase != "bestest_hydronic_heat_pump":
             raise ConfigError(
                 f"testcase: the embedded emulator is bestest_hydronic_heat_pump, not '{testcase}'; use BoptestGymEnv "
                 "with the url of a service"
             )
-        return EmbeddedSource(weather, plant=plant)
+        return EmbeddedSource(weather)

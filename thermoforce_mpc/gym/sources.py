@@ -63,7 +63,7 @@ class EmbeddedSource:
 
     perfect = True
 
-    def __init__(self, weather: Weather | None = None, *, plant: EmbeddedPlant | None = None) -> None:
+    def __init__(self, weather: Weather | None = None) -> None:
         try:
             from thermoforce_mpc.service import points
         except ModuleNotFoundError as error:
@@ -72,7 +72,7 @@ class EmbeddedSource:
                 "pip install 'thermoforce-mpc[gym]'"
             ) from error
         self._points = points
-        self._plant = plant or EmbeddedPlant(weather or synthetic_weather())
+        self._plant = EmbeddedPlant(weather or synthetic_weather())
         self.inputs: Mapping[str, Limits] = {name: (info.minimum, info.maximum) for name, info in points.INPUTS.items()}
         self.measurements: Sequence[str] = tuple(points.MEASUREMENT_POINTS)
         self.forecasts: Sequence[str] = tuple(points.FORECAST_POINTS)

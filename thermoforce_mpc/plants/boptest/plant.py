@@ -251,7 +251,10 @@ class BoptestPlant(Releasing):
         self._T_zone_C, self._last = last.T_zone_C, last
         with failures():
             self._step_s = self._client.step()
-            stands_s = self._stands_s() if anywhere else self._now_s
+            stands_s = self._now_s
+            if anywhere:
+                record = self._recorded(stands_s, stands_s + YEAR_S, [self._points.outdoor_temperature])
+                stands_s = float(record["time"][-1])
             from_s = max(self._now_s, stands_s - self._step_s)
             self._missed = self._client.go_on_from(from_s, self._step_s)
         if anywhere and self._missed:
@@ -259,9 +262,6 @@ class BoptestPlant(Releasing):
                 "the test stands at day %.3f, what is known of it ends at day %.3f: it goes on there, and what is "
                 "decided for the time between does not act", stands_s / DAY_S, self._now_s / DAY_S,
             )  # fmt: skip
-
-    def _stands_s(self) -> float:
-        return float(self._recorded(self._now_s, self._now_s + YEAR_S, [self._points.outdoor_temperature])["time"][-1])
 
     def close(self) -> None:
         """Stop the test at the service; a failure is only logged: raising would hide an earlier error."""

@@ -38,6 +38,7 @@ from thermoforce_mpc.scenario.building import Price
 from thermoforce_mpc.version import VERSION
 
 _COLUMN = {name: i for i, name in enumerate(kernel.RECORD)}
+_POWERS = ("P_heat_pump", "P_fan", "P_pump")
 
 # Shortest step, s; shorter ones are lost in the rounding of the clock.
 LEAST_STEP_S = 1e-3
@@ -188,7 +189,7 @@ class EmbeddedPlant(BranchingShell):
             T_out_C=T_out - ZERO_C_K,
             solar_W_m2=solar,
             u=interval_means(record, ["level"], edges),
-            power_W=interval_means(record, ["P_heat_pump", "P_fan", "P_pump"], edges),
+            power_W=interval_means(record, _POWERS, edges),
             heat_W=interval_means(record, ["Q_condenser"], edges),
             T_return_C=interval_means(record, ["T_return"], edges) - ZERO_C_K,
         )
@@ -204,7 +205,10 @@ class EmbeddedPlant(BranchingShell):
         Wh, cost, discomfort_Kh, excess_ppm_h = integrals(time_s, rows, self._tariffs[self._price](time_s)).tolist()
         span_s = final_s - start_s
         # The mean over one window, as after every step of a quarter of an hour.
-        peak_W = Wh * HOUR_S / span_s if span_s <= PEAK_WINDOW_S + CLOCK_S else peak_power(time_s, _total_power(rows))
+        peak_W = Wh * HOUR_S / span_s
+        if span_s > PEAK_WINDOW_S + CLOCK_S:
+            heat_pump_W, fan_W, pump_W = (rows[:, _COLUMN[name]] for name in _POWERS)
+            peak_W = peak_power(time_s, heat_pump_W + fan_W + pump_W)
         kWh = Wh / 1e3 / AREA_M2
         return {
             "ener_tot": kWh,
@@ -291,7 +295,7 @@ class EmbeddedPlant(BranchingShell):
             T_out_C=points["weaSta_reaWeaTDryBul_y"] - ZERO_C_K,
             solar_W_m2=points["weaSta_reaWeaHGloHor_y"],
             u=means[_COLUMN["level"]],
-            power_W=means[_COLUMN["P_heat_pump"]] + means[_COLUMN["P_fan"]] + means[_COLUMN["P_pump"]],
+            power_W=sum(means[_COLUMN[name]] for name in _POWERS),
             heat_W=means[_COLUMN["Q_condenser"]],
             T_return_C=means[_COLUMN["T_return"]] - ZERO_C_K,
             points=points,
@@ -319,7 +323,3 @@ def _with_people(grid: Array, seed: int) -> tuple[Array, Array]:
     differs[:, kernel.PEOPLE] = (life.present - schedule.PEOPLE * usual)[:-1]
     differs[:, kernel.COOKING], differs[:, kernel.WINDOWS] = life.cooking_W[:-1], life.windows_1_h[0, :-1]
     return shaded, differs
-
-
-def _total_power(rows: Array) -> Array:
-    return np.asarray(rows[..., _COLUMN["P_heat_pump"]] + rows[..., _COLUMN["P_fan"]] + rows[..., _COLUMN["P_pump"]])

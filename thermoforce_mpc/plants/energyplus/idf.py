@@ -58,15 +58,10 @@ class Calendar:
     def clock_s(self, time_s: Array) -> Array:
         """Return the time of clocks, s: an hour later than `time_s` (any shape) in daylight saving time."""
         days, index = np.unique(np.floor((time_s + _CLOCK_S) / DAY_S).astype(int), return_inverse=True)
-        saving = np.array([self._is_saving(int(day)) for day in days])
+        dates = [date(YEAR, 1, 1) + timedelta(days=int(day)) for day in days]
+        ends = [_dates(self.daylight_saving, at.year) if self.daylight_saving else (date.max, date.min) for at in dates]
+        saving = np.array([first <= at <= last for at, (first, last) in zip(dates, ends, strict=True)])
         return np.asarray(time_s + HOUR_S * saving[index].reshape(np.shape(time_s)))
-
-    def _is_saving(self, day: int) -> bool:
-        at = date(YEAR, 1, 1) + timedelta(days=day)
-        if self.daylight_saving is None:
-            return False
-        first, last = _dates(self.daylight_saving, at.year)
-        return first <= at <= last
 
 
 @dataclass(frozen=True)

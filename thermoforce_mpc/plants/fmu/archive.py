@@ -18,9 +18,11 @@ from thermoforce_mpc.plants.fmu.boundary_data import MOST_BYTES, BoundaryData, r
 from thermoforce_mpc.plants.fmu.members import Members
 from thermoforce_mpc.plants.fmu.process import Job
 
-_NAME = "modelDescription.xml"
+_NAME, _RESOURCES = "modelDescription.xml", "resources/"
 # BOPTEST's test cases of one and two zones have 4 to 13 MB; in memory ten times that.
 _MOST_BYTES = 100_000_000
+_MOST_JSON_BYTES, _MOST_TABLES_BYTES = 1_000_000, 400_000_000
+_MOST_AREA_M2 = 1e7
 _PIECE = 4096
 _MOST_REFERENCE = 2**32 - 1
 
@@ -45,9 +47,12 @@ def read_description(path: Path, members: Members) -> Any:
     version = _root(path, xml).get("fmiVersion")
     if version != "2.0":
         raise ConfigError(f"{path}: FMI version {version!s:.20}; BOPTEST's test cases are FMI 2.0")
+    alone = io.BytesIO()  # so that FMPy does not read the whole FMU again
+    with zipfile.ZipFile(alone, "w") as small:
+        small.writestr(_NAME, xml)
     try:
         # No schema validation: tools differ in details that are irrelevant here.
-        description = read_model_description(io.BytesIO(_alone(xml)), validate=False)
+        description = read_model_description(alone, validate=False)
     except Exception as error:  # the parser raises exceptions of several libraries
         raise ConfigError(f"{path}: {_NAME} cannot be used ({error!s:.300})") from error
     if description.coSimulation is None:
@@ -103,20 +108,6 @@ def _root(path: Path, xml: bytes) -> dict[str, str]:
     except (expat.ExpatError, ValueError, LookupError) as error:  # the latter two: an encoding that Python lacks
         raise ConfigError(f"{path}: {_NAME} cannot be read ({error})") from error
     raise ConfigError(f"{path}: {_NAME} cannot be read (it holds no element)")
-
-
-def _alone(xml: bytes) -> bytes:
-    """Return a zip file with only the model description, so that FMPy does not read the whole FMU again."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as small:
-        small.writestr(_NAME, xml)
-    return buffer.getvalue()
-
-
-_RESOURCES = "resources/"
-_MOST_JSON_BYTES = 1_000_000
-_MOST_TABLES_BYTES = 400_000_000
-_MOST_AREA_M2 = 1e7
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ class BoundaryData:
             raise ConfigError(f"the FMU's resources have no series '{name}'; known: {', '.join(sorted(self.series))}")
         one = self.series[name]
         time_s = np.asarray(time_s, dtype=np.float64)
-        until_s = _covered_until(one)
+        until_s = float(2.0 * one.time_s[-1] - one.time_s[-2])  # the last value holds as long as the one before it
         if until_s >= YEAR_S:
             time_s = np.where(time_s > YEAR_S, np.mod(time_s, YEAR_S), time_s)
         if time_s.size and (time_s.min() < one.time_s[0] - 1e-6 or time_s.max() > until_s + 1e-6):
@@ -139,8 +139,3 @@ def _check_lines(content: bytes, source: str) -> None:
     quotes = np.bincount(np.searchsorted(ends, np.flatnonzero(characters == ord('"'))), minlength=1)
     if (quotes % 2).any():
         raise ConfigError(f"{source}: line {int((quotes % 2).argmax())}: a quotation mark is not closed")
-
-
-def _covered_until(series: Series) -> float:
-    """Return the end of the range, s: the last value holds as long as the one before it."""
-    return float(series.time_s[-1] + (series.time_s[-1] - series.time_s[-2]))

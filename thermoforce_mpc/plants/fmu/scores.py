@@ -35,7 +35,10 @@ class Scores:
         if archive.kpi_signals:  # BOPTEST bills each carrier at its own price, whichever the controller uses
             names = ForecastPoints()
             self._prices, self._emissions = names.price, names.emission
-        listed = archive.kpi_signals or _of_one_zone(testcase)
+        listed = archive.kpi_signals
+        if not listed:  # `metered` refuses several zones, whose bounds it would not name
+            m = testcase.metered
+            listed = {f"{_THERMAL[1]}[1]": (m.zone_temperature,), _ELECTRIC: m.electric_power}
         self._carriers = {name: signals for name, signals in listed.items() if name in _CARRIERS}
         self._thermal = _zones(listed, _THERMAL)
         self._air_quality = _zones(listed, _AIR_QUALITY)
@@ -94,12 +97,6 @@ class Scores:
 
     def _emission(self, carrier: str) -> str:
         return self._emissions if carrier == _ELECTRIC else f"Emissions{carrier}"
-
-
-def _of_one_zone(testcase: TestCase) -> dict[str, tuple[str, ...]]:
-    """Signals of an FMU without kpis.json; raises `ConfigError` for several zones, whose bounds it would not name."""
-    m = testcase.metered
-    return {f"{_THERMAL[1]}[1]": (m.zone_temperature,), _ELECTRIC: m.electric_power}
 
 
 def _zones(listed: Mapping[str, tuple[str, ...]], categories: tuple[str, ...]) -> dict[str, tuple[str, ...]]:

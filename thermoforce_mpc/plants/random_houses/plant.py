@@ -117,7 +117,10 @@ class GeneratedHousePlant(DrawnHousePlant):
         """
         self.house, self._tariffs = house, tariffs.by_name(highly_dynamic)
         if house.machine == "boiler":
-            self._tariffs, self._carrier = dict.fromkeys(self._tariffs, _gas), "GasPower"
+            self._tariffs, self._carrier = (
+                dict.fromkeys(self._tariffs, lambda time_s: np.full(np.shape(time_s), tariffs.GAS)),
+                "GasPower",
+            )
         self.testcase = house_testcase(house)
         self._points = self.testcase.points
         self.weather, self._scheduled, self._noise = year_of(house)
@@ -181,10 +184,6 @@ class GeneratedHousePlant(DrawnHousePlant):
         row[_COLUMN["T_measured"]], row[_COLUMN["T_out"]] = reading + ZERO_C_K, T_out_C + ZERO_C_K
         row[_COLUMN["solar"]], row[_COLUMN["stored_J"]] = solar_W_m2, physics.stored_J(self._parameters, self._state)
         return row
-
-
-def _gas(time_s: Array) -> Array:
-    return np.full(np.shape(time_s), tariffs.GAS)
 
 
 @functools.lru_cache(maxsize=2)

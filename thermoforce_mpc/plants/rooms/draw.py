@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from thermoforce_mpc.data import ZERO_C_K
@@ -60,7 +62,7 @@ def draw_rooms(n_rooms: int, seed: int, use: Use = HOUSE) -> DrawnHouse:
     if isinstance(n_rooms, bool) or not isinstance(n_rooms, int | np.integer) or not 1 <= n_rooms <= MOST_ROOMS:
         raise InputError(f"{use.name} of {n_rooms!r} rooms: expected a whole number from 1 to {MOST_ROOMS}")
     rng = np.random.default_rng([seed, n_rooms, 3])
-    kinds = _kinds(n_rooms, use)
+    kinds = [*use.first, *itertools.islice(itertools.cycle(use.further), n_rooms)][:n_rooms]
     storeys = 1 if n_rooms < 4 else 2 if n_rooms >= 12 else int(rng.choice([1, 2], p=[0.4, 0.6]))
     areas = [rng.uniform(*use.kinds[kind].area_m2) for kind in kinds]
     kinds, levels = _storeys(kinds, areas, storeys, use)
@@ -223,11 +225,6 @@ def _circuit(
         "slab_J_K": 0.0,
         "slab_room_W_K": 0.0,
     }
-
-
-def _kinds(n: int, use: Use) -> list[Kind]:
-    further = (use.further[i % len(use.further)] for i in range(max(n - len(use.first), 0)))
-    return [*use.first[:n], *further]
 
 
 def _storeys(kinds: list[Kind], areas: list[float], storeys: int, use: Use) -> tuple[list[Kind], list[list[float]]]:
