@@ -57,6 +57,17 @@ def solve(a: np.ndarray, b: np.ndarray) -> None:
         b[k] /= a[k, k]
 
 
+@njit(cache=True)
+def read(grid: np.ndarray, time_s: float, w: np.ndarray) -> int:
+    """Interpolate the first columns of a year's grid at `time_s` into `w` and return the row that holds then."""
+    at = (time_s % ((grid.shape[0] - 1) * GRID_S)) / GRID_S
+    row = int(at)
+    share = at - row
+    for j in range(w.size):
+        w[j] = (1.0 - share) * grid[row, j] + share * grid[row + 1, j]
+    return row
+
+
 Facade = Literal["south", "west", "north", "east"]
 FACADES: tuple[Facade, ...] = ("south", "west", "north", "east")
 AZIMUTH_DEG: dict[Facade, float] = {"south": 180.0, "west": 270.0, "north": 0.0, "east": 90.0}

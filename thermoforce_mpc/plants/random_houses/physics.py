@@ -144,18 +144,6 @@ def stored_J(p: np.ndarray, state: np.ndarray) -> float:
     )
 
 
-@njit(cache=True)
-def _read(grid: np.ndarray, time_s: float, w: np.ndarray) -> None:
-    """Read the grid at `time_s` into `w` (7,): schedules and gains held, the rest interpolated."""
-    at = (time_s % ((grid.shape[0] - 1) * envelope.GRID_S)) / envelope.GRID_S
-    row = int(at)
-    share = at - row
-    for j in range(GAINS):
-        w[j] = (1.0 - share) * grid[row, j] + share * grid[row + 1, j]
-    for j in range(GAINS, N_COLUMNS):
-        w[j] = grid[row, j]
-
-
 @njit(cache=True, nogil=True)
 def advance(
     state: np.ndarray,
@@ -173,18 +161,18 @@ def advance(
     `forced`: level in [0, 1], NaN: native control. `grid`: weather and schedules of a year every 15 min, (35041, 7).
     `noise`: standard normal noise of the sensor, one value per 30 s of the year. `p`: see `parameters`.
     """
-    w = np.empty(N_COLUMNS)
+    w = np.empty(GAINS)
     a, b = np.empty((5, 5)), np.empty(5)
     for k in range(n_steps):
         now = time_s + k * dt
-        _read(grid, now, w)
+        held = grid[envelope.read(grid, now, w)]
         reading = measured_C(p, state[SENSOR], noise[int(now / envelope.STEP_S + 1e-6) % noise.size])
-        native = native_level(p, state, reading, w[SETPOINT], dt)
+        native = native_level(p, state, reading, held[SETPOINT], dt)
         level = native if math.isnan(forced) else forced
         heat, power, spread = machine(p, level, w[T_OUT], state[WATER])
         # Weather at the end of the step, schedules of its start.
-        gains = w[GAINS]
-        _read(grid, now + dt, w)
+        gains = held[GAINS]
+        envelope.read(grid, now + dt, w)
 
         room = p[P_CONVECTIVE] * state[AIR] + (1.0 - p[P_CONVECTIVE]) * state[SURFACE]
         excess = max(abs(state[WATER] - room), 0.01)

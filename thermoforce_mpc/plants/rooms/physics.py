@@ -241,17 +241,6 @@ def thermostats(on: np.ndarray, room_C: np.ndarray, setpoint_C: np.ndarray) -> N
             on[i] = 0.0
 
 
-@njit(cache=True)
-def _read(grid: np.ndarray, time_s: float, w: np.ndarray) -> int:
-    """Interpolate the weather at `time_s` into `w` (2 + 2 Z,) and return the row of `grid` that holds then."""
-    at = (time_s % ((grid.shape[0] - 1) * envelope.GRID_S)) / envelope.GRID_S
-    row = int(at)
-    share = at - row
-    for j in range(w.size):
-        w[j] = (1.0 - share) * grid[row, j] + share * grid[row + 1, j]
-    return row
-
-
 @njit(cache=True, nogil=True)
 def advance(
     T: np.ndarray,
@@ -285,13 +274,13 @@ def advance(
     operative_C(T, room_C)
     for k in range(n_steps):
         now = time_s + k * dt
-        row = _read(weather, now, w)
+        row = envelope.read(weather, now, w)
         thermostats(on, room_C, setpoints[row])
         for i in range(n):
             levels[i] = on[i] if math.isnan(forced[i]) else forced[i]
         heat, power, supply = machine(h, T, levels, w[T_OUT], q)
         # Weather at the end of the step, schedules of its start.
-        _read(weather, now + dt, w)
+        envelope.read(weather, now + dt, w)
         T_out = w[T_OUT]
 
         a[:] = fixed
