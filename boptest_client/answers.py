@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import unicodedata
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -58,15 +58,6 @@ class Scenario:
     temperature_uncertainty: str | None = None
     solar_uncertainty: str | None = None
     seed: int | None = None
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Scenario:
-        """Read the payload of GET scenario; keys unknown to this client are ignored."""
-        return cls(**{name: data.get(name) for name in cls.__dataclass_fields__})
-
-    def as_json(self) -> dict[str, Any]:
-        """All five keys, as the service expects them."""
-        return asdict(self)
 
 
 def _limit(value: Any) -> float | None:
@@ -138,7 +129,7 @@ def scenario(at: str, answer: Any) -> Scenario:
         kind = int if name == "seed" else str
         if not (values.get(name) is None or (isinstance(values[name], kind) and values[name] is not True)):
             raise ProtocolError(at, f"{name} is {values[name]!r:.120}, expected {kind.__name__} or null")
-    return Scenario.from_json(values)
+    return Scenario(**{name: values.get(name) for name in Scenario.__dataclass_fields__})
 
 
 def points(at: str, answer: Any) -> dict[str, Point]:

@@ -6,6 +6,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from types import TracebackType
 from typing import Any, TypeVar
@@ -154,7 +155,7 @@ class BoptestClient:
 
         self._clock.scenario_ends = scenario.time_period is not None
         # A refusal of a named period is an answer: the service does not know it.
-        values = self._put("scenario", scenario.as_json(), parse, refusals=2 if scenario.time_period is None else 0)
+        values = self._put("scenario", asdict(scenario), parse, refusals=2 if scenario.time_period is None else 0)
         self._transport.in_a_run = True
         return values
 

@@ -116,11 +116,7 @@ class GeneratedHousePlant(DrawnHousePlant):
             people: seed of people who do not keep to the schedule, see `plants.people`; default: they keep to it.
         """
         self.house, self._tariffs = house, tariffs.by_name(highly_dynamic)
-        if house.machine == "boiler":
-            self._tariffs, self._carrier = (
-                dict.fromkeys(self._tariffs, lambda time_s: np.full(np.shape(time_s), tariffs.GAS)),
-                "GasPower",
-            )
+        self._carrier = "GasPower" if house.machine == "boiler" else "ElectricPower"
         self.testcase = house_testcase(house)
         self._points = self.testcase.points
         self.weather, self._scheduled, self._noise = year_of(house)
@@ -141,9 +137,9 @@ class GeneratedHousePlant(DrawnHousePlant):
         return np.asarray(self.house.people * at_home(self.house.pattern, time_s).astype(np.float64))
 
     def _bought(self, time_s: Array) -> tuple[Array, Array]:
-        price, emission = super()._bought(time_s)
-        gas = np.full(time_s.shape, tariffs.GAS_EMISSION_KG_PER_KWH)
-        return price, gas if self.house.machine == "boiler" else emission
+        if self.house.machine != "boiler":
+            return super()._bought(time_s)
+        return np.full(time_s.shape, tariffs.GAS), np.full(time_s.shape, tariffs.GAS_EMISSION_KG_PER_KWH)
 
     def _power_and_rooms(self, rows: Array) -> tuple[Array, Array]:
         return rows[:, _COLUMN["P_billed"]], rows[:, _COLUMN["T_operative"]][None] - ZERO_C_K
