@@ -16,7 +16,6 @@ from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.plants.boptest.plant import failures
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS
 
 Limits = tuple[float | None, float | None]
 
@@ -108,8 +107,6 @@ class EmbeddedSource:
 
     def past(self, names: Sequence[str], time_s: Array) -> Array:
         """See `Source.past`."""
-        if all(name in MEASUREMENTS for name in names) and not time_s.size:
-            return np.empty((len(names), 0))
         record = self._plant.recorded(float(time_s.min()) - self._step_s, self.now_s)
         series = self._points.recorded_points(self._plant, list(names), record)
         return np.array([np.interp(time_s, series["time"], series[name]) for name in names]).reshape(len(names), -1)
@@ -162,7 +159,6 @@ class ServiceSource:
             self.forecasts: Sequence[str] = tuple(self._client.forecast_points())
             stopping.pop_all()
         self._now: Mapping[str, float] = {}
-        self._step_s = 0.0
 
     @property
     def testid(self) -> str:
@@ -183,7 +179,6 @@ class ServiceSource:
             self._now = self._client.initialize(start_s, warmup_s)
             self._client.set_step(step_s)
             self._client.set_scenario(Scenario(**scenario))
-        self._step_s = step_s
 
     def advance(self, inputs: Mapping[str, float]) -> None:
         """See `Source.advance`."""

@@ -99,8 +99,7 @@ SURFACES = {
 }
 
 
-@dataclass(frozen=True)
-class Network:
+class Network(NamedTuple):
     """Thermal network of n nodes in one chain.
 
     `capacity` (n,) J/K, `start_K` (n,) K; `coupling` (n,) W/K between nodes i and i + 1, zero at the end of a

@@ -262,11 +262,8 @@ class EmbeddedPlant(BranchingShell):
         n = time_s.size
         rows = np.empty((n, len(kernel.RECORD)))
         forced = np.array([overrides.get(name, math.nan) for name in _LIMITS], dtype=np.float64)
-        net = self._network
-        kernel.advance(
-            self._nodes, self._scalars, before_s, n, duration_s / n, forced, *self._lived, net.capacity, net.coupling,
-            net.outside, net.inside, net.pipe, net.slab, rows,
-        )  # fmt: skip
+        state = self._nodes, self._scalars, before_s, n, duration_s / n
+        kernel.advance(*state, forced, *self._lived, self._network, rows)
         return time_s, rows
 
     def native_power_W(self) -> Array:

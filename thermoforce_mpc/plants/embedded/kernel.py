@@ -193,12 +193,7 @@ def advance(
     overrides: np.ndarray,
     grid: np.ndarray,
     unannounced: np.ndarray,
-    capacity: np.ndarray,
-    coupling: np.ndarray,
-    outside: np.ndarray,
-    inside: np.ndarray,
-    pipe: int,
-    slab: int,
+    net: c.Network,
     record: np.ndarray,
 ) -> None:
     """Advance `nodes` (n,) K and `scalars` (20,) in place by `n_steps` of `dt` s; fill `record` (n_steps, 17).
@@ -206,8 +201,9 @@ def advance(
     `overrides` (4,) level 0 to 1, set-point K, pump, fan; NaN where not overwritten. Names: see `RECORD`.
     `unannounced` (n, 3): see `PEOPLE`, periodic; `AS_SCHEDULED` where people keep to the schedule.
     """
-    n = nodes.size
-    n_inside = inside.size
+    capacity, coupling, pipe, slab = net.capacity, net.coupling, net.pipe, net.slab
+    outside, inside = net.outside, net.inside
+    n, n_inside = nodes.size, inside.size
     w = np.empty(x.N_COLUMNS)
     diagonal, right = np.empty(n), np.empty((n, 3))
     factor = np.empty(n)
