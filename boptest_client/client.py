@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
-from types import TracebackType
 from typing import Any, TypeVar
 
 from boptest_client import answers
@@ -302,10 +301,8 @@ class BoptestClient:
     def __enter__(self) -> BoptestClient:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop() if error is None else self._stop_quietly()
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        self.stop() if kind is None else self._stop_quietly()
 
     def _stop_quietly(self) -> None:
         """Stop during the handling of another error, which a failure to stop must not replace."""
