@@ -302,7 +302,10 @@ class BoptestClient:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
-        self.stop() if kind is None else self._stop_quietly()
+        if kind is None:
+            self.stop()
+        else:
+            self._stop_quietly()
 
     def _stop_quietly(self) -> None:
         """Stop during the handling of another error, which a failure to stop must not replace."""

@@ -87,7 +87,10 @@ class _Live(Generic[U, R]):
         if not self.done and not warming_up and len(self._answer) >= self._steps:
             if self._last is None:
                 raise RuntimeError("the engine asked for an action before its warm-up")
-            self._send() if self._answer else self._sent(Stretch((self._last,), ()))
+            if self._answer:
+                self._send()
+            else:
+                self._sent(Stretch((self._last,), ()))
             (self._demand, self._steps), self._answer = self._received(), []
         if self.done:
             return {}
