@@ -205,8 +205,11 @@ class Samples:
         return self.times[first:last], self.rows[first:last]
 
 
-# State, clock and record of a plant at one instant; opaque, for `BranchingShell.restore`.
-Snapshot = Mapping[str, Any]
+@dataclass(frozen=True)
+class Snapshot:
+    """State, clock and record of a plant at one instant; opaque, for `BranchingShell.restore`."""
+
+    values: Mapping[str, Any]
 
 
 class BranchingShell(PlantShell):
@@ -220,11 +223,11 @@ class BranchingShell(PlantShell):
 
     def snapshot(self) -> Snapshot:
         """Return a snapshot, to restore or branch from."""
-        return {name: copy.deepcopy(getattr(self, name)) for name in self._changing}
+        return Snapshot({name: copy.deepcopy(getattr(self, name)) for name in self._changing})
 
     def restore(self, snapshot: Snapshot) -> None:
         """Restore a snapshot of this plant, or of another one of the same building and weather."""
-        vars(self).update(copy.deepcopy(dict(snapshot)))
+        vars(self).update(copy.deepcopy(dict(snapshot.values)))
 
     def _begin(self) -> None:
         self._samples, self._counted = Samples(self._begin_s, self._first_row()), {}
