@@ -57,7 +57,9 @@ def test_it_is_a_plant_whose_layout_says_what_each_valve_serves():
     layout = plant.layout
     assert [layout.actuators_of(z) for z in range(3)] == [[0], [1], [2]]
     assert layout.fed_by(0) == [0, 1, 2]
-    assert layout.shares == pytest.approx(plant.design_heat_W / plant.capacity_W)
+    assert layout.shares == pytest.approx(
+        [room.emitter_W / plant.house.heat_pump.capacity_W for room in plant.house.rooms]
+    )
     assert plant.forecast(HOUR_S, 900.0).names == layout.names
 
 
@@ -103,7 +105,7 @@ def test_discomfort_is_by_room_and_the_total_is_the_mean_over_rooms():
     assert max(rooms.values()) > 1.0
     assert kpis["tdis_tot"] == pytest.approx(expected.mean())
     energy_kWh = np.trapezoid(rows[:, physics.POWER], time_s) / 3.6e6
-    assert kpis["ener_tot"] == pytest.approx(energy_kWh / plant.floor_area_m2.sum())
+    assert kpis["ener_tot"] == pytest.approx(energy_kWh / plant.house.floor_area_m2)
     assert kpis["cost_tot"] == pytest.approx(kpis["ener_tot"] * tariffs.CONSTANT)
 
 
@@ -119,7 +121,7 @@ def test_forecasts_have_a_row_for_each_room_and_the_tariff_asked_for():
     plant.advance(np.ones(3), DAY_S)
     time_s, rows = plant.recorded(20 * DAY_S, 22 * DAY_S)
     paid = np.trapezoid(rows[:, physics.POWER] * tariffs.dynamic(time_s), time_s) / 3.6e6
-    assert plant.kpis()["cost_tot"] == pytest.approx(paid / plant.floor_area_m2.sum())
+    assert plant.kpis()["cost_tot"] == pytest.approx(paid / plant.house.floor_area_m2)
 
 
 def test_rooms_are_used_at_their_hours():
