@@ -1,5 +1,6 @@
 """Typed client for the BOPTEST REST protocol; contains no control code."""
 
+from boptest_client.answers import Point, Scenario, safe_text
 from boptest_client.client import BoptestClient
 from boptest_client.errors import (
     AdvanceInterrupted,
@@ -16,9 +17,7 @@ from boptest_client.errors import (
     TransportError,
     UnknownTest,
 )
-from boptest_client.texts import safe_text
 from boptest_client.transport import TransportConfig
-from boptest_client.types import Point, Scenario
 
 __all__ = [
     "AdvanceInterrupted",

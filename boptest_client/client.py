@@ -6,12 +6,12 @@ import logging
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
-from types import TracebackType
 from typing import Any, TypeVar
 
 from boptest_client import answers
-from boptest_client.clock import TOLERANCE_S, Clock
+from boptest_client.answers import TOLERANCE_S, Clock, Point, Scenario
 from boptest_client.errors import (
     AdvanceInterrupted,
     BoptestError,
@@ -24,7 +24,6 @@ from boptest_client.errors import (
     UnknownTest,
 )
 from boptest_client.transport import Transport, TransportConfig
-from boptest_client.types import Point, Scenario
 
 _LOG = logging.getLogger(__name__)
 _POLL_S = 0.2
@@ -37,6 +36,7 @@ LOOKUP_S = 30.0
 _STEPS_AHEAD = 10
 
 _Parsed = TypeVar("_Parsed")
+_Parse = Callable[[str, Any], _Parsed]
 
 
 class BoptestClient:
@@ -64,14 +64,13 @@ class BoptestClient:
     ) -> None:
         """Select `testcase` and wait until it runs; with `testid`, take up the test of that name instead.
 
-        `start_timeout_s` and `stop_timeout_s`: longest time that the test may be queued, and that a stop may take; the
-        service drops an idle test. Lists of points and the like may take 30 s before the test is initialised.
+        `start_timeout_s` and `stop_timeout_s`: longest time that the test may be queued, and that a stop may take.
+        Lists of points and the like may take 30 s before the test is initialised.
 
         Raises:
             BadAddress: `url` is not an http(s) address.
             ServiceTimeout: nothing answers there within 10 s, or the test was still queued after `start_timeout_s`.
-            UnknownTest: the service does not offer the test case (the message lists what it offers), or has no test
-                `testid`.
+            UnknownTest: no such test case (the message lists what is offered), or no test `testid`.
             TransportError: the service cannot be reached.
         """
         self.testcase = testcase
@@ -145,12 +144,7 @@ class BoptestClient:
         return self._get("scenario", answers.scenario)
 
     def set_scenario(self, scenario: Scenario) -> dict[str, float]:
-        """Set the scenario.
-
-        Returns:
-            The first measurements if the scenario names a `time_period`, which initialises the test (7 days of
-            warm-up, two scored weeks); otherwise an empty dictionary.
-        """
+        """Set the scenario; a `time_period` initialises the test (7 days of warm-up): first measurements, else {}."""
 
         def parse(at: str, payload: Any) -> dict[str, float]:
             answer = answers.mapping(at, payload)
@@ -160,7 +154,7 @@ class BoptestClient:
 
         self._clock.scenario_ends = scenario.time_period is not None
         # A refusal of a named period is an answer: the service does not know it.
-        values = self._put("scenario", scenario.as_json(), parse, refusals=2 if scenario.time_period is None else 0)
+        values = self._put("scenario", asdict(scenario), parse, refusals=2 if scenario.time_period is None else 0)
         self._transport.in_a_run = True
         return values
 
@@ -195,10 +189,8 @@ class BoptestClient:
 
         If the answer is lost, an error, nonsense or of another time, the record of the service shows whether the step
         was simulated, before the request is repeated. If it was, the values at its end are read from the record.
-        Messages of the service (for example about a clipped input) are logged as warnings.
-
-        Raises:
-            AdvanceInterrupted: there was no answer to this step in every attempt.
+        Messages of the service (for example about a clipped input) are logged. Raises `AdvanceInterrupted` where no
+        attempt had an answer.
         """
         body, in_doubt = dict(inputs or {}), False
 
@@ -216,9 +208,8 @@ class BoptestClient:
                 raise
             except BoptestError as error:
                 if math.isnan(self.time_s):
-                    raise AdvanceInterrupted(
-                        error.endpoint, f"{error.message}; the time before it is unknown"
-                    ) from error
+                    why = f"{error.message}; the time before it is unknown"
+                    raise AdvanceInterrupted(error.endpoint, why) from error
                 in_doubt = True
                 raise
 
@@ -242,11 +233,8 @@ class BoptestClient:
     def go_on_from(self, time_s: float, step_s: float) -> dict[str, float]:
         """Take the test up at `time_s`, when the last answer was received; `step_s` is the step in force.
 
-        Returns:
-            The values at the end of a step that was simulated since then; nothing if there was none.
-
-        Raises:
-            AdvanceInterrupted: the test stands elsewhere.
+        Returns the values at the end of a step that was simulated since then, or nothing; raises `AdvanceInterrupted`
+        where the test stands elsewhere.
         """
         self._clock.now_s = self._clock.started_s = time_s
         self._clock.step_s, self._transport.in_a_run = step_s, True
@@ -262,10 +250,7 @@ class BoptestClient:
     def forecast(
         self, point_names: Sequence[str], horizon_s: float, interval_s: float, *, patiently: bool = True
     ) -> dict[str, list[float]]:
-        """Forecast of each point and strictly increasing 'time', s, from now to `horizon_s` every `interval_s`.
-
-        Where `patiently` is false, a request that failed is not repeated.
-        """
+        """Forecast of points and rising 'time', s, to `horizon_s`; not repeated where it failed unless `patiently`."""
         body = {"point_names": list(point_names), "horizon": horizon_s, "interval": interval_s}
 
         def parse(at: str, payload: Any) -> dict[str, list[float]]:
@@ -273,9 +258,7 @@ class BoptestClient:
             self._clock.check_forecast(at, series["time"], horizon_s, interval_s)
             return series
 
-        if patiently:
-            return self._put("forecast", body, parse)
-        return self._put("forecast", body, parse, refusals=0, most_s=0.0)
+        return self._put("forecast", body, parse) if patiently else self._put("forecast", body, parse, 0, 0.0)
 
     def results(self, point_names: Sequence[str], start_s: float, final_s: float) -> dict[str, list[float]]:
         """Recorded values of each point and 'time', s, between two times, warm-up included, at 30-s samples.
@@ -318,10 +301,8 @@ class BoptestClient:
     def __enter__(self) -> BoptestClient:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if error is None:
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        if kind is None:
             self.stop()
         else:
             self._stop_quietly()
@@ -355,14 +336,13 @@ class BoptestClient:
             answer = self._transport.patiently(
                 lambda: self._transport.call("POST", path, {}, most_s=most_s), passing=(ConnectError,), refusals=0
             ).payload
-            testid = answers.text(f"POST {self.url}/{path}", answer, "testid")
+            return answers.text(f"POST {self.url}/{path}", answer, "testid")
         except UnknownTest as error:
             offered = self._available_testcases()
             raise UnknownTest(error.endpoint, f"no test case '{self.testcase}'{offered}", error.status) from error
         except BaseException:
             self._transport.close()
             raise
-        return testid
 
     def _available_testcases(self) -> str:
         """Available test cases, for an error message; empty if the service does not list them."""
@@ -394,12 +374,11 @@ class BoptestClient:
         return self._clock.move(self._at("results"), {name: values[-1] for name, values in record.items()})
 
     def _in_force(self) -> float:
-        """Length of a step, s, asked for once."""
         if math.isnan(self._clock.step_s):
             self._clock.step_s = self.step()
         return self._clock.step_s
 
-    def _get(self, what: str, parse: Callable[[str, Any], _Parsed]) -> _Parsed:
+    def _get(self, what: str, parse: _Parse[_Parsed]) -> _Parsed:
         """The answer to a GET request, parsed with its address, repeated while it fails or is nonsense."""
         path, most_s = f"{what}/{self.testid}", math.inf if self._transport.in_a_run else LOOKUP_S
         return self._transport.patiently(
@@ -407,23 +386,15 @@ class BoptestClient:
         )
 
     def _put(
-        self,
-        what: str,
-        body: dict[str, Any],
-        parse: Callable[[str, Any], _Parsed],
-        refusals: int = 2,
-        most_s: float = math.inf,
+        self, what: str, body: dict[str, Any], parse: _Parse[_Parsed], refusals: int = 2, most_s: float = math.inf
     ) -> _Parsed:
         """The same for PUT; all PUT requests of the protocol may be repeated."""
-        path = f"{what}/{self.testid}"
+        path, put = f"{what}/{self.testid}", self._transport.call
         return self._transport.patiently(
-            lambda: parse(self._at(what), self._transport.call("PUT", path, body).payload),
-            refusals=refusals,
-            most_s=most_s,
+            lambda: parse(self._at(what), put("PUT", path, body).payload), refusals=refusals, most_s=most_s
         )
 
     def _at(self, what: str) -> str:
-        """Address of the endpoint `what` of this test, for an error message."""
         return f"{self.url}/{what}/{self.testid}"
 
 

@@ -1,19 +1,4 @@
-"""Error hierarchy of the client.
-
-BoptestError
-├── BadAddress            the base URL is not an http(s) address
-├── TransportError        no usable answer
-│   ├── ConnectError        no connection was made: nothing was sent
-│   │   └── TlsError            none with TLS (https)
-│   ├── ConnectionLost      the connection broke before the answer was complete
-│   ├── ServiceTimeout      no answer in time
-│   └── AdvanceInterrupted  a step failed in every attempt
-├── ProtocolError         the answer is not one of a BOPTEST service: a page, a redirect, a wrong clock
-└── ServiceError          the service answered with an error
-    ├── RequestRejected     400: invalid request, says the service
-    ├── UnknownTest         the test case or test does not exist (any more)
-    └── InternalError       500 and above, or 429
-"""
+"""Errors of the client: no usable answer, an answer of something else, or an error that the service tells."""
 
 from __future__ import annotations
 

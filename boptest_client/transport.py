@@ -15,6 +15,7 @@ import requests
 import tenacity
 
 from boptest_client.adapter import Bearer, CuttableAdapter
+from boptest_client.answers import safe_text
 from boptest_client.errors import (
     BadAddress,
     BoptestError,
@@ -28,7 +29,6 @@ from boptest_client.errors import (
     TransportError,
     UnknownTest,
 )
-from boptest_client.texts import safe_text
 
 Method = Literal["GET", "PUT", "POST"]
 
@@ -49,11 +49,10 @@ class TransportConfig:
 
     Attributes:
         connect_timeout_s: time limit for making a connection, s.
-        read_timeout_s: time limit between two received bytes, s; `connect_timeout_s + read_timeout_s` also limits the
-            whole request, since a peer that sends single bytes would never exceed the first limit.
-        patience_s: how long a request of a run is repeated while the service is away or is not itself (something else
-            answers, or its clock is wrong), s; before the test was initialised it is `connect_timeout_s`, since address
-            or test case may be wrong. No repeat takes longer than what is left of it.
+        read_timeout_s: time limit between two received bytes, s; the sum of both also limits the whole request, since a
+            peer that sends single bytes would never exceed the first limit.
+        patience_s: how long a request of a run is repeated while the service is away or is not itself, s; before the
+            test was initialised it is `connect_timeout_s`, since address or test case may be wrong.
         backoff_s: pause before the first repeat, s; it doubles with each.
         longest_pause_s: longest pause, s.
         sleep: waits for the given number of seconds.
@@ -132,14 +131,11 @@ class Transport:
         """The result of `request`, repeated with growing pauses while it fails in a way that may pass.
 
         Patience is that of each request: where `request` sends others patiently, their time does not count, and where
-        one of them is given up so is `request`.
+        one of them is given up so is `request`. Raises the `BoptestError` of the last attempt.
 
         Args:
             passing: errors that may pass; a refused request is repeated `refusals` times.
             most_s: gives up after this time, s, if patience lasts longer.
-
-        Raises:
-            BoptestError: that of the last attempt.
         """
         c, around, refused = self.config, self._wait, 0
         wait = self._wait = _Wait(min(self.patience_s, most_s))
@@ -183,21 +179,15 @@ class Transport:
             if around is not None:
                 around.apart_s += time.monotonic() - wait.began_s
 
-    def call(
-        self, method: Method, path: str, body: dict[str, Any] | None = None, *, most_s: float = math.inf
-    ) -> Answer:
-        """Send one request, once, and return the answer; it is waited for `most_s` at most, s.
-
-        Raises:
-            BoptestError: see `boptest_client.errors`.
-        """
-        return self._once(method, path, f"{method} {self.url}/{path}", body, most_s)
-
     def close(self) -> None:
         """Close the connections."""
         self._session.close()
 
-    def _once(self, method: Method, path: str, endpoint: str, body: dict[str, Any] | None, most_s: float) -> Answer:
+    def call(
+        self, method: Method, path: str, body: dict[str, Any] | None = None, *, most_s: float = math.inf
+    ) -> Answer:
+        """Send one request, once; the answer is waited for `most_s` at most, s; raises `BoptestError`s."""
+        endpoint = f"{method} {self.url}/{path}"
         # No repeat takes longer than what is left of its patience.
         wait = self._wait
         left_s = wait.patience_s - wait.used_s if wait and wait.repeats else math.inf
@@ -255,7 +245,6 @@ def _unpacked(endpoint: str, response: requests.Response) -> Answer:
 
 
 def _came(response: requests.Response) -> str:
-    """What came in place of an answer."""
     kind = response.headers.get("Content-Type") or "no content type"
     if "Location" in response.headers:
         kind = f"a redirect to {response.headers['Location']}, which is not followed; {kind}"
@@ -312,7 +301,6 @@ def _never_connected(error: BaseException) -> bool:
 
 
 def _root(error: BaseException) -> BaseException:
-    """The innermost error of a chain of network errors."""
     while error.__context__ is not None:
         error = error.__context__
     return error

@@ -35,9 +35,9 @@ from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.model.screening import limits_of
-from thermoforce_mpc.plants.drawn_houses.weeks import WEEKS
+from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, House, draw_house
-from thermoforce_mpc.plants.random_houses.schedule import bounds_C
+from thermoforce_mpc.plants.random_houses.plant import bounds_C
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop

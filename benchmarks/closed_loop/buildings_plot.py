@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from thermoforce_mpc.data import DAY_S, ZERO_C_K, Array
 from thermoforce_mpc.plants.random_houses import House
-from thermoforce_mpc.plants.random_houses.schedule import bounds_C
+from thermoforce_mpc.plants.random_houses.plant import bounds_C
 
 
 def plot_case(house: House, traces: Mapping[str, Mapping[str, Array]]) -> bytes:

@@ -20,8 +20,8 @@ from controllers.registry import build_controller
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.model.screening import limits_of
-from thermoforce_mpc.plants.drawn_houses.occupants import OFFICE_HOURS
-from thermoforce_mpc.plants.drawn_houses.weeks import WEEKS
+from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
+from thermoforce_mpc.plants.people import OFFICE_HOURS
 from thermoforce_mpc.plants.rooms import HouseOfRooms, house_of_rooms
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario

@@ -25,7 +25,7 @@ from controllers.registry import controller_config
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.plants.drawn_houses.weeks import WEEKS
+from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario

@@ -10,10 +10,8 @@ from benchmarks.free_response.sources import Source
 from benchmarks.interventions.pool import simulate_all
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.execution import Engine
-from thermoforce_mpc.plants.energyplus.climates import CLIMATES, Climate, gains
 from thermoforce_mpc.plants.energyplus.engine import is_available
-from thermoforce_mpc.plants.energyplus.simulate import Job
-from thermoforce_mpc.plants.energyplus.zone import ZoneSpec
+from thermoforce_mpc.plants.energyplus.zone import CLIMATES, Climate, Job, ZoneSpec, gains
 
 __all__ = ["energyplus_sources", "is_available"]
 

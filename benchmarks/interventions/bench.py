@@ -17,7 +17,7 @@ from benchmarks.interventions.suite import SuiteResult, run_suite
 from benchmarks.paper.printed import INTERVENTIONAL_VALIDITY
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
-from thermoforce_mpc.plants.energyplus.climates import CLIMATES
+from thermoforce_mpc.plants.energyplus.zone import CLIMATES
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 Row = dict[str, Any]

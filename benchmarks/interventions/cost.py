@@ -23,8 +23,8 @@ from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.model.machine.power import fit_power
 from thermoforce_mpc.model.operator.rollout import forced_rollout
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.plants.energyplus.climates import Climate, base_setpoint
 from thermoforce_mpc.plants.energyplus.plant import electric_power_W
+from thermoforce_mpc.plants.energyplus.zone import Climate, base_setpoint
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.comparison.results_json import Target
 

@@ -28,10 +28,8 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Boundary, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification.estimation.records import Pair
-from thermoforce_mpc.plants.energyplus.climates import CLIMATES, Climate, ClimateName, base_setpoint, gains
 from thermoforce_mpc.plants.energyplus.engine import engine_version, file_hash, weather_file
-from thermoforce_mpc.plants.energyplus.simulate import Job
-from thermoforce_mpc.plants.energyplus.zone import zone_model
+from thermoforce_mpc.plants.energyplus.zone import CLIMATES, Climate, ClimateName, Job, base_setpoint, gains, zone_model
 
 # Days dropped at the start of the warm-up; the rest of it is the context of the forecasters.
 _FORGOTTEN_DAYS = 4

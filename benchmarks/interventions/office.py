@@ -24,8 +24,7 @@ from benchmarks.interventions.small_office import (
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification.estimation.records import Pair
-from thermoforce_mpc.plants.energyplus.climates import Climate, base_setpoint
-from thermoforce_mpc.plants.energyplus.zone import ZoneSpec
+from thermoforce_mpc.plants.energyplus.zone import Climate, ZoneSpec, base_setpoint
 
 PROBE_DAYS = 3
 _WARMUP_DAYS, _FORGOTTEN_DAYS = 12, 4

@@ -14,7 +14,7 @@ from benchmarks.interventions.methods.registry import BEST, METHODS, MONOTONE
 from benchmarks.interventions.scores import LEVELS
 from benchmarks.interventions.suite import Fan, SuiteResult
 from thermoforce_mpc.data import HOUR_S
-from thermoforce_mpc.plants.energyplus.climates import CLIMATES
+from thermoforce_mpc.plants.energyplus.zone import CLIMATES
 
 _COLOURS = (
     "#8a939c", "#3b7a8a", "#6b5b95", "#c47f2c", "#8a6d3b", "#5a7d3b", "#a05a7a", "#b22222", "#1b1f24", "#228b22",

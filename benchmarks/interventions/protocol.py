@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
-from thermoforce_mpc.plants.energyplus.climates import COMFORT_H, Climate, ClimateName
+from thermoforce_mpc.plants.energyplus.zone import COMFORT_H, Climate, ClimateName
 
 WindowName = Literal["morning", "afternoon", "evening"]
 Part = Literal["validation", "test"]

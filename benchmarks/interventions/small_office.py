@@ -14,9 +14,15 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.errors import PlantError
-from thermoforce_mpc.plants.energyplus.engine import weather_file
+from thermoforce_mpc.plants.energyplus.engine import (
+    WEATHER_SENSORS,
+    Reading,
+    Wiring,
+    run_engine,
+    weather_file,
+    weather_reading,
+)
 from thermoforce_mpc.plants.energyplus.office_model import BUILDING, WEATHER, ZONES, office_model
-from thermoforce_mpc.plants.energyplus.simulate import WEATHER_SENSORS, Reading, Wiring, run_engine, weather_reading
 
 STEP_S = 900.0
 FLOOR_AREA_M2 = {zone.engine_name: zone.floor_area_m2 for zone in ZONES}

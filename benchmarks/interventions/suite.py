@@ -17,7 +17,7 @@ from benchmarks.interventions.scores import LEVELS, CellScore, score_cell
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
-from thermoforce_mpc.plants.energyplus.climates import ClimateName
+from thermoforce_mpc.plants.energyplus.zone import ClimateName
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,8 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import PlantError
-from thermoforce_mpc.plants.energyplus.engine import weather_file
-from thermoforce_mpc.plants.energyplus.simulate import ZONE_WIRING, Job, PiPolicy, Reading, run_engine
-from thermoforce_mpc.plants.energyplus.zone import GAINS, HVAC, zone_model
+from thermoforce_mpc.plants.energyplus.engine import Reading, run_engine, weather_file
+from thermoforce_mpc.plants.energyplus.zone import GAINS, HVAC, ZONE_WIRING, Job, PiPolicy, zone_model
 
 # Maps the step's number (−1 while the engine warms up) and the zone temperature before it, °C, to u in [0, 1].
 Policy = Callable[[int, float], float]

@@ -7,7 +7,7 @@ from typing import Any
 
 from benchmarks.interventions.methods.registry import METHODS
 from benchmarks.paper.printed import BACKBONES, CLOSED_LOOP, COVARIATES, FACTUAL, INTERVENTIONAL_VALIDITY
-from thermoforce_mpc.plants.energyplus.climates import CLIMATES
+from thermoforce_mpc.plants.energyplus.zone import CLIMATES
 
 # The rows of a table: name → quantity → (printed in the paper, measured here); None where there is none.
 Pair = tuple[float | None, float | None]

@@ -14,8 +14,7 @@ from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import ConfigError, InputError
 from thermoforce_mpc.gym import ID
-from thermoforce_mpc.gym.env import BuildingEnv
-from thermoforce_mpc.gym.episodes import Episodes
+from thermoforce_mpc.gym.env import BuildingEnv, Episodes
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
 _DAY = {"max_episode_length": DAY_S, "random_start_time": False, "start_time": 16 * DAY_S}

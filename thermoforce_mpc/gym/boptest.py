@@ -15,16 +15,10 @@ from typing import Any
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.errors import ConfigError, suggestion
 from thermoforce_mpc.files import storage_errors
-from thermoforce_mpc.gym.env import BuildingEnv
-from thermoforce_mpc.gym.episodes import Episodes
+from thermoforce_mpc.gym.env import BuildingEnv, Episodes
 from thermoforce_mpc.gym.points import PointsView
 from thermoforce_mpc.gym.sources import EmbeddedSource, ServiceSource, Source
-from thermoforce_mpc.gym.wrappers import (
-    DiscretizedActionWrapper,
-    NormalizedActionWrapper,
-    NormalizedObservationWrapper,
-)
-from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.gym.wrappers import DiscretizedActionWrapper, NormalizedActionWrapper, NormalizedObservationWrapper
 
 __all__ = [
     "BoptestGymEnv",
@@ -176,12 +170,10 @@ class EmbeddedBoptestGymEnv(BoptestGymEnv):
     default the synthetic one.
     """
 
-    def _source(
-        self, url: str, testcase: str, weather: Weather | None = None, plant: EmbeddedPlant | None = None
-    ) -> Source:
+    def _source(self, url: str, testcase: str, weather: Weather | None = None) -> Source:
         if testcase != "bestest_hydronic_heat_pump":
             raise ConfigError(
                 f"testcase: the embedded emulator is bestest_hydronic_heat_pump, not '{testcase}'; use BoptestGymEnv "
                 "with the url of a service"
             )
-        return EmbeddedSource(weather, plant=plant)
+        return EmbeddedSource(weather)

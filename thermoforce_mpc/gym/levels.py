@@ -53,9 +53,8 @@ class LevelsView(View):
             observations: what is observed (`SIGNALS`), with its bounds, None for the default ones; by default all.
             perfect: forecasts depend on the time alone, so that those of an episode can be read at once.
 
-        Raises:
-            ConfigError: actuators that take room set-points instead of levels, lengths that do not fit the step, or
-                observations that there are not.
+        Raises `ConfigError` for actuators that take room set-points instead of levels, lengths that do not fit the
+        step, or observations that there are not.
         """
         for name, value, least in (("predictive_period", ahead_s, 0.0), ("regressive_period", behind_s, 0.0)):
             if not (np.isfinite(value) and value >= least):
@@ -82,11 +81,7 @@ class LevelsView(View):
         return self._now.time_s
 
     def begin(self, start_s: float, warmup_s: float, length_s: float, scenario: Mapping[str, Any]) -> None:
-        """See `View.begin`; of a scenario only `electricity_price` applies.
-
-        Raises:
-            ConfigError: another key in the scenario.
-        """
+        """See `View.begin`; raises `ConfigError` for another key in the scenario than `electricity_price`."""
         for unknown in sorted(set(scenario) - {"electricity_price"}):
             raise ConfigError(f"scenario: unknown key '{unknown}'; this convention knows electricity_price")
         price = scenario.get("electricity_price") or "constant"
@@ -123,7 +118,6 @@ class LevelsView(View):
         return values
 
     def _coming(self) -> Array:
-        """Forecast from now at the observed instants (signals, n)."""
         start_s, table = self._table
         first = round((self.now_s - start_s) / self._step_s)
         if not table.size or first + self.spec.offsets[-1] >= table.shape[1]:

@@ -10,8 +10,7 @@ from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.gym.boptest import BoptestGymEnv, EmbeddedBoptestGymEnv, check_keywords
-from thermoforce_mpc.gym.env import BuildingEnv
-from thermoforce_mpc.gym.episodes import Episodes
+from thermoforce_mpc.gym.env import BuildingEnv, Episodes
 from thermoforce_mpc.gym.levels import LevelsView
 from thermoforce_mpc.plants.boptest.token import allow_token
 from thermoforce_mpc.plants.testcases import load_scenario
@@ -40,9 +39,7 @@ def building(
         weather: 'synthetic', or a .mos / .epw file of the embedded test case.
         options: arguments of the convention.
 
-    Raises:
-        ConfigError: an argument is wrong; names it.
-        PlantError: the plant or its service failed.
+    Raises `ConfigError`, which names the argument that is wrong, `PlantError` where plant or service failed.
     """
     if convention not in CONVENTIONS:
         raise ConfigError(f"convention: '{convention}': expected one of {', '.join(CONVENTIONS)}")
@@ -85,10 +82,7 @@ def levels_env(
     """Any plant by the levels of its actuators; `LevelsView` describes actions and observations.
 
     Args:
-        testcase: see `building`.
-        url: see `building`.
-        fmu: see `building`.
-        weather: see `building`.
+        testcase: see `building`, also for `url`, `fmu` and `weather`.
         forecast_uncertainty: BOPTEST's level of weather forecast errors: none, low, medium or high.
         plant_seed: their seed.
         step_period: length of a step, s.
@@ -103,12 +97,9 @@ def levels_env(
         scenario: `{"electricity_price": "constant" | "dynamic" | "highly_dynamic"}`.
         observations: what is observed (`SIGNALS`), with its bounds or None for the default ones; by default all.
         discomfort_weight: weight of tdis_tot beside cost_tot in the reward.
-        reward: see `BuildingEnv`.
-        render_mode: see `BuildingEnv`.
+        reward: see `BuildingEnv`, also for `render_mode`.
 
-    Raises:
-        ConfigError: an argument is wrong; names it.
-        PlantError: the plant or its service failed.
+    Raises as `building` does.
     """
     plant: dict[str, Any] = {"weather": weather, "forecast_uncertainty": forecast_uncertainty}
     if url is not None:

@@ -43,8 +43,8 @@ class PointsView(View):
             predictive_s: length of the forecasts, s; needed where one is observed, 0 is the value now.
             regressive_s: length of the past of every measurement, s; None or a step or more.
 
-        Raises:
-            ConfigError: a name is unknown, bounds are no pair, or a length is out of range; names the argument.
+        Raises `ConfigError`, which names the argument, for an unknown name, bounds that are no pair, or a length out of
+        range.
         """
         self.plant, self.action_names, self._step_s = source, tuple(actions), step_s
         for name in actions:
@@ -77,16 +77,10 @@ class PointsView(View):
         self._n_behind = int((regressive_s or 0.0) / step_s + 1e-9)
         self._modulo = float(observations["time"][1]) if "time" in observations else None
         bounds_of = {name: (float(low), float(high)) for name, (low, high) in observations.items()}
-        entries = [("time", bounds_of["time"])] if "time" in bounds_of else []
-        entries += [(name, bounds_of[name]) for name in self._measured]
-        entries += [
-            (f"{name}_regr_{int(k * step_s)}", bounds_of[name])
-            for name in self._measured
-            for k in range(1, self._n_behind + 1)
-        ]
-        entries += [
-            (f"{name}_pred_{int(k * step_s)}", bounds_of[name]) for name in self._forecast for k in range(self._n_ahead)
-        ]
+        entries = [(name, bounds_of[name]) for name in (*(["time"] if "time" in bounds_of else []), *self._measured)]
+        behind, ahead = range(1, self._n_behind + 1), range(self._n_ahead)
+        for kind, names, steps in (("regr", self._measured, behind), ("pred", self._forecast, ahead)):
+            entries += [(f"{name}_{kind}_{int(k * step_s)}", bounds_of[name]) for name in names for k in steps]
         if not entries:
             raise ConfigError("observations: give at least one point")
         self.box = ObservationBox.of(entries)
@@ -106,13 +100,10 @@ class PointsView(View):
     def begin(self, start_s: float, warmup_s: float, length_s: float, scenario: Mapping[str, Any]) -> None:
         """See `View.begin`."""
         self.plant.begin(start_s, warmup_s, self._step_s, scenario)
-        n = self._n_behind
-        now = self.plant.measured(self._measured)[:, None]
-        if n:
+        self._past = self.plant.measured(self._measured)[:, None]
+        if n := self._n_behind:
             times = self.now_s - np.arange(1.0, n + 1) * self._step_s
-            self._past = np.hstack([now, self.plant.past(self._measured, times)])
-        else:
-            self._past = now
+            self._past = np.hstack([self._past, self.plant.past(self._measured, times)])
         table = np.empty((0, 0))
         if self._forecast and self.plant.perfect:
             table = self.plant.forecast(self._forecast, length_s + self._predictive_s, self._step_s)
@@ -125,7 +116,7 @@ class PointsView(View):
         inputs = {name: float(value) for name, value in zip(self.action_names, values, strict=True)}
         self.plant.advance(inputs | {name[: -len("_u")] + "_activate": 1.0 for name in self.action_names})
         now = self.plant.measured(self._measured)[:, None]
-        self._past = np.hstack([now, self._past[:, : self._n_behind]]) if self._n_behind else now
+        self._past = np.hstack([now, self._past[:, : self._n_behind]])
 
     def observe(self) -> Array:
         """The observation now, in the order of the class's description."""
@@ -139,7 +130,6 @@ class PointsView(View):
         return {"time": self.now_s} | measured | zones
 
     def _coming(self) -> Array:
-        """Forecasts from now (n, m)."""
         if not self._forecast:
             return np.empty(0)
         start_s, table = self._table

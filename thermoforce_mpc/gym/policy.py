@@ -15,11 +15,7 @@ from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.gym.env import BuildingEnv
 from thermoforce_mpc.gym.levels import LevelsView
-from thermoforce_mpc.gym.wrappers import (
-    DiscretizedActionWrapper,
-    NormalizedActionWrapper,
-    NormalizedObservationWrapper,
-)
+from thermoforce_mpc.gym.wrappers import DiscretizedActionWrapper, NormalizedActionWrapper, NormalizedObservationWrapper
 from thermoforce_mpc.scenario.own_code import policy_settings
 
 # Wrappers that change neither observations nor actions.
@@ -27,11 +23,7 @@ _TRANSPARENT = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, Time
 
 
 def spec_of(env: gymnasium.Env[Any, Any]) -> PolicySpec:
-    """What an agent sees and does in an environment of convention 'levels', wrappers of `wrappers.py` included.
-
-    Raises:
-        ConfigError: it is of another convention, or in another wrapper.
-    """
+    """What an agent sees and does in an environment of convention 'levels', in our wrappers; raises `ConfigError`."""
     changes: dict[str, Any] = {}
     while isinstance(env, gymnasium.Wrapper):
         if isinstance(env, NormalizedObservationWrapper):
@@ -52,11 +44,7 @@ def spec_of(env: gymnasium.Env[Any, Any]) -> PolicySpec:
 
 
 def observe(spec: PolicySpec, observation: Observation) -> Seen:
-    """The environment's observation of what a controller sees; `spec` is that of `spec_of`.
-
-    Raises:
-        DataError: the observation is of another building, or its step is another.
-    """
+    """The environment's observation of what a controller sees; raises `DataError` for another building or step."""
     return spec.observe(observation)
 
 
@@ -68,9 +56,7 @@ def save(agent: Any, env: gymnasium.Env[Any, Any], path: str | Path) -> None:
         env: the environment, with its wrappers; not a vector of them.
         path: file that ends in .zip.
 
-    Raises:
-        ConfigError: the algorithm, the environment or the file's name does not fit.
-        StorageError: a file cannot be written.
+    Raises `ConfigError` where one of them does not fit, `StorageError` where a file cannot be written.
     """
     path, algorithm = Path(path), type(agent).__name__
     if path.suffix != ".zip":

@@ -3,78 +3,58 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from typing import Any, Protocol
 
 import numpy as np
 
-from boptest_client import BoptestClient, BoptestError, Scenario, UnknownTest
+from boptest_client import BoptestClient, Scenario, UnknownTest
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError, PlantError
+from thermoforce_mpc.plants.boptest.plant import failures
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS
 
 Limits = tuple[float | None, float | None]
 
 
 class Source(Protocol):
-    """A test of BOPTEST's interface: its points by name, in the units of the interface (K, W, s)."""
+    """A test of BOPTEST's interface: its points by name, in the units of the interface (K, W, s).
 
-    @property
-    def inputs(self) -> Mapping[str, Limits]:
-        """Lowest and highest value of each input."""
-        ...
+    `perfect`: forecasts depend on the time alone, so that those of an episode can be read at once.
+    """
 
-    @property
-    def measurements(self) -> Sequence[str]:
-        """Names of the measurements."""
-        ...
-
-    @property
-    def forecasts(self) -> Sequence[str]:
-        """Names of the forecast points."""
-        ...
-
-    @property
-    def perfect(self) -> bool:
-        """Whether forecasts depend on the time alone, so that those of an episode can be read at once."""
-        ...
+    inputs: Mapping[str, Limits]
+    measurements: Sequence[str]
+    forecasts: Sequence[str]
+    perfect: bool
 
     @property
     def now_s(self) -> float:
         """Current time, s since 1 January."""
-        ...
 
     def begin(self, start_s: float, warmup_s: float, step_s: float, scenario: Mapping[str, Any]) -> None:
         """Start at `start_s` after `warmup_s` of native control, with steps of `step_s`."""
-        ...
 
     def advance(self, inputs: Mapping[str, float]) -> None:
         """Simulate one step with these inputs, `<point>_u` and `<point>_activate`."""
-        ...
 
     def measured(self, names: Sequence[str]) -> Array:
         """Values of measurements now (n,)."""
-        ...
 
     def past(self, names: Sequence[str], time_s: Array) -> Array:
         """Values of measurements at past times (m,), s: (n, m); before the record its first value."""
-        ...
 
     def forecast(self, names: Sequence[str], horizon_s: float, interval_s: float) -> Array:
         """Forecast from now (n, m)."""
-        ...
 
     def kpis(self) -> dict[str, float]:
         """KPIs since the start."""
-        ...
 
     def close(self) -> None:
         """Release the test."""
-        ...
 
 
 class EmbeddedSource:
@@ -82,7 +62,7 @@ class EmbeddedSource:
 
     perfect = True
 
-    def __init__(self, weather: Weather | None = None, *, plant: EmbeddedPlant | None = None) -> None:
+    def __init__(self, weather: Weather | None = None) -> None:
         try:
             from thermoforce_mpc.service import points
         except ModuleNotFoundError as error:
@@ -91,7 +71,7 @@ class EmbeddedSource:
                 "pip install 'thermoforce-mpc[gym]'"
             ) from error
         self._points = points
-        self._plant = plant or EmbeddedPlant(weather or synthetic_weather())
+        self._plant = EmbeddedPlant(weather or synthetic_weather())
         self.inputs: Mapping[str, Limits] = {name: (info.minimum, info.maximum) for name, info in points.INPUTS.items()}
         self.measurements: Sequence[str] = tuple(points.MEASUREMENT_POINTS)
         self.forecasts: Sequence[str] = tuple(points.FORECAST_POINTS)
@@ -127,8 +107,6 @@ class EmbeddedSource:
 
     def past(self, names: Sequence[str], time_s: Array) -> Array:
         """See `Source.past`."""
-        if all(name in MEASUREMENTS for name in names) and not time_s.size:
-            return np.empty((len(names), 0))
         record = self._plant.recorded(float(time_s.min()) - self._step_s, self.now_s)
         series = self._points.recorded_points(self._plant, list(names), record)
         return np.array([np.interp(time_s, series["time"], series[name]) for name in names]).reshape(len(names), -1)
@@ -162,24 +140,18 @@ class EmbeddedSource:
 
 
 class ServiceSource:
-    """A BOPTEST service at `url`; closing stops the test.
-
-    Raises:
-        ConfigError: the service does not offer the test case.
-        PlantError: the service cannot be reached or failed.
-    """
+    """A BOPTEST service at `url`; closing stops the test. Raises `ConfigError` where the test case is not offered."""
 
     perfect = False
 
     def __init__(self, url: str, testcase: str) -> None:
-        try:
-            self._client = BoptestClient(url, testcase)
-        except UnknownTest as error:
-            raise ConfigError(f"testcase: {error}") from error
-        except BoptestError as error:
-            raise PlantError(f"BOPTEST service: {error}") from error
+        with failures():
+            try:
+                self._client = BoptestClient(url, testcase)
+            except UnknownTest as error:
+                raise ConfigError(f"testcase: {error}") from error
         # Where one of these fails, nobody else would stop the test.
-        with _failures(), ExitStack() as stopping:
+        with failures(), ExitStack() as stopping:
             stopping.enter_context(self._client)
             inputs = self._client.inputs()
             self.inputs: Mapping[str, Limits] = {name: (point.minimum, point.maximum) for name, point in inputs.items()}
@@ -187,7 +159,6 @@ class ServiceSource:
             self.forecasts: Sequence[str] = tuple(self._client.forecast_points())
             stopping.pop_all()
         self._now: Mapping[str, float] = {}
-        self._step_s = 0.0
 
     @property
     def testid(self) -> str:
@@ -204,15 +175,14 @@ class ServiceSource:
         keys = [name for name in Scenario.__dataclass_fields__ if name != "time_period"]
         for unknown in sorted(set(scenario) - set(keys)):
             raise ConfigError(f"scenario: unknown key '{unknown}'; known: {', '.join(keys)}")
-        with _failures():
+        with failures():
             self._now = self._client.initialize(start_s, warmup_s)
             self._client.set_step(step_s)
             self._client.set_scenario(Scenario(**scenario))
-        self._step_s = step_s
 
     def advance(self, inputs: Mapping[str, float]) -> None:
         """See `Source.advance`."""
-        with _failures():
+        with failures():
             answer = self._client.advance(inputs)
         if not answer:
             raise PlantError(f"the service's scenario is over at {self.now_s:g} s")
@@ -224,30 +194,22 @@ class ServiceSource:
 
     def past(self, names: Sequence[str], time_s: Array) -> Array:
         """See `Source.past`."""
-        with _failures():
+        with failures():
             answer = self._client.results(names, max(float(time_s.min()), 0.0), self.now_s)
         return np.array([np.interp(time_s, answer["time"], answer[name]) for name in names])
 
     def forecast(self, names: Sequence[str], horizon_s: float, interval_s: float) -> Array:
         """See `Source.forecast`."""
-        with _failures():
+        with failures():
             answer = self._client.forecast(names, horizon_s, interval_s)
         return np.array([answer[name] for name in names])
 
     def kpis(self) -> dict[str, float]:
         """See `Source.kpis`."""
-        with _failures():
+        with failures():
             return {name: value for name, value in self._client.kpi().items() if value is not None}
 
     def close(self) -> None:
         """Stop the test; safe to call twice."""
-        with _failures():
+        with failures():
             self._client.stop()
-
-
-@contextmanager
-def _failures() -> Iterator[None]:
-    try:
-        yield
-    except BoptestError as error:
-        raise PlantError(f"BOPTEST service: {error}") from error

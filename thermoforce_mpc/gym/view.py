@@ -66,8 +66,7 @@ class View(ABC):
 
     def kpis(self) -> dict[str, float]:
         """BOPTEST's KPIs since the start."""
-        kpis: dict[str, float] = self.plant.kpis()
-        return kpis
+        return dict(self.plant.kpis())
 
     def snapshot(self) -> ViewState:
         """State of plant and view, for `restore`; raises `ConfigError` where the plant has none."""
@@ -84,10 +83,7 @@ class View(ABC):
         self.__dict__.update(snapshot.changed)
 
     def branched(self) -> Self:
-        """Another view on a plant of its own, in the same state; both plants share what no step changes.
-
-        Raises as `snapshot` does.
-        """
+        """Another view in the same state on a plant of its own, which shares what no step changes."""
         snapshot, other = self.snapshot(), copy.copy(self)
         other.plant = copy.copy(self.plant)
         other.restore(snapshot)
@@ -100,11 +96,7 @@ class View(ABC):
 
 @dataclass(frozen=True)
 class ObservationBox:
-    """Names and bounds of observations (n,), each in its own unit.
-
-    Raises:
-        ConfigError: bounds that are not finite or not in order; names the observation.
-    """
+    """Names and bounds of observations (n,), in their units; raises `ConfigError` for bounds not finite or in order."""
 
     names: tuple[str, ...]
     low: Array
@@ -127,10 +119,7 @@ class ObservationBox:
         return cls(tuple(name for name, _ in bounds), low, high)
 
     def inside(self, values: Array, before: Array | None) -> tuple[Observed, Array, int]:
-        """The observation inside the box, the values it was made of, and how many were missing.
-
-        A missing value is that of `before`, or the middle of its bounds.
-        """
+        """The observation in the box, its values (missing ones as `before`, or mid-way), and how many were missing."""
         missing = np.isnan(values)
         values = np.where(missing, self.middle if before is None else before, values)
         return inside(values, self.space.low, self.space.high), values, int(np.count_nonzero(missing))

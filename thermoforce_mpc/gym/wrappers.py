@@ -43,10 +43,7 @@ class NormalizedActionWrapper(gymnasium.ActionWrapper[Any, NDArray[np.float32], 
 
 
 class DiscretizedActionWrapper(gymnasium.ActionWrapper[Any, int, Any]):
-    """`n_bins_act` + 1 equally spaced values of each action, its limits among them, as one number.
-
-    The last action changes fastest: with two actions, number k is values k // (n + 1) and k % (n + 1).
-    """
+    """`n_bins_act` + 1 equally spaced values of each action as one number; the last action changes fastest."""
 
     def __init__(self, env: _Env, n_bins_act: int = 10) -> None:
         super().__init__(env)

@@ -14,11 +14,7 @@ from thermoforce_mpc.scenario.actuator import Actuator, RoomSetpoints
 
 
 def day_period(name: str, named: Iterable[str]) -> Period:
-    """Return the window of two weeks from start day `name`; `named` lists the named windows for the message.
-
-    Raises:
-        InputError: `name` is not a number, or not a day of the year.
-    """
+    """Return two weeks from start day `name`; raises `InputError`, with the windows `named`, for anything else."""
     if not is_day(name):
         raise InputError(f"period '{name}': expected {', '.join(named) or 'nothing else'} or a start day")
     day = float(name)
@@ -58,8 +54,8 @@ def check_levels(
         lowest: lowest level, of all actuators or of each.
 
     Raises:
-        InputError: there is not one entry per actuator, a level is neither None nor in [`lowest`, 1], a band is not two
-            rising finite numbers, or the duration is not positive and less than a year; names the actuator.
+        InputError: entries that are not one per actuator, a level not in [`lowest`, 1], a band that is not two rising
+            finite numbers, or a duration that is not positive and less than a year; names the actuator.
     """
     n, alone = len(names.actuators), len(names.actuators) == 1
     levels: tuple[Any, ...] = (None,) * n if u is None else (u,) if np.ndim(u) == 0 else tuple(u)  # type: ignore[arg-type]
@@ -94,8 +90,7 @@ def plant_inputs(
 ) -> dict[str, float]:
     """Return an actuator's inputs for a level with the room at `T_zone_C` or, for room set-points, the band, °C.
 
-    Raises:
-        InputError: a band for an actuator without room set-points, or a level for one without a band.
+    Raises `InputError` for a band without room set-points, or a level between the limits for a loop without a band.
     """
     if isinstance(actuator, RoomSetpoints):
         if band_C is None and u is not None and u not in (-1.0, 0.0, 1.0) and u != actuator.lowest:
@@ -109,8 +104,7 @@ def plant_inputs(
 def forecast_times(now_s: float, horizon_s: float, interval_s: float) -> Array:
     """Return the instants from `now_s` to `horizon_s` ahead every `interval_s`, s, shape (N + 1,).
 
-    Raises:
-        InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
+    Raises `InputError` where horizon or interval is not positive, or the horizon is shorter than the interval.
     """
     if not (math.isfinite(horizon_s) and math.isfinite(interval_s) and 0 < interval_s <= horizon_s):
         raise InputError(f"forecast of {horizon_s!r} s every {interval_s!r} s: expected 0 < interval <= horizon")
@@ -125,11 +119,7 @@ def check_record_step(step_s: float) -> None:
 
 
 def record_times(begin_s: float, now_s: float, step_s: float) -> Array:
-    """Return the ends of steps of `step_s` back from `now_s` as far as `begin_s`, s, shape (n + 1,).
-
-    Raises:
-        InputError: `step_s` is not positive.
-    """
+    """Return the ends of steps back from `now_s` to `begin_s`, s, shape (n + 1,); raises as `check_record_step`."""
     check_record_step(step_s)
     n = math.floor((now_s - begin_s) / step_s + 1e-9)
     return np.asarray(now_s - np.arange(float(n), -1.0, -1.0) * step_s)

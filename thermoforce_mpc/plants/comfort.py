@@ -18,7 +18,7 @@ _SAMPLE_S = 60.0
 
 
 class WithComfort:
-    """A `Plant` whose forecasts and KPIs have the comfort bounds of a schedule; all else is that of the plant inside.
+    """A `Plant` with the comfort bounds of a schedule in forecasts and KPIs; all else is that of the plant inside.
 
     Discomfort is integrated over readings a minute apart, by the trapezoidal rule: where a plant's own discomfort is
     that of true temperatures, this one has the error of its sensors.
@@ -41,13 +41,13 @@ class WithComfort:
         return self._plant.reset(start_s, warmup_s, price)
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """See `Plant.forecast`; with the schedule's bounds."""
+        """See `Plant.forecast`."""
         ahead = self._plant.forecast(horizon_s, interval_s)
         lower, upper = self._comfort.bounds_C(ahead.time_s, self._zones, self._first)
         return replace(ahead, lower_C=lower, upper_C=upper)
 
     def kpis(self) -> dict[str, float]:
-        """See `Plant.kpis`; discomfort is that of the schedule's bounds, K·h, also zone by zone."""
+        """See `Plant.kpis`; discomfort in K·h also zone by zone."""
         return dict(self._plant.kpis()) | self._discomfort()
 
     def _discomfort(self) -> dict[str, float]:

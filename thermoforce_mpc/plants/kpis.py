@@ -26,8 +26,8 @@ PEAKS = {"ElectricPower": "pele_tot", "GasPower": "pgas_tot", "DistrictHeatingPo
 class Supply:
     """Energy carrier ('ElectricPower', 'GasPower', ...) of a building over n samples, arrays of shape (n,).
 
-    `power_W` W, `price_per_kWh` currency/kWh, `emission_kg_per_kWh` kg CO2/kWh. `of_steps`: `power_W` is not that at
-    the samples but the mean of the step that ends at each, as plants with long steps know it.
+    `power_W` W, `price_per_kWh` currency/kWh, `emission_kg_per_kWh` kg CO2/kWh. `of_steps`: `power_W` is the mean of
+    the step that ends at each sample, as plants with long steps know it.
     """
 
     carrier: str
@@ -81,14 +81,11 @@ def building_kpis(
     weights = _trapezoid_h(time_s)
     if not weights.size:
         raise DataError("KPIs: time must increase over at least two samples")
-    series = [
-        (f"{name} of {supply.carrier}", getattr(supply, name))
-        for supply in supplies
-        for name in ("power_W", "price_per_kWh", "emission_kg_per_kWh")
-    ]
-    series += [(f"zone {violation.zone}", violation.excess) for violation in (*thermal, *air_quality)]
-    for name, values in series:
-        _check(values, time_s, weights, name)
+    for supply in supplies:
+        for name in ("power_W", "price_per_kWh", "emission_kg_per_kWh"):
+            _check(getattr(supply, name), time_s, weights, f"{name} of {supply.carrier}")
+    for zone in (*thermal, *air_quality):
+        _check(zone.excess, time_s, weights, f"zone {zone.zone}")
     totals = {"ener_tot": 0.0, "cost_tot": 0.0, "emis_tot": 0.0}
     for supply in supplies:
         kW = supply.power_W / 1e3 / area_m2
@@ -110,10 +107,7 @@ def building_kpis(
 
 
 def _trapezoid_h(time_s: Array) -> Array:
-    """Return the weights (n,), h, by which samples at `time_s` (n,), s, are integrated; none if time does not increase.
-
-    An environment's reward asks for KPIs after every step, so that all integrals share them.
-    """
+    """Weights (n,), h, by which samples at `time_s` (n,), s, are integrated; none if time does not increase."""
     if np.size(time_s) < 2:
         return np.empty(0)
     half_h = np.subtract(time_s[1:], time_s[:-1]) / (2.0 * HOUR_S)
@@ -126,7 +120,6 @@ def _trapezoid_h(time_s: Array) -> Array:
 
 
 def _of_each_zone(name: str, zones: Sequence[Violation], integrals: Sequence[float]) -> dict[str, float]:
-    """Mean integral of each zone by `name[zone]`; a zone may have several signals."""
     grouped: dict[str, list[float]] = {}
     for zone, integral in zip(zones, integrals, strict=True):
         grouped.setdefault(f"{name}[{zone.zone}]", []).append(integral)
@@ -152,26 +145,21 @@ class CountedKpis:
     """Cached KPIs of a growing record, so that samples up to `until_s` need not be read again.
 
     `until_s` lies a whole number of 15-min peak windows after the first sample; `kpis` cover the samples up to it, None
-    before the first whole window. Integrals of adjacent parts are summed; the peak is their maximum.
+    before the first whole window. Integrals of adjacent parts are summed; the peak is their maximum. `between(i, j)`
+    returns the KPIs of the samples from time i to time j, both included, j > i.
     """
 
     until_s: float
     kpis: Mapping[str, float] | None = None
 
     def counting(self, edge_s: float, between: Callable[[float, float], dict[str, float]]) -> CountedKpis:
-        """Return the cache extended to `edge_s`, the time of a sample a whole number of windows after `until_s`.
-
-        `between(i, j)` returns the KPIs of the samples from time i to time j, both included, j > i.
-        """
+        """Return the cache extended to `edge_s`, the time of a sample a whole number of windows after `until_s`."""
         if edge_s == self.until_s:
             return self
         return CountedKpis(edge_s, self._and(between(self.until_s, edge_s), of_whole_windows=True))
 
     def latest_edge_s(self, time_s: Array, start_s: float) -> float:
-        """Return the time of the latest of `time_s` (n,), n > 0, that ends a peak window since `start_s`, s.
-
-        `until_s` where there is none after it.
-        """
+        """Return the latest of `time_s` (n,), s, that ends a peak window since `start_s`, else `until_s`."""
         final_s = float(time_s[-1])
         if final_s > self.until_s + _CLOCK_S and (final_s - start_s + _CLOCK_S) % PEAK_WINDOW_S < 2 * _CLOCK_S:
             return final_s  # as after every step of whole quarters
@@ -180,7 +168,7 @@ class CountedKpis:
         return float(time_s[instants[-1]]) if instants.size else self.until_s
 
     def up_to(self, now_s: float, between: Callable[[float, float], dict[str, float]]) -> dict[str, float]:
-        """Return the KPIs of all samples up to `now_s`; `between` as in `counting`."""
+        """Return the KPIs of all samples up to `now_s`."""
         if now_s == self.until_s:
             return dict(self.kpis or {})
         # An incomplete window does not count for the peak.
@@ -197,20 +185,14 @@ class CountedKpis:
 
 
 def peak_power(time_s: Array, power_W: Array, *, of_steps: bool = False) -> float:
-    """Return the highest mean over consecutive 15-min windows from the first sample, W (of all samples if shorter).
-
-    `of_steps`: see `Supply`.
-    """
+    """Return the highest mean over consecutive 15-min windows from the first sample, W (of all samples if shorter)."""
     means_W = power_W[1:] if of_steps else (power_W[1:] + power_W[:-1]) / 2
     span_s = float(time_s[-1] - time_s[0])
     return float(np.max(window_means(time_s, means_W, min(PEAK_WINDOW_S, span_s))))
 
 
 def window_means(time_s: Array, means: Array, window_s: float) -> Array:
-    """Return the means over whole consecutive windows of `window_s` from the first instant, in the unit of `means`.
-
-    `means` (n − 1,) are those between the instants `time_s` (n,), s.
-    """
+    """Return means over consecutive windows of `window_s`; `means` (n − 1,) are those between `time_s` (n,), s."""
     integral = np.zeros(time_s.size)
     np.cumsum((time_s[1:] - time_s[:-1]) * means, out=integral[1:])
     edges = np.arange(time_s[0], time_s[-1] + _CLOCK_S, window_s)

@@ -1,23 +1,82 @@
-"""People whom nobody announces: presence, guests, cooking, open windows and blinds, with habits and surprises.
+"""People in buildings: by a pattern, or whom nobody announces, with habits and surprises.
 
-They live by the clock, the weekday, the weather and a seed, not by the temperature of the rooms: what they do is the
-same under every controller. Sources of the numbers: docs/how-it-works/random-buildings.md#people.
+The latter live by the clock, the weekday, the weather and a seed, not by the temperature of the rooms: what they do is
+the same under every controller. Sources of the numbers: docs/how-it-works/random-buildings.md#people.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array
+
+Pattern = Literal["away", "home", "workers", "always", "office"]
+HOUSEHOLDS: tuple[Pattern, ...] = ("away", "home", "workers", "always")
+# Hours of an office, every day (BOPTEST's `multizone_office_simple_air`).
+OFFICE_HOURS = (6.0, 19.0)
+PERSON_W = 80.0
+# Days of the year modulo 7: 1 January is a Tuesday, as in BOPTEST.
+_WEEKEND, _EVENINGS_OUT = (4, 5), (3, 4)
+_YEAR_D = 365
+_GAINS_HOURS = 2.0
+
+
+def at_home(pattern: Pattern, time_s: Array) -> NDArray[np.bool_]:
+    """Return presence at `time_s`, shape of `time_s`, by the pattern of a household or an office.
+
+    away: weekdays before 7:00 and from 20:00, weekends (BOPTEST); home: daily 6:00 to 22:00; workers: weekdays 6:00
+    to 8:00 and 17:00 to 22:00, weekends 7:00 to 23:00; always: all the time; office: daily `OFFICE_HOURS`. The year
+    repeats, as weather and gains do.
+    """
+    time_s = np.asarray(time_s, dtype=np.float64)
+    day = np.floor(time_s / DAY_S + 1e-9) % _YEAR_D
+    hour = hour_of_day(time_s)
+    weekend = np.isin(day % 7, _WEEKEND)
+    if pattern == "away":
+        return np.asarray(weekend | (hour < 7.0) | (hour >= 20.0))
+    if pattern == "office":
+        return np.asarray((hour >= OFFICE_HOURS[0]) & (hour < OFFICE_HOURS[1]))
+    if pattern == "home":
+        return np.asarray((hour >= 6.0) & (hour < 22.0))
+    if pattern == "workers":
+        working = ((hour >= 6.0) & (hour < 8.0)) | ((hour >= 17.0) & (hour < 22.0))
+        return np.asarray(np.where(weekend, (hour >= 7.0) & (hour < 23.0), working))
+    return np.ones(time_s.shape, dtype=bool)
+
+
+def hour_of_day(time_s: Array) -> Array:
+    """Return the hour of the day at `time_s`, from 0 up to but not including 24."""
+    time_s = np.asarray(time_s, dtype=np.float64)
+    day = np.floor(time_s / DAY_S + 1e-9)
+    return np.asarray((time_s - day * DAY_S) / HOUR_S + 1e-9)
+
+
+def varying(rng: np.random.Generator, time_s: Array, relative_sd: float) -> Array:
+    """Return a log-normal first-order process of mean 1 on an equally spaced grid `time_s`; correlation time 2 h."""
+    from scipy.signal import lfilter  # only where houses are drawn: it loads slowly
+
+    memory = np.exp(-(time_s[1] - time_s[0]) / HOUR_S / _GAINS_HOURS)
+    draws = rng.standard_normal(time_s.size)
+    draws[1:] *= np.sqrt(1.0 - memory**2)
+    noise = lfilter([1.0], [1.0, -memory], draws)
+    sd = np.sqrt(np.log1p(relative_sd**2))
+    return np.asarray(np.exp(sd * noise - 0.5 * sd**2))
+
+
+def set_back(present: Callable[[Array], NDArray[np.bool_]], time_s: Array, *, lead_s: float) -> NDArray[np.bool_]:
+    """Return whether a native set-point is set back at `time_s`: nobody is `present` now or within `lead_s`."""
+    # Presence within the preheating time, on the 15-min grid of the schedules.
+    ahead = np.arange(0.0, lead_s + 1.0, 900.0)
+    return np.asarray(~np.any([present(time_s + shift) for shift in ahead], axis=0))
+
 
 STEP_S = 900.0
 _PER_H, _PER_DAY = 4, 96
-# Days of the week of a year that begins on a Tuesday, as BOPTEST's.
-_WEEKEND, _EVENINGS_OUT = (4, 5), (3, 4)
 # Seeds of people begin with it, so that none of them draws what the building of that seed was drawn from.
 _STREAM = 0x9E0B1E
 
@@ -127,10 +186,7 @@ def _cooking(rng: np.random.Generator, residents: Array, guests: Array) -> Array
 
 
 def _open_windows(rng: np.random.Generator, residents: Array, T_out_C: Array, changes_1_h: Array) -> None:
-    """Write air changes per hour through the windows of a zone into `changes_1_h` (n,).
-
-    Airing at habitual hours, less often in the cold and longer in mild weather; now and then a tilted window is left.
-    """
+    """Write air changes 1/h into `changes_1_h` (n,): habitual airing, less in the cold; a window left tilted."""
     airings_h, chance = (rng.uniform(6.5, 9.0), rng.uniform(19.5, 22.0)), rng.uniform(0.3, 0.9, (2, 7))
     wide_1_h = rng.uniform(0.8, 2.8)
     for day in range(_days(residents)):
@@ -146,10 +202,7 @@ def _open_windows(rng: np.random.Generator, residents: Array, T_out_C: Array, ch
 
 
 def _close_blinds(rng: np.random.Generator, residents: Array, solar_W_m2: Array, sun: Array) -> None:
-    """Write the share of the sun that the blinds of a zone let pass into `sun` (n,).
-
-    Closed by people who are in when it is bright, until the evening; sometimes left closed over the next day.
-    """
+    """Write the share of the sun that blinds pass into `sun` (n,): closed when bright until evening, or left closed."""
     bright_W_m2, passing, chance = rng.uniform(200.0, 450.0), rng.uniform(0.25, 0.75), rng.uniform(0.2, 0.9, 7)
     for day in range(_days(residents)):
         today = slice(day * _PER_DAY, (day + 1) * _PER_DAY)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -21,10 +22,8 @@ _RUNS, _OPEN = 1e-3, 0.5
 def interval_means(record: Mapping[str, Array], points: Sequence[str] | Mapping[str, float], edges: Array) -> Array:
     """Return time means of the sum of `points` between `edges` (n + 1,), shape (n,); NaN without points.
 
-    `points` may have a factor each.
-
-    Each sample holds for the time since the previous one: at a switch, the sample at the start of an interval belongs
-    to the previous action.
+    `points` may have a factor each. Each sample holds for the time since the previous one: at a switch, the sample at
+    the start of an interval belongs to the previous action.
     """
     if not points or edges.size < 2:
         return np.full(edges.size - 1, math.nan)
@@ -32,10 +31,7 @@ def interval_means(record: Mapping[str, Array], points: Sequence[str] | Mapping[
 
 
 def means_between(time_s: Array, values: Array, edges: Array) -> Array:
-    """Return time means of each row of `values` (k, m), sampled at `time_s` (m,), between `edges` (n + 1,); (k, n).
-
-    Each sample holds for the time since the previous one.
-    """
+    """Return time means as `interval_means` of each row of `values` (k, m), sampled at `time_s` (m,); (k, n)."""
     integral = np.concatenate([np.zeros((len(values), 1)), np.cumsum(np.diff(time_s) * values[:, 1:], axis=1)], axis=1)
     at_edges = np.array([np.interp(edges, time_s, row) for row in integral]).reshape(len(values), edges.size)
     return np.asarray(np.diff(at_edges, axis=1) / np.diff(edges))
@@ -61,6 +57,12 @@ def recorded_levels(record: Mapping[str, Array], points: BuildingPoints, applied
     return np.stack(rows)
 
 
+def mean_levels(record: Mapping[str, Array], points: BuildingPoints, edges: Array, suffix: str) -> Array:
+    """Return mean levels (A, n) between `edges` (n + 1,); `suffix`: of the points that `record` has as applied."""
+    applied = {name: record[f"{name}{suffix}"] for name in points.sensed}
+    return means_between(record["time"], recorded_levels(record, points, applied), edges)
+
+
 def heat_means(record: Mapping[str, Array], meter: HeatMeter, edges: Array) -> Array:
     """Return the mean heat between `edges` (n + 1,), W, shape (n,); NaN where it is not measured."""
     if not meter.units or edges.size < 2:
@@ -70,56 +72,38 @@ def heat_means(record: Mapping[str, Array], meter: HeatMeter, edges: Array) -> A
 
 def acting_means(record: Mapping[str, Array], points: BuildingPoints, u: Array, edges: Array) -> dict[str, Array]:
     """Return means between `edges` (n + 1,) by `Record` names: power and return water (M, n), heat and `u` (A, n)."""
+
+    def of_machines(names: Callable[[Machine], Sequence[str] | Mapping[str, float]]) -> Array:
+        return np.stack([interval_means(record, names(machine), edges) for machine in points.machines])
+
     return {
         "u": u,
-        "power_W": np.stack([interval_means(record, machine.power, edges) for machine in points.machines]),
+        "power_W": of_machines(lambda machine: machine.power),
         "heat_W": np.stack([heat_means(record, one.heat, edges) for one in points.actuators]),
-        "T_return_C": np.stack(
-            [
-                interval_means(record, [machine.return_water] if machine.return_water else [], edges) - ZERO_C_K
-                for machine in points.machines
-            ]
-        ),
+        "T_return_C": of_machines(lambda m: [m.return_water] if m.return_water else []) - ZERO_C_K,
     }
-
-
-def mean_levels(time_s: Array, levels: Array, edges: Array) -> Array:
-    """Return the means (A, n) between `edges` (n + 1,) of sampled `levels` (A, k) at `time_s` (k,)."""
-    return np.stack([interval_means({"time": time_s, "u": row}, ["u"], edges) for row in levels])
 
 
 def past_record(record: Mapping[str, Array], points: BuildingPoints, levels: Array, edges: Array) -> Record:
     """Return sampled points as a `Record` of the steps between `edges` (n + 1,), s, with mean `levels` (A, n)."""
     names = (*points.temperatures, points.outdoor_temperature, points.solar)
     *T_zone, T_out, solar = (np.interp(edges, record["time"], record[name]) for name in names)
-    acting = acting_means(record, points, levels, edges)
-    return Record(
-        time_s=edges,
-        T_zone_C=np.stack(T_zone) - ZERO_C_K,
-        T_out_C=T_out - ZERO_C_K,
-        solar_W_m2=solar,
-        u=acting["u"],
-        power_W=acting["power_W"],
-        heat_W=acting["heat_W"],
-        T_return_C=acting["T_return_C"],
-        names=points.layout.names,
-    )
+    acting: dict[str, Any] = dict(acting_means(record, points, levels, edges))
+    T_zone_C = np.stack(T_zone) - ZERO_C_K
+    return Record(edges, T_zone_C, T_out - ZERO_C_K, solar, **acting, names=points.layout.names)
 
 
 def measurement(
     time_s: float, values: Mapping[str, float], points: BuildingPoints, acting: Mapping[str, Array] | None = None
 ) -> Measurement:
     """Return a measurement: sampled `values` by point (NaN if missing), step means `acting` (rows, 1) (NaN if None)."""
-    means = {name: np.empty(0) if acting is None else acting[name][:, 0] for name in ACTING}
+    means: dict[str, Any] = {name: np.empty(0) if acting is None else acting[name][:, 0] for name in ACTING}
     return Measurement(
         time_s=time_s,
         T_zone_C=np.array([values.get(name, math.nan) for name in points.temperatures]) - ZERO_C_K,
         T_out_C=values.get(points.outdoor_temperature, math.nan) - ZERO_C_K,
         solar_W_m2=values.get(points.solar, math.nan),
-        u=means["u"],
-        power_W=means["power_W"],
-        heat_W=means["heat_W"],
-        T_return_C=means["T_return_C"],
+        **means,
         points=dict(values),
         names=points.layout.names,
     )
@@ -133,6 +117,7 @@ def boundary(
     def of_zones(name: str) -> Array:
         return np.stack([values[getattr(zone, name)] for zone in points.zones])
 
+    heating = [machine.heating_price or machine.price for machine in points.machines]
     return Boundary(
         time_s=time_s,
         T_out_C=weather[0],
@@ -142,22 +127,17 @@ def boundary(
         upper_C=of_zones("upper") - ZERO_C_K,
         price_per_kWh=np.stack([values[machine.price[price]] for machine in points.machines]),
         emission_kg_per_kWh=np.stack([values[machine.emission] for machine in points.machines]),
-        heating_price_per_kWh=np.stack(
-            [values[(machine.heating_price or machine.price)[price]] for machine in points.machines]
-        ),
+        heating_price_per_kWh=np.stack([values[prices[price]] for prices in heating]),
         names=points.layout.names,
     )
 
 
 def inputs(points: BuildingPoints, block: Block, T_zone_C: Array, last: Measurement | None = None) -> dict[str, float]:
-    """Return the inputs of all actuators for a block with the zones at `T_zone_C` (Z,), °C.
+    """Return the inputs of all actuators for a block with the zones at `T_zone_C` (Z,), °C; raises as `plant_inputs`.
 
     A point that one actuator holds and another releases stays held. The points of a machine come after its actuators'.
     Where the plan sets a machine's water, its valves are open or closed, and the water follows from the heat that is
     asked of the neediest and what it gave in the `last` block.
-
-    Raises:
-        InputError: see `plant_inputs`.
     """
     out: dict[str, float] = {}
     layout = points.layout

@@ -58,14 +58,13 @@ def build_plant(spec: PlantSpec, testcase: TestCase, seed: int, comfort: Comfort
     """Build the plant of a scenario; `comfort` takes the place of its own comfort bounds.
 
     Raises:
-        ConfigError: the FMU cannot be used, or the test case or a setting does not fit the plant.
+        ConfigError: the FMU cannot be used, or the test case, a setting or a zone of `comfort` does not fit the plant.
         WeatherError: the weather file cannot be used.
         PlantError: the service does not answer.
     """
     options = check_plant(spec, testcase)
-    return with_comfort(
-        REGISTRY.find(plant_name(spec, testcase)).build(spec, testcase, options, seed), comfort, testcase
-    )
+    plant = REGISTRY.find(plant_name(spec, testcase)).build(spec, testcase, options, seed)
+    return with_comfort(plant, comfort, testcase)
 
 
 def with_comfort(plant: Plant, comfort: Comfort | None, testcase: TestCase) -> Plant:
@@ -78,11 +77,7 @@ def with_comfort(plant: Plant, comfort: Comfort | None, testcase: TestCase) -> P
 
 
 def plant_name(spec: PlantSpec, testcase: TestCase) -> str:
-    """Name of the plant of a scenario: the one that it names, else the one that implements its test case.
-
-    Raises:
-        ConfigError: nothing implements the test case.
-    """
+    """Name of the plant that a scenario names, else of that which implements its test case; raises `ConfigError`."""
     if spec.kind != "embedded":
         return spec.kind
     own = "emulator" if testcase.embedded else "energyplus" if testcase.energyplus else testcase.plant
@@ -95,11 +90,7 @@ def plant_name(spec: PlantSpec, testcase: TestCase) -> str:
 
 
 def check_plant(spec: PlantSpec, testcase: TestCase) -> StrictModel:
-    """Validated options of the plant of a scenario.
-
-    Raises:
-        ConfigError: there is no such plant, it lacks something, or it would ignore a setting.
-    """
+    """Validated options of a scenario's plant; raises `ConfigError` where it lacks or would ignore something."""
     name = plant_name(spec, testcase)
     entry = REGISTRY.find(name)
     for key in (WEATHER, PRICES, UNCERTAINTY, PEOPLE):
@@ -112,22 +103,13 @@ def check_plant(spec: PlantSpec, testcase: TestCase) -> StrictModel:
 
 
 def check_surroundings(spec: PlantSpec) -> None:
-    """Read the files of weather and prices that a plant is given.
-
-    Raises:
-        WeatherError: that of the weather cannot be used.
-        ConfigError: that of the prices cannot be.
-    """
+    """Read the files of weather and prices that a plant is given; raises `WeatherError` or `ConfigError`."""
     _weather(spec)
     _tariff(spec)
 
 
 def windows_of(spec: PlantSpec, testcase: TestCase) -> tuple[str, ...] | None:
-    """Names of the windows that the plant of a scenario has beside start days; None where only the plant knows them.
-
-    Raises:
-        ConfigError: nothing implements the test case, or its FMU cannot be read.
-    """
+    """Names of the windows of a plant beside start days, None where only it knows them; raises `ConfigError`."""
     names = REGISTRY.find(plant_name(spec, testcase)).windows(spec, testcase)
     return None if names is None else tuple(names)
 
@@ -138,13 +120,9 @@ def boptest_plant(spec: PlantSpec, testcase: TestCase, options: Any, seed: int, 
     from thermoforce_mpc.plants.boptest.token import check_token
 
     check_token(spec.url)
+    uncertainty = spec.forecast_uncertainty
     return BoptestPlant(
-        spec.url,
-        testcase,
-        forecast_uncertainty=spec.forecast_uncertainty,
-        seed=seed,
-        testid=testid,
-        config=patience(spec),
+        spec.url, testcase, forecast_uncertainty=uncertainty, seed=seed, testid=testid, config=patience(spec)
     )
 
 
@@ -152,18 +130,14 @@ def patience(spec: PlantSpec) -> TransportConfig:
     """How long a service may be away."""
     from boptest_client import TransportConfig
 
-    return TransportConfig(patience_s=_patience_s(spec))
-
-
-def _patience_s(spec: PlantSpec) -> float:
-    return 60.0 * spec.patience_min
+    return TransportConfig(patience_s=60.0 * spec.patience_min)
 
 
 def _fmu(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
     from thermoforce_mpc.plants.fmu import FmuPlant
 
-    assert spec.path is not None  # PlantSpec has both or neither
-    return FmuPlant(Path(spec.path), testcase, forecast_error=_error(spec, seed), patience_s=_patience_s(spec))
+    error, patience_s = _error(spec, seed), 60.0 * spec.patience_min
+    return FmuPlant(Path(spec.path or ""), testcase, forecast_error=error, patience_s=patience_s)
 
 
 def _rooms(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
@@ -191,19 +165,15 @@ def _energyplus(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) ->
 
 
 def _on_engine(spec: PlantSpec, seed: int) -> dict[str, Any]:
-    return {
-        "highly_dynamic": _tariff(spec),
-        "forecast_error": _error(spec, seed),
-        "patience_s": _patience_s(spec),
-    }
+    patience_s = 60.0 * spec.patience_min
+    return {"highly_dynamic": _tariff(spec), "forecast_error": _error(spec, seed), "patience_s": patience_s}
 
 
 def _emulator(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
     from thermoforce_mpc.plants.embedded import EmbeddedPlant
 
-    return EmbeddedPlant(
-        _weather(spec), highly_dynamic=_tariff(spec), forecast_error=_error(spec, seed), people=spec.people
-    )
+    error, tariff = _error(spec, seed), _tariff(spec)
+    return EmbeddedPlant(_weather(spec), highly_dynamic=tariff, forecast_error=error, people=spec.people)
 
 
 def _error(spec: PlantSpec, seed: int) -> ForecastError | None:
@@ -231,14 +201,9 @@ def _of_weather(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
 
 
 def _weeks(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
-    from thermoforce_mpc.plants.drawn_houses.weeks import NAMES
+    from thermoforce_mpc.plants.drawn_houses.plant import NAMES
 
     return NAMES
-
-
-def _of_zone(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
-    assert testcase.energyplus is not None  # else it is another plant
-    return testcase.energyplus.periods
 
 
 def _of_office(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
@@ -250,8 +215,7 @@ def _of_office(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
 def _of_fmu(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
     from thermoforce_mpc.plants.fmu.archive import scenario_days
 
-    assert spec.path is not None  # PlantSpec has both or neither
-    return scenario_days(Path(spec.path))
+    return scenario_days(Path(spec.path or ""))
 
 
 def _without_engine() -> str:
@@ -287,7 +251,7 @@ _OWN = {
         _energyplus,
         takes=_ON_ENGINE,
         missing=_without_engine,
-        windows=_of_zone,
+        windows=lambda _, testcase: testcase.energyplus.periods if testcase.energyplus else (),
     ),
     "small_office": PlantEntry(
         "an office of five zones on EnergyPlus (--testcase energyplus:small_office), extra [energyplus]",

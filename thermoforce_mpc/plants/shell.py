@@ -10,11 +10,11 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, Generic, Protocol, Self, TypeVar, cast
 
 import numpy as np
 
+from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.data import SINGLE, Array, Bands, Block, Boundary, Levels, Measurement, Names, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import check_levels, check_start, forecast_times, record_times
@@ -34,9 +34,7 @@ class Releasing:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 
@@ -74,6 +72,7 @@ class PlantShell(Releasing, ABC):
     _names: Names = SINGLE
     _lowest: float | Sequence[float] = 0.0
     _price: Price = "constant"
+    _tariffs: Mapping[str, tariffs.Tariff]
     _start_s = _begin_s = _now_s = 0.0
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
@@ -97,25 +96,21 @@ class PlantShell(Releasing, ABC):
 
         Raises:
             InputError: `u` or `duration_s` is out of range, or the plant was not reset.
-            PlantError: what simulates it failed.
+            PlantError: what simulates it failed or took too long.
         """
         return self._advanced(check_levels(u, duration_s, names=self._names, lowest=self._lowest))
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """Return boundary conditions from now to `horizon_s` ahead every `interval_s`, with forecast errors if set.
-
-        Raises:
-            InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
-        """
+        """Return boundary conditions, with forecast errors if set; raises `InputError` as `forecast_times`."""
         return self._boundary(forecast_times(self._now_s, horizon_s, interval_s))
 
     def past(self, step_s: float) -> Record:
-        """Return the record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
-
-        Raises:
-            InputError: `step_s` is not positive, or the plant was not reset.
-        """
+        """Return the record since the start of the warm-up, without the oldest partial step; raises `InputError`."""
         return self._past(record_times(self._begin_s, self._now_s, step_s))
+
+    def _bought(self, time_s: Array) -> tuple[Array, Array]:
+        """Price per kWh and emissions, kg/kWh, of electricity at times (n,)."""
+        return self._tariffs[self._price](time_s), np.full(time_s.shape, tariffs.EMISSION_KG_PER_KWH)
 
     def _advanced(self, block: Block) -> Measurement:
         before_s = self._now_s
@@ -161,12 +156,7 @@ class RoomSetpointShell(PlantShell):
     """A `RoomSetpointPlant` in a shell."""
 
     def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
-        """Apply `u` (None: native control), or the room set-points `band_C`, °C, for `duration_s`.
-
-        Raises:
-            InputError: `u`, `band_C` or `duration_s` is out of range, or the plant was not reset.
-            PlantError: what simulates it failed, or took too long.
-        """
+        """As `PlantShell.advance`, or with the room set-points `band_C`, °C."""
         return self._advanced(check_levels(u, duration_s, band_C, names=self._names, lowest=self._lowest))
 
 
@@ -180,10 +170,7 @@ class _Kept:
 
 
 class Samples:
-    """Rows (n, k) of k signals at n rising times, s, in arrays that grow by doubling: steps are many and short.
-
-    Copies share the arrays, until two of them add samples.
-    """
+    """Rows (n, k) at n rising times, s, in arrays that grow by doubling; copies share them until two add samples."""
 
     def __init__(self, time_s: float, row: Array) -> None:
         self._kept, self._n = _Kept(np.array([time_s]), row[None].copy(), 1), 1
@@ -248,8 +235,7 @@ class BranchingShell(PlantShell):
     def _kpis_so_far(self, between: Callable[[float, float], dict[str, float]]) -> dict[str, float]:
         """KPIs since the end of the warm-up, from those of the samples `between` two times, both included.
 
-        Sums are cached: later calls read only the new samples, and those of a 15-min peak window that is not over or
-        ends between two samples.
+        Sums are cached: later calls read only the new samples, and those of a peak window that is not over.
         """
         counted = self._counted.get(self._price, CountedKpis(self._start_s))
         recent = self._samples.times[np.searchsorted(self._samples.times, counted.until_s) :]

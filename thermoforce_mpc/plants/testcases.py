@@ -14,7 +14,7 @@ from thermoforce_mpc.scenario.testcase import TestCase
 
 
 def _house(name: str) -> TestCase:
-    from thermoforce_mpc.plants.rooms.testcase import house_testcase
+    from thermoforce_mpc.plants.rooms.plant import house_testcase
 
     return house_testcase(name)
 

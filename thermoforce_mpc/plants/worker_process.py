@@ -1,12 +1,15 @@
 """A simulation in a process of its own, asked by pickled messages over its standard streams.
 
 Simulations are third-party machine code that may print, crash, hang, or keep state between two runs of a process, so
-every run gets a new process. `WorkerProcess` is the one end; `channel` is the other, in the module that is started.
+every run gets a new process. Every answer has a time limit, and one that takes long is said in the log. A long stretch
+is asked for in pieces of `PIECE_S` of the building's time, so that one limit tells a process that hangs, or gets ever
+slower, from a warm-up that is long.
 """
 
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import pickle
 import signal
@@ -14,7 +17,9 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable
+from concurrent.futures import Future, wait
 from pathlib import Path
 from queue import SimpleQueue
 from typing import IO, Any
@@ -22,26 +27,33 @@ from typing import IO, Any
 from boptest_client import safe_text
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import PlantError
-from thermoforce_mpc.plants.waiting import PATIENCE_S, wait_for
+
+_LOG = logging.getLogger(__name__)
+
+# Longest time for a piece, s: a simulation that is slower than the building itself does not come to an end.
+PATIENCE_S = 900.0
+PIECE_S = 900.0
+# A process that starts has this long at least, s.
+START_S = 60.0
+# A wait is said after this time, or half of the limit if that is sooner, and again whenever it has doubled, s.
+_SAID_AFTER_S = 60.0
+# An end, and what a killed process leaves unread, are waited for this long, s.
+_END_S = 5.0
 
 _SAID_BYTES = 500
-_END_S = 5.0
 
 
 class WorkerProcess:
-    """Process of one run of `what`; it is never used for a second run.
-
-    `patience_s`: longest time for a quarter of an hour of the building's time, s. `now_s`: time of the run, s.
-    """
+    """Process of one run of `what`; `patience_s` for a piece of `PIECE_S`, s; `now_s`: time of the run, s."""
 
     def __init__(self, module: str, what: str, work_folder: Path, patience_s: float = PATIENCE_S) -> None:
-        """Start `module`; `work_folder` is its working directory, and where it puts temporary files."""
+        """Start `main` of `module`; `work_folder` is its working directory, and where it puts temporary files."""
         self._what, self.patience_s, self.now_s = what, patience_s, 0.0
         self._said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
         root = str(Path(__file__).resolve().parents[2])
         path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
         self._process = subprocess.Popen(
-            [sys.executable, "-m", module],
+            [sys.executable, "-c", f"from {module} import main; main()"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._said,
@@ -57,10 +69,8 @@ class WorkerProcess:
     def ask(self, phase: str, request: object, *, doing: str = "simulate", limit_s: float | None = None) -> Any:
         """The answer to `request`; without one the process is closed: an incomplete step cannot be continued.
 
-        `phase` and `doing` name it in messages, such as 'step from' and 'simulate'.
-
-        Raises:
-            PlantError: it failed, or took more than `limit_s`, by default its patience.
+        `phase` and `doing` name it in messages, such as 'step from' and 'simulate'. Raises `PlantError` where it
+        failed, or took more than `limit_s`, by default its patience.
         """
         if self.closed:
             raise PlantError(f"{self._what} was closed; reset the plant to start it again")
@@ -87,25 +97,37 @@ class WorkerProcess:
     def _answer(self, phase: str, request: object, doing: str, limit_s: float) -> Any:
         when = f"day {self.now_s / DAY_S:g}"
         whose = f"{self._what}'" if self._what.endswith("s") else f"{self._what}'s"
+        answer: Future[Any] = Future()
+        reader = threading.Thread(target=self._exchange, args=(request, answer), daemon=True)
+        reader.start()
         try:
-            answer = wait_for(lambda: self._exchanged(request), self._process.kill, f"{whose} {phase} {when}", limit_s)
+            _wait(answer, f"{whose} {phase} {when}", limit_s)
+        except BaseException:  # also Ctrl-C
+            self._process.kill()
+            reader.join(_END_S)
+            raise
+        try:
+            said = answer.result()
         except (EOFError, OSError, pickle.UnpicklingError) as error:
             raise PlantError(f"{whose} process {self._end()} at {when}{self._last_words()}") from error
-        if isinstance(answer, Failed):
-            why = f"{safe_text(answer.why)}{self.advice(answer.why)}{self._last_words()}"
+        if isinstance(said, Failed):
+            why = f"{safe_text(said.why)}{self.advice(said.why)}{self._last_words()}"
             raise PlantError(f"{self._what} could not {doing} at {when}: {why}")
-        return answer
+        return said
 
     def advice(self, why: str) -> str:
         """What to do about a failure, for the end of its message."""
         return ""
 
-    def _exchanged(self, request: object) -> Any:
-        assert self._process.stdin is not None  # both are pipes
-        assert self._process.stdout is not None
-        pickle.dump(request, self._process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
-        self._process.stdin.flush()
-        return pickle.load(self._process.stdout)  # trusted: from our own process
+    def _exchange(self, request: object, answer: Future[Any]) -> None:
+        try:
+            assert self._process.stdin is not None  # both are pipes
+            assert self._process.stdout is not None
+            pickle.dump(request, self._process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
+            self._process.stdin.flush()
+            answer.set_result(pickle.load(self._process.stdout))  # trusted: from our own process
+        except BaseException as error:  # raised again where it is waited for
+            answer.set_exception(error)
 
     def _end(self) -> str:
         try:
@@ -118,11 +140,20 @@ class WorkerProcess:
         return f"ended with code {code}"
 
     def _last_words(self) -> str:
-        """Return the last of what the simulation and its process printed."""
         size = os.fstat(self._said.fileno()).st_size
-        said = os.pread(self._said.fileno(), _SAID_BYTES, max(size - _SAID_BYTES, 0)) if hasattr(os, "pread") else b""
+        said = os.pread(self._said.fileno(), _SAID_BYTES, max(size - _SAID_BYTES, 0))
         text = safe_text(said.decode(errors="replace").strip())
         return f"\nIts last output (of {size:,} bytes):\n{text}" if text else ""
+
+
+def _wait(answer: Future[Any], what: str, limit_s: float) -> None:
+    """Wait for `answer`, and say so; raises `PlantError` at the limit."""
+    began, say_s = time.monotonic(), min(limit_s / 2.0, _SAID_AFTER_S)
+    while not wait([answer], max(began + min(say_s, limit_s) - time.monotonic(), 0.0)).done:
+        if time.monotonic() - began >= limit_s:
+            raise PlantError(f"{what} took more than {limit_s:g} s and was ended (plant.patience_min allows more)")
+        _LOG.warning("%s takes %.3g s already; it is ended after %g s", what, time.monotonic() - began, limit_s)
+        say_s *= 2.0
 
 
 class Failed:
@@ -149,10 +180,7 @@ def channel() -> tuple[Callable[[], Any], Callable[[Any], None]]:
 
 
 def _receive(requests: SimpleQueue[Any]) -> None:
-    """Queue what comes; at the end of the stream end the process.
-
-    Libraries are not unloaded: those of others tend to crash then, and nothing is left to save.
-    """
+    """Queue what comes; at the end of the stream end the process without unloading libraries, which tend to crash."""
     try:
         while True:
             requests.put(pickle.load(sys.stdin.buffer))

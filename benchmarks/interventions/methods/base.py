@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from benchmarks.interventions.dataset import Probe, Window
 from thermoforce_mpc.data import ACTING, SAMPLED, Array, Record
-from thermoforce_mpc.plants.energyplus.climates import Climate
+from thermoforce_mpc.plants.energyplus.zone import Climate
 
 # Smallest true effect whose sign is scored, K.
 LEAST_EFFECT_K = 0.05

@@ -17,7 +17,7 @@ from benchmarks.interventions.protocol import (
     shift_of,
 )
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.plants.energyplus.climates import CLIMATES, base_setpoint, gains
+from thermoforce_mpc.plants.energyplus.zone import CLIMATES, base_setpoint, gains
 
 HEATED, COOLED = CLIMATES["heating_chicago"], CLIMATES["cooling_phoenix"]
 

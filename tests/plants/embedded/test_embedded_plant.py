@@ -14,9 +14,9 @@ from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.embedded import EmbeddedPlant, emulator, heat_pump, refrigerant, schedule
+from thermoforce_mpc.plants.embedded import EmbeddedPlant, emulator, heat_pump, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
-from thermoforce_mpc.plants.embedded.counting import integrals
+from thermoforce_mpc.plants.embedded.kernel import integrals
 from thermoforce_mpc.protocols import Plant
 
 
@@ -46,7 +46,7 @@ def test_the_heat_pump_meets_the_published_operating_point():
 
 @pytest.mark.parametrize(("T", "pressure"), [(233.15, 1.75e5), (273.15, 7.98e5), (313.15, 2.42e6)])
 def test_saturation_pressure_of_r410a(T, pressure):
-    assert refrigerant.saturation_pressure(T) == pytest.approx(pressure, rel=0.02)
+    assert heat_pump.saturation_pressure(T) == pytest.approx(pressure, rel=0.02)
 
 
 def test_the_network_holds_the_published_node_capacities():

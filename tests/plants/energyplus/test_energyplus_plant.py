@@ -172,7 +172,7 @@ def test_an_engine_that_hangs_is_ended_in_time(monkeypatch, caplog, hangs_at, wh
 
     before = children()
     monkeypatch.setenv("PYTHONPATH", str(Path(hanging_zone.__file__).parent))
-    monkeypatch.setattr(plant, "LiveZone", lambda job: hanging_zone.HangingZone(job, hangs_at))
+    monkeypatch.setattr(plant, "ZoneActing", lambda job: hanging_zone.Hanging(job, hangs_at))
     monkeypatch.setattr(process, "START_S", 20.0 if hangs_at > 0 else 2.0)
     with plant.EnergyPlusPlant(HEATED, patience_s=2.0) as hanging:
         began = time.monotonic()

@@ -11,9 +11,8 @@ from benchmarks.interventions.pool import simulate_all
 from benchmarks.interventions.zones import Recorder
 from thermoforce_mpc.errors import PlantError, WeatherError
 from thermoforce_mpc.execution import LocalEngine
-from thermoforce_mpc.plants.energyplus.engine import is_available, weather_file
-from thermoforce_mpc.plants.energyplus.simulate import ZONE_WIRING, Job, run_engine
-from thermoforce_mpc.plants.energyplus.zone import ZoneSpec, zone_model
+from thermoforce_mpc.plants.energyplus.engine import is_available, run_engine, weather_file
+from thermoforce_mpc.plants.energyplus.zone import ZONE_WIRING, Job, ZoneSpec, zone_model
 
 pytestmark = pytest.mark.skipif(not is_available(), reason="EnergyPlus (extra [energyplus]) is not installed")
 

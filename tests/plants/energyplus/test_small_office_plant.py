@@ -10,10 +10,15 @@ from waiting import children
 from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError
-from thermoforce_mpc.plants.energyplus.engine import is_available, weather_file
-from thermoforce_mpc.plants.energyplus.office_model import WEATHER, ZONES, OfficeRun, office_schedules
+from thermoforce_mpc.plants.energyplus.engine import Wiring, is_available, run_engine, weather_file
+from thermoforce_mpc.plants.energyplus.office_model import (
+    STEPS_PER_HOUR,
+    WEATHER,
+    ZONES,
+    office_model,
+    office_schedules,
+)
 from thermoforce_mpc.plants.energyplus.office_plant import SmallOfficePlant
-from thermoforce_mpc.plants.energyplus.simulate import Wiring, run_engine
 from thermoforce_mpc.plants.testcases import load_testcase
 
 pytestmark = pytest.mark.slow
@@ -56,10 +61,10 @@ class Watching:
 
 def watch(first_day, days, sensors, means=None):
     """Run the building with sensors of our own and return each of them, one value a step."""
-    run = OfficeRun(first_day, days + 1)
+    model = office_model(first_day, days + 1, STEPS_PER_HOUR)
     driver = Watching(288 * days)
     wiring = Wiring(sensors, {}, dict, suffix="idf", means=means or {})
-    run_engine(run.model(), weather_file(WEATHER), driver, wiring)
+    run_engine(model, weather_file(WEATHER), driver, wiring)
     return {name: np.array([reading[name] for reading in driver.readings]) for name in driver.readings[0]}
 
 

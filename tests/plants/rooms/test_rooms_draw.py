@@ -11,7 +11,7 @@ from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.drawn_houses.envelope import FACADES, HEIGHT_M
 from thermoforce_mpc.plants.rooms import draw_rooms, house_of_rooms
 from thermoforce_mpc.plants.rooms.draw import emulator_fixed_share
-from thermoforce_mpc.plants.rooms.plan import facade_lengths
+from thermoforce_mpc.plants.rooms.house import facade_lengths
 from thermoforce_mpc.plants.rooms.use import HOUSE
 
 SEED = 7
@@ -28,7 +28,7 @@ def test_names_resolve_to_houses():
     plant = house_of_rooms("house:5rooms")
     assert plant.zones == ("living", "kitchen", "bath", "bedroom_1", "bedroom_2")
     assert plant.actuators[0] == "living_valve"
-    assert plant.machines == ("heat_pump",)
+    assert plant.layout.names.machines == ("heat_pump",)
     assert house_of_rooms(plant.house.name).house == plant.house
     assert house_of_rooms("house:2rooms:101").house == draw_rooms(2, 101)
 

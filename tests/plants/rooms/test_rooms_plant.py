@@ -8,6 +8,7 @@ import pytest
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.data import DAY_S, HOUR_S, Names
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.plants.rooms import HouseOfRooms, draw_rooms, house_of_rooms, physics
 from thermoforce_mpc.plants.rooms.plant import weather_grid
@@ -56,7 +57,9 @@ def test_it_is_a_plant_whose_layout_says_what_each_valve_serves():
     layout = plant.layout
     assert [layout.actuators_of(z) for z in range(3)] == [[0], [1], [2]]
     assert layout.fed_by(0) == [0, 1, 2]
-    assert layout.shares == pytest.approx(plant.design_heat_W / plant.capacity_W)
+    assert layout.shares == pytest.approx(
+        [room.emitter_W / plant.house.heat_pump.capacity_W for room in plant.house.rooms]
+    )
     assert plant.forecast(HOUR_S, 900.0).names == layout.names
 
 
@@ -102,7 +105,7 @@ def test_discomfort_is_by_room_and_the_total_is_the_mean_over_rooms():
     assert max(rooms.values()) > 1.0
     assert kpis["tdis_tot"] == pytest.approx(expected.mean())
     energy_kWh = np.trapezoid(rows[:, physics.POWER], time_s) / 3.6e6
-    assert kpis["ener_tot"] == pytest.approx(energy_kWh / plant.floor_area_m2.sum())
+    assert kpis["ener_tot"] == pytest.approx(energy_kWh / plant.house.floor_area_m2)
     assert kpis["cost_tot"] == pytest.approx(kpis["ener_tot"] * tariffs.CONSTANT)
 
 
@@ -118,7 +121,7 @@ def test_forecasts_have_a_row_for_each_room_and_the_tariff_asked_for():
     plant.advance(np.ones(3), DAY_S)
     time_s, rows = plant.recorded(20 * DAY_S, 22 * DAY_S)
     paid = np.trapezoid(rows[:, physics.POWER] * tariffs.dynamic(time_s), time_s) / 3.6e6
-    assert plant.kpis()["cost_tot"] == pytest.approx(paid / plant.floor_area_m2.sum())
+    assert plant.kpis()["cost_tot"] == pytest.approx(paid / plant.house.floor_area_m2)
 
 
 def test_rooms_are_used_at_their_hours():
@@ -196,7 +199,7 @@ def test_weeks_are_the_coldest_and_a_sunny_one():
 
 def test_sun_reaches_a_room_through_its_own_facades():
     plant = house_of_rooms("house:5rooms")
-    noon, day = 12 * 4, round(100 * DAY_S / physics.GRID_S)
+    noon, day = 12 * 4, round(100 * DAY_S / GRID_S)
     sun = weather_grid(plant.house, plant.weather)[day : day + 96, physics.SUN : physics.SUN + len(plant.zones)]
     for room, light in zip(plant.house.rooms, sun.T, strict=True):
         south, _, north, _ = room.windows_m2

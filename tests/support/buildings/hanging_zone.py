@@ -4,27 +4,17 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 from thermoforce_mpc.plants.energyplus import plant
-from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant, LiveZone, ZoneActing
+from thermoforce_mpc.plants.energyplus.plant import EnergyPlusPlant, ZoneActing
 from thermoforce_mpc.plants.testcases import load_testcase
 
 
-@dataclass(frozen=True)
-class HangingZone(LiveZone):
+class Hanging(ZoneActing):
     """`hangs_at`: number of the step from midnight; -1 is the warm-up. `mark`: file to write when it hangs."""
 
-    hangs_at: int = -1
-    mark: str | None = None
-
-    def acting(self):
-        return _Hanging(self.job, self.hangs_at, self.mark)
-
-
-class _Hanging(ZoneActing):
-    def __init__(self, job, hangs_at, mark):
+    def __init__(self, job, hangs_at=-1, mark=None):
         super().__init__(job)
         self._hangs_at, self._mark = hangs_at, mark
 
@@ -38,5 +28,5 @@ class _Hanging(ZoneActing):
 
 def hang(mark: str) -> None:
     """Start an engine that hangs, in this process; it writes its process number to the file `mark`."""
-    plant.LiveZone = lambda job: HangingZone(job, mark=mark)
+    plant.ZoneActing = lambda job: Hanging(job, mark=mark)
     EnergyPlusPlant(load_testcase("energyplus:heating_chicago")).reset(0.0, 0.0)

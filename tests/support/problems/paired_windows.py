@@ -7,7 +7,7 @@ from benchmarks.interventions.dataset import ClimateData, Probe, Window
 from benchmarks.interventions.protocol import SHIFTS_K, WINDOW_START_H
 from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.identification.estimation.records import Pair
-from thermoforce_mpc.plants.energyplus.climates import CLIMATES
+from thermoforce_mpc.plants.energyplus.zone import CLIMATES
 
 STEP_S = 900.0
 TIME_CONSTANTS_H, GAINS_K = (1.2, 20.0), (8.0, 12.0)

@@ -34,24 +34,10 @@ from thermoforce_mpc.data import (
     Record,
 )
 from thermoforce_mpc.errors import ConfigError, InputError, NoForecast, NoSuchTest, PlantError
+from thermoforce_mpc.plants import checks
 from thermoforce_mpc.plants.boptest.points import check_points
-from thermoforce_mpc.plants.checks import (
-    check_levels,
-    check_record_step,
-    day_period,
-    forecast_times,
-    is_day,
-    record_times,
-)
-from thermoforce_mpc.plants.records import (
-    acting_means,
-    boundary,
-    inputs,
-    mean_levels,
-    measurement,
-    past_record,
-    recorded_levels,
-)
+from thermoforce_mpc.plants.checks import day_period, is_day
+from thermoforce_mpc.plants.records import acting_means, boundary, inputs, mean_levels, measurement, past_record
 from thermoforce_mpc.plants.shell import Releasing
 from thermoforce_mpc.scenario.testcase import PRICES, TestCase
 
@@ -83,7 +69,6 @@ class BoptestPlant(Releasing):
         forecast_uncertainty: Uncertainty = "none",
         seed: int = 1,
         config: TransportConfig | None = None,
-        start_timeout_s: float = 120.0,
         testid: str | None = None,
     ) -> None:
         """Select the test case and check that every point of `testcase` exists there in the expected unit.
@@ -91,28 +76,20 @@ class BoptestPlant(Releasing):
         Args:
             forecast_uncertainty: level of the service's weather forecast errors, drawn with `seed`.
             config: time-outs and retries of the client.
-            start_timeout_s: longest time the test may be queued, s.
             testid: take up the test of this name instead of selecting one; see `go_on`.
 
         Raises:
-            ConfigError: the service does not offer the test case, `testcase` does not fit its points, or forecast
-                errors are requested with seed 0.
+            ConfigError: the test case is not offered, does not fit its points, or forecast errors come with seed 0.
             NoSuchTest: the service has no test `testid`.
             PlantError: the service cannot be reached or failed.
         """
         self.testcase, self._points = testcase, testcase.points
-        self._url, self._config, self._start_timeout_s = url, config, start_timeout_s
+        self._url, self._config = url, config
         level = None if forecast_uncertainty == "none" else forecast_uncertainty
         if level and seed < 1:
-            raise ConfigError(
-                f"seed: {seed} means 'no seed' to a BOPTEST service and cannot be repeated; use 1 or more"
-            )
-        self._scenario = Scenario(
-            electricity_price="constant",
-            temperature_uncertainty=level,
-            solar_uncertainty=level,
-            seed=None if level is None else seed,
-        )
+            why = "means 'no seed' to a BOPTEST service and cannot be repeated; use 1 or more"
+            raise ConfigError(f"seed: {seed} {why}")
+        self._scenario = Scenario("constant", None, level, level, None if level is None else seed)
         self._start_of: dict[str, float] = {}
         self._step_s = math.nan
         self._now_s = self._begin_s = 0.0
@@ -124,7 +101,7 @@ class BoptestPlant(Releasing):
         self._forecasts = True
         self._client = self._select(testid)
         try:
-            with _failures():
+            with failures():
                 client = self._client
                 check_points(testcase, client.inputs(), client.measurements(), client.forecast_points())
                 self._version = self._client.version()
@@ -145,14 +122,9 @@ class BoptestPlant(Releasing):
         )
 
     def period(self, name: str) -> Period:
-        """Return the window of the service's scenario `name`, or of a start day.
+        """Return the window of the service's scenario `name`, or of a start day; raises `InputError` for neither.
 
-        The service gives the start of a scenario only by initialising it, so the first call for a scenario puts the
-        plant at its start.
-
-        Raises:
-            InputError: `name` is neither a scenario of the service nor a day of the year.
-            PlantError: the service failed.
+        The service gives the start of a scenario only by initialising it, so the first call puts the plant there.
         """
         if is_day(name):
             return day_period(name, self._start_of)
@@ -181,7 +153,7 @@ class BoptestPlant(Releasing):
             for name, scenario_start_s in self._start_of.items():
                 if scenario_start_s == start_s:
                     return self._initialize_scenario(name)
-        with _failures():
+        with failures():
             points = self._client.initialize(start_s, warmup_s)
             self._client.set_scenario(self._scenario)
         return self._at_rest(points, warmup_s, end_s=math.inf)
@@ -194,7 +166,7 @@ class BoptestPlant(Releasing):
             PlantError: the service failed, or its scenario is over.
         """
         layout = self._points.layout
-        block = check_levels(u, duration_s, band_C, names=layout.names, lowest=layout.lowest)
+        block = checks.check_levels(u, duration_s, band_C, names=layout.names, lowest=layout.lowest)
         applied = inputs(self._points, block, self._T_zone_C, self._last)
         if self._now_s + duration_s > self._end_s + _CLOCK_TOLERANCE_S:
             raise PlantError(
@@ -202,7 +174,7 @@ class BoptestPlant(Releasing):
                 f"from day {self._now_s / DAY_S:g} runs past it; score at most 14 days of a named window"
             )
         before_s = self._now_s
-        with _failures():
+        with failures():
             points = self._stepped(applied, duration_s)
             self._read_final_kpis()
             record = self._recorded(before_s, min(self._now_s + duration_s, self._end_s), self._watched_names())
@@ -213,12 +185,11 @@ class BoptestPlant(Releasing):
                 _LOG.warning("the service simulated %g s instead of %g s", self._now_s - before_s, duration_s)
                 self._read_final_kpis()
         edges = np.array([before_s, self._now_s])
-        return self._measured(points, acting_means(record, self._points, self._levels(record, edges), edges))
+        levels = mean_levels(record, self._points, edges, "_u")
+        return self._measured(points, acting_means(record, self._points, levels, edges))
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
-        """Return the service's forecast of boundary conditions from now to `horizon_s` ahead every `interval_s`.
-
-        Values are NaN where the service has none.
+        """Return the service's forecast from now to `horizon_s` ahead every `interval_s`; NaN where it has no values.
 
         Raises:
             InputError: horizon or interval is not positive, or the horizon is shorter than the interval.
@@ -226,14 +197,12 @@ class BoptestPlant(Releasing):
                 instants than requested. After that it is asked without patience, until it answers again.
             PlantError: the test is gone.
         """
-        instants = forecast_times(self._now_s, horizon_s, interval_s)
+        instants = checks.forecast_times(self._now_s, horizon_s, interval_s)
         tariff = next(name for name in PRICES if name == self._scenario.electricity_price)
         names = self._points.forecast(tariff)
         if self._missed:
-            raise NoForecast(
-                f"BOPTEST service: {self._client.url}: its test was advanced since: it is asked after a step"
-            )
-        with _failures():
+            raise NoForecast(f"BOPTEST service: {self._client.url}: its test was advanced; it is asked after a step")
+        with failures():
             try:
                 data = self._client.forecast(list(names), horizon_s, interval_s, patiently=self._forecasts)
             except UnknownTest:
@@ -247,24 +216,19 @@ class BoptestPlant(Releasing):
         return boundary(series["time"], series, self._points, tariff, weather)
 
     def past(self, step_s: float) -> Record:
-        """Return the service's record since the start of the warm-up at `step_s`; the oldest partial step is dropped.
-
-        Raises:
-            InputError: `step_s` is not positive.
-            PlantError: the service failed.
-        """
-        check_record_step(step_s)
-        with _failures():
+        """Return the record since the start of the warm-up, without the oldest partial step; raises as `reset`."""
+        checks.check_record_step(step_s)
+        with failures():
             record = self._recorded(self._begin_s, self._now_s, self._watched_names())
         # Services that do not record the warm-up start the record at the present.
-        edges = record_times(float(record["time"][0]), self._now_s, step_s)
-        return past_record(record, self._points, self._levels(record, edges), edges)
+        edges = checks.record_times(float(record["time"][0]), self._now_s, step_s)
+        return past_record(record, self._points, mean_levels(record, self._points, edges, "_u"), edges)
 
     def kpis(self) -> dict[str, float]:
         """Return the service's KPIs since the end of the warm-up; KPIs the test case does not have are omitted."""
         if self._final_kpis is not None:
             return dict(self._final_kpis)
-        with _failures():
+        with failures():
             return self._read_kpis()
 
     def go_on(
@@ -277,11 +241,7 @@ class BoptestPlant(Releasing):
         periods: Mapping[str, Period],
         anywhere: bool = False,
     ) -> None:
-        """See `OutlivingPlant.go_on`; the plant was made with the `testid` of the test.
-
-        Raises:
-            PlantError: the test stands elsewhere than `last` or the end of the step after it.
-        """
+        """See `OutlivingPlant.go_on`; raises `PlantError` where the test is neither at `last` nor a step after it."""
         self._scenario = replace(self._scenario, electricity_price=price)
         named = {name: period.start_s for name, period in periods.items() if not is_day(name)}
         self._start_of |= named
@@ -289,9 +249,12 @@ class BoptestPlant(Releasing):
         self._now_s, self._begin_s = last.time_s, max(start_s - warmup_s, 0.0)
         self._end_s = start_s + _SCENARIO_LENGTH_S if scenario else math.inf
         self._T_zone_C, self._last = last.T_zone_C, last
-        with _failures():
+        with failures():
             self._step_s = self._client.step()
-            stands_s = self._stands_s() if anywhere else self._now_s
+            stands_s = self._now_s
+            if anywhere:
+                record = self._recorded(stands_s, stands_s + YEAR_S, [self._points.outdoor_temperature])
+                stands_s = float(record["time"][-1])
             from_s = max(self._now_s, stands_s - self._step_s)
             self._missed = self._client.go_on_from(from_s, self._step_s)
         if anywhere and self._missed:
@@ -300,15 +263,8 @@ class BoptestPlant(Releasing):
                 "decided for the time between does not act", stands_s / DAY_S, self._now_s / DAY_S,
             )  # fmt: skip
 
-    def _stands_s(self) -> float:
-        """Time until which the test was advanced, s."""
-        return float(self._recorded(self._now_s, self._now_s + YEAR_S, [self._points.outdoor_temperature])["time"][-1])
-
     def close(self) -> None:
-        """Stop the test at the service; safe to call twice.
-
-        A failure is only logged, since the service drops idle tests and raising would hide an earlier error.
-        """
+        """Stop the test at the service; a failure is only logged: raising would hide an earlier error."""
         try:
             self._client.stop()
         except BoptestError as error:
@@ -319,10 +275,7 @@ class BoptestPlant(Releasing):
         self._client.leave()
 
     def _stepped(self, applied: Mapping[str, float], duration_s: float) -> dict[str, float]:
-        """The points at the end of a step, to which the clock is set: of a new one, or of that whose answer was lost.
-
-        A step whose answer was lost is one of the same inputs: what is journalled acts again.
-        """
+        """Points at the end of a step, of a new one or of that whose answer was lost (same inputs); sets the clock."""
         before_s, points = self._now_s, self._missed
         self._missed = {}
         if not points:
@@ -338,15 +291,9 @@ class BoptestPlant(Releasing):
         return points
 
     def _select(self, testid: str | None = None) -> BoptestClient:
-        with _failures():
+        with failures():
             try:
-                return BoptestClient(
-                    self._url,
-                    self.testcase.name,
-                    config=self._config,
-                    start_timeout_s=self._start_timeout_s,
-                    testid=testid,
-                )
+                return BoptestClient(self._url, self.testcase.name, config=self._config, testid=testid)
             except BadAddress as error:
                 raise ConfigError(f"plant.url: {error}") from error
             except (RequestRejected, UnknownTest) as error:
@@ -359,7 +306,7 @@ class BoptestPlant(Releasing):
 
     def _wake(self) -> None:
         """Select the test again if the service dropped it; a reset needs no earlier state."""
-        with _failures():
+        with failures():
             try:
                 self._client.status()
             except UnknownTest:
@@ -368,13 +315,12 @@ class BoptestPlant(Releasing):
                 self._client = self._select()
 
     def _initialize_scenario(self, name: str) -> Measurement:
-        with _failures():
+        with failures():
             try:
                 points = self._client.set_scenario(replace(self._scenario, time_period=name))
             except RequestRejected as error:
-                raise InputError(
-                    f"period '{name}': neither a start day nor a scenario of the service ({error})"
-                ) from error
+                why = f"neither a start day nor a scenario of the service ({error})"
+                raise InputError(f"period '{name}': {why}") from error
         return self._at_rest(points, _SCENARIO_WARMUP_S, end_s=points["time"] + _SCENARIO_LENGTH_S)
 
     def _at_rest(self, points: dict[str, float], warmup_s: float, end_s: float) -> Measurement:
@@ -387,30 +333,22 @@ class BoptestPlant(Releasing):
         return self._measured(points)
 
     def _measured(self, points: Mapping[str, float], acting: Mapping[str, Array] | None = None) -> Measurement:
-        """Return the measurement of `points`; its zone temperature serves the actuator's map in the next step."""
+        """The measurement of `points`; its zone temperature serves the actuator's map in the next step."""
         latest = measurement(self._now_s, points, self._points, acting)
         self._T_zone_C = np.where(np.isfinite(latest.T_zone_C), latest.T_zone_C, self._T_zone_C)
         self._last = latest
         return latest
 
     def _watched_names(self) -> list[str]:
-        """Return the points of weather and of `_acting_names`."""
-        return [self._points.outdoor_temperature, self._points.solar, *self._acting_names()]
-
-    def _acting_names(self) -> list[str]:
-        """Return the points that the level and the means of a step are computed from."""
-        return [*self._points.temperatures, *(f"{name}_u" for name in self._points.sensed), *self._points.flows]
+        """Points of the weather, and those that levels and means of a step are computed from."""
+        p = self._points
+        return [p.outdoor_temperature, p.solar, *p.temperatures, *(f"{name}_u" for name in p.sensed), *p.flows]
 
     def _recorded(self, start_s: float, final_s: float, names: Sequence[str]) -> dict[str, Array]:
         data = self._client.results(list(dict.fromkeys(names)), start_s, final_s)
         if not data["time"]:
             raise PlantError(f"the service recorded nothing between {start_s:g} s and {final_s:g} s")
         return {name: np.array(values) for name, values in data.items()}
-
-    def _levels(self, record: Mapping[str, Array], edges: Array) -> Array:
-        """Return mean levels between `edges` (n + 1,), shape (A, n), under native or external control."""
-        applied = {name: record[f"{name}_u"] for name in self._points.sensed}
-        return mean_levels(record["time"], recorded_levels(record, self._points, applied), edges)
 
     def _read_final_kpis(self) -> None:
         """At the end of a scenario, read the KPIs: later requests may discard the results."""
@@ -422,7 +360,7 @@ class BoptestPlant(Releasing):
 
 
 @contextlib.contextmanager
-def _failures() -> Iterator[None]:
+def failures() -> Iterator[None]:
     """Convert the client's errors to `PlantError`, keeping the service's message."""
     try:
         yield

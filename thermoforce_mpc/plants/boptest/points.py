@@ -32,9 +32,8 @@ def check_points(
 ) -> None:
     """Compare a test case file with the points that `plant` offers.
 
-    Raises:
-        ConfigError: lists every key that names an unknown point or one in another unit, and every value that the plant
-            would silently clip.
+    Raises `ConfigError`, which lists every key that names an unknown point or one in another unit, and every value that
+    the plant would silently clip.
     """
     points, several = testcase.points, bool(testcase.zones)
     wanted = [
@@ -72,10 +71,8 @@ def check_points(
         for held in machine.held:
             wanted += [_Wanted(f"{of}.held.{held}", f"{held}_{end}", inputs) for end in ("u", "activate")]
         if machine.supply:
-            wanted += [
-                _Wanted(f"{of}.supply.point", f"{machine.supply.point}_{end}", inputs, unit)
-                for end, unit in (("u", _KELVIN), ("activate", None))
-            ]
+            key, point = f"{of}.supply.point", machine.supply.point
+            wanted += [_Wanted(key, f"{point}_u", inputs, _KELVIN), _Wanted(key, f"{point}_activate", inputs)]
     wrong = [problem for item in wanted if (problem := _problem(item, plant))]
     values = [
         (f"{one.key}.{key}", name, value)

@@ -18,10 +18,7 @@ def allow_token(url: str) -> None:
 
 
 def check_token(url: str) -> None:
-    """Raise `ConfigError` where BOPTEST_TOKEN is set and would go to a service that the user has not named.
-
-    Named are those that were given to `allow_token`, that of the variable BOPTEST_URL, and this machine.
-    """
+    """Raise `ConfigError` where BOPTEST_TOKEN would go to a service that neither user, BOPTEST_URL nor this host is."""
     if not _has_token() or _is_here(url):
         return
     if _mark(url) not in {_mark(os.environ.get("BOPTEST_URL", "")), *known_marks()}:

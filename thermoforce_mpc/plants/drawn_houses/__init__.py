@@ -1,1 +1,1 @@
-"""What the drawn houses share, `random_houses` and `rooms`: walls and windows, occupants, weeks, and their plant."""
+"""What the drawn houses share, `random_houses` and `rooms`: walls and windows, weeks, and their plant."""

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
 from numba import njit
 from pvlib import iam
 
-from thermoforce_mpc.boundary.weather.solar import Sun, on_plane
+from thermoforce_mpc.boundary.weather.solar import on_plane, sun_position
 from thermoforce_mpc.boundary.weather.year import Weather
-from thermoforce_mpc.data import Array
+from thermoforce_mpc.data import YEAR_S, Array
 
 # Step of the physics and of the samples, and of the grids of weather and schedules, s.
 STEP_S, GRID_S = 30.0, 900.0
@@ -36,15 +37,12 @@ SURFACE_J_M2_K = 10e3
 # Operative temperature: share of the air (EN ISO 13790, C.12).
 AIR_SHARE = 0.3
 # Share of the air change that is driven by the wind, at the mean wind of the synthetic year, m/s.
-WIND_SHARE, MEAN_WIND_M_S = 0.3, 3.9
+_WIND_SHARE, _MEAN_WIND_M_S = 0.3, 3.9
 
 
 @njit(cache=True)
 def solve(a: np.ndarray, b: np.ndarray) -> None:
-    """Solve a x = b in place for a diagonally dominant matrix (n, n); the solution is in `b`.
-
-    Zeros below the diagonal are skipped: nodes with few neighbours come first.
-    """
+    """Solve a x = b, a diagonally dominant (n, n), into `b`; skips zeros below the diagonal: few neighbours first."""
     n = b.size
     for k in range(n):
         for i in range(k + 1, n):
@@ -59,6 +57,17 @@ def solve(a: np.ndarray, b: np.ndarray) -> None:
         b[k] /= a[k, k]
 
 
+@njit(cache=True)
+def read(grid: np.ndarray, time_s: float, w: np.ndarray) -> int:
+    """Interpolate the first columns of a year's grid at `time_s` into `w` and return the row that holds then."""
+    at = (time_s % ((grid.shape[0] - 1) * GRID_S)) / GRID_S
+    row = int(at)
+    share = at - row
+    for j in range(w.size):
+        w[j] = (1.0 - share) * grid[row, j] + share * grid[row + 1, j]
+    return row
+
+
 Facade = Literal["south", "west", "north", "east"]
 FACADES: tuple[Facade, ...] = ("south", "west", "north", "east")
 AZIMUTH_DEG: dict[Facade, float] = {"south": 180.0, "west": 270.0, "north": 0.0, "east": 90.0}
@@ -66,8 +75,20 @@ AZIMUTH_DEG: dict[Facade, float] = {"south": 180.0, "west": 270.0, "north": 0.0,
 _DIFFUSE_FACTOR, _ASHRAE_B = 0.87, 0.10
 
 
-def on_facade(weather: Weather, sun: Sun, time_s: Array, azimuth_deg: float) -> tuple[Array, Array]:
-    """Return irradiance that passes a vertical pane over its g-value, and that on the facade, W/m², like `time_s`."""
-    light = on_plane(weather, sun, time_s, 90.0, azimuth_deg)
-    passing = light.beam * iam.ashrae(light.incidence_deg, b=_ASHRAE_B) + light.diffuse * _DIFFUSE_FACTOR
-    return passing, light.beam + light.diffuse
+def year() -> Array:
+    """Return the times of the grids of weather and schedules, s, shape (35041,)."""
+    return np.arange(0.0, YEAR_S + GRID_S, GRID_S)
+
+
+def on_facades(weather: Weather, time_s: Array, turn_deg: float = 0.0) -> Iterator[tuple[Array, Array]]:
+    """Yield what passes a vertical pane over its g-value, and the irradiance on its facade, W/m² (n,), by `FACADES`."""
+    sun = sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
+    for azimuth_deg in AZIMUTH_DEG.values():
+        light = on_plane(weather, sun, time_s, 90.0, (azimuth_deg + turn_deg) % 360.0)
+        passing = light.beam * iam.ashrae(light.incidence_deg, b=_ASHRAE_B) + light.diffuse * _DIFFUSE_FACTOR
+        yield passing, light.beam + light.diffuse
+
+
+def air_change(weather: Weather, time_s: Array) -> Array:
+    """Return the air change by infiltration relative to its mean, (n,)."""
+    return np.asarray(1.0 - _WIND_SHARE + _WIND_SHARE * (weather.at("wind_m_s", time_s) / _MEAN_WIND_M_S))

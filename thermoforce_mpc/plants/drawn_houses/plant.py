@@ -1,75 +1,115 @@
-"""What the plants of drawn houses share: synthetic weather, known ahead, and samples every 30 s."""
+"""What the plants of drawn houses share: their two weeks, synthetic weather, known ahead, and samples every 30 s."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.weather.year import Weather
-from thermoforce_mpc.data import Array, Block, Period, PlantInfo
+from thermoforce_mpc.data import DAY_S, Array, Block, Boundary, Period, PlantInfo
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.checks import check_start
+from thermoforce_mpc.plants.checks import check_start, day_period
 from thermoforce_mpc.plants.drawn_houses.envelope import GRID_S, STEP_S
-from thermoforce_mpc.plants.drawn_houses.weeks import week_or_day
-from thermoforce_mpc.plants.shell import BranchingShell
+from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
+from thermoforce_mpc.plants.shell import CLOCK_S, BranchingShell
 from thermoforce_mpc.version import VERSION
 
 # The baseline thermostats' set-points above the lower bounds in use, K, as in the shipped test case (21.3 for 21 °C).
 THERMOSTAT_ABOVE_K = 0.3
-
-
-class _House(Protocol):
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def words(self) -> str: ...
-
-    @property
-    def design_load_W(self) -> float: ...
+WEEKS = ("cold_week", "sunny_week")
+_WEEK_OF = {"peak_heat_day": "cold_week", "typical_heat_day": "sunny_week"}
+NAMES = (*WEEKS, *_WEEK_OF)
+# First days of the weeks a window is chosen from, and least heat load of the sunny week relative to the design load.
+_COLD_DAYS, _SUNNY_DAYS, _LEAST_LOAD = range(17, 53), range(60, 111), 0.12
 
 
 class DrawnHousePlant(BranchingShell):
-    """A drawn house. Deterministic: same house and inputs, same bytes.
+    """A drawn house. Deterministic: same house and inputs, same bytes. Comfort is judged by true temperatures.
 
     Attributes:
         house: what was drawn.
         weather: its synthetic year.
+        zones: names of its rooms.
     """
 
-    house: _House
+    house: Any
     weather: Weather
+    zones: tuple[str, ...] = ("1",)
     _kind: str
-    _tariffs: dict[str, tariffs.Tariff]
+    _carrier = "ElectricPower"
 
     @property
     def info(self) -> PlantInfo:
         """Plant, weather and version."""
-        return PlantInfo(
-            kind=self._kind,
-            testcase=self.house.name,
-            description=self.house.words,
-            weather=self.weather.name,
-            version=VERSION,
-        )
+        return PlantInfo(self._kind, self.house.name, self.house.words, self.weather.name, VERSION)
 
     def period(self, name: str) -> Period:
-        """Return the week 'cold_week' or 'sunny_week', or two weeks from a start day, see `week_or_day`.
+        """Return the week 'cold_week' or 'sunny_week', or two weeks from a start day.
+
+        cold_week: lowest mean outdoor temperature of the weeks that start on day 17 to 52. sunny_week: most global
+        radiation of those that start on day 60 to 110 and whose heat load at 20 °C is 12 % of the design load or more;
+        without such a week the one with the highest heat load.
+
+        BOPTEST's names stand for them: 'peak_heat_day' for the cold week, 'typical_heat_day' for the sunny one.
 
         Raises:
             InputError: `name` is neither of these nor a day of the year.
         """
+        name = _WEEK_OF.get(name, name)
+        if name not in WEEKS:
+            return day_period(name, WEEKS)
         T_out_C, global_W_m2, load_W = self._heat_year()
-        return week_or_day(
-            name,
-            T_out_C=T_out_C,
-            global_W_m2=global_W_m2,
-            load_W=load_W,
-            design_load_W=self.house.design_load_W,
-            grid_s=GRID_S,
+        week = round(7 * DAY_S / GRID_S)
+
+        def means(values: Array, days: range) -> Array:
+            firsts = [round(day * DAY_S / GRID_S) for day in days]
+            return np.array([values[first : first + week].mean() for first in firsts])
+
+        if name == "cold_week":
+            day = _COLD_DAYS[int(np.argmin(means(T_out_C, _COLD_DAYS)))]
+        else:
+            load, sun = means(load_W, _SUNNY_DAYS), means(global_W_m2, _SUNNY_DAYS)
+            needed = load >= _LEAST_LOAD * self.house.design_load_W
+            day = _SUNNY_DAYS[int(np.argmax(np.where(needed, sun, -np.inf) if needed.any() else load))]
+        return Period(name, day * DAY_S, scored_s=7 * DAY_S)
+
+    def kpis(self) -> dict[str, float]:
+        """Return BOPTEST's KPIs since the end of the warm-up; discomfort is the mean over rooms."""
+        if self._now_s - self._start_s < CLOCK_S:
+            of_zones = [f"tdis_tot[{name}]" for name in self.zones] if len(self.zones) > 1 else []
+            return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot", *of_zones), 0.0)
+        return self._scored()
+
+    def _scored(self) -> dict[str, float]:
+        return self._kpis_so_far(self._kpis_between)
+
+    def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
+        time_s, rows = self._samples.between(start_s, final_s)
+        power_W, T_C = self._power_and_rooms(rows)
+        outside = map(excess, T_C, *map(np.atleast_2d, self._bounds_C(time_s)))
+        return building_kpis(
+            time_s,
+            supplies=[Supply(self._carrier, power_W, *self._bought(time_s))],
+            thermal=list(map(Violation, self.zones, outside)),
+            air_quality=[],
+            area_m2=self.house.floor_area_m2,
+        )
+
+    def _boundary(self, time_s: Array) -> Boundary:
+        lower, upper = self._bounds_C(time_s)
+        price, emission = self._bought(time_s)
+        return Boundary(
+            time_s=time_s,
+            T_out_C=self.weather.at("T_dry_C", time_s),
+            solar_W_m2=self.weather.at("global_W_m2", time_s),
+            occupancy=self._people(time_s),
+            lower_C=lower,
+            upper_C=upper,
+            price_per_kWh=price,
+            emission_kg_per_kWh=emission,
+            names=self._names,
         )
 
     def _check_reset(self, start_s: float, warmup_s: float, price: str) -> None:
@@ -84,9 +124,26 @@ class DrawnHousePlant(BranchingShell):
         self._simulate(block.as_array(), before_s, block.duration_s / time_s.size, rows)
         self._samples.append(time_s, rows)
 
+    def _weather_now(self) -> tuple[float, float]:
+        """Outdoor temperature, °C, and irradiance, W/m²."""
+        now = np.array([self._now_s])
+        return float(self.weather.at("T_dry_C", now)[0]), float(self.weather.at("global_W_m2", now)[0])
+
     @abstractmethod
     def _heat_year(self) -> tuple[Array, Array, Array]:
         """Outdoor temperature, °C, irradiance, W/m², and heat losses at 20 °C less gains and sun, W, every `GRID_S`."""
+
+    @abstractmethod
+    def _bounds_C(self, time_s: Array) -> tuple[Array, Array]:
+        """Comfort bounds at `time_s` (n,), °C, (n,) or (Z, n)."""
+
+    @abstractmethod
+    def _people(self, time_s: Array) -> Array:
+        """Expected number of people at `time_s` (n,), (n,) or (Z, n)."""
+
+    @abstractmethod
+    def _power_and_rooms(self, rows: Array) -> tuple[Array, Array]:
+        """Billed power, W (n,), and true temperatures, °C (Z, n), of samples (n, k)."""
 
     @abstractmethod
     def _simulate(self, forced: Array, before_s: float, dt_s: float, rows: Array) -> None:

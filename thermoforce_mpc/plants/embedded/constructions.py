@@ -7,6 +7,7 @@ Source: documentation and model of the BOPTEST test case `bestest_hydronic_heat_
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,11 +36,7 @@ _WOOD = Layer(0.009, 0.14, 530.0, 900.0, 2)
 _INSULATION = Layer(0.0615, 0.04, 10.0, 1400.0, 2)
 _BLOCK = Layer(0.100, 0.51, 1400.0, 1000.0, 3)
 WALL = (_WOOD, _INSULATION, _BLOCK)
-ROOF = (
-    Layer(0.019, 0.14, 530.0, 900.0, 2),
-    Layer(0.1118, 0.04, 12.0, 840.0, 2),
-    Layer(0.010, 0.16, 950.0, 840.0, 2),
-)
+ROOF = (Layer(0.019, 0.14, 530.0, 900.0, 2), Layer(0.1118, 0.04, 12.0, 840.0, 2), Layer(0.010, 0.16, 950.0, 840.0, 2))
 # From the tile down to the soil; the pipes lie between screed and PUR insulation.
 TILE = Layer(0.01, 1.4, 2100.0, 840.0, 2)
 SCREED = Layer(0.05, 0.6, 1100.0, 840.0, 2)
@@ -75,58 +72,34 @@ _WINDOW_RESISTANCE = 2 * _PANE_RESISTANCE + 1.0 / (_GAP_CONDUCTION + _GAP_RADIAT
 # Outside wall areas, m²; all surface arrays use the order south, west, north, east, roof.
 WALLS_M2 = (19.2, 32.4, 43.2, 32.4)
 
-# Weight of each inside surface in the mean radiant temperature, area times short-wave absorptance (model constants).
-RADIANT_SHARE = {
-    "south": 0.02159,
-    "west": 0.03644,
-    "north": 0.04858,
-    "east": 0.03644,
-    "roof": 0.21592,
-    "floor": 0.19793,
-    "partition_brick": 0.22368,
-    "partition_gypsum": 0.18927,
-    "window": 0.03014,
-}
-# Inside long-wave emissivity.
-EMISSIVITY = {
-    "south": 0.9,
-    "west": 0.9,
-    "north": 0.9,
-    "east": 0.9,
-    "roof": 0.9,
-    "floor": 0.88,
-    "partition_brick": 0.88,
-    "partition_gypsum": 0.85,
-    "window": 0.9,
-}
-# Resistance between each surface and the radiant node, K⁴/W (emissivity and Carroll's view factor).
-RADIANT_RESISTANCE = {
-    "south": 1.00445e6,
-    "west": 5.88451e5,
-    "north": 4.37077e5,
-    "east": 5.88451e5,
-    "roof": 81_703.0,
-    "floor": 84_022.5,
-    "partition_brick": 92_990.8,
-    "partition_gypsum": 89_138.3,
-    "window": 8.00259e5,
-}
-SURFACES = tuple(RADIANT_SHARE)
-SURFACE_M2 = {
-    "south": WALLS_M2[0],
-    "west": WALLS_M2[1],
-    "north": WALLS_M2[2],
-    "east": WALLS_M2[3],
-    "roof": AREA_M2,
-    "floor": AREA_M2,
-    "partition_brick": PARTITION_M2,
-    "partition_gypsum": PARTITION_M2,
-    "window": WINDOW_M2,
+
+class Surface(NamedTuple):
+    """Inside surface: area m², weight in the mean radiant temperature, long-wave emissivity, and resistance K⁴/W.
+
+    The weight is area times short-wave absorptance (model constants); the resistance is that to the radiant node
+    (emissivity and Carroll's view factor).
+    """
+
+    area_m2: float
+    share: float
+    emissivity: float
+    resistance: float
+
+
+SURFACES = {
+    "south": Surface(WALLS_M2[0], 0.02159, 0.9, 1.00445e6),
+    "west": Surface(WALLS_M2[1], 0.03644, 0.9, 5.88451e5),
+    "north": Surface(WALLS_M2[2], 0.04858, 0.9, 4.37077e5),
+    "east": Surface(WALLS_M2[3], 0.03644, 0.9, 5.88451e5),
+    "roof": Surface(AREA_M2, 0.21592, 0.9, 81_703.0),
+    "floor": Surface(AREA_M2, 0.19793, 0.88, 84_022.5),
+    "partition_brick": Surface(PARTITION_M2, 0.22368, 0.88, 92_990.8),
+    "partition_gypsum": Surface(PARTITION_M2, 0.18927, 0.85, 89_138.3),
+    "window": Surface(WINDOW_M2, 0.03014, 0.9, 8.00259e5),
 }
 
 
-@dataclass(frozen=True)
-class Network:
+class Network(NamedTuple):
     """Thermal network of n nodes in one chain.
 
     `capacity` (n,) J/K, `start_K` (n,) K; `coupling` (n,) W/K between nodes i and i + 1, zero at the end of a

@@ -28,8 +28,8 @@ from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import day_period, is_day
 from thermoforce_mpc.plants.embedded import exposure, kernel, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
-from thermoforce_mpc.plants.embedded.counting import integrals
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
+from thermoforce_mpc.plants.embedded.kernel import integrals
 from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, peak_power
 from thermoforce_mpc.plants.people import live
 from thermoforce_mpc.plants.records import interval_means
@@ -38,6 +38,7 @@ from thermoforce_mpc.scenario.building import Price
 from thermoforce_mpc.version import VERSION
 
 _COLUMN = {name: i for i, name in enumerate(kernel.RECORD)}
+_POWERS = ("P_heat_pump", "P_fan", "P_pump")
 
 # Shortest step, s; shorter ones are lost in the rounding of the clock.
 LEAST_STEP_S = 1e-3
@@ -99,7 +100,7 @@ class EmbeddedPlant(BranchingShell):
         self.weather = weather
         self._forecast_error = forecast_error
         self._network = build_network()
-        grid = build_exposure(weather).grid
+        grid = build_exposure(weather)
         self._scheduled = grid, kernel.AS_SCHEDULED
         self._lived = self._scheduled if people is None else _with_people(grid, people)
         self._tariffs = tariffs.by_name(highly_dynamic)
@@ -118,11 +119,7 @@ class EmbeddedPlant(BranchingShell):
         )
 
     def period(self, name: str) -> Period:
-        """Return the window 'peak_heat_day' or 'typical_heat_day' (BOPTEST's rule for this weather), or of a start day.
-
-        Raises:
-            InputError: `name` is neither a known window nor a day of the year.
-        """
+        """Return 'peak_heat_day' or 'typical_heat_day' by BOPTEST's rule, or a start day; raises `InputError`."""
         if is_day(name):
             return day_period(name, ())
         if self._periods is None:
@@ -141,7 +138,7 @@ class EmbeddedPlant(BranchingShell):
         return row
 
     def _run(self, block: Block) -> None:
-        self._advance(_overrides(block), block.duration_s)
+        self._samples.append(*self._simulated(_overrides(block), block.duration_s))
 
     def _advanced(self, block: Block) -> Measurement:
         return self.advance_points(_overrides(block), block.duration_s)
@@ -149,9 +146,8 @@ class EmbeddedPlant(BranchingShell):
     def advance_points(self, overrides: Mapping[str, float], duration_s: float) -> Measurement:
         """Advance with overwrite inputs by BOPTEST name (temperatures in K); inputs not given stay native.
 
-        Raises:
-            InputError: an unknown input, a value that is neither 0 nor a finite number within its limits, or a duration
-                that is not between 1 ms and a year.
+        Raises `InputError` for an unknown input, a value that is neither 0 nor a finite number within its limits, or a
+        duration that is not between 1 ms and a year.
         """
         for name, value in overrides.items():
             if name not in _LIMITS:
@@ -165,12 +161,13 @@ class EmbeddedPlant(BranchingShell):
         if not LEAST_STEP_S <= duration_s < YEAR_S:
             raise InputError(f"step of {duration_s:g} s: expected {LEAST_STEP_S:g} s or more, less than a year")
         before_s = self._now_s
-        self._advance(overrides, float(duration_s))
+        self._samples.append(*self._simulated(overrides, float(duration_s)))
         return self._measured(before_s)
 
     def _boundary(self, time_s: Array) -> Boundary:
         lower, upper = schedule.bounds_C(time_s)
         T_out, solar = forecast_weather(self.weather, self._forecast_error, time_s)
+        price, emission = self._bought(time_s)
         return Boundary(
             time_s=time_s,
             T_out_C=T_out,
@@ -178,20 +175,21 @@ class EmbeddedPlant(BranchingShell):
             occupancy=schedule.PEOPLE * schedule.occupied_sample(time_s),
             lower_C=lower,
             upper_C=upper,
-            price_per_kWh=self._tariffs[self._price](time_s),
-            emission_kg_per_kWh=np.full(time_s.shape, tariffs.EMISSION_KG_PER_KWH),
+            price_per_kWh=price,
+            emission_kg_per_kWh=emission,
         )
 
     def _past(self, edges: Array) -> Record:
         record = self.recorded(self._begin_s, self._now_s)
-        sampled = {name: np.interp(edges, record["time"], record[name]) for name in ("T_operative", "T_out", "solar")}
+        names = ("T_operative", "T_out", "solar")
+        T_zone, T_out, solar = (np.interp(edges, record["time"], record[name]) for name in names)
         return Record(
             time_s=edges,
-            T_zone_C=sampled["T_operative"] - ZERO_C_K,
-            T_out_C=sampled["T_out"] - ZERO_C_K,
-            solar_W_m2=sampled["solar"],
+            T_zone_C=T_zone - ZERO_C_K,
+            T_out_C=T_out - ZERO_C_K,
+            solar_W_m2=solar,
             u=interval_means(record, ["level"], edges),
-            power_W=interval_means(record, ["P_heat_pump", "P_fan", "P_pump"], edges),
+            power_W=interval_means(record, _POWERS, edges),
             heat_W=interval_means(record, ["Q_condenser"], edges),
             T_return_C=interval_means(record, ["T_return"], edges) - ZERO_C_K,
         )
@@ -203,12 +201,14 @@ class EmbeddedPlant(BranchingShell):
         return self._kpis_so_far(self._kpis_between)
 
     def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
-        """Return the KPIs of the samples between two times, both included."""
         time_s, rows = self._samples.between(start_s, final_s)
         Wh, cost, discomfort_Kh, excess_ppm_h = integrals(time_s, rows, self._tariffs[self._price](time_s)).tolist()
         span_s = final_s - start_s
         # The mean over one window, as after every step of a quarter of an hour.
-        peak_W = Wh * HOUR_S / span_s if span_s <= PEAK_WINDOW_S + CLOCK_S else peak_power(time_s, _total_power(rows))
+        peak_W = Wh * HOUR_S / span_s
+        if span_s > PEAK_WINDOW_S + CLOCK_S:
+            heat_pump_W, fan_W, pump_W = (rows[:, _COLUMN[name]] for name in _POWERS)
+            peak_W = peak_power(time_s, heat_pump_W + fan_W + pump_W)
         kWh = Wh / 1e3 / AREA_M2
         return {
             "ener_tot": kWh,
@@ -241,26 +241,18 @@ class EmbeddedPlant(BranchingShell):
         return self._tariffs[name]
 
     def use(self, price: str, forecast_error: ForecastError | None) -> None:
-        """Set tariff and forecast errors; the plant's state does not change.
-
-        Raises:
-            InputError: the tariff is unknown.
-        """
+        """Set tariff and forecast errors, and nothing else; raises `InputError` for an unknown tariff."""
         self.tariff(price)
         self._price, self._forecast_error = cast(Price, price), forecast_error
 
     def recorded(self, start_s: float, final_s: float) -> dict[str, Array]:
-        """Return the samples between two times: 'time' s and every column of `kernel.RECORD`, shape (n,) each.
+        """Return the samples between two times: 'time' s and every column of `kernel.RECORD`, in its units, (n,) each.
 
-        Units are those of `kernel.RECORD`. Each advance adds equally spaced samples, 30 to 60 s apart (30 s if its
-        length is a multiple of 30 s), or one sample if it is shorter. The record starts with the warm-up and ends now;
-        arrays are empty if nothing was recorded.
+        Each advance adds equally spaced samples, 30 to 60 s apart (30 s if its length is a multiple of 30 s), or one if
+        it is shorter. The record starts with the warm-up and ends now; arrays are empty if nothing was recorded.
         """
         time_s, values = self._samples.between(start_s, final_s)
         return {"time": time_s} | {name: values[:, i] for name, i in _COLUMN.items()}
-
-    def _advance(self, overrides: Mapping[str, float], duration_s: float) -> None:
-        self._samples.append(*self._simulated(overrides, duration_s))
 
     def _simulated(self, overrides: Mapping[str, float], duration_s: float) -> tuple[Array, Array]:
         """Simulate, and set the clock to the end; times (n,) and samples (n, 17)."""
@@ -270,18 +262,12 @@ class EmbeddedPlant(BranchingShell):
         n = time_s.size
         rows = np.empty((n, len(kernel.RECORD)))
         forced = np.array([overrides.get(name, math.nan) for name in _LIMITS], dtype=np.float64)
-        net = self._network
-        kernel.advance(
-            self._nodes, self._scalars, before_s, n, duration_s / n, forced, *self._lived, net.capacity, net.coupling,
-            net.outside, net.inside, net.pipe, net.slab, rows,
-        )  # fmt: skip
+        state = self._nodes, self._scalars, before_s, n, duration_s / n
+        kernel.advance(*state, forced, *self._lived, self._network, rows)
         return time_s, rows
 
     def native_power_W(self) -> Array:
-        """Return 15-min means of the compressor power over a year of native control, W, shape (35040,).
-
-        People keep to the schedule, so that windows are the same with and without others.
-        """
+        """Return 15-min means of the compressor power over a year under native control and schedule, W, (35040,)."""
         here, lived = self.snapshot(), self._lived
         self._lived = self._scheduled
         try:
@@ -306,7 +292,7 @@ class EmbeddedPlant(BranchingShell):
             T_out_C=points["weaSta_reaWeaTDryBul_y"] - ZERO_C_K,
             solar_W_m2=points["weaSta_reaWeaHGloHor_y"],
             u=means[_COLUMN["level"]],
-            power_W=means[_COLUMN["P_heat_pump"]] + means[_COLUMN["P_fan"]] + means[_COLUMN["P_pump"]],
+            power_W=sum(means[_COLUMN[name]] for name in _POWERS),
             heat_W=means[_COLUMN["Q_condenser"]],
             T_return_C=means[_COLUMN["T_return"]] - ZERO_C_K,
             points=points,
@@ -314,7 +300,6 @@ class EmbeddedPlant(BranchingShell):
 
 
 def _overrides(block: Block) -> dict[str, float]:
-    """Overwrite inputs for the level of the compressor; none under native control."""
     level = block.u[0]
     return {} if level is None else {"oveHeaPumY": level}
 
@@ -335,7 +320,3 @@ def _with_people(grid: Array, seed: int) -> tuple[Array, Array]:
     differs[:, kernel.PEOPLE] = (life.present - schedule.PEOPLE * usual)[:-1]
     differs[:, kernel.COOKING], differs[:, kernel.WINDOWS] = life.cooking_W[:-1], life.windows_1_h[0, :-1]
     return shaded, differs
-
-
-def _total_power(rows: Array) -> Array:
-    return np.asarray(rows[..., _COLUMN["P_heat_pump"]] + rows[..., _COLUMN["P_fan"]] + rows[..., _COLUMN["P_pump"]])

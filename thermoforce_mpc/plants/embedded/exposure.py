@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from thermoforce_mpc.boundary.weather.solar import on_plane, sun_position
@@ -26,8 +24,6 @@ _ANGLE = [0, 10, 20, 30, 40, 45, 50, 60, 70, 80, 88.9, 90]
 _TRANSMITTED = [
     0.747454, 0.746824, 0.744654, 0.739491, 0.729832, 0.720922, 0.707331, 0.652331, 0.516754, 0.263009, 0, 0,
 ]
-# fmt: on
-# fmt: off
 _ABSORBED_ANGLE = [
     0, 20, 30, 40, 48, 55, 57, 60, 63, 66, 68, 70, 72,
     75, 77.5, 80, 82, 83.5, 85, 86, 87, 88, 89, 89.99, 90,
@@ -49,20 +45,13 @@ BEAM_IN, DIFFUSE_IN, PANE_OUTER, PANE_INNER, GLOBAL = 12, 13, 14, 15, 16
 N_COLUMNS = 17
 
 
-@dataclass(frozen=True)
-class Exposure:
-    """Forcing of the house over a periodic year.
+def build_exposure(weather: Weather) -> Array:
+    """Return the forcing of the house over a periodic year, shape (35041, 17); takes about 1 s.
 
-    `grid` (35041, 17): outdoor and sky temperature K; forced convection coefficient of south, west, north, east, roof
-    W/(m²·K); short-wave absorbed there W/m²; transmitted by the window as beam and as diffuse, and absorbed in its
-    outer and inner pane, W; global horizontal irradiance W/m².
+    Outdoor and sky temperature K; forced convection coefficient of south, west, north, east, roof W/(m²·K);
+    short-wave absorbed there W/m²; transmitted by the window as beam and as diffuse, and absorbed in its outer and
+    inner pane, W; global horizontal irradiance W/m².
     """
-
-    grid: Array
-
-
-def build_exposure(weather: Weather) -> Exposure:
-    """Compute the exposure of a weather year; takes about 1 s."""
     time_s = np.arange(0.0, YEAR_S + GRID_S, GRID_S)
     sun = sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
     grid = np.empty((time_s.size, N_COLUMNS))
@@ -88,4 +77,4 @@ def build_exposure(weather: Weather) -> Exposure:
     grid[:, ABSORBED + 4] = _SHORT_WAVE_ABSORPTANCE * (above.beam + above.diffuse)
     grid[:, GLOBAL] = weather.at("global_W_m2", time_s)
     grid.setflags(write=False)
-    return Exposure(grid)
+    return grid

@@ -1,4 +1,4 @@
-"""Time step of the whole plant: native control, heat pump, water, air and walls. Compiled; no allocation per step.
+"""Time step of the whole plant, native control to walls, and its integrals. Compiled; no allocation per step.
 
 Control, refrigerant, pump and fan at a sample follow from the state at that instant and act over the next step.
 
@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import njit
 
-from thermoforce_mpc.data import ZERO_C_K
+from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array
 from thermoforce_mpc.plants.embedded import constructions as c
 from thermoforce_mpc.plants.embedded import exposure as x
 from thermoforce_mpc.plants.embedded import heat_pump as hp
@@ -72,14 +72,12 @@ _OUTSIDE_M2 = np.array([*c.WALLS_M2, c.AREA_M2, c.WINDOW_M2])
 _WINDOW_RADIATION = 0.9 * _SIGMA * (280.0 + 285.0) * (280.0**2 + 285.0**2)
 
 _N_INSIDE = len(c.SURFACES)
-_INSIDE_M2 = np.array([c.SURFACE_M2[name] for name in c.SURFACES])
-_RADIANT_W_K = (2 * 295.15 - 2) * (295.15**2 + 293.15**2) / np.array([c.RADIANT_RESISTANCE[n] for n in c.SURFACES])
-_SHARE = np.array([c.RADIANT_SHARE[name] for name in c.SURFACES]) / sum(c.RADIANT_SHARE.values())
-_EMITTED = np.array([c.SURFACE_M2[n] * c.EMISSIVITY[n] for n in c.SURFACES])
-_EMITTED = _EMITTED / _EMITTED.sum()
+_INSIDE_M2, _SHARE, _EMISSIVITY, _RESISTANCE = np.array(list(c.SURFACES.values())).T.copy()
+_RADIANT_W_K = (2 * 295.15 - 2) * (295.15**2 + 293.15**2) / _RESISTANCE
+_SHARE = _SHARE / sum(_SHARE.tolist())
+_EMITTED = _INSIDE_M2 * _EMISSIVITY / (_INSIDE_M2 * _EMISSIVITY).sum()
 # Beam irradiance falls on the floor, which absorbs 55 % and reflects the rest to all other surfaces.
-_FLOOR = c.SURFACES.index("floor")
-_CEILING = c.SURFACES.index("roof")
+_FLOOR, _CEILING = (list(c.SURFACES).index(name) for name in ("floor", "roof"))
 _BEAM = np.where(np.arange(_N_INSIDE) == _FLOOR, 0.0, _SHARE)
 _BEAM = 0.45 * _BEAM / _BEAM.sum()
 _BEAM[_FLOOR] = 0.55
@@ -125,13 +123,10 @@ def _read_weather(grid: np.ndarray, time_s: float, w: np.ndarray) -> None:
 def _operate(scalars: np.ndarray, time_s: float, overrides: np.ndarray) -> None:
     """Set control, heat pump, pump and fan for the state at `time_s`. Idempotent, independent of the step length."""
     # Native control. While the level is overwritten, the integral follows the native level.
-    if math.isnan(overrides[1]):
-        occupied = is_occupied(time_s)
-        setpoint = ZERO_C_K + (
-            s.LOWER_OCCUPIED_C + s.SETPOINT_OCCUPIED_K if occupied else s.LOWER_EMPTY_C + s.SETPOINT_EMPTY_K
-        )
-    else:
-        setpoint = overrides[1]
+    setpoint = overrides[1]
+    if math.isnan(setpoint):
+        occupied_C, empty_C = s.LOWER_OCCUPIED_C + s.SETPOINT_OCCUPIED_K, s.LOWER_EMPTY_C + s.SETPOINT_EMPTY_K
+        setpoint = ZERO_C_K + (occupied_C if is_occupied(time_s) else empty_C)
     error = setpoint - scalars[T_OPERATIVE]
     wanted = NATIVE_GAIN * (error + scalars[INTEGRAL])
     level = min(max(wanted, 0.0), 1.0)
@@ -146,15 +141,8 @@ def _operate(scalars: np.ndarray, time_s: float, overrides: np.ndarray) -> None:
     T_condensing = scalars[T_SUPPLY] + scalars[LAST_Q_CONDENSER] / condenser_W_K
     T_evaporating = scalars[T_EVAPORATOR] - scalars[LAST_Q_EVAPORATOR] / evaporator_W_K
     margin = hp.PROTECTION_HYSTERESIS_K if scalars[BLOCKED] > 0.5 else 0.0
-    scalars[BLOCKED] = (
-        1.0
-        if (
-            T_evaporating < hp.LEAST_EVAPORATING_K + margin
-            or T_condensing > hp.MOST_CONDENSING_K - margin
-            or T_condensing < T_evaporating + margin
-        )
-        else 0.0
-    )
+    too_cold, too_hot = T_evaporating < hp.LEAST_EVAPORATING_K + margin, T_condensing > hp.MOST_CONDENSING_K - margin
+    scalars[BLOCKED] = 1.0 if too_cold or too_hot or T_condensing < T_evaporating + margin else 0.0
     speed = 0.0 if scalars[BLOCKED] > 0.5 else level
     on = speed >= _SWITCH_OFF if scalars[COMPRESSOR_ON] > 0.5 else speed > _SWITCH_ON
     scalars[COMPRESSOR_ON] = 1.0 if on else 0.0
@@ -169,7 +157,6 @@ def _operate(scalars: np.ndarray, time_s: float, overrides: np.ndarray) -> None:
 
 @njit(cache=True)
 def _note(scalars: np.ndarray, w: np.ndarray, row: np.ndarray) -> None:
-    """Write the sample of this instant into `row` (17,)."""
     T_supply, T_return, floor_W = scalars[T_SUPPLY], scalars[T_RETURN], 0.0
     if scalars[PUMP] > 0.5:
         floor_W = _FLOOR_W_K * (T_supply - scalars[LAST_T_PIPE])
@@ -177,23 +164,14 @@ def _note(scalars: np.ndarray, w: np.ndarray, row: np.ndarray) -> None:
         # Without flow a sensor reads the mean of its two neighbours: condenser and vessel, floor and condenser.
         T_supply, T_return = 0.5 * (T_supply + _VESSEL_K), 0.5 * (T_return + T_supply)
     power = scalars[POWER]
-    row[0] = scalars[T_OPERATIVE]
-    row[1] = power
-    row[2] = scalars[FAN] * hp.FAN_W
-    row[3] = scalars[PUMP] * hp.PUMP_W
-    row[4] = scalars[Q_CONDENSER]
-    row[5] = floor_W
-    row[6] = T_supply
-    row[7] = T_return
-    row[8] = scalars[Q_CONDENSER] / power if power > 0.0 else 1.0
-    row[9] = scalars[LEVEL]
-    row[10] = scalars[SETPOINT]
-    row[11] = scalars[CO2_PPM]
-    row[12] = w[x.T_OUT]
-    row[13] = w[x.GLOBAL]
-    row[14] = scalars[FAN]
-    row[15] = scalars[PUMP]
-    row[16] = scalars[Q_EVAPORATOR]
+    row[0], row[1] = scalars[T_OPERATIVE], power
+    row[2], row[3] = scalars[FAN] * hp.FAN_W, scalars[PUMP] * hp.PUMP_W
+    row[4], row[5] = scalars[Q_CONDENSER], floor_W
+    row[6], row[7] = T_supply, T_return
+    row[8], row[9] = scalars[Q_CONDENSER] / power if power > 0.0 else 1.0, scalars[LEVEL]
+    row[10], row[11] = scalars[SETPOINT], scalars[CO2_PPM]
+    row[12], row[13] = w[x.T_OUT], w[x.GLOBAL]
+    row[14], row[15], row[16] = scalars[FAN], scalars[PUMP], scalars[Q_EVAPORATOR]
 
 
 @njit(cache=True)
@@ -215,12 +193,7 @@ def advance(
     overrides: np.ndarray,
     grid: np.ndarray,
     unannounced: np.ndarray,
-    capacity: np.ndarray,
-    coupling: np.ndarray,
-    outside: np.ndarray,
-    inside: np.ndarray,
-    pipe: int,
-    slab: int,
+    net: c.Network,
     record: np.ndarray,
 ) -> None:
     """Advance `nodes` (n,) K and `scalars` (20,) in place by `n_steps` of `dt` s; fill `record` (n_steps, 17).
@@ -228,8 +201,9 @@ def advance(
     `overrides` (4,) level 0 to 1, set-point K, pump, fan; NaN where not overwritten. Names: see `RECORD`.
     `unannounced` (n, 3): see `PEOPLE`, periodic; `AS_SCHEDULED` where people keep to the schedule.
     """
-    n = nodes.size
-    n_inside = inside.size
+    capacity, coupling, pipe, slab = net.capacity, net.coupling, net.pipe, net.slab
+    outside, inside = net.outside, net.inside
+    n, n_inside = nodes.size, inside.size
     w = np.empty(x.N_COLUMNS)
     diagonal, right = np.empty(n), np.empty((n, 3))
     factor = np.empty(n)
@@ -358,3 +332,28 @@ def advance(
 
         _operate(scalars, t, overrides)
         _note(scalars, w, record[step])
+
+
+@njit(cache=True)
+def integrals(time_s: Array, rows: Array, price_per_kWh: Array) -> Array:
+    """Integrate samples (n, 17) at times (n,), s, by the trapezoidal rule, in one pass: a reward asks after every step.
+
+    Returns energy, Wh; cost, currency · 1000; thermal discomfort, K·h; CO2 above its limit, ppm·h.
+    """
+    out = np.zeros(4)
+    for i in range(time_s.size):
+        weight_h = 0.0
+        if i > 0:
+            weight_h += (time_s[i] - time_s[i - 1]) / (2.0 * HOUR_S)
+        if i < time_s.size - 1:
+            weight_h += (time_s[i + 1] - time_s[i]) / (2.0 * HOUR_S)
+        power_W = rows[i, 1] + rows[i, 2] + rows[i, 3]  # columns of `RECORD`, as in `_note`
+        out[0] += weight_h * power_W
+        out[1] += weight_h * power_W * price_per_kWh[i]
+        at_home = s.is_occupied_sample(time_s[i])
+        lower_C = s.LOWER_OCCUPIED_C if at_home else s.LOWER_EMPTY_C
+        upper_C = s.UPPER_OCCUPIED_C if at_home else s.UPPER_EMPTY_C
+        T_C = rows[i, 0] - ZERO_C_K
+        out[2] += weight_h * max(lower_C - T_C, T_C - upper_C, 0.0)
+        out[3] += weight_h * max(rows[i, 11] - s.CO2_LIMIT_PPM, 0.0)
+    return out

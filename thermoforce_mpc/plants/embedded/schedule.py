@@ -21,16 +21,10 @@ _DATA_S = 900.0
 @njit(cache=True)
 def is_occupied(time_s: float) -> bool:
     """Whether the house is occupied: weekdays before 07:00 and from 20:00, weekends all day; day 0 is a Tuesday."""
-    day = math_floor(time_s / 86400.0)
+    day = int(np.floor(time_s / 86400.0))
     weekday = day % 7
     hour = (time_s - day * 86400.0) / 3600.0
     return weekday == 4 or weekday == 5 or hour < 7.0 or hour >= 20.0
-
-
-@njit(cache=True, inline="always")
-def math_floor(x: float) -> int:
-    """Return the largest integer not above `x`."""
-    return int(np.floor(x))
 
 
 def occupied(time_s: Array) -> Array:
@@ -52,7 +46,6 @@ def occupied_sample(time_s: Array) -> Array:
 
 @njit(cache=True)
 def _occupied_samples(time_s: Array) -> NDArray[np.bool_]:
-    """Return `occupied_sample` of times (n,)."""
     occupied = np.empty(time_s.size, np.bool_)
     for i, at_s in enumerate(time_s):
         occupied[i] = is_occupied_sample(at_s)
@@ -73,7 +66,4 @@ def bounds_C(time_s: Array) -> tuple[Array, Array]:
 
 def set_points_C(at_home: Array) -> tuple[Array, Array]:
     """Return heating and cooling set-points, °C, for occupancy `at_home` (booleans)."""
-    return (
-        np.where(at_home, LOWER_OCCUPIED_C, LOWER_EMPTY_C),
-        np.where(at_home, UPPER_OCCUPIED_C, UPPER_EMPTY_C),
-    )
+    return (np.where(at_home, LOWER_OCCUPIED_C, LOWER_EMPTY_C), np.where(at_home, UPPER_OCCUPIED_C, UPPER_EMPTY_C))

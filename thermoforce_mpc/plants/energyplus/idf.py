@@ -58,15 +58,10 @@ class Calendar:
     def clock_s(self, time_s: Array) -> Array:
         """Return the time of clocks, s: an hour later than `time_s` (any shape) in daylight saving time."""
         days, index = np.unique(np.floor((time_s + _CLOCK_S) / DAY_S).astype(int), return_inverse=True)
-        saving = np.array([self._is_saving(int(day)) for day in days])
+        dates = [date(YEAR, 1, 1) + timedelta(days=int(day)) for day in days]
+        ends = [_dates(self.daylight_saving, at.year) if self.daylight_saving else (date.max, date.min) for at in dates]
+        saving = np.array([first <= at <= last for at, (first, last) in zip(dates, ends, strict=True)])
         return np.asarray(time_s + HOUR_S * saving[index].reshape(np.shape(time_s)))
-
-    def _is_saving(self, day: int) -> bool:
-        at = date(YEAR, 1, 1) + timedelta(days=day)
-        if self.daylight_saving is None:
-            return False
-        first, last = _dates(self.daylight_saving, at.year)
-        return first <= at <= last
 
 
 @dataclass(frozen=True)
@@ -109,11 +104,7 @@ class Schedule:
         return tuple(value for _, _, values in self.rules for value in values)
 
     def at(self, time_s: Array, calendar: Calendar) -> Array:
-        """Return the value over the step that begins at each of `time_s` (n,), s since 1 January, shape (n,).
-
-        Raises:
-            PlantError: no rule covers one of the days.
-        """
+        """Return values over the steps that begin at `time_s` (n,), s since 1 January; raises `PlantError`."""
         clock_s = calendar.clock_s(np.asarray(time_s, dtype=np.float64)) + _CLOCK_S
         day = np.floor(clock_s / DAY_S).astype(int)
         hour = (clock_s - day * DAY_S) / HOUR_S

@@ -12,16 +12,21 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date, timedelta
-from functools import cache
-from pathlib import Path
+from functools import cache, partial
 
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.errors import PlantError
-from thermoforce_mpc.plants.energyplus.engine import reference_building, weather_file
+from thermoforce_mpc.plants.energyplus.engine import (
+    WEATHER_SENSORS,
+    Wiring,
+    reference_building,
+    weather_file,
+    weather_reading,
+)
 from thermoforce_mpc.plants.energyplus.idf import Calendar, Schedule, idf_objects
-from thermoforce_mpc.plants.energyplus.simulate import WEATHER_SENSORS, Wiring, weather_reading
+from thermoforce_mpc.plants.energyplus.process import Building
 from thermoforce_mpc.plants.energyplus.zone import YEAR
 
 BUILDING = "RefBldgSmallOfficeNew2004_Chicago"
@@ -32,10 +37,7 @@ STEP_S = HOUR_S / STEPS_PER_HOUR
 
 @dataclass(frozen=True)
 class OfficeZone:
-    """Zone, its names in the engine's file, floor area, m², and what its unit was sized to there, W.
-
-    `heating_W` is the burner's heat, `cooling_W` the gross sensible cooling at rated conditions.
-    """
+    """Zone, its names in the engine's file, floor area, m², rated heat of its burner and gross sensible cooling, W."""
 
     name: str
     engine_name: str
@@ -54,21 +56,17 @@ ZONES = (
 )
 # Floor area per person, m², at an occupancy of 1.
 AREA_PER_PERSON_M2 = 18.58
+# Share of people from which on the tight comfort band holds: weekdays 06:00 to 20:00, Saturdays 06:00 to 17:00.
+OCCUPIED_FROM = 0.1
 
 
-@dataclass(frozen=True)
-class OfficeReading:
-    """Reading at the end of a step: temperatures °C, global horizontal irradiance W/m², means over the step W.
-
-    Per zone (Z,): `T_zone_C`. All burners, then all coils (2 Z,): `heat_W`, of coils negative, and `power_W`, gas and
-    electric (compressor and fan).
-    """
-
-    T_zone_C: tuple[float, ...]
-    T_out_C: float
-    solar_W_m2: float
-    heat_W: tuple[float, ...]
-    power_W: tuple[float, ...]
+# A reading at the end of a step: temperatures of the zones, °C, outdoor temperature, global horizontal irradiance W/m²,
+# and means over the step, W, of all burners, then all coils: heat, of coils negative, and power, gas and electric
+# (compressor and fan).
+_Z = len(ZONES)
+T_ZONE, T_OUT, SOLAR = slice(0, _Z), _Z, _Z + 1
+HEAT, POWER = slice(_Z + 2, 3 * _Z + 2), slice(3 * _Z + 2, 5 * _Z + 2)
+OfficeReading = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -88,13 +86,14 @@ class OfficeSchedules:
         """Return the native heating and cooling set-points of every zone, °C, (n,) each."""
         return self.heating.at(time_s, self.calendar), self.cooling.at(time_s, self.calendar)
 
-    def tight_C(self) -> tuple[float, float]:
-        """Return the comfort band of the day, °C: the highest heating and the lowest cooling set-point."""
-        return max(self.heating.values), min(self.cooling.values)
+    def bounds_C(self, time_s: Array) -> tuple[Array, Array]:
+        """Return comfort bounds, °C, (n,) each: the set-points of the day while `OCCUPIED_FROM` of the people are in.
 
-    def wide_C(self) -> tuple[float, float]:
-        """Return the comfort band of the night, °C: the set-points of the night and the tolerance around them."""
-        return min(self.heating.values) - self.night_tolerance_K, max(self.cooling.values) + self.night_tolerance_K
+        Otherwise those of the night and the tolerance around them.
+        """
+        occupied, K = self.occupancy(time_s) >= OCCUPIED_FROM, self.night_tolerance_K
+        lower, upper = self.heating.values, self.cooling.values
+        return np.where(occupied, max(lower), min(lower) - K), np.where(occupied, min(upper), max(upper) + K)
 
     def occupancy(self, time_s: Array) -> Array:
         """Return the share of people who are present, (n,)."""
@@ -107,17 +106,12 @@ def office_schedules() -> OfficeSchedules:
     text = _shipped()
     heating, cooling, people = (Schedule.of(text, name) for name in ("HTGSETP_SCH", "CLGSETP_SCH", "BLDG_OCC_SCH"))
     night_cycles = idf_objects(text, "AvailabilityManager:NightCycle")
-    return OfficeSchedules(
-        Calendar.of(text), heating, cooling, people, max(float(fields[4]) for fields in night_cycles)
-    )
+    tolerance_K = max(float(fields[4]) for fields in night_cycles)
+    return OfficeSchedules(Calendar.of(text), heating, cooling, people, tolerance_K)
 
 
 def office_model(first_day: int, days: int, steps_per_hour: int) -> str:
-    """Return the shipped IDF with the given run period and zone time steps; `first_day` counts from 1 January (0).
-
-    Raises:
-        PlantError: the file differs from the expected version.
-    """
+    """Return the shipped IDF with a run period from `first_day` (0) and time steps; raises `PlantError`."""
     begin = date(YEAR, 1, 1) + timedelta(days=first_day)
     end = begin + timedelta(days=days - 1)
     text = _shipped()
@@ -142,67 +136,24 @@ def _shipped() -> str:
     return reference_building(BUILDING).read_text(encoding="latin-1")
 
 
-@dataclass(frozen=True)
-class OfficeRun:
-    """`live.Building` of the office: told a set-point per actuator, °C, NaN for that of the file's schedule."""
-
-    first_day: int
-    days: int
-
-    @property
-    def step_s(self) -> float:
-        """Length of a step, s."""
-        return STEP_S
-
-    @property
-    def n_steps(self) -> int:
-        """Length of the run, steps."""
-        return round(self.days * DAY_S / self.step_s)
-
-    def model(self) -> str:
-        """Return the IDF."""
-        return office_model(self.first_day, self.days, STEPS_PER_HOUR)
-
-    def weather(self) -> Path:
-        """Return the weather file."""
-        return weather_file(WEATHER)
-
-    def wiring(self) -> Wiring[OfficeReading]:
-        """Return the sensors and actuators."""
-        return _WIRING
-
-    def acting(self) -> OfficeActing:
-        """Return the rule of a new run."""
-        begin_s = self.first_day * DAY_S
-        return OfficeActing(
-            *office_schedules().setpoints_C(begin_s + self.step_s * np.arange(self.n_steps, dtype=np.float64))
-        )
-
-
-class OfficeActing:
-    """`live.Acting` of the office.
+def _acting(
+    heating_C: Array, cooling_C: Array, step: int, demand: tuple[float, ...] | None, last: OfficeReading | None
+) -> tuple[dict[str, float], tuple[float, ...]]:
+    """`Building.acting` of the office: told a set-point per actuator, °C, NaN for the native one of its schedule.
 
     Where one set-point of a zone is told and the other is native, the native one gives way if it would lie on the wrong
     side: the engine refuses a zone that is to be heated above the temperature it is to be cooled to.
     """
-
-    def __init__(self, heating_C: Array, cooling_C: Array) -> None:
-        self._heating_C, self._cooling_C = heating_C, cooling_C
-
-    def __call__(
-        self, step: int, demand: tuple[float, ...] | None, last: OfficeReading | None
-    ) -> tuple[dict[str, float], tuple[float, ...]]:
-        """Return the set-points of a step by actuator, and what was told."""
-        demand = demand or (math.nan,) * (2 * len(ZONES))
-        native = float(self._heating_C[max(step, 0)]), float(self._cooling_C[max(step, 0)])
-        values: dict[str, float] = {}
-        for zone, heating, cooling in zip(ZONES, demand[: len(ZONES)], demand[len(ZONES) :], strict=True):
-            if math.isnan(heating) and native[0] > cooling:
-                heating = cooling
-            if math.isnan(cooling) and native[1] < heating:
-                cooling = heating
-            values |= {f"{zone.name}_heating": heating, f"{zone.name}_cooling": cooling}
-        return values, demand
+    demand = demand or (math.nan,) * (2 * _Z)
+    native = float(heating_C[max(step, 0)]), float(cooling_C[max(step, 0)])
+    values: dict[str, float] = {}
+    for zone, heating, cooling in zip(ZONES, demand[:_Z], demand[_Z:], strict=True):
+        if math.isnan(heating) and native[0] > cooling:
+            heating = cooling
+        if math.isnan(cooling) and native[1] < heating:
+            cooling = heating
+        values |= {f"{zone.name}_heating": heating, f"{zone.name}_cooling": cooling}
+    return values, demand
 
 
 def _read(value: Mapping[str, float]) -> OfficeReading:
@@ -210,13 +161,18 @@ def _read(value: Mapping[str, float]) -> OfficeReading:
         return tuple(value[f"{zone.name}_{name}"] for zone in ZONES)
 
     weather = weather_reading(value, math.nan)
-    return OfficeReading(
-        T_zone_C=each("T"),
-        T_out_C=weather.T_out_C,
-        solar_W_m2=weather.solar_W_m2,
-        heat_W=each("burner") + tuple(0.0 - heat for heat in each("coil")),
-        power_W=each("gas") + tuple(a + b for a, b in zip(each("compressor"), each("fan"), strict=True)),
-    )
+    coils = tuple(0.0 - heat for heat in each("coil"))
+    electric = tuple(a + b for a, b in zip(each("compressor"), each("fan"), strict=True))
+    return (*each("T"), weather.T_out_C, weather.solar_W_m2, *each("burner"), *coils, *each("gas"), *electric)
+
+
+def office_building(first_day: int, days: int) -> Building[tuple[float, ...], OfficeReading]:
+    """Return what the engine simulates from midnight of a day on."""
+    n = round(days * DAY_S / STEP_S)
+    times_s = first_day * DAY_S + STEP_S * np.arange(n, dtype=np.float64)
+    acting = partial(_acting, *office_schedules().setpoints_C(times_s))
+    model = office_model(first_day, days, STEPS_PER_HOUR)
+    return Building(first_day, STEP_S, n, model, weather_file(WEATHER), _WIRING, acting)
 
 
 def _points(names: Mapping[str, tuple[str, str]]) -> dict[str, tuple[str, str]]:

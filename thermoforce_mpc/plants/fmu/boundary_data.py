@@ -14,33 +14,10 @@ from thermoforce_mpc.data import DAY_S, YEAR_S, Array
 from thermoforce_mpc.errors import ConfigError, WeatherError
 
 # BOPTEST interpolates these series linearly and holds all others (prices, set-points, occupancy).
-_WEATHER = frozenset(
-    [
-        "HDifHor",
-        "HDirNor",
-        "HGloHor",
-        "HHorIR",
-        "TBlaSky",
-        "TDewPoi",
-        "TDryBul",
-        "TWetBul",
-        "ceiHei",
-        "cloTim",
-        "lat",
-        "lon",
-        "nOpa",
-        "nTot",
-        "pAtm",
-        "relHum",
-        "solAlt",
-        "solDec",
-        "solHouAng",
-        "solTim",
-        "solZen",
-        "winDir",
-        "winSpe",
-    ]
-)
+_WEATHER = (
+    "HDifHor", "HDirNor", "HGloHor", "HHorIR", "TBlaSky", "TDewPoi", "TDryBul", "TWetBul", "ceiHei", "cloTim", "lat",
+    "lon", "nOpa", "nTot", "pAtm", "relHum", "solAlt", "solDec", "solHouAng", "solTim", "solZen", "winDir", "winSpe",
+)  # fmt: skip
 # A year of weather every 15 minutes has 12 MB.
 MOST_BYTES = 100_000_000
 _MOST_ROWS = 2 * 365 * 1440 + 2
@@ -74,24 +51,20 @@ class BoundaryData:
         return BoundaryData({**self.series, **table})
 
     def unit(self, name: str) -> str | None:
-        """Return the unit of a weather series or comfort bound; None for others, whose unit the file does not give."""
+        """Return the unit of a weather series or comfort bound; None for others, whose unit no file gives."""
         return "K" if name.startswith(("LowerSetp", "UpperSetp")) else _UNITS.get(name)
 
     def at(self, name: str, time_s: Array) -> Array:
         """Return the series `name` at times (n,), s since 1 January: weather interpolated linearly, others held.
 
         A series that covers the year repeats, as in BOPTEST: its last value is that of midnight, followed by the first
-        of the new year.
-
-        Raises:
-            ConfigError: there is no such series.
-            WeatherError: a time lies outside the file's range.
+        of the new year. Raises `ConfigError` for an unknown series, `WeatherError` for a time outside the file's range.
         """
         if name not in self.series:
             raise ConfigError(f"the FMU's resources have no series '{name}'; known: {', '.join(sorted(self.series))}")
         one = self.series[name]
         time_s = np.asarray(time_s, dtype=np.float64)
-        until_s = _covered_until(one)
+        until_s = float(2.0 * one.time_s[-1] - one.time_s[-2])  # the last value holds as long as the one before it
         if until_s >= YEAR_S:
             time_s = np.where(time_s > YEAR_S, np.mod(time_s, YEAR_S), time_s)
         if time_s.size and (time_s.min() < one.time_s[0] - 1e-6 or time_s.max() > until_s + 1e-6):
@@ -114,9 +87,8 @@ class BoundaryData:
 def read_table(content: bytes, source: str) -> dict[str, Series]:
     """Return the series of one CSV file; {} for a file without a `time` column, which BOPTEST also ignores.
 
-    Raises:
-        ConfigError: the file is truncated or malformed, a cell is not a finite number, or time does not increase;
-            names file, column and row.
+    Raises `ConfigError`, which names file, column and row, for a truncated or malformed file, a cell that is no finite
+    number, or a time that does not increase.
     """
     _check_lines(content, source)
     columns: dict[str, list[Array]] = {}
@@ -157,7 +129,7 @@ def _numbers(column: pd.Series, source: str) -> Array:
 
 
 def _check_lines(content: bytes, source: str) -> None:
-    """Raise `ConfigError` for what no table of numbers has: lines without end, many of them, quotes over several."""
+    """Raise `ConfigError` for what no table of numbers has: lines without end, many of them, open quotes."""
     if content.count(b"\n") > _MOST_ROWS:
         raise ConfigError(f"{source}: more than {_MOST_ROWS:,} rows, two years of minutes")
     characters = np.frombuffer(content, dtype=np.uint8)
@@ -167,8 +139,3 @@ def _check_lines(content: bytes, source: str) -> None:
     quotes = np.bincount(np.searchsorted(ends, np.flatnonzero(characters == ord('"'))), minlength=1)
     if (quotes % 2).any():
         raise ConfigError(f"{source}: line {int((quotes % 2).argmax())}: a quotation mark is not closed")
-
-
-def _covered_until(series: Series) -> float:
-    """Return the end of the range, s: the last value holds as long as the one before it."""
-    return float(series.time_s[-1] + (series.time_s[-1] - series.time_s[-2]))

@@ -31,8 +31,7 @@ _ENCRYPTED = 0x1
 class Members:
     """Members of the zip file at `path` by name, after a check of their number, sizes and names.
 
-    Raises:
-        ConfigError: the file is missing, no zip file, too large, or has a member that no FMU has.
+    Raises `ConfigError` where the file is missing, no zip file, too large, or has a member that no FMU has.
     """
 
     def __init__(self, path: Path) -> None:
@@ -56,11 +55,7 @@ class Members:
             raise ConfigError(f"{path}: {unpacked:,} bytes when unpacked; at most {_MOST_UNPACKED_BYTES:,} are")
 
     def read(self, name: str, most_bytes: int) -> bytes:
-        """Return the content of a member.
-
-        Raises:
-            ConfigError: it is damaged or longer than `most_bytes`.
-        """
+        """Return the content of a member; raises `ConfigError` where it is damaged or longer than `most_bytes`."""
         size = self._file.getinfo(name).file_size
         if size > most_bytes:
             raise ConfigError(f"{self._path}: {name} has {size:,} bytes; at most {most_bytes:,} are read")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,34 +12,16 @@ import numpy as np
 from boptest_client import Point
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
 from thermoforce_mpc.boundary.periods import centred_window
-from thermoforce_mpc.data import (
-    HOUR_S,
-    ZERO_C_K,
-    Array,
-    Block,
-    Boundary,
-    Measurement,
-    Period,
-    PlantInfo,
-    Record,
-)
+from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array, Block, Boundary, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.checks import day_period
 from thermoforce_mpc.plants.fmu.archive import read_archive, unpack
-from thermoforce_mpc.plants.fmu.run import FmuRun
+from thermoforce_mpc.plants.fmu.process import FmuRun
 from thermoforce_mpc.plants.fmu.scores import Scores
-from thermoforce_mpc.plants.records import (
-    acting_means,
-    boundary,
-    inputs,
-    mean_levels,
-    measurement,
-    past_record,
-    recorded_levels,
-)
+from thermoforce_mpc.plants.records import acting_means, boundary, inputs, mean_levels, measurement, past_record
 from thermoforce_mpc.plants.shell import RoomSetpointShell, Samples, WithProcess
-from thermoforce_mpc.plants.waiting import PATIENCE_S
+from thermoforce_mpc.plants.worker_process import PATIENCE_S
 from thermoforce_mpc.scenario.testcase import TestCase
 
 
@@ -80,25 +62,27 @@ class FmuPlant(WithProcess[FmuRun], RoomSetpointShell):
         self._told_restarts: Sequence[str] = ()
         self._archive = archive = read_archive(path)
         forecast = {name: Point(name, archive.boundary.unit(name), "", None, None) for name in archive.boundary.series}
-        given, outputs = archive.points(archive.inputs), archive.points(archive.outputs)
+        given, outputs = (
+            {name: signal.point for name, signal in signals.items()} for signals in (archive.inputs, archive.outputs)
+        )
         check_points(testcase, given, outputs, forecast, f"the FMU {path}")
         self._points = testcase.points
         self._names, self._lowest = self._points.layout.names, self._points.layout.lowest
-        self._echoes = {name: f"{name}_y" for name in self._points.sensed}
-        for echo in self._echoes.values():
+        echoes = [f"{name}_y" for name in self._points.sensed]
+        for echo in echoes:
             if echo not in archive.outputs:
                 raise ConfigError(f"the FMU {path} has no output '{echo}': the applied level cannot be recorded")
         self._scores = Scores(archive, testcase)
         p = self._points
-        kept = [*p.temperatures, p.outdoor_temperature, p.solar, *self._echoes.values(), *p.flows]
+        kept = [*p.temperatures, p.outdoor_temperature, p.solar, *echoes, *p.flows]
         self._kept = tuple(dict.fromkeys([*kept, *self._scores.signals]))
         self._T_zone_C: Array = np.full(len(p.zones), math.nan)
         self._last: Measurement | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="tf-mpc-fmu-", ignore_cleanup_errors=True)
         try:
-            (Path(self._folder.name) / "fmu").mkdir()
+            for part in ("fmu", "work"):
+                (Path(self._folder.name) / part).mkdir()
             unpack(archive, Path(self._folder.name) / "fmu")
-            (Path(self._folder.name) / "work").mkdir()
         except BaseException:
             self._folder.cleanup()
             raise
@@ -127,11 +111,7 @@ class FmuPlant(WithProcess[FmuRun], RoomSetpointShell):
         self._told_restarts = restarts
 
     def period(self, name: str) -> Period:
-        """Return the scored window of the FMU's scenario `name`, or of a start day.
-
-        Raises:
-            InputError: `name` is neither a scenario in the FMU's days.json nor a day of the year.
-        """
+        """Return the window of a scenario in the FMU's days.json, or of a start day; raises `InputError`."""
         days = self._archive.days
         return centred_window(name, days[name]) if name in days else day_period(name, days)
 
@@ -158,7 +138,7 @@ class FmuPlant(WithProcess[FmuRun], RoomSetpointShell):
 
     def _past(self, edges: Array) -> Record:
         record = self._record()
-        return past_record(record, self._points, self._levels(record, edges), edges)
+        return past_record(record, self._points, mean_levels(record, self._points, edges, "_y"), edges)
 
     def kpis(self) -> dict[str, float]:
         """Return BOPTEST's KPIs since the end of the warm-up, from the 30-s record; raises as `past` does."""
@@ -184,24 +164,14 @@ class FmuPlant(WithProcess[FmuRun], RoomSetpointShell):
         """See `PlantShell`; the zone temperature serves the actuator's map next."""
         acting = None
         if before_s < self._now_s:
-            edges, record = (
-                np.array([before_s, self._now_s]),
-                self._columns(*self._samples.between(before_s, self._now_s)),
-            )
-            acting = acting_means(record, self._points, self._levels(record, edges), edges)
+            edges, record = np.array([before_s, self._now_s]), self._record(before_s)
+            acting = acting_means(record, self._points, mean_levels(record, self._points, edges, "_y"), edges)
         self._last = measurement(self._now_s, self._final, self._points, acting)
         self._T_zone_C = self._last.T_zone_C
         return self._last
 
-    def _record(self) -> dict[str, Array]:
+    def _record(self, start_s: float = 0.0) -> dict[str, Array]:
+        """Recorded signals by name, with 'time', from `start_s` to now."""
         self._check_started()
-        return self._columns(self._samples.times, self._samples.rows)
-
-    def _columns(self, time_s: Array, rows: Array) -> dict[str, Array]:
-        """Return recorded signals by name, with 'time'."""
+        time_s, rows = self._samples.between(start_s, self._now_s)
         return {"time": time_s} | {name: rows[:, i] for i, name in enumerate(self._kept)}
-
-    def _levels(self, record: Mapping[str, Array], edges: Array) -> Array:
-        """Return mean levels between `edges` (n + 1,), shape (A, n), under native or external control."""
-        applied = {point: record[echo] for point, echo in self._echoes.items()}
-        return mean_levels(record["time"], recorded_levels(record, self._points, applied), edges)

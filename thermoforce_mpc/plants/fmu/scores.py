@@ -23,11 +23,7 @@ class Scores:
     """Outputs that make up each KPI, from the FMU's kpis.json or else from the test case file."""
 
     def __init__(self, archive: FmuArchive, testcase: TestCase) -> None:
-        """Collect the signals and the boundary series of the KPIs.
-
-        Raises:
-            ConfigError: a signal or series is missing, or the floor areas of FMU and test case file differ.
-        """
+        """Collect signals and series; raises `ConfigError` where one is missing or the floor areas differ."""
         self._boundary = archive.boundary
         self._area_m2 = testcase.area_m2
         if archive.area_m2 is not None and abs(archive.area_m2 - testcase.area_m2) > 0.01 * archive.area_m2:
@@ -39,7 +35,10 @@ class Scores:
         if archive.kpi_signals:  # BOPTEST bills each carrier at its own price, whichever the controller uses
             names = ForecastPoints()
             self._prices, self._emissions = names.price, names.emission
-        listed = archive.kpi_signals or _of_one_zone(testcase)
+        listed = archive.kpi_signals
+        if not listed:  # `metered` refuses several zones, whose bounds it would not name
+            m = testcase.metered
+            listed = {f"{_THERMAL[1]}[1]": (m.zone_temperature,), _ELECTRIC: m.electric_power}
         self._carriers = {name: signals for name, signals in listed.items() if name in _CARRIERS}
         self._thermal = _zones(listed, _THERMAL)
         self._air_quality = _zones(listed, _AIR_QUALITY)
@@ -91,25 +90,13 @@ class Scores:
             for zone, signals in self._air_quality.items()
             for signal in signals
         ]
-        return building_kpis(
-            time_s,
-            supplies=supplies,
-            thermal=thermal,
-            air_quality=air_quality,
-            area_m2=self._area_m2,
-        )
+        return building_kpis(time_s, supplies=supplies, thermal=thermal, air_quality=air_quality, area_m2=self._area_m2)
 
     def _price(self, carrier: str, price: Price) -> str:
         return self._prices[price] if carrier == _ELECTRIC else f"Price{carrier}"
 
     def _emission(self, carrier: str) -> str:
         return self._emissions if carrier == _ELECTRIC else f"Emissions{carrier}"
-
-
-def _of_one_zone(testcase: TestCase) -> dict[str, tuple[str, ...]]:
-    """Signals of an FMU without kpis.json; raises `ConfigError` for several zones, whose bounds it would not name."""
-    m = testcase.metered
-    return {f"{_THERMAL[1]}[1]": (m.zone_temperature,), _ELECTRIC: m.electric_power}
 
 
 def _zones(listed: Mapping[str, tuple[str, ...]], categories: tuple[str, ...]) -> dict[str, tuple[str, ...]]:

@@ -18,7 +18,7 @@ from thermoforce_mpc.plants.drawn_houses.envelope import (
     Facade,
     Mass,
 )
-from thermoforce_mpc.plants.drawn_houses.occupants import HOUSEHOLDS, Pattern
+from thermoforce_mpc.plants.people import HOUSEHOLDS, Pattern
 
 Emitter = Literal["floor", "radiator", "air"]
 Machine = Literal["heat pump with fixed loss", "heat pump", "boiler", "electric"]
@@ -112,7 +112,7 @@ class House:
 
     @property
     def name(self) -> str:
-        """Name of the house, from which it can be drawn again."""
+        """Name from which the house can be drawn again."""
         return f"house_{self.seed}_{self.index}"
 
     @property
@@ -168,10 +168,7 @@ def ground_C(warmer_K: float) -> float:
 
 
 def draw_house(seed: int, index: int) -> House:
-    """Draw house `index` of the population `seed`; the same arguments give the same house.
-
-    Houses are independent. Every distribution is given here; sources in docs/how-it-works/random-buildings.md.
-    """
+    """Draw house `index` of the population `seed`; sources of distributions: docs/how-it-works/random-buildings.md."""
     rng = np.random.default_rng([seed, index])
     # Envelope. Areas and U-values span TABULA's single-family and terraced houses, from not refurbished to passive.
     area = _log_uniform(rng, 50.0, 220.0)

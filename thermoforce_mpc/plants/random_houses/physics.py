@@ -17,17 +17,7 @@ import numpy as np
 from numba import njit
 
 from thermoforce_mpc.data import ZERO_C_K
-from thermoforce_mpc.plants.drawn_houses.envelope import (
-    AIR_J_M2_K,
-    AIR_SHARE,
-    GRID_S,
-    STEP_S,
-    SURFACE_AIR_W_M2_K,
-    SURFACE_J_M2_K,
-    SURFACE_MASS_W_M2_K,
-    SURFACE_PER_FLOOR,
-    solve,
-)
+from thermoforce_mpc.plants.drawn_houses import envelope
 from thermoforce_mpc.plants.random_houses.draw import House, ground_C, heat_pump_cop
 
 # States, °C. PI integral in levels, on/off flag of the native thermostat.
@@ -69,12 +59,12 @@ def parameters(house: House) -> np.ndarray:
     """Return the parameter vector of a house for `advance`, shape (33,), SI units and °C."""
     p = np.zeros(N_PARAMETERS)
     area = house.floor_area_m2
-    surface_m2 = SURFACE_PER_FLOOR * area
-    p[P_AIR_J], p[P_SURFACE_J] = AIR_J_M2_K * area, SURFACE_J_M2_K * surface_m2
+    surface_m2 = envelope.SURFACE_PER_FLOOR * area
+    p[P_AIR_J], p[P_SURFACE_J] = envelope.AIR_J_M2_K * area, envelope.SURFACE_J_M2_K * surface_m2
     p[P_MASS_J] = house.mass_J_K - p[P_SURFACE_J]
     p[P_SLAB_J], p[P_WATER_J] = house.slab_J_K or 1.0, house.emitter_J_K
-    p[P_IS], p[P_WINDOWS] = SURFACE_AIR_W_M2_K * surface_m2, house.windows_W_K
-    p[P_MS] = SURFACE_MASS_W_M2_K * house.mass_area_m2
+    p[P_IS], p[P_WINDOWS] = envelope.SURFACE_AIR_W_M2_K * surface_m2, house.windows_W_K
+    p[P_MS] = envelope.SURFACE_MASS_W_M2_K * house.mass_area_m2
     p[P_EM] = 1.0 / (1.0 / house.opaque_W_K - 1.0 / p[P_MS])
     p[P_SLAB_ROOM], p[P_SLAB_GROUND] = house.slab_room_W_K, house.slab_ground_W_K
     p[P_GROUND_C] = ground_C(house.warmer_K)
@@ -154,18 +144,6 @@ def stored_J(p: np.ndarray, state: np.ndarray) -> float:
     )
 
 
-@njit(cache=True)
-def _read(grid: np.ndarray, time_s: float, w: np.ndarray) -> None:
-    """Read the grid at `time_s` into `w` (7,): schedules and gains held, the rest interpolated."""
-    at = (time_s % ((grid.shape[0] - 1) * GRID_S)) / GRID_S
-    row = int(at)
-    share = at - row
-    for j in range(GAINS):
-        w[j] = (1.0 - share) * grid[row, j] + share * grid[row + 1, j]
-    for j in range(GAINS, N_COLUMNS):
-        w[j] = grid[row, j]
-
-
 @njit(cache=True, nogil=True)
 def advance(
     state: np.ndarray,
@@ -180,24 +158,21 @@ def advance(
 ) -> None:
     """Advance `state` (8,) in place by `n_steps` of `dt` s and fill `record` (n_steps, 12).
 
-    Args:
-        forced: level in [0, 1], NaN: native control.
-        grid: weather and schedules of a year every 15 min, shape (35041, 7).
-        noise: standard normal noise of the sensor, one value per 30 s of the year.
-        p: parameters, see `parameters`.
+    `forced`: level in [0, 1], NaN: native control. `grid`: weather and schedules of a year every 15 min, (35041, 7).
+    `noise`: standard normal noise of the sensor, one value per 30 s of the year. `p`: see `parameters`.
     """
-    w = np.empty(N_COLUMNS)
+    w = np.empty(GAINS)
     a, b = np.empty((5, 5)), np.empty(5)
     for k in range(n_steps):
         now = time_s + k * dt
-        _read(grid, now, w)
-        reading = measured_C(p, state[SENSOR], noise[int(now / STEP_S + 1e-6) % noise.size])
-        native = native_level(p, state, reading, w[SETPOINT], dt)
+        held = grid[envelope.read(grid, now, w)]
+        reading = measured_C(p, state[SENSOR], noise[int(now / envelope.STEP_S + 1e-6) % noise.size])
+        native = native_level(p, state, reading, held[SETPOINT], dt)
         level = native if math.isnan(forced) else forced
         heat, power, spread = machine(p, level, w[T_OUT], state[WATER])
         # Weather at the end of the step, schedules of its start.
-        gains = w[GAINS]
-        _read(grid, now + dt, w)
+        gains = held[GAINS]
+        envelope.read(grid, now + dt, w)
 
         room = p[P_CONVECTIVE] * state[AIR] + (1.0 - p[P_CONVECTIVE]) * state[SURFACE]
         excess = max(abs(state[WATER] - room), 0.01)
@@ -224,15 +199,15 @@ def advance(
         a[4, 4] = p[P_WATER_J] / dt + to_air + to_surface + to_slab
         a[4, 0], a[4, 1], a[4, 3] = -to_air, -to_surface, -to_slab
         b[4] = p[P_WATER_J] / dt * state[WATER] + heat
-        solve(a, b)
+        envelope.solve(a, b)
         for i in range(5):
             state[i] = b[i]
 
-        operative = AIR_SHARE * state[AIR] + (1.0 - AIR_SHARE) * state[SURFACE]
+        operative = envelope.AIR_SHARE * state[AIR] + (1.0 - envelope.AIR_SHARE) * state[SURFACE]
         felt = operative + p[P_BIAS] * w[SUN_ON_SENSOR]
         lag = p[P_LAG]
         state[SENSOR] = felt + (state[SENSOR] - felt) * math.exp(-dt / lag) if lag > 0.0 else felt
-        reading = measured_C(p, state[SENSOR], noise[int((now + dt) / STEP_S + 1e-6) % noise.size])
+        reading = measured_C(p, state[SENSOR], noise[int((now + dt) / envelope.STEP_S + 1e-6) % noise.size])
         row = record[k]
         row[0], row[1] = operative + ZERO_C_K, reading + ZERO_C_K
         row[2], row[3] = power, heat

@@ -8,31 +8,57 @@ import re
 import numpy as np
 
 from thermoforce_mpc.boundary import tariffs
-from thermoforce_mpc.boundary.weather.solar import sun_position
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
 from thermoforce_mpc.boundary.weather.year import Weather
-from thermoforce_mpc.data import YEAR_S, ZERO_C_K, Array, Boundary, Measurement, Record
+from thermoforce_mpc.data import HOUR_S, YEAR_S, ZERO_C_K, Array, Measurement, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.drawn_houses.envelope import (
     AIR_WH_M3_K,
-    AZIMUTH_DEG,
     FACADES,
-    GRID_S,
     HEIGHT_M,
-    MEAN_WIND_M_S,
     STEP_S,
-    WIND_SHARE,
-    on_facade,
+    air_change,
+    on_facades,
+    year,
 )
-from thermoforce_mpc.plants.drawn_houses.occupants import PERSON_W, at_home
 from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K, DrawnHousePlant
-from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
-from thermoforce_mpc.plants.people import live
-from thermoforce_mpc.plants.random_houses import physics, schedule
+from thermoforce_mpc.plants.people import PERSON_W, at_home, live, set_back, varying
+from thermoforce_mpc.plants.random_houses import physics
 from thermoforce_mpc.plants.random_houses.draw import House, draw_house
 from thermoforce_mpc.plants.records import acting_means, interval_means, measurement, past_record
-from thermoforce_mpc.plants.shell import CLOCK_S
 from thermoforce_mpc.scenario.testcase import Actuator, Measurements, TestCase
+
+# Native set-point above the lower bound while at home, K; set-back below it, K, and preheating, h, by emitter.
+NATIVE_ABOVE_K = 0.6
+SET_BACK_K = {"floor": 1.0, "radiator": 2.0, "air": 3.0}
+PREHEAT_H = {"floor": 4.0, "radiator": 3.0, "air": 2.0}
+
+
+def bounds_C(house: House, time_s: Array) -> tuple[Array, Array]:
+    """Return lower and upper comfort bound at `time_s`, °C."""
+    home = at_home(house.pattern, time_s)
+    return (np.where(home, house.lower_C, house.empty_lower_C), np.where(home, house.upper_C, house.empty_upper_C))
+
+
+def native_setpoint_C(house: House, time_s: Array) -> Array:
+    """Return the set-point of the house's own control, °C: set back while nobody is home, preheating before they come.
+
+    As installers set it: slow emitters are set back little and preheated early, and the set-back shrinks to nothing
+    between a machine of 1.3 and one of 0.8 times the design load, which could not recover from it.
+    """
+    away = set_back(lambda t: at_home(house.pattern, t), time_s, lead_s=PREHEAT_H[house.emitter] * HOUR_S)
+    day_C = house.lower_C + NATIVE_ABOVE_K
+    back_K = SET_BACK_K[house.emitter] * min(max((house.sizing - 0.8) / 0.5, 0.0), 1.0)
+    return np.where(away, day_C - back_K, day_C)
+
+
+def gains_W(house: House, time_s: Array) -> Array:
+    """Return internal heat gains on an equally spaced grid `time_s`, W: people, and appliances (see `varying`)."""
+    home = at_home(house.pattern, time_s)
+    varied = varying(np.random.default_rng([house.seed, house.index, 1]), time_s, house.gains_sd)
+    appliances = np.where(home, house.gains_home_W_m2, house.gains_empty_W_m2) * house.floor_area_m2
+    return np.asarray(np.where(home, house.people * PERSON_W, 0.0) + varied * appliances)
+
 
 _NAME = re.compile(r"generated:(\d{1,9}):(\d{1,9})")
 _COLUMN = {name: i for i, name in enumerate(physics.RECORD)}
@@ -41,11 +67,7 @@ _FULL_SUN_W_M2 = 800.0
 
 
 def generated_house(name: str) -> House:
-    """Return the house `generated:SEED:INDEX`: number INDEX of the population SEED.
-
-    Raises:
-        InputError: `name` has another form.
-    """
+    """Return house INDEX of the population SEED, `generated:SEED:INDEX`; raises `InputError` for another name."""
     match = _NAME.fullmatch(name)
     if match is None:
         raise InputError(f"house '{name}': expected generated:SEED:INDEX, such as generated:2026:0")
@@ -79,10 +101,7 @@ def named_testcase(name: str) -> TestCase:
 
 
 class GeneratedHousePlant(DrawnHousePlant):
-    """A generated house behind the `Plant` protocol. Deterministic: same house and inputs, same bytes.
-
-    Comfort is judged by the true operative temperature; records and measurements hold what the sensor reads.
-    """
+    """A generated house behind the `Plant` protocol; records and measurements hold what the sensor reads."""
 
     house: House
     _kind = "generated"
@@ -96,9 +115,8 @@ class GeneratedHousePlant(DrawnHousePlant):
             highly_dynamic: replaces the synthetic tariff of that name. Gas costs the same in all.
             people: seed of people who do not keep to the schedule, see `plants.people`; default: they keep to it.
         """
-        self.house = house
-        by_name = tariffs.by_name(highly_dynamic)
-        self._tariffs = {name: _gas if house.machine == "boiler" else by_name[name] for name in by_name}
+        self.house, self._tariffs = house, tariffs.by_name(highly_dynamic)
+        self._carrier = "GasPower" if house.machine == "boiler" else "ElectricPower"
         self.testcase = house_testcase(house)
         self._points = self.testcase.points
         self.weather, self._scheduled, self._noise = year_of(house)
@@ -112,53 +130,31 @@ class GeneratedHousePlant(DrawnHousePlant):
         gains_W = grid[:, physics.GAINS] + grid[:, physics.SUN_IN]
         return T_out_C, grid[:, physics.GLOBAL], self.house.loss_W_K * (20.0 - T_out_C) - gains_W
 
-    def _boundary(self, time_s: Array) -> Boundary:
-        lower, upper = schedule.bounds_C(self.house, time_s)
-        price, emission = self._prices(time_s)
-        return Boundary(
-            time_s=time_s,
-            T_out_C=self.weather.at("T_dry_C", time_s),
-            solar_W_m2=self.weather.at("global_W_m2", time_s),
-            occupancy=self.house.people * at_home(self.house.pattern, time_s).astype(np.float64),
-            lower_C=lower,
-            upper_C=upper,
-            price_per_kWh=price,
-            emission_kg_per_kWh=emission,
-        )
+    def _bounds_C(self, time_s: Array) -> tuple[Array, Array]:
+        return bounds_C(self.house, time_s)
+
+    def _people(self, time_s: Array) -> Array:
+        return np.asarray(self.house.people * at_home(self.house.pattern, time_s).astype(np.float64))
+
+    def _bought(self, time_s: Array) -> tuple[Array, Array]:
+        if self.house.machine != "boiler":
+            return super()._bought(time_s)
+        return np.full(time_s.shape, tariffs.GAS), np.full(time_s.shape, tariffs.GAS_EMISSION_KG_PER_KWH)
+
+    def _power_and_rooms(self, rows: Array) -> tuple[Array, Array]:
+        return rows[:, _COLUMN["P_billed"]], rows[:, _COLUMN["T_operative"]][None] - ZERO_C_K
+
+    def _scored(self) -> dict[str, float]:
+        return self._kpis_between(self._start_s, self._now_s)
 
     def _past(self, edges: Array) -> Record:
         record = self.recorded(self._begin_s, self._now_s)
         return past_record(record, self._points, interval_means(record, ["level"], edges)[None], edges)
 
-    def kpis(self) -> dict[str, float]:
-        """Return BOPTEST's KPIs since the end of the warm-up; discomfort is that of the true temperature."""
-        if self._now_s - self._start_s < CLOCK_S:
-            return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot"), 0.0)
-        record = self.recorded(self._start_s, self._now_s)
-        time_s = record["time"]
-        lower, upper = schedule.bounds_C(self.house, time_s)
-        price, emission = self._prices(time_s)
-        carrier = "GasPower" if self.house.machine == "boiler" else "ElectricPower"
-        power_W = record["P_billed"]
-        supply = Supply(carrier, power_W, price, emission)
-        return building_kpis(
-            time_s,
-            supplies=[supply],
-            thermal=[Violation("1", excess(record["T_operative"] - ZERO_C_K, lower, upper))],
-            air_quality=[],
-            area_m2=self.house.floor_area_m2,
-        )
-
     def recorded(self, start_s: float, final_s: float) -> dict[str, Array]:
         """Return the samples between two times, both included: 'time' s and the columns of `physics.RECORD`."""
         times, rows = self._samples.between(start_s, final_s)
         return {"time": times} | {name: rows[:, i] for name, i in _COLUMN.items()}
-
-    def _prices(self, time_s: Array) -> tuple[Array, Array]:
-        """Price per kWh and emissions, kg/kWh, of the billed energy at each time."""
-        gas = self.house.machine == "boiler"
-        emission = tariffs.GAS_EMISSION_KG_PER_KWH if gas else tariffs.EMISSION_KG_PER_KWH
-        return self._tariffs[self._price](time_s), np.full(time_s.shape, emission)
 
     def _simulate(self, forced: Array, before_s: float, dt_s: float, rows: Array) -> None:
         level = float(forced[0])
@@ -170,31 +166,20 @@ class GeneratedHousePlant(DrawnHousePlant):
             edges = np.array([before_s, self._now_s])
             record = self.recorded(before_s, self._now_s)
             acting = acting_means(record, points, interval_means(record, ["level"], edges)[None], edges)
-        return measurement(self._now_s, self._values(), points, acting)
-
-    def _values(self) -> dict[str, float]:
-        """Measured points of the latest sample by name, K and W."""
-        p = self._points
-        names = (*p.temperatures, p.outdoor_temperature, p.solar, *p.flows)
-        return {name: float(self._samples.rows[-1, _COLUMN[name]]) for name in names}
+        row = self._samples.rows[-1]
+        names = (*points.temperatures, points.outdoor_temperature, points.solar, *points.flows)
+        return measurement(self._now_s, {name: float(row[_COLUMN[name]]) for name in names}, points, acting)
 
     def _first_row(self) -> Array:
         self._state = np.zeros(physics.N_STATES)
-        self._state[: physics.INTEGRAL] = self.house.lower_C
+        T = self._state[: physics.INTEGRAL] = self.house.lower_C
+        T_out_C, solar_W_m2 = self._weather_now()
         row = np.zeros(len(physics.RECORD))
-        now = np.array([self._now_s])
-        T = self.house.lower_C
+        row[[_COLUMN[name] for name in ("T_operative", "T_return", "T_supply")]] = T + ZERO_C_K
         reading = physics.measured_C(self._parameters, T, self._noise[int(self._now_s / STEP_S)])
-        row[_COLUMN["T_operative"]], row[_COLUMN["T_measured"]] = T + ZERO_C_K, reading + ZERO_C_K
-        row[_COLUMN["T_return"]] = row[_COLUMN["T_supply"]] = T + ZERO_C_K
-        row[_COLUMN["T_out"]] = float(self.weather.at("T_dry_C", now)[0]) + ZERO_C_K
-        row[_COLUMN["solar"]] = float(self.weather.at("global_W_m2", now)[0])
-        row[_COLUMN["stored_J"]] = physics.stored_J(self._parameters, self._state)
+        row[_COLUMN["T_measured"]], row[_COLUMN["T_out"]] = reading + ZERO_C_K, T_out_C + ZERO_C_K
+        row[_COLUMN["solar"]], row[_COLUMN["stored_J"]] = solar_W_m2, physics.stored_J(self._parameters, self._state)
         return row
-
-
-def _gas(time_s: Array) -> Array:
-    return np.full(np.shape(time_s), tariffs.GAS)
 
 
 @functools.lru_cache(maxsize=2)
@@ -211,27 +196,25 @@ def year_of(house: House) -> tuple[Weather, Array, Array]:
 
 def build_grid(house: House, weather: Weather) -> Array:
     """Return weather, sun through the windows and schedules of a year every 15 min, shape (35041, 7), see `physics`."""
-    time_s = np.arange(0.0, YEAR_S + GRID_S, GRID_S)
-    sun = sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
+    time_s = year()
     grid = np.zeros((time_s.size, physics.N_COLUMNS))
     grid[:, physics.T_OUT] = weather.at("T_dry_C", time_s)
     grid[:, physics.GLOBAL] = weather.at("global_W_m2", time_s)
-    for facade, area_m2 in zip(FACADES, house.windows_m2, strict=True):
-        passing, irradiance = on_facade(weather, sun, time_s, AZIMUTH_DEG[facade])
+    lights = on_facades(weather, time_s)
+    for facade, area_m2, (passing, irradiance) in zip(FACADES, house.windows_m2, lights, strict=True):
         grid[:, physics.SUN_IN] += house.unshaded * house.g_value * area_m2 * passing
         if facade == house.sun_facade:
             grid[:, physics.SUN_ON_SENSOR] = np.minimum(irradiance / _FULL_SUN_W_M2, 1.0)
-    wind = weather.at("wind_m_s", time_s) / MEAN_WIND_M_S
-    grid[:, physics.VENTILATION] = house.ventilation_W_K * (1.0 - WIND_SHARE + WIND_SHARE * wind)
-    grid[:, physics.GAINS] = schedule.gains_W(house, time_s)
-    grid[:, physics.SETPOINT] = schedule.native_setpoint_C(house, time_s)
+    grid[:, physics.VENTILATION] = house.ventilation_W_K * air_change(weather, time_s)
+    grid[:, physics.GAINS] = gains_W(house, time_s)
+    grid[:, physics.SETPOINT] = native_setpoint_C(house, time_s)
     grid.setflags(write=False)
     return grid
 
 
 def _with_people(grid: Array, house: House, seed: int) -> Array:
-    """Return the grid of a house whose people do not keep to the schedule."""
-    usual = at_home(house.pattern, np.arange(0.0, YEAR_S + GRID_S, GRID_S))
+    """Return the grid of a house whose people do not keep to the"""
+    usual = at_home(house.pattern, year())
     life = live(
         [seed, house.seed, house.index],
         usual,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from thermoforce_mpc.data import ZERO_C_K
@@ -12,13 +14,16 @@ from thermoforce_mpc.plants.random_houses.draw import ground_C
 from thermoforce_mpc.plants.rooms.house import (
     DESIGN_OUT_C,
     DESIGN_ROOM_C,
+    Contact,
     Curve,
     Door,
     DrawnHouse,
     HeatPump,
     Room,
+    contacts,
+    facade_lengths,
+    lay_out,
 )
-from thermoforce_mpc.plants.rooms.plan import Contact, contacts, facade_lengths, lay_out
 from thermoforce_mpc.plants.rooms.use import HOUSE, Kind, RoomEmitter, Use
 
 MOST_ROOMS = 30
@@ -43,10 +48,7 @@ _LEAST_EMITTER_W = 150.0
 
 
 def emulator_fixed_share() -> float:
-    """Return the fixed electric power of the embedded emulator's heat pump per W of its heat at A2/W35 and full speed.
-
-    Constant loss of the compressor, fan and pump; air and refrigerant are 4 K apart.
-    """
+    """Return the fixed power of the emulator's heat pump over its heat at A2/W35; air and refrigerant are 4 K apart."""
     _, heat_W, _ = emulator.heat_pump(2.0 - 4.0 + ZERO_C_K, 35.0 + ZERO_C_K, 1.0)
     return float((emulator.CONSTANT_LOSS_W + emulator.FAN_W + emulator.PUMP_W) / heat_W)
 
@@ -54,15 +56,13 @@ def emulator_fixed_share() -> float:
 def draw_rooms(n_rooms: int, seed: int, use: Use = HOUSE) -> DrawnHouse:
     """Draw a house, or an office, of `n_rooms` rooms; the same arguments give the same one.
 
-    Every distribution is given here; sources in docs/how-it-works/random-buildings.md.
-
-    Raises:
-        InputError: `n_rooms` is not a whole number from 1 to 30.
+    Every distribution is given here; sources in docs/how-it-works/random-buildings.md. Raises `InputError` where
+    `n_rooms` is not a whole number from 1 to 30.
     """
     if isinstance(n_rooms, bool) or not isinstance(n_rooms, int | np.integer) or not 1 <= n_rooms <= MOST_ROOMS:
         raise InputError(f"{use.name} of {n_rooms!r} rooms: expected a whole number from 1 to {MOST_ROOMS}")
     rng = np.random.default_rng([seed, n_rooms, 3])
-    kinds = _kinds(n_rooms, use)
+    kinds = [*use.first, *itertools.islice(itertools.cycle(use.further), n_rooms)][:n_rooms]
     storeys = 1 if n_rooms < 4 else 2 if n_rooms >= 12 else int(rng.choice([1, 2], p=[0.4, 0.6]))
     areas = [rng.uniform(*use.kinds[kind].area_m2) for kind in kinds]
     kinds, levels = _storeys(kinds, areas, storeys, use)
@@ -227,11 +227,6 @@ def _circuit(
     }
 
 
-def _kinds(n: int, use: Use) -> list[Kind]:
-    further = (use.further[i % len(use.further)] for i in range(max(n - len(use.first), 0)))
-    return [*use.first[:n], *further]
-
-
 def _storeys(kinds: list[Kind], areas: list[float], storeys: int, use: Use) -> tuple[list[Kind], list[list[float]]]:
     """Return the kinds from the ground up and the areas by storey, those of two storeys scaled to the same sum."""
     halls = 0
@@ -292,12 +287,6 @@ def _doors(rng: np.random.Generator, kinds: list[Kind], touching: list[Contact],
         if contact.kind == "wall":
             tighter = max((kinds[contact.first], kinds[contact.second]), key=lambda kind: rank[kind])
             low, high = use.kinds[tighter].openness
-        doors.append(
-            Door(
-                contact.first,
-                contact.second,
-                leak_W_K=float(rng.uniform(3.0, 8.0)),
-                open_W_K15=float(_OPEN_DOOR_W_K15 * rng.uniform(low, high)),
-            )
-        )
+        leak_W_K, open_share = float(rng.uniform(3.0, 8.0)), rng.uniform(low, high)
+        doors.append(Door(contact.first, contact.second, leak_W_K, float(_OPEN_DOOR_W_K15 * open_share)))
     return tuple(doors)

@@ -16,17 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from thermoforce_mpc.plants.drawn_houses.envelope import (
-    AIR_J_M2_K,
-    AIR_SHARE,
-    GRID_S,
-    MASSES,
-    SURFACE_AIR_W_M2_K,
-    SURFACE_J_M2_K,
-    SURFACE_MASS_W_M2_K,
-    SURFACE_PER_FLOOR,
-    solve,
-)
+from thermoforce_mpc.plants.drawn_houses import envelope
 from thermoforce_mpc.plants.random_houses.draw import ground_C, heat_pump_cop
 from thermoforce_mpc.plants.rooms.house import DrawnHouse, core_W_m2K, curve_supply_C, full_capacity_W
 
@@ -86,13 +76,15 @@ def network(house: DrawnHouse) -> Network:
     """Return the parameters of a house."""
     rooms, n = house.rooms, len(house.rooms)
     area = np.array([room.area_m2 for room in rooms])
-    mass_area, mass_J_K = MASSES[house.mass]
+    mass_area, mass_J_K = envelope.MASSES[house.mass]
     floor = np.array([room.emitter == "floor" for room in rooms])
-    surface_J_K = SURFACE_J_M2_K * SURFACE_PER_FLOOR * area
+    surface_J_K = envelope.SURFACE_J_M2_K * envelope.SURFACE_PER_FLOOR * area
     # A room without a slab has a node that is coupled to nothing.
     slab_J_K = np.array([room.slab_J_K or 1.0 for room in rooms])
     water_J_K = np.array([room.emitter_J_K for room in rooms])
-    capacity = np.concatenate([water_J_K, slab_J_K, surface_J_K, AIR_J_M2_K * area, mass_J_K * area - surface_J_K])
+    capacity = np.concatenate(
+        [water_J_K, slab_J_K, surface_J_K, envelope.AIR_J_M2_K * area, mass_J_K * area - surface_J_K]
+    )
 
     between = np.zeros((N_BLOCKS * n, N_BLOCKS * n))
 
@@ -100,10 +92,10 @@ def network(house: DrawnHouse) -> Network:
         between[a, b] += W_K
         between[b, a] += W_K
 
-    to_mass = SURFACE_MASS_W_M2_K * mass_area * area
+    to_mass = envelope.SURFACE_MASS_W_M2_K * mass_area * area
     outdoors, ground = np.zeros(N_BLOCKS * n), np.zeros(N_BLOCKS * n)
     for i, room in enumerate(rooms):
-        couple(SURFACE * n + i, AIR * n + i, SURFACE_AIR_W_M2_K * SURFACE_PER_FLOOR * area[i])
+        couple(SURFACE * n + i, AIR * n + i, envelope.SURFACE_AIR_W_M2_K * envelope.SURFACE_PER_FLOOR * area[i])
         couple(SURFACE * n + i, MASS * n + i, to_mass[i])
         outdoors[SURFACE * n + i] = room.windows_W_K
         outdoors[MASS * n + i] = 1.0 / (1.0 / room.opaque_W_K - 1.0 / to_mass[i])
@@ -135,7 +127,7 @@ def network(house: DrawnHouse) -> Network:
         is_floor=floor,
         flow_W_K=np.array([room.flow_W_K for room in rooms]),
         curve=np.array([(c.design_C, c.exponent, c.shift_K, c.limit_C) for c in curves]),
-        mass_share=mass_area / SURFACE_PER_FLOOR,
+        mass_share=mass_area / envelope.SURFACE_PER_FLOOR,
         heat_pump=np.array(
             [pump.capacity_W, pump.capacity_per_K, house.design_out_C, pump.lowest_level, pump.carnot, pump.fixed_W]
         ),
@@ -147,7 +139,7 @@ def operative_C(T: np.ndarray, out: np.ndarray) -> None:
     """Write the operative temperatures of the nodes `T` (n,) into `out` (Z,), °C."""
     n = out.size
     for i in range(n):
-        out[i] = AIR_SHARE * T[AIR * n + i] + (1.0 - AIR_SHARE) * T[SURFACE * n + i]
+        out[i] = envelope.AIR_SHARE * T[AIR * n + i] + (1.0 - envelope.AIR_SHARE) * T[SURFACE * n + i]
 
 
 @njit(cache=True)
@@ -249,17 +241,6 @@ def thermostats(on: np.ndarray, room_C: np.ndarray, setpoint_C: np.ndarray) -> N
             on[i] = 0.0
 
 
-@njit(cache=True)
-def _read(grid: np.ndarray, time_s: float, w: np.ndarray) -> int:
-    """Interpolate the weather at `time_s` into `w` (2 + 2 Z,) and return the row of `grid` that holds then."""
-    at = (time_s % ((grid.shape[0] - 1) * GRID_S)) / GRID_S
-    row = int(at)
-    share = at - row
-    for j in range(w.size):
-        w[j] = (1.0 - share) * grid[row, j] + share * grid[row + 1, j]
-    return row
-
-
 @njit(cache=True, nogil=True)
 def advance(
     T: np.ndarray,
@@ -277,13 +258,10 @@ def advance(
     """Advance nodes `T` (5 Z,) °C and thermostats `on` (Z,) in place by `n_steps` of `dt` s and fill `record`.
 
     Args:
-        T, on: see above.
         time_s: time at the start, s since 1 January.
-        n_steps, dt: number and length of the steps.
         forced: levels in [0, 1], shape (Z,); NaN: native control.
         weather: year every 15 min, shape (35041, 2 + 2 Z), see `T_OUT` and following; interpolated.
         gains, setpoints: internal gains W and native set-points °C, shape (35041, Z); held for 15 min.
-        h: parameters, see `network`.
         record: one row per step, shape (n_steps, 8 + 3 Z), see `POWER` and following.
     """
     n = on.size
@@ -296,13 +274,13 @@ def advance(
     operative_C(T, room_C)
     for k in range(n_steps):
         now = time_s + k * dt
-        row = _read(weather, now, w)
+        row = envelope.read(weather, now, w)
         thermostats(on, room_C, setpoints[row])
         for i in range(n):
             levels[i] = on[i] if math.isnan(forced[i]) else forced[i]
         heat, power, supply = machine(h, T, levels, w[T_OUT], q)
         # Weather at the end of the step, schedules of its start.
-        _read(weather, now + dt, w)
+        envelope.read(weather, now + dt, w)
         T_out = w[T_OUT]
 
         a[:] = fixed
@@ -326,7 +304,7 @@ def advance(
         for d in range(h.door_leak_W_K.size):
             first, second = AIR * n + h.door_rooms[d, 0], AIR * n + h.door_rooms[d, 1]
             _couple(a, first, second, h.door_leak_W_K[d] + h.door_open[d] * math.sqrt(abs(T[first] - T[second])))
-        solve(a, b)
+        envelope.solve(a, b)
 
         lost, gained, stored = 0.0, 0.0, 0.0
         for i in range(nodes):
@@ -345,7 +323,6 @@ def advance(
 
 @njit(cache=True, inline="always")
 def _couple(a: np.ndarray, i: int, j: int, W_K: float) -> None:
-    """Add a coupling of `W_K` between nodes `i` and `j` to the matrix of the step."""
     a[i, i] += W_K
     a[j, j] += W_K
     a[i, j] -= W_K

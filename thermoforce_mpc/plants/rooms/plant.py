@@ -1,4 +1,4 @@
-"""Plant of a house of rooms, see `house.DrawnHouse` and docs/how-it-works/random-buildings.md."""
+"""Plant and test case of a house of rooms, see `house.DrawnHouse` and docs/how-it-works/random-buildings.md."""
 
 from __future__ import annotations
 
@@ -8,29 +8,20 @@ import re
 import numpy as np
 
 from thermoforce_mpc.boundary import tariffs
-from thermoforce_mpc.boundary.weather.solar import sun_position
 from thermoforce_mpc.boundary.weather.synthetic import synthetic_weather
-from thermoforce_mpc.boundary.weather.year import Weather
-from thermoforce_mpc.data import YEAR_S, Array, Boundary, Layout, Measurement, Names, Record
+from thermoforce_mpc.boundary.weather.year import Weather as WeatherYear
+from thermoforce_mpc.data import Array, Measurement, Record
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.drawn_houses.envelope import (
-    AZIMUTH_DEG,
-    FACADES,
-    GRID_S,
-    MEAN_WIND_M_S,
-    WIND_SHARE,
-    on_facade,
-)
-from thermoforce_mpc.plants.drawn_houses.occupants import PERSON_W
+from thermoforce_mpc.plants.drawn_houses.envelope import air_change, on_facades, year
 from thermoforce_mpc.plants.drawn_houses.plant import THERMOSTAT_ABOVE_K, DrawnHousePlant
-from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess
-from thermoforce_mpc.plants.people import live
+from thermoforce_mpc.plants.people import PERSON_W, live
 from thermoforce_mpc.plants.records import means_between
 from thermoforce_mpc.plants.rooms import physics, schedule
 from thermoforce_mpc.plants.rooms.draw import MOST_ROOMS, draw_rooms
 from thermoforce_mpc.plants.rooms.house import DrawnHouse
 from thermoforce_mpc.plants.rooms.use import USES
-from thermoforce_mpc.plants.shell import CLOCK_S
+from thermoforce_mpc.scenario.building import Machine, Zone, ZoneActuator
+from thermoforce_mpc.scenario.testcase import TestCase, Weather
 
 # Seed of the houses `house:Nrooms`.
 SEED = 15
@@ -38,13 +29,10 @@ SEED = 15
 _NAME = re.compile(r"(house|office):(\d+)rooms?(?::(\d+))?")
 
 
-def house_of_rooms(name: str, people: int | None = None) -> HouseOfRooms:
+def named_house(name: str) -> DrawnHouse:
     """Return the house `house:Nrooms`, N from 1 to 30, or `house:Nrooms:SEED` of another seed; `office:…` likewise.
 
-    `people`: seed of people who do not keep to the schedule, see `plants.people`; without they keep to it.
-
-    Raises:
-        InputError: `name` has another form, or N is out of range.
+    Raises `InputError` where `name` has another form, or N is out of range.
     """
     match = _NAME.fullmatch(name)
     if match is None or not 1 <= int(match[2]) <= MOST_ROOMS:
@@ -52,11 +40,48 @@ def house_of_rooms(name: str, people: int | None = None) -> HouseOfRooms:
             f"house '{name}': expected house:Nrooms, house:Nrooms:SEED or office:… with N from 1 to {MOST_ROOMS}, "
             "such as house:5rooms"
         )
-    return HouseOfRooms(draw_rooms(int(match[2]), int(match[3] or SEED), USES[match[1]]), people)
+    return draw_rooms(int(match[2]), int(match[3] or SEED), USES[match[1]])
+
+
+def house_of_rooms(name: str, people: int | None = None) -> HouseOfRooms:
+    """Return the plant of a house, see `named_house`; `people`: seed of people who do not keep to the schedule."""
+    return HouseOfRooms(named_house(name), people)
+
+
+def house_testcase(name: str) -> TestCase:
+    """Return the test case of a house or an office, see `named_house`."""
+    return testcase_of(named_house(name), name)
+
+
+def testcase_of(house: DrawnHouse, name: str) -> TestCase:
+    """Return the test case of a house by `name`: its zones, valves and heat pump."""
+    zones, actuators = {}, {}
+    for room in house.rooms:
+        zones[room.name] = Zone(
+            temperature=f"T_zone[{room.name}]",
+            floor_area_m2=float(room.area_m2),
+            occupancy=f"occupancy[{room.name}]",
+            lower=f"lower[{room.name}]",
+            upper=f"upper[{room.name}]",
+            thermostat_C=room.lower_C + THERMOSTAT_ABOVE_K,
+        )
+        valve, share = f"{room.name}_valve", room.emitter_W / house.heat_pump.capacity_W
+        heat = (f"heat[{room.name}]",)
+        actuators[valve] = ZoneActuator(point=valve, zone=room.name, machine="heat_pump", heat=heat, share=share)
+    return TestCase(
+        name=name,
+        description=house.words,
+        step_s=900.0,
+        measurements=Weather(outdoor_temperature="T_out", solar="solar"),
+        zones=zones,
+        actuators=actuators,
+        machines={"heat_pump": Machine(power=("power",))},
+        plant="rooms",
+    )
 
 
 class HouseOfRooms(DrawnHousePlant):
-    """A drawn house with a valve in each room and one heat pump. Deterministic: same house and inputs, same bytes.
+    """A drawn house with a valve in each room and one heat pump.
 
     A level is the share of the heat that the circuit would take now with its valve fully open, at design flow and the
     supply temperature of the moment; 0 is none, and more level is never less heat to the circuit. None leaves a valve
@@ -65,11 +90,8 @@ class HouseOfRooms(DrawnHousePlant):
 
     Attributes:
         layout: rooms, valves and the heat pump; valve i stands in room i.
-        zones, actuators, machines: names by row of all arrays.
-        floor_area_m2: of each room, shape (Z,).
-        design_heat_W: of each emitter, shape (A,).
-        capacity_W: of the heat pump at the design outdoor temperature, shape (1,).
-        thermostat_C: set-points of baseline thermostats, shape (Z,).
+        zones, actuators: names by row of all arrays.
+        thermostat_C: of the baseline thermostat of each room, shape (Z,).
     """
 
     house: DrawnHouse
@@ -79,25 +101,11 @@ class HouseOfRooms(DrawnHousePlant):
     def __init__(self, house: DrawnHouse, people: int | None = None) -> None:
         self.house = house
         self.weather = synthetic_weather(house.weather_seed, warmer_K=house.warmer_K, clearer=house.clearer)
-        self.zones = tuple(room.name for room in house.rooms)
-        self.actuators = tuple(f"{room.name}_valve" for room in house.rooms)
-        self.machines = ("heat_pump",)
-        self.floor_area_m2 = np.array([room.area_m2 for room in house.rooms])
-        self.design_heat_W = np.array([room.emitter_W for room in house.rooms])
-        self.capacity_W = np.array([house.heat_pump.capacity_W])
-        self.thermostat_C = np.array([room.lower_C for room in house.rooms]) + THERMOSTAT_ABOVE_K
-        n = len(self.zones)
-        self.layout = Layout(
-            names=Names(self.zones, self.actuators, self.machines),
-            signs=(1,) * n,
-            home=tuple(range(n)),
-            machine_of=(0,) * n,
-            lowest=(0.0,) * n,
-            shares=tuple((self.design_heat_W / self.capacity_W).tolist()) if n > 1 else (0.0,),
-            floor_area_m2=tuple(self.floor_area_m2.tolist()),
-        )
+        self.layout = testcase_of(house, house.name).layout
         self._names = self.layout.names
-        time_s = _year()
+        self.zones, self.actuators = self._names.zones, self._names.actuators
+        self.thermostat_C = np.array([room.lower_C for room in house.rooms]) + THERMOSTAT_ABOVE_K
+        time_s = year()
         gains = np.ascontiguousarray(schedule.gains_W(house, time_s).T)
         self._scheduled = weather_grid(house, self.weather), gains
         self._lived = self._scheduled if people is None else _with_people(*self._scheduled, house, people)
@@ -112,19 +120,14 @@ class HouseOfRooms(DrawnHousePlant):
         heat_W = gains.sum(axis=1) + weather[:, physics.SUN : physics.SUN + len(self.zones)].sum(axis=1)
         return T_out_C, weather[:, physics.GLOBAL], self.house.loss_W_K * (20.0 - T_out_C) - heat_W
 
-    def _boundary(self, time_s: Array) -> Boundary:
-        lower, upper = schedule.bounds_C(self.house, time_s)
-        return Boundary(
-            time_s=time_s,
-            T_out_C=self.weather.at("T_dry_C", time_s),
-            solar_W_m2=self.weather.at("global_W_m2", time_s),
-            occupancy=schedule.people(self.house, time_s),
-            lower_C=lower,
-            upper_C=upper,
-            price_per_kWh=self._tariffs[self._price](time_s)[None],
-            emission_kg_per_kWh=np.full((1, time_s.size), tariffs.EMISSION_KG_PER_KWH),
-            names=self.layout.names,
-        )
+    def _bounds_C(self, time_s: Array) -> tuple[Array, Array]:
+        return schedule.bounds_C(self.house, time_s)
+
+    def _people(self, time_s: Array) -> Array:
+        return schedule.people(self.house, time_s)
+
+    def _power_and_rooms(self, rows: Array) -> tuple[Array, Array]:
+        return rows[:, physics.POWER], rows[:, self._blocks()[0]].T
 
     def _past(self, edges: Array) -> Record:
         times, rows = self._samples.times, self._samples.rows
@@ -144,39 +147,9 @@ class HouseOfRooms(DrawnHousePlant):
             power_W=means_between(times, rows[:, [physics.POWER]].T, edges),
         )
 
-    def kpis(self) -> dict[str, float]:
-        """Return BOPTEST's KPIs of the house since the end of the warm-up; discomfort is the mean over rooms."""
-        if self._now_s - self._start_s < CLOCK_S:
-            of_rooms = [f"tdis_tot[{name}]" for name in self.zones] if len(self.zones) > 1 else []
-            return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot", *of_rooms), 0.0)
-        return self._kpis_so_far(self._kpis_between)
-
-    def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
-        """Return the KPIs of the samples between two times, both included."""
-        time_s, rows = self.recorded(start_s, final_s)
-        supply = Supply(
-            "ElectricPower",
-            rows[:, physics.POWER],
-            self._tariffs[self._price](time_s),
-            np.full(time_s.shape, tariffs.EMISSION_KG_PER_KWH),
-        )
-        return building_kpis(
-            time_s,
-            supplies=[supply],
-            thermal=self._violations(time_s, rows),
-            air_quality=[],
-            area_m2=self.house.floor_area_m2,
-        )
-
     def recorded(self, start_s: float, final_s: float) -> tuple[Array, Array]:
         """Return times (n,), s, and rows (n, 8 + 3 Z) of `physics.advance` between two times, both included."""
         return self._samples.between(start_s, final_s)
-
-    def _violations(self, time_s: Array, rows: Array) -> list[Violation]:
-        lower, upper = schedule.bounds_C(self.house, time_s)
-        rooms, _, _ = self._blocks()
-        T = rows[:, rooms].T
-        return [Violation(name, excess(T[i], lower[i], upper[i])) for i, name in enumerate(self.zones)]
 
     def _blocks(self) -> tuple[range, range, range]:
         """Columns of the rows with temperatures, levels and heat."""
@@ -185,18 +158,9 @@ class HouseOfRooms(DrawnHousePlant):
         return range(first, first + n), range(first + n, first + 2 * n), range(first + 2 * n, first + 3 * n)
 
     def _simulate(self, forced: Array, before_s: float, dt_s: float, rows: Array) -> None:
-        physics.advance(
-            self._T,
-            self._on,
-            before_s,
-            len(rows),
-            dt_s,
-            forced,
-            *self._lived,
-            self._setpoints,
-            self._network,
-            rows,
-        )
+        weather, gains = self._lived
+        state = self._T, self._on, before_s, len(rows), dt_s
+        physics.advance(*state, forced, weather, gains, self._setpoints, self._network, rows)
 
     def _measured(self, before_s: float) -> Measurement:
         rooms, valves, heats = self._blocks()
@@ -224,42 +188,32 @@ class HouseOfRooms(DrawnHousePlant):
         self._T = np.tile([room.lower_C for room in self.house.rooms], physics.N_BLOCKS)
         self._on = np.zeros(n)
         row = np.zeros(physics.ROOMS + 3 * n)
-        now = np.array([self._now_s])
-        rooms, _, _ = self._blocks()
-        row[rooms] = self._T[:n]
-        row[physics.OUTDOOR] = float(self.weather.at("T_dry_C", now)[0])
-        row[physics.SOLAR] = float(self.weather.at("global_W_m2", now)[0])
+        row[self._blocks()[0]] = self._T[:n]
+        row[physics.OUTDOOR], row[physics.SOLAR] = self._weather_now()
         row[physics.STORED] = float(self._network.capacity_J_K @ self._T)
+        off = np.zeros(n)
         _, _, row[physics.SUPPLY] = physics.machine(
-            self._network, self._T, np.zeros(n), float(row[physics.OUTDOOR]), np.zeros(n)
+            self._network, self._T, off, float(row[physics.OUTDOOR]), off.copy()
         )
         return row
 
 
-def weather_grid(house: DrawnHouse, weather: Weather) -> Array:
-    """Return weather and sun through the rooms' windows every 15 min of a year, shape (35041, 2 + 2 Z), see `physics`.
-
-    Takes about 0.5 s.
-    """
-    time_s = _year()
-    sun = sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
+def weather_grid(house: DrawnHouse, weather: WeatherYear) -> Array:
+    """Return weather and sun through the windows every 15 min of a year, (35041, 2 + 2 Z), see `physics`; 0.5 s."""
+    time_s, n = year(), len(house.rooms)
     windows = np.array([room.windows_m2 for room in house.rooms])
-    grid = np.zeros((time_s.size, physics.SUN + 2 * len(house.rooms)))
+    grid = np.zeros((time_s.size, physics.SUN + 2 * n))
     grid[:, physics.T_OUT] = weather.at("T_dry_C", time_s)
     grid[:, physics.GLOBAL] = weather.at("global_W_m2", time_s)
-    sunlit = slice(physics.SUN, physics.SUN + len(house.rooms))
-    wind = weather.at("wind_m_s", time_s) / MEAN_WIND_M_S
-    grid[:, sunlit.stop :] = (1.0 - WIND_SHARE + WIND_SHARE * wind)[:, None]
-    for i, facade in enumerate(FACADES):
-        passing, _ = on_facade(weather, sun, time_s, (AZIMUTH_DEG[facade] + house.turn_deg) % 360.0)
-        grid[:, sunlit] += house.unshaded * house.g_value * np.outer(passing, windows[:, i])
+    grid[:, physics.SUN + n :] = air_change(weather, time_s)[:, None]
+    for i, (passing, _) in enumerate(on_facades(weather, time_s, house.turn_deg)):
+        grid[:, physics.SUN : physics.SUN + n] += house.unshaded * house.g_value * np.outer(passing, windows[:, i])
     grid.setflags(write=False)
     return grid
 
 
 def _with_people(weather: Array, gains: Array, house: DrawnHouse, seed: int) -> tuple[Array, Array]:
-    """Return weather and gains of a house whose people do not keep to the schedule."""
-    time_s, n = _year(), len(house.rooms)
+    time_s, n = year(), len(house.rooms)
     usual = schedule.at_home_or_asleep(house, time_s)
     life = live(
         [seed, house.seed, n],
@@ -277,7 +231,3 @@ def _with_people(weather: Array, gains: Array, house: DrawnHouse, seed: int) -> 
     shaded[:, physics.SUN : physics.SUN + n] *= life.sun.T
     shaded[:, physics.SUN + n :] += life.windows_1_h.T / house.air_changes_1_h
     return shaded, np.ascontiguousarray(gains + heat_W.T)
-
-
-def _year() -> Array:
-    return np.arange(0.0, YEAR_S + GRID_S, GRID_S)

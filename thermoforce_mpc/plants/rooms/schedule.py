@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.plants.drawn_houses.occupants import PERSON_W, at_home, hour_of_day, set_back, varying
-from thermoforce_mpc.plants.random_houses.schedule import PREHEAT_H, SET_BACK_K
+from thermoforce_mpc.plants.people import PERSON_W, at_home, hour_of_day, set_back, varying
+from thermoforce_mpc.plants.random_houses.plant import PREHEAT_H, SET_BACK_K
 from thermoforce_mpc.plants.rooms.house import DrawnHouse, Room
 from thermoforce_mpc.plants.rooms.use import Kind
 
@@ -25,10 +25,7 @@ def at_home_or_asleep(house: DrawnHouse, time_s: Array) -> NDArray[np.bool_]:
 
 
 def in_use(house: DrawnHouse, kind: Kind, time_s: Array) -> NDArray[np.bool_]:
-    """Return whether rooms of `kind` are in use at `time_s`, shape of `time_s`; only while people are in.
-
-    Bedrooms 20 to 9 h; baths 6 to 9 h and 18 to 22 h; others 6 to 22 h.
-    """
+    """Bedrooms 20 to 9 h, baths 6 to 9 and 18 to 22 h, others 6 to 22 h, while people are in; like `time_s`."""
     hour = hour_of_day(time_s)
     if kind == "bedroom":
         used = (hour < 9.0) | (hour >= 20.0)
@@ -50,8 +47,7 @@ def bounds_C(house: DrawnHouse, time_s: Array) -> tuple[Array, Array]:
 def native_setpoints_C(house: DrawnHouse, time_s: Array) -> Array:
     """Return the rooms' native set-points at `time_s` (n,), °C, shape (Z, n): set back while unused, preheated before.
 
-    Set-back and preheating time are those of the emitter in a generated house; the set-back shrinks to nothing between
-    a heat pump of 1.3 and one of 0.8 times the design load.
+    Set-back, its shrinking with the machine, and preheating are those of the emitter in a generated house.
     """
     shrink = min(max((house.sizing - 0.8) / 0.5, 0.0), 1.0)
     unused: dict[tuple[str, str], NDArray[np.bool_]] = {}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from thermoforce_mpc.plants.drawn_houses.envelope import MASSES, Mass
-from thermoforce_mpc.plants.drawn_houses.occupants import HOUSEHOLDS, Pattern
+from thermoforce_mpc.plants.people import HOUSEHOLDS, Pattern
 
 Kind = Literal["living", "kitchen", "bedroom", "bath", "study", "hall", "open", "cell", "meeting", "corridor"]
 RoomEmitter = Literal["floor", "radiator", "air"]
