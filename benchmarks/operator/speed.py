@@ -12,8 +12,9 @@ import torch
 
 from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.model.operator import OperatorParameters, forced_rollout, linear_operator
+from thermoforce_mpc.model.operator.building import forced_rollout
 from thermoforce_mpc.model.operator.casadi_export import rollout_function
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
 # Largest difference between two implementations whose times are compared, K.
 _SAME_K = 1e-9

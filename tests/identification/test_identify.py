@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig, Pair, identify
-from thermoforce_mpc.model.operator import certificate
+from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.scenario.settings import validate
 
 HOUSE = House()

@@ -1,8 +1,8 @@
-"""Weather forecast errors of BOPTEST at levels low, medium and high.
+"""Weather forecast errors of BOPTEST at levels low, medium and high (parameters: its documentation).
 
 Outdoor temperature: Gaussian first-order process along the horizon. Global irradiance: Laplace first-order process,
 redrawn until daylight forecasts lie between 0.2 and 2 times the true value. Errors are hourly, drawn anew every hour,
-up to 48 h ahead, and subtracted from the true value. Parameters: BOPTEST documentation, forecast uncertainty.
+up to 48 h ahead, and subtracted from the true value.
 """
 
 from __future__ import annotations
@@ -64,13 +64,8 @@ class ForecastError:
     def apply(self, time_s: Array, T_out_C: Array, hourly_solar_W_m2: Array, solar_W_m2: Array) -> tuple[Array, Array]:
         """Return outdoor temperature °C and irradiance W/m² with forecast errors, shape (n,) each.
 
-        Args:
-            time_s: forecast instants, s since 1 January, shape (n,); the first is now.
-            T_out_C, solar_W_m2: true values at these instants, shape (n,).
-            hourly_solar_W_m2: true irradiance at 49 full hours from the one at or before now, shape (49,).
-
-        Raises:
-            InputError: the horizon is longer than 48 h.
+        `time_s` (n,): s since 1 January, the first is now; `T_out_C`, `solar_W_m2` (n,): true values there;
+        `hourly_solar_W_m2` (49,): true irradiance from the full hour at or before now. Raises `InputError` beyond 48 h.
         """
         hour = math.floor(time_s[0] / HOUR_S)
         ahead_h = time_s / HOUR_S - hour
@@ -111,12 +106,9 @@ class ForecastError:
 
 
 def forecast_weather(weather: Weather, error: ForecastError | None, time_s: Array) -> tuple[Array, Array]:
-    """Return outdoor temperature, °C, and global horizontal irradiance, W/m², as forecast at `time_s[0]`, (n,) each.
+    """Outdoor temperature, °C, and global horizontal irradiance, W/m², as forecast at `time_s[0]` for `time_s` (n,).
 
-    `time_s` (n,) are the instants of the forecast, s since 1 January; `error` None: a perfect forecast.
-
-    Raises:
-        InputError: the horizon is longer than 48 h and there are errors.
+    `error` None: a perfect forecast; with one, raises `InputError` beyond 48 h.
     """
     T_out, solar = weather.at("T_dry_C", time_s), weather.at("global_W_m2", time_s)
     if error is None:

@@ -13,11 +13,10 @@ from __future__ import annotations
 
 from thermoforce_mpc.data.boundary import CONDITIONS, Boundary
 from thermoforce_mpc.data.clock import DAY_S, HOUR_S, J_PER_KWH, YEAR_S, ZERO_C_K, Array
-from thermoforce_mpc.data.layout import Layout
+from thermoforce_mpc.data.layout import Layout, Period, PlantInfo
 from thermoforce_mpc.data.names import SINGLE, Names
 from thermoforce_mpc.data.observation import FreeForecast, Observation
 from thermoforce_mpc.data.plan import Bands, Block, Levels, Plan, PlanStatus
-from thermoforce_mpc.data.plant import Period, PlantInfo
 from thermoforce_mpc.data.record import ACTING, SAMPLED, SIGNALS, Measurement, Record
 
 __all__ = [

@@ -29,12 +29,9 @@ class Boundary:
 
     Shape (N + 1,): `time_s` s, `T_out_C` °C, `solar_W_m2` global horizontal W/m².
     Shape (Z, N + 1): `occupancy` persons, `lower_C` and `upper_C` comfort bounds °C.
-    Shape (M, N + 1): `price_per_kWh` currency/kWh and `emission_kg_per_kWh` kg CO2/kWh of each machine's energy. Where
-    the heating of a machine that also cools has a carrier of its own (gas beside electric cooling),
-    `heating_price_per_kWh` is its price; by default it is `price_per_kWh`.
-
-    Raises:
-        DataError: an array of another shape, no instant at all, or instants that do not go up in equal steps.
+    Shape (M, N + 1): `price_per_kWh` currency/kWh and `emission_kg_per_kWh` kg CO2/kWh of each machine's energy;
+    `heating_price_per_kWh` where the heating of a machine that also cools has a carrier of its own, else the same.
+    Raises `DataError` for another shape, no instant, or instants that do not go up in equal steps.
     """
 
     time_s: Array
@@ -86,9 +83,9 @@ class Boundary:
             emission: kg CO2/kWh; a column, or one number.
 
         Raises:
-            DataError: a column is missing, the rows do not begin at the end of `record` or are not in order, a bound
-                is no room temperature in °C or the lower above the upper one, or `record` is one instant, which has no
-                step.
+            DataError: a column is missing, rows are not in order or do not begin at the end of `record`, `record` is
+                one
+                instant, or a bound is no room temperature in °C or the lower one above the upper one.
         """
         from thermoforce_mpc.data.dataframes import seconds_since, series, stamps
 

@@ -30,11 +30,7 @@ AXIS = {
 
 @dataclass(frozen=True)
 class Names:
-    """Names of the zones (Z), actuators (A) and machines (M) of a building, in the order of the arrays.
-
-    Raises:
-        DataError: a kind has no name, or one twice.
-    """
+    """Names of the zones (Z), actuators (A) and machines (M) of a building; `DataError` for none, or one twice."""
 
     zones: tuple[str, ...] = ("zone",)
     actuators: tuple[str, ...] = ("actuator",)
@@ -83,15 +79,9 @@ def check_same_building(
     single_alike: bool = False,
     error: type[InputError] = DataError,
 ) -> None:
-    """Raise `error` where two things are not of the same zones, actuators and machines.
+    """Raise `error` where two things (`what` and `of` in words) are not of the same zones, actuators and machines.
 
-    Args:
-        what: the one, in words, such as 'the model'.
-        names: of it.
-        of: the other, such as 'the record'.
-        others: of that.
-        single_alike: buildings of one zone with one actuator and one machine are the same, whatever their names.
-        error: what is raised.
+    With `single_alike`, buildings of one zone with one actuator and one machine are the same, whatever their names.
     """
     if names != others and not (single_alike and names.single and others.single):
         raise error(f"{what} is of {names}, {of} of {others}: another building?")

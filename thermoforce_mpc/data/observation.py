@@ -85,9 +85,7 @@ class FreeForecast:
         return np.asarray(self.quantiles_C[index], dtype=np.float64)
 
     def quantile_C(self, level: float) -> Array:
-        """The quantile of `level`, shape (N,) or (Z, N), °C: between levels that were forecast by a straight line,
-        beyond the outermost theirs.
-        """
+        """The quantile of `level`, (N,) or (Z, N), °C: linear between levels that were forecast, held beyond them."""
         levels = np.asarray(self.levels, dtype=np.float64)
         above = int(np.searchsorted(levels, level))
         for at in (above, above - 1):  # levels are decimal fractions, which are rounded

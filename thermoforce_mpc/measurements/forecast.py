@@ -10,11 +10,10 @@ import pandas as pd
 from thermoforce_mpc.data import Array, Boundary
 from thermoforce_mpc.data.dataframes import seconds_since
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.load import Measurements
-from thermoforce_mpc.measurements.map.mapped_signals import Price, Signal, Temperature
+from thermoforce_mpc.measurements.load import Measurements, sunlight
+from thermoforce_mpc.measurements.map.entries import Price, Signal, Temperature
 from thermoforce_mpc.measurements.map.mapping import MappedMachine
 from thermoforce_mpc.measurements.signals import SignalReader
-from thermoforce_mpc.measurements.sunlight import sunlight
 from thermoforce_mpc.measurements.tables.clock import timed
 from thermoforce_mpc.measurements.tables.files import found_files, read_table
 from thermoforce_mpc.measurements.tables.raw_table import raw_table
@@ -25,11 +24,8 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Bo
 
     Temperatures and irradiance go straight between two rows, bounds and prices hold until the next one. Columns are
     those of the map's key `forecast`, where it has one, else of the same keys as for measurements; numbers in the map
-    hold throughout.
-
-    Raises:
-        DataError: the forecast is several files, does not begin at or before the end of the record, or lacks something;
-            names file, column and time.
+    hold throughout. Raises `DataError`, naming file, column and time, for several files, a forecast that does not begin
+    at or before the end of the record, and one that lacks something.
     """
     rules, record = measured.map, measured.record
     names = record.names

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import counted
-from thermoforce_mpc.measurements.map.mapped_signals import (
+from thermoforce_mpc.measurements.map.entries import (
+    COUNTER,
+    PER_STEP,
     Humidity,
     Irradiance,
     Level,
@@ -17,10 +19,10 @@ from thermoforce_mpc.measurements.map.mapped_signals import (
     Price,
     Signal,
     Temperature,
+    converted,
 )
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.measurements.map.starting_map import kind_of
-from thermoforce_mpc.measurements.map.units import COUNTER, PER_STEP, converted
 from thermoforce_mpc.measurements.tables import screening
 from thermoforce_mpc.measurements.tables.clock import Timed
 from thermoforce_mpc.measurements.tables.resampling import (
@@ -188,7 +190,7 @@ def _intervals_s(time_s: Array, measured: NDArray[np.bool_], hold_h: float | Non
     """Lengths (n,) of the intervals of energies that stand at the rows `time_s` (n,) where they are `measured`, s.
 
     An interval reaches from row to row where cells beside are empty by chance, and from reading to reading where other
-    columns have rows of their own (a table joined of several): of both what is nearer to the column's usual distance.
+    columns have rows of their own: of both what is nearer to the column's usual distance.
     """
     rows = durations_s(time_s, longest_s(time_s, 0.0, hold_h), marks)
     read_s = time_s[measured]
@@ -205,7 +207,7 @@ def _from_counter(
     """Mean power between readings of a counter, W, at the stamps that mark its intervals; and what was flagged.
 
     A reading that falls below the one before and comes back at once is none, since a counter that begins anew climbs as
-    slowly as it did before. A rise of more than 10 times what the machine takes at most is no energy.
+    slowly as before. A rise of more than 10 times what the machine takes at most is no energy.
     """
     flags: list[Flag] = []
 

@@ -5,9 +5,7 @@
 | weather | interpolation up to 6 h between two values; the last whole forecast; the day before; the mean of that hour |
 | prices, bounds, occupancy, emissions | the last whole forecast; the day before; the value before, or the first known |
 
-The day before is in the record or a forecast, the mean of the hour of the day in the record.
-
-A weather value that cannot be (`limits`) is none. Every filling is said in words.
+The day before is in the record or a forecast. A weather value that cannot be (`limits`) is none.
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ import numpy as np
 
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H, OUTDOOR_C, SOLAR_W_M2
-from thermoforce_mpc.data.series.gaps import WEATHER
+from thermoforce_mpc.data.series import WEATHER
 
 _RANGES = {"T_out_C": OUTDOOR_C, "solar_W_m2": SOLAR_W_M2}
 # Instants nearer than this are the same, s.
@@ -43,13 +41,8 @@ def lengthened(boundary: Boundary, n_steps: int, step_s: float) -> Boundary:
 def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tuple[Boundary, str]:
     """`boundary` with its gaps filled, and what was filled with what, in words ('' without gaps).
 
-    What cannot be filled from anything stays NaN. Occupancy and emissions count as gaps only where part of them is
-    known: they need not be given.
-
-    Args:
-        boundary: forecast with NaN for missing values.
-        history: record until now, for the weather of the days before.
-        last: the last forecast of this run that was whole.
+    What cannot be filled from anything stays NaN. Occupancy and emissions, which need not be given, count as gaps only
+    where part of them is known. `last`: the last forecast of this run that was whole.
     """
     filled: dict[str, Any] = {}
     notes: list[str] = []

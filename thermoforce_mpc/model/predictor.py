@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import SINGLE, Array, Boundary, FreeForecast, Names, Observation, Record
 from thermoforce_mpc.data.limits import ROUNDING
-from thermoforce_mpc.data.series.gaps import WEATHER, bridged
+from thermoforce_mpc.data.series import WEATHER, bridged
 from thermoforce_mpc.data.superposition import compose, control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution.cooperative import Computation, gather, run, timed
-from thermoforce_mpc.model.forced_history import InitialForce
-from thermoforce_mpc.model.forced_state import ForcedState, followed
+from thermoforce_mpc.model.forced_state import ForcedState, InitialForce, followed
 from thermoforce_mpc.model.free_response.checks import checked_forecast
 from thermoforce_mpc.model.free_response.following import following
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -58,10 +57,7 @@ class Prediction:
         """One row per step, at its end: `T_zone_C`, its 80 % band `T_low_C` to `T_high_C`, `T_free_C`, `T_forced_K`.
 
         The band is that of the free response; the uncertainty of the gain is on the model's card. With several zones,
-        one of each per name: `T_zone_C[bath]`.
-
-        Raises:
-            DataError: the prediction is of several candidates at once.
+        one of each per name: `T_zone_C[bath]`. Raises `DataError` for several candidates at once.
         """
         if self.forced_K.ndim != 2:
             raise DataError(f"the prediction has {self.forced_K.shape[:-2]} candidates: predict one to get a table")
@@ -122,11 +118,8 @@ class PredictionContext:
     def predict(self, u: Array) -> Prediction:
         """Temperature under `u` (..., A, N) in [0, 1], free and forced apart; all candidates at once.
 
-        One actuator's levels may be given as (..., N).
-
-        Raises:
-            DataError: `u` has another number of actuators or steps, is not finite, or leaves [0, 1] (its lower end
-                where the operator's levels are signed).
+        One actuator's levels may be given as (..., N). Raises `DataError` for another number of actuators or steps, and
+        levels that are not finite or leave [0, 1] (its lower end where the operator's levels are signed).
         """
         u = np.asarray(u, dtype=np.float64)
         actuators = len(self.operator.actuators)
@@ -163,12 +156,9 @@ class PredictionContext:
 class Predictor:
     """Splits a history into free and forced response and predicts both (paper eq:compose).
 
-    Args:
-        operator: the identified operator, at any step.
-        free_responses: forecaster of the control-free series of each zone (Z,), or one for all zones that keeps no
-            state of its own.
-        initial_force: 'steady' starts F at the steady state of the first day's mean action, 'zero' at 0 as the paper
-            does (F_t0 = 0); with modes of days the difference takes days to fade.
+    `free_responses`: forecaster of the control-free series of each zone (Z,), or one for all that keeps no state of its
+    own. `initial_force`: 'steady' starts F at the steady state of the first day's mean action, 'zero' at 0 as the paper
+    does (F_t0 = 0); with modes of days the difference takes days to fade.
     """
 
     def __init__(
@@ -221,14 +211,10 @@ class Predictor:
         return followed(self._operator, state.forced if state else None, filled, self._initial_force)
 
     def context(self, observation: Observation, state: PredictorState | None = None) -> PredictionContext:
-        """Forecast the free response and set up everything an action could change.
+        """Forecast the free response and set up everything an action could change; `state` is of the last context.
 
-        Gaps in the weather and the levels of the past are bridged, see `data.series.gaps`. One zone that was never
-        measured does not stop the others: it is given the mean of their free responses, and `bridged` says so.
-
-        Args:
-            observation: the run so far, and what is known of the steps ahead.
-            state: `PredictionContext.state` of the last context of this run; None begins a run.
+        Gaps in the weather and the levels of the past are bridged, see `data.series`. A zone that was never measured is
+        given the mean of the others' free responses, and `bridged` says so.
 
         Raises:
             DataError: the history cannot be split (see `forced_history`), no zone's temperature was ever measured nor

@@ -49,7 +49,7 @@ class Limits:
 
     @classmethod
     def of(cls, model: ThermalModel | None, floor_area_m2: float | None = None, lowest: float = 0.0) -> Limits:
-        """Return limits as multiples of the identified machine's largest heat and power.
+        """Limits as multiples of the identified machine's largest heat and power.
 
         Without a heat or power model: 500 W per m² of floor area; without a floor area, no limit.
         """
@@ -100,10 +100,7 @@ def limits_of(controller: object, floor_area_m2: float | None = None, lowest: fl
 def screened(measurement: Measurement, allowed: Limits, history: Record) -> tuple[Measurement, tuple[str, ...]]:
     """Return `measurement` with implausible readings set to NaN, and one note per reading.
 
-    Args:
-        measurement: as reported by the plant.
-        allowed: plausible ranges.
-        history: accepted readings so far, which limit the change of the zone temperature.
+    `history`: accepted readings so far, which limit the change of the zone temperature.
     """
     cleaned: dict[str, Any] = {}
     notes: list[str] = []

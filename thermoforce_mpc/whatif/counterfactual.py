@@ -1,8 +1,7 @@
 """What another schedule would have done on a past day (paper, counterfactual query, eq:effect).
 
-The free response of a past day is known: the measured temperature minus the forced response of the levels applied. So
-nothing is forecast; the other levels' forced response takes the place of theirs, and weather, sun and people stay as
-they were.
+The free response of a past day is known, measured minus forced by the levels applied, so nothing is forecast: the other
+levels' forced response takes the place of theirs, and weather, sun and people stay as they were.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import pandas as pd
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Boundary, FreeForecast, Names, Record
 from thermoforce_mpc.data.dataframes import seconds_at, table
 from thermoforce_mpc.data.names import check_same_building
-from thermoforce_mpc.data.series.gaps import WEATHER, bridged
+from thermoforce_mpc.data.series import WEATHER, bridged
 from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
@@ -37,12 +36,11 @@ class Counterfactual:
         u, u_other: levels applied and other levels (A, N).
         measured_C: temperature at the end of each step (Z, N), °C, NaN where it was not measured.
         effect_K: what the other levels change (Z, N), K.
-        sd_K: standard deviation of the effect by the identification (Z, N), K; NaN where the model's card has none. The
-            errors of all steps are taken to have one sign, so it is rather too wide.
-        certified_low_K, certified_high_K: bounds that the certificate proves for the model's effect, whatever the
-            weather and the state (Z, N), K.
-        energy_kWh, energy_other_kWh: by the model's power for levels applied and other levels (M,), NaN where a machine
-            has no power model, or heats and cools and feeds several actuators.
+        sd_K: its standard deviation by the identification (Z, N), K; NaN where the model's card has none. The errors of
+            all steps are taken to have one sign, so it is rather too wide.
+        certified_low_K, certified_high_K: proven bounds of the model's effect in any weather and state (Z, N), K.
+        energy_kWh, energy_other_kWh: by the model's power (M,), NaN where a machine has none, or heats and cools and
+            feeds several actuators.
     """
 
     time_s: Array
@@ -69,9 +67,7 @@ class Counterfactual:
         return np.asarray(BAND * self.sd_K)
 
     def to_dataframe(self) -> pd.DataFrame:
-        """One row per step at its start: levels applied and other; at its end, measured and other temperature with its
-        90 % band by the identification, the effect and its certified bounds.
-        """
+        """One row per step, at its start: both levels; at its end both temperatures, 90 % band, effect, bounds."""
         columns = self.names.columns(
             u=self.u,
             T_zone_C=self.measured_C,

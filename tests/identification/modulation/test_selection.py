@@ -12,9 +12,9 @@ from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.modulation import selection
 from thermoforce_mpc.identification.modulation.training import with_network
-from thermoforce_mpc.model.forced_history import forced_history, heat_drive
-from thermoforce_mpc.model.operator import certificate
+from thermoforce_mpc.model.forced_state import forced_history, heat_drive
 from thermoforce_mpc.model.operator.building import single
+from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import linear_operator
 

@@ -14,17 +14,12 @@ from operators import HEAT_MAP, random_features, random_operator
 
 from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.errors import ArtifactError, DataError
-from thermoforce_mpc.model.operator import (
-    IDENTITY,
-    HeatInput,
-    certificate,
-    feedback_bounds,
-    forced_rollout,
-    linear_operator,
-    modulation_slope,
-)
+from thermoforce_mpc.model.operator.building import forced_rollout
 from thermoforce_mpc.model.operator.casadi_export import rollout_function
-from thermoforce_mpc.model.saved.model_file import content_sha256
+from thermoforce_mpc.model.operator.certificate import certificate, feedback_bounds, modulation_slope
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
+from thermoforce_mpc.model.operator.parameters import linear_operator
+from thermoforce_mpc.model.saved import content_sha256
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
 N = 12

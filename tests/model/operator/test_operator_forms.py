@@ -17,15 +17,11 @@ from operators import HEAT_MAP, random_features, random_operator
 from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.operator import (
-    IDENTITY,
-    HeatInput,
-    OperatorParameters,
-    feature_matrix,
-    forced_rollout,
-    linear_operator,
-)
+from thermoforce_mpc.model.operator.building import forced_rollout
 from thermoforce_mpc.model.operator.casadi_export import modulation_function, rollout_function, step_function
+from thermoforce_mpc.model.operator.features import feature_matrix
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 
 N = 24
 
@@ -242,7 +238,7 @@ def test_using_an_operator_imports_neither_torch_nor_casadi():
     code = (
         "import sys, numpy as np\n"
         "from thermoforce_mpc.model.operator import linear_operator, forced_rollout\n"
-        "import thermoforce_mpc.model.predictor, thermoforce_mpc.model.saved.model_file\n"
+        "import thermoforce_mpc.model.predictor, thermoforce_mpc.model.saved\n"
         "p = linear_operator([0.9], [0.1], step_s=3600.0)\n"
         "forced_rollout(p, np.zeros(1), np.ones(3), np.zeros((3, 4)))\n"
         "sys.exit(', '.join(m for m in ('torch', 'casadi') if m in sys.modules) or 0)\n"

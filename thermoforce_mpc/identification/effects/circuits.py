@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
-from thermoforce_mpc.data.series.gaps import interpolated
-from thermoforce_mpc.data.series.lag import lagged
+from thermoforce_mpc.data.series import interpolated, lagged
 from thermoforce_mpc.identification.effects.couplings import largest_W
 from thermoforce_mpc.identification.network.estimate import RoomFit, Run
 from thermoforce_mpc.model.machine.load import MachineLoad

@@ -18,8 +18,7 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array, Layout, Record
 from thermoforce_mpc.data.limits import LOAD_W_PER_M2, OUTDOOR_C, ZONE_C
-from thermoforce_mpc.measurements.checks.regression import fitted
-from thermoforce_mpc.measurements.checks.remark import Remark
+from thermoforce_mpc.measurements.checks.common import Remark, fitted
 
 # Heat per energy: least of any heater over a season; share of Carnot's between outdoor air and water of 35 °C that no
 # heat pump passes, and no less than 6.5, of one with a borehole.

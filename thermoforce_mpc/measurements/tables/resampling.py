@@ -1,9 +1,8 @@
 """Readings at any instants to equal steps.
 
-What acts (levels, heat, power) holds from one reading to the next and becomes its mean over each step; what is sampled
-(temperatures) is read at the steps' boundaries on the straight line between the readings around them; irradiance that
-is read more often than once a step is the mean over the step around each boundary. Where two readings lie farther
-apart than the longest time without a gap, there is a gap: NaN.
+What acts holds from one reading to the next and becomes its mean over each step; what is sampled is read at the steps'
+boundaries on the straight line between readings; irradiance that is read more often than once a step is the mean over
+the step around each boundary. Readings farther apart than the longest time without a gap make one: NaN.
 """
 
 from __future__ import annotations

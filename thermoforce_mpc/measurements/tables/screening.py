@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, limits
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.map.mapped_signals import Signal
-from thermoforce_mpc.measurements.map.units import likelier
+from thermoforce_mpc.measurements.map.entries import Signal, likelier
 
 _MOST_REFUSED = 0.1
 # Longest excursion that is a spike, s; whoever moved a sensor and left it there meant it.
@@ -90,17 +89,9 @@ def screened(
 ) -> tuple[NDArray[np.bool_], tuple[Flag, ...]]:
     """Which readings of a signal hold (n,), and what was flagged.
 
-    Args:
-        time_s: instants of the readings, s, increasing, shape (n,).
-        values: readings in the unit inside, all finite, shape (n,).
-        raw: the same as they stand in the table.
-        rules: what they must pass.
-        name: of signal and column, for messages.
-        declared: unit that the map declares.
-        where: time stamp of a reading, for messages.
-
-    Raises:
-        DataError: more than 10 % are out of range; says which unit they look like.
+    `time_s` increases, `values` are in the unit inside and finite, `raw` as in the table, (n,) each; `name` (of signal
+    and column), `declared` unit and `where` (time stamp of a reading) are for messages. Raises `DataError` where more
+    than 10 % are out of range; says which unit they look like.
     """
     flags: list[Flag] = []
 

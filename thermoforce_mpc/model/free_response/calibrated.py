@@ -3,12 +3,10 @@
 Each issued forecast is compared with the later free response by lead time, and the errors of the last 6 days set the
 width (split conformal prediction over a rolling window, Angelopoulos and Bates 2023). These errors are few and
 correlated, so the width is also adapted: wider after a value outside, narrower after a value inside (adaptive conformal
-inference, Gibbs and Candès 2021, on the logarithm of the width as in the quantile tracking of Angelopoulos, Candès and
-Tibshirani 2023).
+inference, Gibbs and Candès 2021, on the logarithm of the width as in Angelopoulos, Candès and Tibshirani 2023).
 
-The error of a forecast is known hours later, when the window already includes much of it. Adapting to it as well would
-widen the interval twice for the same errors. So a value counts as outside only if it is outside with the present window
-and the adaptation at the time of issue.
+The error of a forecast is known hours later, when the window already includes much of it. To not widen twice for the
+same errors, a value counts as outside only if it is so with the present window and the adaptation at the time of issue.
 """
 
 from __future__ import annotations
@@ -62,10 +60,7 @@ class IssuedForecasts:
 
 @dataclass(frozen=True)
 class Scores:
-    """Distances of past values from the median of what forecast them, in raw half-widths.
-
-    `time_s` (H,): instants, s; `values` (H, K): by lead time, NaN where unknown.
-    """
+    """Distances (H, K) of past values at `time_s` (H,), s, from the medians that forecast them, in raw half-widths."""
 
     time_s: Array
     values: Array
@@ -88,10 +83,7 @@ class CalibratedState:
 
 
 class CalibratedFreeResponse:
-    """`inner` with intervals scaled to a coverage of 80 %.
-
-    The state of a run holds its forecasts; a step back in time or another horizon resets it.
-    """
+    """`inner` with intervals scaled to a coverage of 80 %; a step back in time or another horizon begins anew."""
 
     def __init__(self, inner: FreeResponse) -> None:
         """Wrap `inner`, which keeps no state; its own intervals are used until enough errors are known."""

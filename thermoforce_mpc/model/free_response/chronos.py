@@ -69,9 +69,7 @@ class ChronosFreeResponse:
             after_linear_weather: forecast what linear weather models leave over instead of the series itself; a
                 backbone that was trained for that does so anyhow.
 
-        Raises:
-            ConfigError: `context_steps` is below the patch length of 16, or `resolutions` is neither of the two.
-            BackboneError: see `load_backbone`.
+        Raises `ConfigError` for options that are not allowed, `BackboneError` as `load_backbone`.
         """
         if context_steps < _SHORTEST_CONTEXT:
             raise ConfigError(
@@ -117,17 +115,13 @@ class ChronosFreeResponse:
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`. NaN gaps are passed to the model unfilled.
 
-        Raises:
-            DataError: no value was measured, history and forecast differ in step, or the model's output is not finite;
-                of a backbone that corrects a linear weather model also where the weather is not finite.
+        Raises `DataError` where no value was measured, history and forecast differ in step, the model's output is not
+        finite, or the weather is not and a linear weather model is corrected.
         """
         return self.forecast_many([(free_C, history, boundary)])[0]
 
     def forecast_many(self, tasks: Sequence[Task]) -> list[FreeForecast]:
-        """Return forecasts for several buildings or instants in one pass through the model.
-
-        Each task holds the arguments of `forecast` and is treated the same; raises what `forecast` raises.
-        """
+        """Forecasts for several buildings or instants in one pass; a task is the arguments of `forecast`."""
         return run(self.forecasting(tasks))
 
     def following(

@@ -1,9 +1,8 @@
 """Forecast of one series at two resolutions: its own step, and hourly.
 
 A model that forecasts 64 steps at once covers 16 h at 15 min and must be unrolled beyond. An hourly series of the same
-history reaches further back and ahead in one pass: beyond 16 h errors are a few percent smaller, and the interval, far
-too narrow when unrolled, is nearly right (docs/evidence/free-responses.md). The mean of both is better than either.
-Quantiles are averaged level by level (Lichtendahl et al. 2013).
+history reaches further: beyond 16 h errors are a few percent smaller, and the interval, far too narrow when unrolled,
+is nearly right (docs/evidence/free-responses.md). The mean of both is better than either.
 """
 
 from __future__ import annotations
@@ -42,12 +41,8 @@ def resolutions_of(
 ) -> list[Resolution]:
     """Return all resolutions of a series; the first is at its own step.
 
-    Args:
-        free_C: (k,) °C, the last value is now; NaN if not measured, at least one value known.
-        past_weather: (k, 3) at the same instants, see `Context`.
-        ahead_weather: (N, 3) at the ends of the steps ahead.
-        step_s: step of both, s.
-        longest: largest number of values of a context.
+    `free_C` (k,) °C: the last value is now, NaN if not measured, at least one known; `past_weather` (k, 3) and
+    `ahead_weather` (N, 3) as in `Context`, at steps of `step_s`; `longest`: most values of a context.
     """
     n = len(ahead_weather)
     stride = max(1, int((HOUR_S + 1e-6) // step_s))
@@ -82,7 +77,7 @@ def _now_C(free_C: Array) -> float:
 
 
 def merged(resolutions: list[Resolution], answers: list[Array]) -> Array:
-    """Return the mean over the resolutions that reach each lead time, (levels, N), °C; NaN only if one returned NaN.
+    """The mean over the resolutions that reach each lead time, (levels, N), °C; NaN only if one returned NaN.
 
     Coarse ones are interpolated linearly between their instants, starting from the last known value.
     """
@@ -98,10 +93,7 @@ def merged(resolutions: list[Resolution], answers: list[Array]) -> Array:
 
 @lru_cache(maxsize=64)
 def _shares(courses: tuple[tuple[int, int], ...], n_steps: int) -> list[tuple[Array, Array]]:
-    """What the last known value (n_steps,) and the answer (ahead, n_steps) of each resolution count in the mean.
-
-    `courses`: stride and number of steps ahead of each.
-    """
+    """What the last known value (n_steps,) and the answer (ahead, n_steps) of each course count in the mean."""
     lead = np.arange(1, n_steps + 1)
     reaches = np.array([lead <= stride * ahead for stride, ahead in courses])
     shares = []

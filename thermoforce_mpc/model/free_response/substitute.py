@@ -1,9 +1,9 @@
 """What takes the place of a forecaster that fails: the linear weather model, then persistence, each with its reason.
 
-A forecast is not used where its method raised, did not answer in time, or gave numbers that are not a forecast; nor
-where it is finite and absurd. Absurd is what leaves the last measured temperature faster than the record ever did over
-the same time, and is at the same time far from what the linear weather model says. Either alone is no evidence: a cold
-front exceeds what three days have shown, and the linear model is poor in a light building.
+A forecast is not used where its method raised, did not answer in time, or gave numbers that are not a forecast or
+absurd. Absurd is what leaves the last measured temperature faster than the record ever did over the same time, and is
+at the same time far from the linear weather model. Either alone is no evidence: a cold front exceeds what three days
+have shown, and the linear model is poor in a light building.
 """
 
 from __future__ import annotations
@@ -47,14 +47,10 @@ class SubstituteState:
 
 
 class WithSubstitutes:
-    """`method`, or the first of linear weather model and persistence that gives a forecast fit to plan with.
+    """`method`, or the first of `substitutes` that gives a forecast fit to plan with; it is tried again at every step.
 
-    `FreeForecast.doubt` says why another method took its place. The method is tried again at every step.
-
-    Args:
-        method: the free response tried first.
-        substitutes: tried in turn where the method fails; without any, its failures are raised, and what is finite is
-            taken.
+    `FreeForecast.doubt` says why another took its place. Without substitutes, failures are raised, and what is finite
+    is taken.
     """
 
     def __init__(
@@ -78,11 +74,7 @@ class WithSubstitutes:
     def follow(
         self, free_C: Array, history: Record, boundary: Boundary, state: object
     ) -> tuple[FreeForecast, SubstituteState]:
-        """See `FollowingFreeResponse.follow`.
-
-        Raises:
-            DataError: no temperature was measured, or neither the method nor a substitute gave a forecast.
-        """
+        """See `FollowingFreeResponse.follow`; raises `DataError` where no temperature was measured or all fail."""
         return run(self.following(free_C, history, boundary, state))
 
     def following(

@@ -1,9 +1,8 @@
 """Fit of a machine's heat (or cooling) capacity as a function of level and outdoor temperature.
 
-One day of data covers few levels and a few K of outdoor temperature, while plans extrapolate to full level and colder
-weather. So the fit uses a prior per machine type (`MachinePrior`). The type, and whether intermediate levels are
-modulated or made by cycling, are chosen by the evidence of the data, with all coefficients marginalised (MacKay 1992;
-without the bounds that keep loads positive).
+A day of data covers few levels and a few K, while plans extrapolate to full level and colder weather. So the fit uses a
+prior per machine type (`MachinePrior`). The type, and whether intermediate levels are modulated or made by cycling, are
+chosen by the evidence of the data, with all coefficients marginalised (MacKay 1992; without the bounds).
 """
 
 from __future__ import annotations
@@ -37,12 +36,9 @@ _FIRST_KIND, _LEVELS_ARE_RUN = 20.0, 10.0
 class MachinePrior:
     """Prior of a machine type, each parameter as (mean, standard deviation).
 
-    Attributes:
-        name: name of the type.
-        slope: (1/load) · d load/d T_out at full level, 1/K.
-        fixed: share of full heat that does not depend on u while the machine runs.
-        sag: deficit of full heat against extrapolation from the lowest levels, as a share of full heat; the returned
-            law is linear in u, exact at the lowest level and at full level.
+    `slope`: (1/load) · d load/d T_out at full level, 1/K. `fixed`: share of full heat that does not depend on u while
+    the machine runs. `sag`: deficit of full heat against extrapolation from the lowest levels, as a share of full heat;
+    the returned law is linear in u, exact at the lowest level and at full level.
     """
 
     name: str
@@ -106,8 +102,7 @@ def fit_heat(
         lowest_level: level below which the machine cycles. By default both an on/off machine (1, where fixed and
             proportional part are one) and one with the lowest level in the data are tried.
 
-    Raises:
-        DataError: fewer than ten usable steps, fewer than five with the machine on, or no heat in these.
+    Raises `DataError` for fewer than ten usable steps, fewer than five with the machine on, or no heat in these.
     """
     steps = usable_steps(u, T_out_C, heat_W, "delivered heat")
     residual_scale = RESIDUAL_SCALE * float(np.sqrt(max(1.0, 2.0 * _RESIDUAL_CORRELATION_H * HOUR_S / step_s)))

@@ -3,8 +3,14 @@
 A machine with a fixed part while it runs has the load `on·(c0 + c1·T_out) + u·(c2 + c3·T_out)`. Below `lowest_level` a
 mean level u is made by cycling, so the share of time it runs is `on = min(u / lowest_level, 1)`: 1.0 is a pure on/off
 machine, with a load proportional to u; a small value is a modulating machine.
-
 Where the plan sets the temperature of the water, a heat pump's power grows faster than the heat: a term `curve·u²`.
+
+A machine of several actuators gives what they take together. Below a load ℓ, a share of its capacity, it cycles: with
+the set S of actuators on it runs for f(S) = min(Σ_{a in S} w_a, 1) of the time, w_a = share_a / ℓ. On-times that begin
+together are nested, so over a step it runs for ∫₀¹ f({a: on_a > τ}) dτ. That is the Lovász extension of f, convex in
+the on-times because f is submodular (Lovász 1983; Bach 2013, Learning with Submodular Functions, prop. 3.6). By duality
+
+    running  =  min_{θ ≥ 0}  θ + Σ_a w_a max(on_a − θ, 0)                                          θ: time at ℓ or above
 """
 
 from __future__ import annotations
@@ -21,12 +27,10 @@ from thermoforce_mpc.errors import DataError
 class MachineLoad:
     """Load `on(u)·(c0 + c1·T) + u·(c2 + c3·T) + curve·u²`, W: common form of a machine's heat and electric power.
 
-    `coefficients` are (c0, c1, c2, c3) in W, W/K, W, W/K. `T_out_range_C` is their valid outdoor range; outside, T_out
-    is held at the nearer end, since an affine law may become negative. `levels_seen`: whether the data had intermediate
-    levels, which separate c0 from c2. `curve_W`: 0 but for the power of a machine whose water the plan sets.
-
-    Raises:
-        DataError: the load decreases in u at an end of the range, or a number is not finite.
+    `coefficients` are (c0, c1, c2, c3) in W, W/K, W, W/K. Outside `T_out_range_C` T_out is held at the nearer end,
+    since an affine law may become negative. `levels_seen`: whether the data had intermediate levels, which separate c0
+    from c2. `curve_W`: 0 but for the power of a machine whose water the plan sets. Raises `DataError` for a load that
+    decreases in u at an end of the range, or a number that is not finite.
     """
 
     coefficients: tuple[float, float, float, float]
@@ -81,14 +85,24 @@ class MachineLoad:
         return min(slopes), max(slopes)
 
     def at_lowest_level(self, lowest_level: float) -> MachineLoad:
-        """Return the same machine with another lowest level.
-
-        Raises:
-            DataError: `lowest_level` is below 1, but the data had no intermediate levels.
-        """
+        """The same with another lowest level; raises `DataError` below 1 if the data had no intermediate levels."""
         if lowest_level < 1.0 and not self.levels_seen:
             raise DataError(
                 "the data have only off and full level, so the load at intermediate levels is unknown: "
                 "probe with intermediate levels, or keep lowest_level at 1"
             )
         return replace(self, lowest_level=lowest_level)
+
+
+def running_share(on: Array, weights: Array) -> Array:
+    """Share (..., N) of each step that a machine runs for actuators whose on-times begin together.
+
+    `on` (..., A, N): share of each step that each actuator is on; `weights` (A,): share of the time that the machine
+    runs while only that actuator is on, in (0, 1].
+    """
+    order = np.argsort(-on, axis=-2, kind="stable")
+    longest_first = np.take_along_axis(on, order, axis=-2)
+    runs = np.minimum(np.cumsum(np.asarray(weights)[order], axis=-2), 1.0)
+    # From the end of the next shorter on-time to its own, the machine runs for those on at least that long.
+    shorter = np.concatenate([longest_first[..., 1:, :], np.zeros_like(longest_first[..., :1, :])], axis=-2)
+    return np.asarray((runs * (longest_first - shorter)).sum(axis=-2))

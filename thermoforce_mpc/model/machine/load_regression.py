@@ -1,7 +1,6 @@
 """Regression common to heat and electric power: usable steps, lowest levels to try, and affine laws of T_out.
 
-Both are `MachineLoad`: a fixed part while on and a part proportional to u, each affine in the outdoor temperature. An
-affine law is nonnegative on an interval exactly if it is at both ends, so the unknowns are the end values, bounded
+An affine law is nonnegative on an interval exactly if it is at both ends, so the unknowns are the end values, bounded
 below.
 """
 
@@ -41,11 +40,7 @@ class Steps:
 
 
 def usable_steps(u: Array, T_out_C: Array, load_W: Array, what: str) -> Steps:
-    """Return the fully measured steps.
-
-    Raises:
-        DataError: there are fewer than 10, fewer than 5 with the machine on, or the mean load of these is not above 0.
-    """
+    """The fully measured steps; raises `DataError` for fewer than 10, fewer than 5 that run, or no load in these."""
     u, T, y = (np.asarray(value, dtype=np.float64) for value in (u, T_out_C, load_W))
     kept = np.isfinite(u) & np.isfinite(T) & np.isfinite(y)
     if kept.sum() < _MIN_STEPS:

@@ -1,10 +1,8 @@
 """Total electric power as a function of the level: a fixed part while on and a part proportional to u, both with T_out.
 
-P(u, T_out, T_return) = [on·(c0 + c1·T_out) + u·(c2 + c3·T_out)]·(1 + κ (T_return − reference)), the last factor if the
-return water temperature is measured (`return_water.py`). Without the fixed part the model underestimates the power at
-part load; on a machine with speed-independent losses that costs a controller 25 % of the energy. Water is the warmer
-the higher the level of the last hours was, or the plan sets it, and the warmer the more power heat takes: a term in u²
-is fitted (`water_warmth.py`).
+P(u, T_out, T_return) = [on·(c0 + c1·T_out) + u·(c2 + c3·T_out)]·(1 + κ (T_return − reference)), the last factor or a
+term in u² for warm water (`water.py`). Without the fixed part the model underestimates the power at part load; on a
+machine with speed-independent losses that costs a controller 25 % of the energy.
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
-from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.machine.load import MachineLoad, running_share
 from thermoforce_mpc.model.machine.load_regression import (
     LEAST_RUNNING,
     LEAST_W,
@@ -31,9 +29,15 @@ from thermoforce_mpc.model.machine.load_regression import (
     levels_to_try,
     usable_steps,
 )
-from thermoforce_mpc.model.machine.return_water import ReturnWater, fit_return_water
-from thermoforce_mpc.model.machine.running import running_share
-from thermoforce_mpc.model.machine.water_warmth import AS_GOOD, LONGEST_S, MOST_LEFT, WATER_S, squares_of
+from thermoforce_mpc.model.machine.water import (
+    AS_GOOD,
+    LONGEST_S,
+    MOST_LEFT,
+    WATER_S,
+    ReturnWater,
+    fit_return_water,
+    squares_of,
+)
 
 
 @dataclass(frozen=True)
@@ -136,8 +140,8 @@ def fit_power(
 ) -> PowerModel:
     """Fit the power model to the measured power of records; see `fit_load` for arguments and errors.
 
-    Where warm water explains most of what level and weather leave over, it is in the part in u², which plans see;
-    else, where it is measured, in a factor of the return water.
+    Where warm water explains most of what level and weather leave over, it is in the part in u², which plans see; else,
+    where it is measured, in a factor of the return water.
     """
     u, T_out, power, T_return, T_zone = (
         np.concatenate([values(history) for history in histories])
@@ -187,16 +191,9 @@ def fit_power(
 def fit_both_directions(histories: Sequence[Record], heating: Array, cooling: Array) -> PowerModel:
     """Fit the power of a machine that heats and cools, perhaps one zone while another, each proportional to its level.
 
-    A direction that the records hardly have takes the law of the other, which `source` says: a few winter days do not
-    show cooling, and a plan for them hardly needs it.
-
-    Args:
-        histories: records with the machine's power, n steps in all.
-        heating: level of heating, the sum over its actuators, shape (n,), at least 0.
-        cooling: level of cooling, as `heating`.
-
-    Raises:
-        DataError: neither direction was on in enough measured steps.
+    `heating`, `cooling` (n,): summed levels over the n steps of all records. A direction that they hardly have takes
+    the law of the other, which `source` says: a few winter days do not show cooling, and a plan for them hardly needs
+    it. Raises `DataError` where neither direction was on in enough measured steps.
     """
     T_out, power = (
         np.concatenate([values(h) for h in histories]) for values in (lambda h: h.T_out_C[:-1], lambda h: h.power_W[0])
@@ -253,8 +250,7 @@ def fit_load(
         running: lowest levels to try instead, each with the share of each step that the machine runs, shape (n,).
         squares: mean square of the level over each step, shape (n,), where the load may grow faster than it.
 
-    Raises:
-        DataError: fewer than ten usable steps, the load was on in fewer than five, or its mean while on is not above 0.
+    Raises `DataError` for fewer than ten usable steps, fewer than five with the load on, or no mean load in these.
     """
     steps = usable_steps(u, T_out_C, load_W, what)
     times = np.ones(steps.u.size) if factor is None else np.asarray(factor, dtype=np.float64)[steps.kept]

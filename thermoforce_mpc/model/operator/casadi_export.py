@@ -29,8 +29,7 @@ _calls = _Calls()
 def export_calls() -> int:
     """Number of horizons for which this thread has put features into the exported gain, one for each actuator.
 
-    A gain that sees the predicted temperature is part of the programme: a solver then evaluates it as often as it
-    needs, and the horizon counts once.
+    A gain that sees the predicted temperature is part of the programme: its horizon counts once.
     """
     return _calls.n
 
@@ -38,7 +37,7 @@ def export_calls() -> int:
 def on_load_expression(
     load: MachineLoad, u: Expression, T_out_C: Expression, on: Expression | None = None
 ) -> Expression:
-    """Return `load(u, T_out)` in W as an expression (elementwise), for delivered heat, which has no term in u².
+    """`load(u, T_out)` in W as an expression (elementwise), for delivered heat, which has no term in u².
 
     `on`: share of the step in which the machine is on, by default that of a level that is held.
     """
@@ -66,10 +65,8 @@ def heat_input_expression(
 def gain_from(q: Mapping[str, ca.SX], before: ca.SX, forced: ca.SX | float = 0.0) -> ca.SX:
     """Return m(x) (paper eq:mod) with its weights as expressions.
 
-    Args:
-        q: `slope` (H, 1), what the hidden units add per kelvin of the zone, `output` (H, 1), `output_bias`, `gamma`.
-        before: what enters the hidden units without the forced response, (H, 1).
-        forced: forced response, K, where the gain sees the predicted temperature.
+    `q`: `slope` (H, 1), what the hidden units add per kelvin of the zone, `output` (H, 1), `output_bias`, `gamma`.
+    `before` (H, 1): what enters the hidden units without the forced response; `forced`, K, where m sees it.
     """
     hidden = ca.tanh(before + q["slope"] * forced)
     return 1.0 + q["gamma"] * ca.tanh(ca.dot(q["output"], hidden) + q["output_bias"])

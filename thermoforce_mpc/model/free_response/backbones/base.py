@@ -60,17 +60,13 @@ class Backbone(Protocol):
     def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
         """Return quantiles 0.1, 0.2, ... 0.9 over the N steps ahead of each context, shape (9, N), °C.
 
-        Contexts may differ in length and in N; a batch (several buildings, several past instants) costs little more
-        than one context.
+        Contexts may differ in length and in N; a batch costs little more than one context.
         """
         ...
 
 
 def padded_series(contexts: Sequence[Context], multiple: int = 1) -> NDArray[np.float32]:
-    """Return the series of all contexts in one array (contexts, k), padded on the left with NaN.
-
-    k is the least multiple of `multiple` that holds the longest.
-    """
+    """The series of all contexts, padded on the left with NaN to a multiple of `multiple`, (contexts, k)."""
     longest = -(-max(context.free_C.size for context in contexts) // multiple) * multiple
     series = np.full((len(contexts), longest), np.nan, dtype=np.float32)
     for row, context in zip(series, contexts, strict=True):
@@ -80,10 +76,7 @@ def padded_series(contexts: Sequence[Context], multiple: int = 1) -> NDArray[np.
 
 @contextmanager
 def frozen_pass() -> Iterator[None]:
-    """One thread of torch and no gradients, where torch is loaded.
-
-    Results are bitwise reproducible, and models this small gain nothing by more threads.
-    """
+    """One thread of torch, which makes results bitwise reproducible, and no gradients, where torch is loaded."""
     torch = sys.modules.get("torch")
     if torch is None:
         yield
@@ -100,10 +93,7 @@ def frozen_pass() -> Iterator[None]:
 class ByLength(ABC):
     """`Backbone` of a library's model: contexts of one length and number of steps ahead form a batch.
 
-    Args:
-        label: name for reports.
-        modules: modules with weights, in a fixed order.
-        at_once: largest number of steps that the model forecasts; longer horizons are unrolled on its medians.
+    `at_once`: largest number of steps that the model forecasts; longer horizons are unrolled on its medians.
     """
 
     def __init__(self, label: str, modules: tuple[nn.Module, ...], at_once: int) -> None:

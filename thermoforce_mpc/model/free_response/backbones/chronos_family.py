@@ -1,23 +1,170 @@
-"""Chronos-Bolt and Chronos-2 by `chronos-forecasting`."""
+"""Chronos-Bolt (Ansari et al. 2024) and Chronos-2 (Ansari et al. 2025) by `chronos-forecasting` or a graph."""
 
 from __future__ import annotations
 
 import functools
 import json
+import warnings
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import BackboneError
-from thermoforce_mpc.model.free_response.backbones.base import Backbone
+from thermoforce_mpc.model.free_response.backbones.base import (
+    COVARIATES,
+    LINEAR_MODEL,
+    Backbone,
+    Context,
+    frozen_pass,
+    padded_series,
+)
 from thermoforce_mpc.model.free_response.backbones.checkpoint import check_weights, damaged, quiet
-from thermoforce_mpc.model.free_response.backbones.graph import GRAPH, Graph
+from thermoforce_mpc.model.free_response.backbones.graph import GRAPH, ByGraph, Graph
+from thermoforce_mpc.model.free_response.checks import LEVELS
+
+# Largest batch: beyond, the activations leave the cache of a core and the pass becomes slower.
+_AT_ONCE = 48
+# Contexts of one length below which they join a batch of longer ones.
+_FEW = 16
+
+
+class BoltBackbone(ByGraph):
+    """`Backbone` of a `ChronosBoltPipeline`; uses the series only."""
+
+    @cached_property
+    def _pipeline(self) -> Any:
+        pipeline = self._load()
+        # The decoder runs once per call, so its cache is never read but takes 20 % of the time.
+        pipeline.model.decoder.config.use_cache = False
+        return pipeline
+
+    def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
+        """See `Backbone.quantiles_C`; the library unrolls horizons beyond the trained one.
+
+        Contexts of one number of patches form a batch, since padding to the longest costs as much as the longest; few
+        of them join longer ones, since each batch costs as much as several contexts.
+        """
+        answers: list[Array] = [np.empty(0)] * len(contexts)
+        of_size: dict[tuple[bool, int], list[int]] = {}
+        for i, context in enumerate(contexts):
+            unrolled = len(context.ahead_weather) > self._at_once
+            of_size.setdefault((unrolled, -(-context.free_C.size // self._patch)), []).append(i)
+        batches: list[list[int]] = []
+        for _, same in sorted(of_size.items(), reverse=True):
+            if batches and min(len(batches[-1]), len(same)) < _FEW:
+                batches[-1] += same
+            else:
+                batches.append(same)
+        for batch in batches:
+            for first in range(0, len(batch), _AT_ONCE):
+                some = batch[first : first + _AT_ONCE]
+                for i, values in zip(some, self._predict([contexts[i] for i in some]), strict=True):
+                    answers[i] = values
+        return answers
+
+    def _predict(self, contexts: Sequence[Context]) -> list[Array]:
+        steps = [len(context.ahead_weather) for context in contexts]
+        series = padded_series(contexts, self._patch)
+        if self._levels is not None and max(steps) <= self._at_once:
+            values = self._at_once_of(series[:, -self._longest :])[:, self._levels]
+        else:
+            values = self._unrolled(series, max(steps))
+        return [value[:, :n] for value, n in zip(values.astype(np.float64), steps, strict=True)]
+
+    def _unrolled(self, series: NDArray[np.float32], steps: int) -> NDArray[np.float32]:
+        """Quantiles (B, 9, steps) by the library, which unrolls what it does not forecast at once."""
+        pipeline = self._pipeline
+        import torch
+
+        with frozen_pass(), warnings.catch_warnings():
+            # Unrolling is intended here; the library warns at every call.
+            warnings.filterwarnings("ignore", message="We recommend keeping prediction length")
+            values, _ = pipeline.predict_quantiles(torch.from_numpy(series), steps, LEVELS.round(1).tolist())
+        return np.asarray(values.transpose(1, 2))
+
+    def _at_once_of(self, series: NDArray[np.float32]) -> NDArray[np.float32]:
+        """All trained quantiles (B, quantiles, steps) of series (B, k), k a multiple of the patch."""
+        if self.graph is not None:
+            return self.graph(context=series)
+        import torch
+
+        return np.asarray(self._pipeline.model(context=torch.from_numpy(series)).quantile_preds)
+
+
+class Chronos2Backbone(ByGraph):
+    """`Backbone` of a `Chronos2Pipeline` with outdoor temperature, irradiance and clock, past and ahead.
+
+    One that was trained on what linear weather models leave over reads their course, too (`after_linear_weather`).
+    """
+
+    def __init__(self, *args: Any, after_linear_weather: bool = False) -> None:
+        super().__init__(*args)
+        self.after_linear_weather = after_linear_weather
+        self._names = (*COVARIATES, LINEAR_MODEL) if after_linear_weather else COVARIATES
+
+    def _steps_at_once(self, settings: Mapping[str, Any]) -> int:
+        return int(settings["output_patch_size"]) * int(settings["max_output_patches"])
+
+    def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
+        """See `Backbone.quantiles_C`; contexts with equal N form one batch."""
+        answers: list[Array] = [np.empty(0)] * len(contexts)
+        for steps in {len(context.ahead_weather) for context in contexts}:
+            same = [i for i, context in enumerate(contexts) if len(context.ahead_weather) == steps]
+            by_graph = self.graph is not None and self._levels is not None and steps <= self._at_once
+            predict = self._by_graph if by_graph else self._by_library
+            for i, values in zip(same, predict([contexts[i] for i in same], steps), strict=True):
+                answers[i] = values
+        return answers
+
+    def _by_graph(self, contexts: Sequence[Context], steps: int) -> list[Array]:
+        assert self.graph is not None
+        k = -(-max(context.free_C.size for context in contexts) // self._patch) * self._patch
+        rows = 1 + len(self._names)  # of a context: the series, then its covariates
+        past = np.full((len(contexts), rows, k), np.nan, dtype=np.float32)
+        past[:, 0] = padded_series(contexts, self._patch)
+        ahead = np.full((len(contexts), rows, -(-steps // self._patch) * self._patch), np.nan, dtype=np.float32)
+        for i, context in enumerate(contexts):
+            past[i, 1:, k - context.free_C.size :] = context.past_weather.T[: rows - 1]
+            ahead[i, 1:, :steps] = context.ahead_weather.T[: rows - 1]
+        values = self.graph(
+            context=past.reshape(-1, k)[:, -self._longest :],
+            group_ids=np.repeat(np.arange(len(contexts)), rows),
+            future_covariates=ahead.reshape(-1, ahead.shape[2]),
+        )
+        return list(values[::rows][:, self._levels, :steps].astype(np.float64))
+
+    def _by_library(self, contexts: Sequence[Context], steps: int) -> list[Array]:
+        tasks = [
+            {
+                "target": context.free_C.astype(np.float32),
+                "past_covariates": self._columns(context.past_weather),
+                "future_covariates": self._columns(context.ahead_weather),
+            }
+            for context in contexts
+        ]
+        pipeline = self._pipeline
+        with frozen_pass(), warnings.catch_warnings():
+            # Unrolling is intended here; the library warns at every call.
+            warnings.filterwarnings("ignore", message="We recommend keeping prediction length")
+            values, _ = pipeline.predict_quantiles(
+                tasks, prediction_length=steps, quantile_levels=LEVELS.round(1).tolist()
+            )
+        # One list entry per task, shape (variates, N, levels); the target is the only variate forecast.
+        return [np.asarray(value[0].T.double().numpy()) for value in values]
+
+    def _columns(self, weather: Array) -> dict[str, Any]:
+        return {name: weather[:, i].astype(np.float32) for i, name in enumerate(self._names)}
 
 
 def load(name: str, folder: Path, label: str = "") -> Backbone:
-    """Load a checkpoint of the Chronos family from a folder: its graph, where it has one, else its weights by torch.
+    """A checkpoint of the Chronos family in a folder: its graph, where it has one, else its weights by torch.
 
-    Raises:
-        BackboneError: it is another Chronos, its quantiles do not span 0.1 to 0.9, or its graph is not of its weights.
+    Raises `BackboneError` for another Chronos, quantiles that do not span 0.1 to 0.9, or a graph of other weights.
     """
     graph, pipeline = None, functools.cache(functools.partial(torch_pipeline, name, folder))
     config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
@@ -30,12 +177,8 @@ def load(name: str, folder: Path, label: str = "") -> Backbone:
     if family in {"ChronosBoltPipeline", "Chronos2Pipeline"} and not (min(levels) <= 0.1 and max(levels) >= 0.9):
         raise BackboneError(f"backbone '{name}': trained for the quantiles {levels}; 0.1 to 0.9 are needed")
     if family == "ChronosBoltPipeline":
-        from thermoforce_mpc.model.free_response.backbones.bolt import BoltBackbone
-
         return BoltBackbone(settings, label or f"Chronos-Bolt '{name}'", pipeline, graph)
     if family == "Chronos2Pipeline":
-        from thermoforce_mpc.model.free_response.backbones.chronos2 import Chronos2Backbone
-
         after = config.get("after_linear_weather", False) is True
         label = label or f"Chronos-2 '{name}' with weather"
         return Chronos2Backbone(settings, label, pipeline, graph, after_linear_weather=after)

@@ -28,10 +28,9 @@ WEIGHTS_KEY = "weights_sha256"
 
 
 class Graph:
-    """The graph in `folder`, loaded with its weights and run on one thread, so that results are the same bits.
+    """The graph in `folder`, run on one thread, so that results are the same bits.
 
-    Raises:
-        BackboneError: it cannot be read, or was exported from other weights.
+    Raises `BackboneError` for one that cannot be read, or was exported from other weights.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -68,11 +67,8 @@ class Graph:
 class ByGraph:
     """What backbones have in common that a graph may run in place of the library.
 
-    Args:
-        settings: `chronos_config` of the checkpoint.
-        label: name for reports.
-        load: the library's pipeline, frozen; of a checkpoint with a graph called only for horizons to be unrolled.
-        graph: the model's operations, run in place of the library's.
+    `settings`: `chronos_config` of the checkpoint. `load`: the library's pipeline, frozen; of a checkpoint with a graph
+    called only for horizons to be unrolled.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Filling of gaps in the measured past for computations that need numbers; the record itself keeps NaN.
+"""A first-order lag of a series, and gaps of the measured past filled where a computation needs numbers.
 
 | signal | filled with |
 |---|---|
@@ -8,8 +8,7 @@
 | u, longer | the mean level over 12 h on either side, or of all known levels; 0 if none is known |
 | zone temperature, heat, power, return water | not filled: their users handle NaN |
 
-If heat was measured and the operator is driven by heat, the level is not needed (`heat_drive`). The closed loop stores
-its own level if the plant does not report u, so gaps in u occur only before a run.
+The level is not needed where heat was measured and drives the operator (`heat_drive`).
 """
 
 from __future__ import annotations
@@ -24,18 +23,22 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H, BRIDGED_LEVEL_H, LEVELS_AROUND_H
 from thermoforce_mpc.errors import DataError, counted
 
+
+def lagged(signal: Array, pole: float, start: float = 0.0) -> Array:
+    """States (n + 1,) of a lag of steady gain 1 of `signal` (n,), constant in each step; `pole`: exp(−step/τ)."""
+    from scipy.signal import lfilter  # takes half a second to import; loading a model does not need it
+
+    return np.append(start, lfilter([1.0 - pole], [1.0, -pole], signal, zi=[pole * start])[0])
+
+
 WEATHER = ("T_out_C", "solar_W_m2")
 
 
 def bridged(history: Record, ahead: Boundary | None = None) -> tuple[Record, str]:
     """Return `history` with all gaps in weather and levels filled, and a note on the filling ('' without gaps).
 
-    Args:
-        history: record with NaN for missing values.
-        ahead: forecast from now on, used for the weather at the end of the history.
-
-    Raises:
-        DataError: a weather signal has no value in `history` nor in `ahead`.
+    `ahead`: forecast from now on, for the weather at the end of the history. Raises `DataError` where a weather signal
+    has no value in either.
     """
     filled: dict[str, Any] = {}
     notes: list[str] = []
