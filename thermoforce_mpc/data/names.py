@@ -71,13 +71,7 @@ SINGLE = Names()
 
 
 def check_same_building(
-    what: str,
-    names: Names,
-    of: str,
-    others: Names,
-    *,
-    single_alike: bool = False,
-    error: type[InputError] = DataError,
+    what: str, names: Names, of: str, others: Names, *, single_alike: bool = False, error: type[InputError] = DataError
 ) -> None:
     """Raise `error` where two things (`what` and `of` in words) are not of the same zones, actuators and machines.
 

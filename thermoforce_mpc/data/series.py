@@ -23,15 +23,14 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H, BRIDGED_LEVEL_H, LEVELS_AROUND_H
 from thermoforce_mpc.errors import DataError, counted
 
+WEATHER = ("T_out_C", "solar_W_m2")
+
 
 def lagged(signal: Array, pole: float, start: float = 0.0) -> Array:
     """States (n + 1,) of a lag of steady gain 1 of `signal` (n,), constant in each step; `pole`: exp(−step/τ)."""
     from scipy.signal import lfilter  # takes half a second to import; loading a model does not need it
 
     return np.append(start, lfilter([1.0 - pole], [1.0, -pole], signal, zi=[pole * start])[0])
-
-
-WEATHER = ("T_out_C", "solar_W_m2")
 
 
 def bridged(history: Record, ahead: Boundary | None = None) -> tuple[Record, str]:
@@ -60,6 +59,25 @@ def interpolated(values: Array) -> Array:
     return np.interp(np.arange(values.size), known, values[known]) if known.size else np.zeros(values.size)
 
 
+def held(values: Array) -> Array:
+    """`values` (n,), not all NaN, with each gap filled by the last finite value (at the start, by the first)."""
+    finite = np.isfinite(values)
+    index = np.maximum.accumulate(np.where(finite, np.arange(values.size), -1))
+    return np.asarray(values[np.where(index < 0, int(np.argmax(finite)), index)])
+
+
+def at_instants(time_s: Array, known_s: Array, values: Array, within_s: float) -> Array:
+    """The `values` (k,) at `known_s` that stand at the instants `time_s`, its shape; NaN where none does."""
+    index = np.clip(np.searchsorted(known_s, time_s - within_s), 0, known_s.size - 1)
+    return np.where(np.abs(known_s[index] - time_s) <= within_s, values[index], np.nan)
+
+
+def stretches(wanted: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and one past the last place of each stretch in which `wanted` (n,) holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted, [False]]).astype(int))).tolist()
+    return list(zip(edges[0::2], edges[1::2], strict=True))
+
+
 def gapless(history: Record) -> bool:
     """Whether `bridged` has nothing to fill."""
     return all(bool(np.isfinite(getattr(history, name)).all()) for name in (*WEATHER, "u"))
@@ -80,10 +98,9 @@ def long_level_gaps(history: Record) -> NDArray[np.bool_]:
 
 
 def _long_gap(u: Array, step_s: float) -> NDArray[np.bool_]:
-    """Return which of `u` (n,) are unknown for more than 2 h together."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], np.isfinite(u), [True]]).astype(int)))
+    """Which of `u` (n,) are unknown for more than 2 h together."""
     long = np.zeros(u.size, dtype=bool)
-    for start, stop in zip(edges[0::2], edges[1::2], strict=True):
+    for start, stop in stretches(~np.isfinite(u)):
         long[start:stop] = (stop - start) * step_s > BRIDGED_LEVEL_H * HOUR_S
     return long
 
@@ -129,10 +146,8 @@ def _same_hour(time_s: Array, measured_s: Array, measured: Array, otherwise: Arr
     days = int(np.ceil((max(measured_s[-1], time_s[-1]) - min(measured_s[0], time_s[0])) / DAY_S)) + 1
     for day in range(1, days + 1):
         for shift_s in (-day * DAY_S, day * DAY_S):
-            shifted_s = time_s + shift_s
-            index = np.clip(np.searchsorted(measured_s, shifted_s - within_s), 0, measured_s.size - 1)
-            matches = np.isnan(filled) & (np.abs(measured_s[index] - shifted_s) <= within_s)
-            filled[matches] = measured[index[matches]]
+            there = at_instants(time_s + shift_s, measured_s, measured, within_s)
+            filled = np.where(np.isnan(filled), there, filled)
         if not np.isnan(filled).any():
             break
     return np.where(np.isnan(filled), otherwise, filled)

@@ -11,12 +11,13 @@ from thermoforce_mpc.data import Array, Boundary
 from thermoforce_mpc.data.dataframes import seconds_since
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.load import Measurements, sunlight
-from thermoforce_mpc.measurements.map.entries import Price, Signal, Temperature
+from thermoforce_mpc.measurements.map.entries import Signal
 from thermoforce_mpc.measurements.map.mapping import MappedMachine
 from thermoforce_mpc.measurements.signals import SignalReader
 from thermoforce_mpc.measurements.tables.clock import timed
 from thermoforce_mpc.measurements.tables.files import found_files, read_table
 from thermoforce_mpc.measurements.tables.raw_table import raw_table
+from thermoforce_mpc.measurements.tables.readings import BOUND, OUTDOOR, PRICE, Rules
 
 
 def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Boundary:
@@ -57,32 +58,34 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Bo
         )
     grid_s = now_s + np.arange(np.floor((time_s[-1] - now_s) / step_s + 1e-6) + 1.0) * step_s
     reader = SignalReader(rows, time_s, grid_s, step_s, ours)
-    outdoor = reader.outdoor(ours.outdoor)
+    outdoor = reader.sampled("outdoor", ours.outdoor, OUTDOOR)
     solar, _ = sunlight(ours, reader, grid_s, record.origin)
-    bounds = [
-        [_bound(reader, f"{name} of {zone}", limit) for name, limit in zip(("lower", "upper"), pair, strict=True)]
-        for zone, pair in zip(names.zones, zones, strict=True)
+
+    def scheduled(what: str, source: float | Signal | None, where: str, of: Rules) -> Array:
+        if source is None:
+            raise DataError(f"forecast: no {what}: name a number or a column in the map ({where})")
+        return reader.scheduled(what, source, of)
+
+    lower, upper = (
+        np.array(
+            [
+                scheduled(f"{name} of {zone}", pair[side], "zones, or forecast for all zones", BOUND)
+                for zone, pair in zip(names.zones, zones, strict=True)
+            ]
+        )
+        for side, name in enumerate(("lower", "upper"))
+    )
+    price = [
+        scheduled(f"price of {machine}", tariff, "machines or forecast", PRICE)
+        for machine, tariff in zip(names.machines, prices, strict=True)
     ]
-    price = [_price(reader, machine, tariff) for machine, tariff in zip(names.machines, prices, strict=True)]
     nothing = np.zeros((len(names.machines), grid_s.size))
     boundary = Boundary(
-        grid_s, outdoor, solar, np.zeros((len(names.zones), grid_s.size)), np.array([low for low, _ in bounds]),
-        np.array([high for _, high in bounds]), np.array(price), nothing, names=names,
+        grid_s, outdoor, solar, np.zeros((len(names.zones), grid_s.size)), lower,
+        upper, np.array(price), nothing, names=names,
     )  # fmt: skip
     _check_complete(boundary, measured, table.name)
     return boundary
-
-
-def _bound(reader: SignalReader, what: str, bound: float | Temperature | None) -> Array:
-    if bound is None:
-        raise DataError(f"forecast: no {what}: name a number or a column in the map (zones, or forecast for all zones)")
-    return reader.bound(what, bound)
-
-
-def _price(reader: SignalReader, machine: str, price: float | Price | None) -> Array:
-    if price is None:
-        raise DataError(f"forecast: no price of {machine}: name a number or a column in the map (machines or forecast)")
-    return reader.price(f"price of {machine}", price)
 
 
 def _check_complete(boundary: Boundary, measured: Measurements, name: str) -> None:

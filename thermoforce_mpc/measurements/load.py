@@ -16,10 +16,10 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, MappedActuator, MeasurementMap, load_map
 from thermoforce_mpc.measurements.map.starting_map import ROWS, rooms_beside
 from thermoforce_mpc.measurements.signals import SignalReader
+from thermoforce_mpc.measurements.tables import readings
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
 from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, head_of, read_table
 from thermoforce_mpc.measurements.tables.raw_table import RawTable, raw_table
-from thermoforce_mpc.measurements.tables.resampling import usual_s
 from thermoforce_mpc.measurements.understood import Understood, missing, of_clock
 from thermoforce_mpc.scenario.settings import validate
 
@@ -40,7 +40,7 @@ def sunlight(
     clear, sun = clear_sky(rules, grid_s, origin)
     if rules.sun.humidity is None:
         return clear, ("irradiance: that of a clear sky, every day; clouds count as a disturbance",)
-    humidity = np.clip(reader.humidity("sun.humidity", rules.sun.humidity), 0.0, 1.0)
+    humidity = np.clip(reader.sampled("sun.humidity", rules.sun.humidity, readings.HUMIDITY), 0.0, 1.0)
     note = "irradiance: clear sky times one clearness per day, from the relative humidity; RMSE of a day about 0.16"
     return sunlight_from_humidity(grid_s, humidity, sun), (note,)
 
@@ -87,7 +87,9 @@ def actuator_levels(rules: MeasurementMap, reader: SignalReader, heat: Array, po
     for a, (name, actuator) in enumerate(actuators.items()):
         if actuator.level is not None:
             signed = actuator.mode == "both"
-            level = reader.level(f"actuators.{name}.level", actuator.level, signed=signed)
+            level = reader.mean(
+                f"actuators.{name}.level", actuator.level, readings.SIGNED_LEVEL if signed else readings.LEVEL
+            )
             rows.append(np.clip(level, -1.0 if signed else 0.0, 1.0))
             continue
         what, load = ("heat", heat[a]) if actuator.heat is not None else ("power", power[machine_of[a]])
@@ -208,7 +210,7 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
     names, layout = rules.names, rules.layout
     origin = new_year(table.index, tables[0].name)
     time_s = seconds_since(origin, table.index, tables[0].name)
-    rows_every_s = usual_s(time_s)
+    rows_every_s = readings.usual_s(time_s)
     if step_s is None:
         step_s = pd.Timedelta(rules.step).total_seconds() if rules.step else _step_s(rows_every_s)
     if not LEAST_STEP_S <= step_s <= MOST_STEP_S:
@@ -221,16 +223,21 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
         )
     reader = SignalReader(table, time_s, grid_s, step_s, rules)
     zones, actuators, machines = rules.zones.items(), rules.actuators.items(), rules.machines.items()
-    T_zone = np.array([reader.temperature(f"zones.{name}.temperature", z.temperature) for name, z in zones])
-    T_out = reader.outdoor(rules.outdoor)
+    T_zone = np.array([reader.sampled(f"zones.{name}.temperature", z.temperature, readings.ZONE) for name, z in zones])
+    T_out = reader.sampled("outdoor", rules.outdoor, readings.OUTDOOR)
     solar, of_sun = sunlight(rules, reader, grid_s, origin)
-    power = _rows([reader.power(f"machines.{name}.power", m.power) for name, m in machines], names.machines, grid_s)
-    water = [reader.water(f"machines.{name}.return_water", m.return_water) for name, m in machines]
-    heat = _rows([reader.power(f"actuators.{name}.heat", a.heat) for name, a in actuators], names.actuators, grid_s)
+    unknown = np.full((1, grid_s.size - 1), np.nan)  # where there is no machine or actuator
+    power = np.array(
+        [reader.mean(f"machines.{name}.power", m.power, readings.POWER) for name, m in machines] or unknown
+    )
+    water = [
+        reader.mean(f"machines.{name}.return_water", m.return_water, readings.WATER) for name, m in machines
+    ] or unknown
+    heat = np.array([reader.mean(f"actuators.{name}.heat", a.heat, readings.POWER) for name, a in actuators] or unknown)
     u, of_levels = actuator_levels(rules, reader, heat, power)
     record = Record(
         grid_s, T_zone, T_out, solar, u, power, heat * np.array(layout.signs)[:, None],
-        _rows(water, names.machines, grid_s), origin, names,
+        np.array(water), origin, names,
     )  # fmt: skip
     none = np.zeros((len(names.machines), grid_s.size))
     conditions = Boundary(
@@ -238,9 +245,12 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
         T_out,
         solar,
         np.zeros(T_zone.shape),
-        np.array([reader.bound(f"zones.{name}.lower", z.lower) for name, z in zones]),
-        np.array([reader.bound(f"zones.{name}.upper", z.upper) for name, z in zones]),
-        np.array([reader.price(f"machines.{name}.price", m.price) for name, m in machines] or none * np.nan),
+        np.array([reader.scheduled(f"zones.{name}.lower", z.lower, readings.BOUND) for name, z in zones]),
+        np.array([reader.scheduled(f"zones.{name}.upper", z.upper, readings.BOUND) for name, z in zones]),
+        np.array(
+            [reader.scheduled(f"machines.{name}.price", m.price, readings.PRICE) for name, m in machines]
+            or none * np.nan
+        ),
         none,
         names=names,
     )
@@ -264,9 +274,3 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
 
 def _step_s(rows_every_s: float) -> float:
     return float(np.clip(round(rows_every_s / 60.0) * 60.0, *_STEPS_S)) if np.isfinite(rows_every_s) else _STEPS_S[0]
-
-
-def _rows(rows: Sequence[Array | None], names: Sequence[str], grid_s: Array) -> Array:
-    """Signals over steps (rows, n), NaN for what is not measured."""
-    unknown = np.full(grid_s.size - 1, np.nan)
-    return np.array([unknown if row is None else row for row in rows] or [unknown] * len(names))

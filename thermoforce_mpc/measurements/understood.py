@@ -10,7 +10,7 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Boundary, Record
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
-from thermoforce_mpc.measurements.tables.screening import Flag
+from thermoforce_mpc.measurements.tables.readings import Flag
 
 # About three days: a table of three has a step less.
 _ABOUT_THREE_DAYS_H = 70.0

@@ -14,6 +14,7 @@ import numpy as np
 
 from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.data.limits import ROUNDING
+from thermoforce_mpc.data.series import held
 from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -108,19 +109,11 @@ def held_C(T_zone_C: Array) -> Array:
     A zone that was never measured has the mean of the others, 0 where none was.
     """
     measured = np.isfinite(T_zone_C).any(axis=1)
-    held = np.zeros_like(T_zone_C)
+    filled = np.zeros_like(T_zone_C)
     if measured.any():
-        held[measured] = [_forward_filled(row) for row in T_zone_C[measured]]
-        held[~measured] = held[measured].mean(axis=0)
-    return held
-
-
-def _forward_filled(values: Array) -> Array:
-    """`values` (n,), not all NaN, with each gap filled by the last finite value (at the start, by the first)."""
-    finite = np.isfinite(values)
-    index = np.maximum.accumulate(np.where(finite, np.arange(values.size), -1))
-    index = np.where(index < 0, np.flatnonzero(finite)[0], index)
-    return np.asarray(values[index])
+        filled[measured] = [held(row) for row in T_zone_C[measured]]
+        filled[~measured] = filled[measured].mean(axis=0)
+    return filled
 
 
 @dataclass(frozen=True)
@@ -164,22 +157,9 @@ def followed(
     operator = operator.resampled(history.step_s)
     rows = [state.forced_K[:, :, -1]]
     for t in range(n_known - 1, history.n_steps):
-        rows.append(_advanced(operator, history, t, rows[-1]))
+        before, heat = rows[-1], heat_drive(operator, history, t, t + 1)[:, 0]
+        free_C = control_free(held_C(history.T_zone_C[:, : t + 1])[:, -1], before.sum(axis=(1, 2)))
+        features = feature_matrix(free_C, history.T_out_C[t], history.solar_W_m2[t], history.time_s[t])
+        rows.append(operator.advance(before, operator.modulated(heat, features, before)))
     forced_K = np.concatenate([state.forced_K, np.stack(rows[1:], axis=2)], axis=2)
     return ForcedState(history.time_s, forced_K)
-
-
-def _advanced(operator: BuildingOperator, history: Record, t: int, before: Array) -> Array:
-    """The forced state (Z, A, r) after step `t`, from that before it."""
-    heat = heat_drive(operator, history, t, t + 1)[:, 0]
-    free_C = _last_known_C(history.T_zone_C[:, : t + 1]) - before.sum(axis=(1, 2))
-    features = feature_matrix(free_C, history.T_out_C[t], history.solar_W_m2[t], history.time_s[t])
-    return np.asarray(operator.poles * before + operator.gains * operator.modulated(heat, features, before)[:, None])
-
-
-def _last_known_C(T_zone_C: Array) -> Array:
-    """The last finite temperature (Z,) of `T_zone_C` (Z, n); without one the mean of the other zones, or 0."""
-    rows = [row[np.isfinite(row)] for row in T_zone_C]
-    last = [float(row[-1]) for row in rows if row.size]
-    mean = float(np.mean(last)) if last else 0.0
-    return np.array([row[-1] if row.size else mean for row in rows])

@@ -17,7 +17,7 @@ import numpy as np
 
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H, OUTDOOR_C, SOLAR_W_M2
-from thermoforce_mpc.data.series import WEATHER
+from thermoforce_mpc.data.series import WEATHER, at_instants
 
 _RANGES = {"T_out_C": OUTDOOR_C, "solar_W_m2": SOLAR_W_M2}
 # Instants nearer than this are the same, s.
@@ -87,21 +87,21 @@ def _row(
     weather = name in WEATHER
     if weather:
         fill(_between(time_s, out), "interpolation")
-    if last is not None:
-        forecast = np.atleast_2d(getattr(last, name))[row]
-        hours = (time_s[0] - last.time_s[0]) / HOUR_S
-        fill(_at(time_s, last.time_s, forecast), f"the last forecast ({hours:g} h old)")
     # Of the record only the weather is known; of the other signals, what forecasts say of the day before.
     sources = [(time_s, out)]
     if last is not None:
-        sources.append((last.time_s, np.atleast_2d(getattr(last, name))[row]))
+        forecast = np.atleast_2d(getattr(last, name))[row]
+        sources.append((last.time_s, forecast))
+        hours = (time_s[0] - last.time_s[0]) / HOUR_S
+        fill(at_instants(time_s, last.time_s, forecast, _SAME_S), f"the last forecast ({hours:g} h old)")
     if weather:
         sources.append((history.time_s, getattr(history, name)))
     for day in range(1, _DAYS_BEFORE + 1):
         for source_s, source in sources:
             if np.isnan(out).any():
                 fill(
-                    _at(time_s - day * DAY_S, source_s, source.copy()), "the day before" if day == 1 else "days before"
+                    at_instants(time_s - day * DAY_S, source_s, source.copy(), _SAME_S),
+                    "the day before" if day == 1 else "days before",
                 )
     if weather and np.isnan(out).any():
         fill(_mean_of_hour(time_s, history, name), "the mean of the record at that hour")
@@ -123,12 +123,6 @@ def _between(time_s: Array, values: Array) -> Array:
     gap_s = time_s[finite[after]] - time_s[finite[after - 1]]
     line = np.interp(time_s, time_s[finite], values[finite])
     return np.where(inside & (gap_s <= BRIDGED_GAP_H * HOUR_S), line, values)
-
-
-def _at(time_s: Array, source_s: Array, source: Array) -> Array:
-    """Values of `source` (k,) at `source_s` at the instants `time_s` (n,); NaN where there is none at that instant."""
-    index = np.clip(np.searchsorted(source_s, time_s - _SAME_S), 0, source_s.size - 1)
-    return np.where(np.abs(source_s[index] - time_s) <= _SAME_S, source[index], np.nan)
 
 
 def _mean_of_hour(time_s: Array, history: Record, name: str) -> Array:

@@ -174,28 +174,13 @@ class Predictor:
         methods = tuple(free_responses) if isinstance(free_responses, Sequence) else (free_responses,) * zones
         if len(methods) != zones:
             raise DataError(f"{len(methods)} free responses for {zones} zones")
-        self._operator = operator
-        self._free_responses = methods
+        self.operator = operator
+        self.free_responses = methods
         self._initial_force: InitialForce = initial_force
-
-    @property
-    def free_responses(self) -> tuple[FreeResponse, ...]:
-        """The forecaster of each zone's control-free series (Z,)."""
-        return self._free_responses
-
-    @property
-    def operator(self) -> BuildingOperator:
-        """The identified operator, at its own step."""
-        return self._operator
-
-    def operator_at(self, step_s: float) -> BuildingOperator:
-        """The operator at a step of `step_s` seconds."""
-        return self._operator.resampled(step_s)
 
     def forced_history(self, history: Record) -> Array:
         """Forced state of each pair at each boundary of `history`, (Z, A, n + 1, r), K; gaps are bridged (`gaps`)."""
-        history, _ = bridged(history)
-        return followed(self._operator, None, history, self._initial_force).forced_K
+        return self.followed(history).forced_K
 
     def forced_state(self, history: Record) -> Array:
         """Forced state of each pair now, shape (Z, A, r), K."""
@@ -208,7 +193,7 @@ class Predictor:
     def followed(self, history: Record, state: PredictorState | None = None) -> ForcedState:
         """Forced states at all boundaries of `history`, from those that `state` knows; gaps are bridged (`gaps`)."""
         filled, _ = bridged(history)
-        return followed(self._operator, state.forced if state else None, filled, self._initial_force)
+        return followed(self.operator, state.forced if state else None, filled, self._initial_force)
 
     def context(self, observation: Observation, state: PredictorState | None = None) -> PredictionContext:
         """Forecast the free response and set up everything an action could change; `state` is of the last context.
@@ -235,21 +220,21 @@ class Predictor:
         began = time.perf_counter()
         history, note = bridged(observation.history, boundary)
         before = state or PredictorState()
-        forced_state = followed(self._operator, before.forced, history, self._initial_force)
+        forced_state = followed(self.operator, before.forced, history, self._initial_force)
         forced = forced_state.forced_K
         estimate_s = time.perf_counter() - began
         free_C = control_free(history.T_zone_C, forced.sum(axis=(1, 3)))
-        zones = range(len(self._free_responses))
+        zones = range(len(self.free_responses))
         kept = before.free or (None,) * len(zones)
         has_readings = np.asarray(np.isfinite(free_C).any(axis=1))
         if not has_readings.any():
             raise DataError("the zone temperature was never measured in the history: nothing to forecast from")
         measured, states = np.flatnonzero(has_readings).tolist(), list(kept)
-        forecasts = [following(self._free_responses[z], free_C[z], history, boundary, kept[z]) for z in measured]
+        forecasts = [following(self.free_responses[z], free_C[z], history, boundary, kept[z]) for z in measured]
         results, forecast_s = yield from timed(gather(forecasts))
         answers = []
         for z, (answer, states[z]) in zip(measured, results, strict=True):
-            answers.append(checked_forecast(answer, boundary.n_steps, self._free_responses[z].name))
+            answers.append(checked_forecast(answer, boundary.n_steps, self.free_responses[z].name))
         unmeasured = tuple(np.flatnonzero(~has_readings).tolist())
         free = _with_mean(FreeForecast.stacked(answers), has_readings)
         for z in unmeasured:
@@ -261,7 +246,7 @@ class Predictor:
         starts = np.concatenate([now_C[:, None], free.median_C[:, :-1]], axis=1)
         features = feature_matrix(starts, boundary.T_out_C[:-1], boundary.solar_W_m2[:-1], boundary.time_s[:-1])
         return PredictionContext(
-            operator=self.operator_at(boundary.step_s),
+            operator=self.operator.resampled(boundary.step_s),
             forced_K=forced[:, :, -1],
             free=free,
             features=features,

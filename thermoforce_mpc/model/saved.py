@@ -103,15 +103,7 @@ def _expected(kind: Any, value: Any) -> Any:
     return value
 
 
-_OPERATOR_ARRAYS = (
-    "poles",
-    "gains",
-    "hidden_weight",
-    "hidden_bias",
-    "output_weight",
-    "feature_mean",
-    "feature_scale",
-)
+_OPERATOR_ARRAYS = ("poles", "gains", "hidden_weight", "hidden_bias", "output_weight", "feature_mean", "feature_scale")
 _FREE_ARRAYS = ("poles", "weights", "process_K2", "start_K2")
 
 

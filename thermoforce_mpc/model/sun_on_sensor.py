@@ -50,7 +50,7 @@ class SunOnSensor:
         return self.probability > LIKELY
 
     def part_K(self, time_s: Array, solar_W_m2: Array) -> Array:
-        """Sun in the readings at equally spaced `time_s` (n,), K, from irradiance (n,), W/m², whose gaps are bridged."""
+        """Sun in the readings at equally spaced `time_s` (n,), K, from irradiance (n,), W/m², with gaps bridged."""
         measured = np.isfinite(solar_W_m2)
         if not measured.any():
             return np.zeros(len(time_s))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -241,17 +241,7 @@ class ThermalModel:
         check_target(folder, overwrite=overwrite)
         proofs = self.operator.certificates()
         _check_proofs(proofs, f"{folder}: not saved, ")
-        content, arrays = encode(
-            self.operator,
-            self.power,
-            self.free,
-            self.cards,
-            self.machines,
-            self.machine_of,
-            self.shares,
-            self.exclusive,
-            self.floor_area_m2,
-        )
+        content, arrays = encode(**{item.name: getattr(self, item.name) for item in fields(self)})
         certificates = [
             {"zone": zone, "actuator": actuator, **proof.to_json()} for (zone, actuator), proof in proofs.items()
         ]

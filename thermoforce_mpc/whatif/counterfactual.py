@@ -15,7 +15,7 @@ import pandas as pd
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Boundary, FreeForecast, Names, Record
 from thermoforce_mpc.data.dataframes import seconds_at, table
 from thermoforce_mpc.data.names import check_same_building
-from thermoforce_mpc.data.series import WEATHER, bridged
+from thermoforce_mpc.data.series import WEATHER, bridged, interpolated
 from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
@@ -68,10 +68,7 @@ class Counterfactual:
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per step, at its start: both levels; at its end both temperatures, 90 % band, effect, bounds."""
-        columns = self.names.columns(
-            u=self.u,
-            T_zone_C=self.measured_C,
-        )
+        columns = self.names.columns(u=self.u, T_zone_C=self.measured_C)
         parts = {
             "u_other": ("u", self.u_other),
             "T_other_C": ("T_zone_C", self.other_C),
@@ -147,7 +144,10 @@ def _known_from(model: ThermalModel, whole: Record, first: int) -> PredictionCon
     """The instant `first` of a record without gaps, with the free response that followed in the place of a forecast."""
     forced_K = followed(model.operator, None, whole).forced_K
     free_C = control_free(whole.T_zone_C, forced_K.sum(axis=(1, 3)))
-    filled = np.array([_without_gaps(row, name) for row, name in zip(free_C, whole.names.zones, strict=True)])
+    for zone, row in zip(whole.names.zones, free_C, strict=True):
+        if not np.isfinite(row).any():
+            raise DataError(f"the temperature of zone '{zone}' was never measured: nothing to compare with")
+    filled = np.array([interpolated(row) for row in free_C])
     boundary = Boundary.measured(whole.slice(first, whole.n_steps))
     boundary.check(*WEATHER)
     return PredictionContext(
@@ -169,13 +169,6 @@ def _boundary(record: Record, start: pd.Timestamp | str | float) -> int:
             raise DataError(f"start is '{start}', but the record has no time stamps: give seconds")
         start = seconds_at(record.origin, start, "start")
     return round((start - record.time_s[0]) / record.step_s)
-
-
-def _without_gaps(free_C: Array, zone: str) -> Array:
-    finite = np.flatnonzero(np.isfinite(free_C))
-    if not finite.size:
-        raise DataError(f"the temperature of zone '{zone}' was never measured: nothing to compare with")
-    return np.asarray(np.interp(np.arange(free_C.size), finite, free_C[finite]))
 
 
 def _certified_bounds(model: ThermalModel, change: Array, step_s: float) -> tuple[Array, Array]:

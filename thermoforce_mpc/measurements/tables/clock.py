@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -190,8 +191,7 @@ def timed(tables: Sequence[RawTable], clock: Clock) -> Timed:
         name: np.concatenate([t.columns[name][s.index] for t, s in zip(tables, stamps, strict=True)])
         for name in tables[0].columns
     }
-    places = _Places(tables, stamps)
-    keep = _in_order(index, clock, places, notes)
+    keep = _in_order(index, clock, partial(_place, tables, stamps), notes)
     if keep is not None:
         index, columns = index[keep], {name: values[keep] for name, values in columns.items()}
     if (years := (index[-1] - index[0]).days / 365.0) > _MOST_YEARS:
@@ -203,22 +203,18 @@ def timed(tables: Sequence[RawTable], clock: Clock) -> Timed:
     return Timed(index, columns, tuple(notes))
 
 
-@dataclass(frozen=True)
-class _Places:
-    """Where the rows of several tables stand."""
-
-    tables: Sequence[RawTable]
-    stamps: Sequence[pd.Series]
-
-    def where(self, row: int) -> str:
-        for table, stamps in zip(self.tables, self.stamps, strict=True):
-            if row < len(stamps):
-                return table.where(int(stamps.index[row]))
-            row -= len(stamps)
-        return self.tables[-1].name
+def _place(tables: Sequence[RawTable], stamps: Sequence[pd.Series], row: int) -> str:
+    """Where a row of several tables stands."""
+    for table, of_table in zip(tables, stamps, strict=True):
+        if row < len(of_table):
+            return table.where(int(of_table.index[row]))
+        row -= len(of_table)
+    return tables[-1].name
 
 
-def _in_order(index: pd.DatetimeIndex, clock: Clock, places: _Places, notes: list[str]) -> NDArray[np.intp] | None:
+def _in_order(
+    index: pd.DatetimeIndex, clock: Clock, where: Callable[[int], str], notes: list[str]
+) -> NDArray[np.intp] | None:
     """The rows to keep in the order to keep them, None where all stand as they should."""
     at = index.asi8
     keep = np.arange(at.size)
@@ -226,7 +222,7 @@ def _in_order(index: pd.DatetimeIndex, clock: Clock, places: _Places, notes: lis
     if back.size:
         row = int(back[0]) + 1
         autumn = index[row - 1] - index[row] < _AN_HOUR * 1.01
-        what = f"{places.where(row)}: {index[row]} comes after {index[row - 1]}; {back.size} such rows"
+        what = f"{where(row)}: {index[row]} comes after {index[row - 1]}; {back.size} such rows"
         if clock.order == "refuse":
             hint = "; if it is the end of summer time, name time.zone" if autumn and clock.zone is None else ""
             raise DataError(f"{what}: sort the table, or set time.order: sort{hint}")
@@ -236,7 +232,7 @@ def _in_order(index: pd.DatetimeIndex, clock: Clock, places: _Places, notes: lis
     same = np.flatnonzero(np.diff(at) == 0)
     if same.size:
         first, second = (int(keep[same[0] + i]) for i in (0, 1))
-        what = f"{places.where(second)}: {index[second]} stands at {places.where(first)} too; {same.size} such rows"
+        what = f"{where(second)}: {index[second]} stands at {where(first)} too; {same.size} such rows"
         if clock.duplicates == "refuse":
             raise DataError(f"{what}: remove one of them, or set time.duplicates: first or last")
         drop = same + 1 if clock.duplicates == "first" else same

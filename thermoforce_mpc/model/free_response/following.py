@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import cast
 
 from thermoforce_mpc.data import Array, Boundary, FreeForecast, Record
@@ -29,25 +30,39 @@ def following(
     return answer
 
 
-class MeanFreeResponse:
-    """`FreeResponse` that is the mean of `first`, whose name and weights it has, and `second`; neither keeps state.
+class Computed(ABC):
+    """`FreeResponse` around that of `of`, whose name and weights it has, by its computation `following`."""
+
+    def __init__(self, of: FreeResponse) -> None:
+        self.name = of.name
+        if hasattr(of, "weight_hash"):
+            self.weight_hash = of.weight_hash
+
+    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
+        """See `FreeResponse.forecast`; raises as `following` does."""
+        return self.follow(free_C, history, boundary, None)[0]
+
+    def follow(self, free_C: Array, history: Record, boundary: Boundary, state: object) -> Answer:
+        """See `FollowingFreeResponse.follow`; raises as `following` does."""
+        return run(self.following(free_C, history, boundary, state))
+
+    @abstractmethod
+    def following(self, free_C: Array, history: Record, boundary: Boundary, state: object) -> Computation[Answer]:
+        """See `ComputedFreeResponse.following`."""
+
+
+class MeanFreeResponse(Computed):
+    """`FreeResponse` that is the mean of `first` and `second`; neither keeps state.
 
     Their errors differ, so the mean errs less than either in most buildings, by equal shares as well as by estimated
     ones (Clemen 1989). Quantiles are averaged level by level (Lichtendahl et al. 2013).
     """
 
     def __init__(self, first: FreeResponse, second: FreeResponse) -> None:
-        self.name, self._each = first.name, (first, second)
-        if hasattr(first, "weight_hash"):
-            self.weight_hash = first.weight_hash
+        super().__init__(first)
+        self._each = (first, second)
 
-    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
-        """See `FreeResponse.forecast`; raises what either raises."""
-        return run(self.following(free_C, history, boundary, None))[0]
-
-    def following(
-        self, free_C: Array, history: Record, boundary: Boundary, state: object
-    ) -> Computation[tuple[FreeForecast, object]]:
+    def following(self, free_C: Array, history: Record, boundary: Boundary, state: object) -> Computation[Answer]:
         """See `ComputedFreeResponse.following`; raises what either raises."""
         answers = []
         for method in self._each:

@@ -60,20 +60,11 @@ def _at_resolution(
     free_C: Array, past_weather: Array, ahead_weather: Array, *, stride: int, longest: int, ahead: int
 ) -> Resolution:
     """Return the resolution of the last `longest` of every `stride`-th value up to now, and `ahead` steps ahead."""
-    series = _every(free_C, stride, longest)
+    series = free_C[::-1][::stride][::-1][-longest:]
     # Weather of a coarse step is its mean, since irradiance at one instant does not represent an hour.
     past = _block_means(past_weather[-series.size * stride :], stride, pad_before=True)
     coming = _block_means(ahead_weather[:ahead], stride, pad_before=False)
-    return Resolution(Context(series, past, coming), stride, len(ahead_weather), _now_C(free_C))
-
-
-def _every(free_C: Array, stride: int, longest: int) -> Array:
-    return free_C[::-1][::stride][::-1][-longest:]
-
-
-def _now_C(free_C: Array) -> float:
-    """The last value that is known."""
-    return float(free_C[-1] if np.isfinite(free_C[-1]) else free_C[np.isfinite(free_C)][-1])
+    return Resolution(Context(series, past, coming), stride, len(ahead_weather), float(free_C[np.isfinite(free_C)][-1]))
 
 
 def merged(resolutions: list[Resolution], answers: list[Array]) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
+from thermoforce_mpc.model.machine.load import LEVEL_EDGE
 
 # Least mean of such a load as a share of full power: below, it is a standby or an error of the meter.
 _LEAST_SHARE = 0.03

@@ -14,12 +14,12 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.machine.load_regression import (
+from thermoforce_mpc.model.machine.load import (
     LEAST_W,
     LEVEL_EDGE,
     RESIDUAL_SCALE,
     EndValues,
+    MachineLoad,
     Quality,
     Steps,
     levels_to_try,

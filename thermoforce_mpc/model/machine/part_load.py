@@ -34,7 +34,7 @@ _EXACT = 1e3
 
 @dataclass(frozen=True)
 class LevelCost:
-    """Power per heat at `level` over that at full level (`cost`), and heat per level likewise, with their deviations."""
+    """Power per heat at `level` over that at full level (`cost`), heat per level likewise, and their deviations."""
 
     level: float
     cost: float

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -17,16 +18,17 @@ from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
-from thermoforce_mpc.model.machine.load import MachineLoad, running_share
-from thermoforce_mpc.model.machine.load_regression import (
+from thermoforce_mpc.model.machine.load import (
     LEAST_RUNNING,
     LEAST_W,
     LEVEL_EDGE,
     RESIDUAL_SCALE,
     EndValues,
+    MachineLoad,
     Quality,
     Steps,
     levels_to_try,
+    running_share,
     usable_steps,
 )
 from thermoforce_mpc.model.machine.water import (
@@ -144,43 +146,33 @@ def fit_power(
     where it is measured, in a factor of the return water.
     """
     u, T_out, power, T_return, T_zone = (
-        np.concatenate([values(history) for history in histories])
-        for values in (
-            lambda h: h.u[0],
-            lambda h: h.T_out_C[:-1],
-            lambda h: h.power_W[0],
-            lambda h: h.T_return_C[0],
-            lambda h: h.T_zone_C[0, :-1],
+        np.concatenate(rows)
+        for rows in zip(
+            *((h.u[0], h.T_out_C[:-1], h.power_W[0], h.T_return_C[0], h.T_zone_C[0, :-1]) for h in histories),
+            strict=True,
         )
     )
-
-    def fit(factor: Array, squares: Array | None = squares) -> LoadFit:
-        what = "electric power"
-        return fit_load(
-            u,
-            T_out,
-            power,
-            what=what,
-            lowest_level=lowest_level,
-            slope=POWER_SLOPE,
-            factor=factor,
-            running=running,
-            squares=squares,
-        )
+    fit = partial(
+        fit_load, u, T_out, power, what="electric power", lowest_level=lowest_level, slope=POWER_SLOPE, running=running
+    )
 
     def modelled(best: LoadFit, water: ReturnWater | None, water_s: float | None = None) -> PowerModel:
         quality = best.quality
         source = f"fitted to {quality.n_samples} steps"
         return PowerModel(best.load, quality.rmse_W, quality.r2, source, water, water_s=water_s)
 
-    plain = fit(np.ones_like(u))
+    plain = fit(squares=squares)
     full_W = float(np.nanmax(power))
     water = fit_return_water(
-        T_return, T_zone, u, lambda factor: fit(factor).quality.rmse_W ** 2 * plain.quality.n_running, full_W=full_W
+        T_return,
+        T_zone,
+        u,
+        lambda factor: fit(factor=factor, squares=squares).quality.rmse_W ** 2 * plain.quality.n_running,
+        full_W=full_W,
     )
-    best = plain if water is None else fit(water.factor(T_return))
+    best = plain if water is None else fit(factor=water.factor(T_return), squares=squares)
     if squares is None and running is None:
-        warm = {time_s: fit(np.ones_like(u), squares_of(histories, time_s)) for time_s in WATER_S}
+        warm = {time_s: fit(squares=squares_of(histories, time_s)) for time_s in WATER_S}
         water_s = min(warm, key=lambda time_s: warm[time_s].quality.rmse_W)
         most_W = min(MOST_LEFT * plain.quality.rmse_W, AS_GOOD * best.quality.rmse_W)
         if water_s <= LONGEST_S and warm[water_s].quality.rmse_W <= most_W:

@@ -17,7 +17,7 @@ from scipy.optimize import minimize_scalar
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.data.series import lagged
-from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE, RESIDUAL_SCALE
+from thermoforce_mpc.model.machine.load import LEVEL_EDGE, RESIDUAL_SCALE
 
 # Times that are tried, s. A floor takes longer than the last but one: there no step of a plan warms its own water.
 WATER_S = (0.25 * HOUR_S, 0.5 * HOUR_S, HOUR_S, 2.0 * HOUR_S, 6.0 * HOUR_S)

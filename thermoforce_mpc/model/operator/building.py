@@ -110,20 +110,12 @@ class BuildingOperator:
             where = f"building operator: {self.actuators[a]} on {self.zones[z]}"
             if pair.step_s != step_s:
                 raise DataError(f"{where}: step {pair.step_s:g} s differs from the first actuator's")
-            home = self._home_pair(a)
+            home = self.of_actuator(a)
             for name in _OF_ACTUATOR:
                 if not np.array_equal(getattr(pair, name), getattr(home, name)):
                     raise DataError(f"{where}: {name} differs from that of its home zone")
             if pair.feedback_active and (Z > 1 or A > 1):
                 raise DataError(f"{where}: feedback of the predicted temperature is for one zone and one actuator")
-
-    def _home_pair(self, a: int) -> OperatorParameters:
-        pair = self.pairs[self.home[a]][a]
-        if pair is None:
-            raise DataError(
-                f"building operator: {self.actuators[a]} has no effect in its home zone {self.zones[self.home[a]]}"
-            )
-        return pair
 
     def each(self) -> Iterator[tuple[int, int, OperatorParameters]]:
         """Zone, actuator and operator of every pair with an effect."""
@@ -134,7 +126,12 @@ class BuildingOperator:
 
     def of_actuator(self, a: int) -> OperatorParameters:
         """The operator of actuator `a` on its home zone: its sign, heat input and modulation."""
-        return self._home_pair(a)
+        pair = self.pairs[self.home[a]][a]
+        if pair is None:
+            raise DataError(
+                f"building operator: {self.actuators[a]} has no effect in its home zone {self.zones[self.home[a]]}"
+            )
+        return pair
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -16,7 +16,7 @@ interval is valid for the `n_steps` of the certificate and may cross zero: that 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -121,18 +121,7 @@ class Certificate:
 
     def to_json(self) -> dict[str, object]:
         """Return plain values for JSON."""
-        return {
-            "certified": self.certified,
-            "sign": self.sign,
-            "poles": list(self.poles),
-            "modulation_bounds": list(self.modulation_bounds),
-            "actuator_slope_bounds": list(self.actuator_slope_bounds),
-            "effect_low_K": list(self.effect_low_K),
-            "effect_high_K": list(self.effect_high_K),
-            "reasons": list(self.reasons),
-            "feedback": self.feedback,
-            "feedback_slope_per_K": list(self.feedback_slope_per_K),
-        }
+        return asdict(self)
 
 
 def modulation_interval(params: OperatorParameters) -> tuple[float, float]:

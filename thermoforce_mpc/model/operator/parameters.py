@@ -231,12 +231,7 @@ class OperatorParameters:
         if ratio == 1.0:
             return self
         poles = self.poles**ratio
-        return replace(
-            self,
-            poles=poles,
-            gains=self.steady_gains_K * (1.0 - poles),
-            step_s=step_s,
-        )
+        return replace(self, poles=poles, gains=self.steady_gains_K * (1.0 - poles), step_s=step_s)
 
 
 def linear_operator(

@@ -44,10 +44,7 @@ _BY_KEY = {
     "use_iterative_cpm_revin": ("optional", "load_timesfm3", "timesfm-3"),
     "num_variate_layers_per_group": ("optional", "load_toto2", "toto-2"),
 }
-_BY_TYPE = {
-    "tinytimemixer": ("optional", "load_ttm", "ttm"),
-    "flowstate": ("optional", "load_flowstate", "flowstate"),
-}
+_BY_TYPE = {"tinytimemixer": ("optional", "load_ttm", "ttm"), "flowstate": ("optional", "load_flowstate", "flowstate")}
 # TimesFM 2.5 is loaded without a config; its weights are known by the first of their names.
 _TIMESFM_25 = ("optional", "load_timesfm", "timesfm")
 _FAMILIES = "Chronos-Bolt, Chronos-2, TiRex-2, TimesFM, Toto 2, TTM and FlowState"
