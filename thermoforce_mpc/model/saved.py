@@ -24,7 +24,7 @@ from safetensors.numpy import save as save_tensors
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ArtifactError
-from thermoforce_mpc.files import check_replaceable, parse_json, read_bounded, write_folder
+from thermoforce_mpc.files import parse_json, read_bounded, write_folder
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -45,13 +45,13 @@ def built(kind: Any, value: Any) -> Any:
     if kind is Any:
         return value
     if kind is float:
-        return float("nan") if value is None else number(value)
+        return float("nan") if value is None else _number(value)
     if kind is int:
-        return whole(value, -(10**9), 10**9)
+        return _whole(value, -(10**9), 10**9)
     if origin is types.UnionType:
         return None if value is None else built(inside[0], value)
     if origin is tuple:
-        items = listed(value)
+        items = built(list, value)
         kinds = (inside[0],) * len(items) if inside[-1] is ... else inside
         return tuple(built(one, item) for one, item in zip(kinds, items, strict=True))
     if origin is Mapping:
@@ -68,8 +68,7 @@ def of_fields(kind: Any, value: Any, **known: Any) -> Any:
     return kind(**known, **{name: built(hints[name], given[name]) for name in names})
 
 
-def number(value: Any) -> float:
-    """A number; raises `TypeError` or `ValueError` for anything else, and beyond ±1e12."""
+def _number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{value!r:.60} where a number is expected")
     if not abs(value) <= _LARGEST:
@@ -77,21 +76,10 @@ def number(value: Any) -> float:
     return float(value)
 
 
-def whole(value: Any, low: int, high: int) -> int:
-    """A whole number from `low` to `high`; raises `ValueError` for anything else."""
+def _whole(value: Any, low: int, high: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise ValueError(f"{value!r:.60} where a whole number from {low} to {high} is expected")
     return value
-
-
-def text(value: Any) -> str:
-    """A text; raises `TypeError` for anything else."""
-    return str(_expected(str, value))
-
-
-def listed(value: Any) -> list[Any]:
-    """A list; raises `TypeError` for anything else."""
-    return list(_expected(list, value))
 
 
 _WORDS = {bool: "true or false", str: "a text", list: "a list", dict: "an object with keys"}
@@ -170,27 +158,28 @@ def decode(content: Mapping[str, Any], arrays: Mapping[str, Array]) -> dict[str,
 
     Raises KeyError, TypeError, ValueError, AttributeError or DataError for content that was damaged or edited.
     """
-    zones, actuators, machines = (listed(content[key]) for key in ("zones", "actuators", "machines"))
+    zones, actuators, machines = (built(list, content[key]) for key in ("zones", "actuators", "machines"))
     pairs: list[list[OperatorParameters | None]] = [[None] * len(actuators) for _ in zones]
-    for pair in listed(content["pairs"]):
-        z, a = whole(pair["zone"], 0, len(zones) - 1), whole(pair["actuator"], 0, len(actuators) - 1)
+    for pair in built(list, content["pairs"]):
+        z, a = _whole(pair["zone"], 0, len(zones) - 1), _whole(pair["actuator"], 0, len(actuators) - 1)
         pairs[z][a] = _operator(pair, arrays, f"pair.{z}.{a}.")
     operator = BuildingOperator(
-        tuple(text(zone["name"]) for zone in zones),
-        tuple(text(actuator["name"]) for actuator in actuators),
+        tuple(built(str, zone["name"]) for zone in zones),
+        tuple(built(str, actuator["name"]) for actuator in actuators),
         tuple(tuple(row) for row in pairs),
-        tuple(whole(actuator["home"], 0, len(zones) - 1) for actuator in actuators),
+        tuple(_whole(actuator["home"], 0, len(zones) - 1) for actuator in actuators),
     )
     return {
         "operator": operator,
         "power": tuple(built(PowerModel | None, machine["power"]) for machine in machines),
         "free": tuple(_free(zone["free"], arrays, f"zone.{z}.") for z, zone in enumerate(zones)),
         "cards": tuple(built(ModelCard, actuator["card"]) for actuator in actuators),
-        "machines": tuple(text(machine["name"]) for machine in machines),
-        "machine_of": tuple(whole(actuator["machine"], 0, len(machines) - 1) for actuator in actuators),
-        "shares": tuple(number(actuator["share"]) for actuator in actuators),
+        "machines": tuple(built(str, machine["name"]) for machine in machines),
+        "machine_of": tuple(_whole(actuator["machine"], 0, len(machines) - 1) for actuator in actuators),
+        "shares": tuple(_number(actuator["share"]) for actuator in actuators),
         "exclusive": tuple(
-            tuple(whole(a, 0, len(actuators) - 1) for a in listed(group)) for group in listed(content["exclusive"])
+            tuple(_whole(a, 0, len(actuators) - 1) for a in built(list, group))
+            for group in built(list, content["exclusive"])
         ),
         "floor_area_m2": tuple(built(float, zone["floor_area_m2"]) for zone in zones),
     }
@@ -220,11 +209,6 @@ JSON_NAME = "model.json"
 ARRAYS_NAME = "arrays.safetensors"
 # Thirty rooms with all pairs coupled: 0.8 MB of JSON, 2.1 MB of arrays.
 _MOST_JSON_BYTES, _MOST_ARRAYS_BYTES = 20_000_000, 100_000_000
-
-
-def check_target(folder: Path, *, overwrite: bool) -> None:
-    """Raise `ArtifactError` where `folder` exists, unless `overwrite` is set and it contains a model."""
-    check_replaceable(folder, JSON_NAME, "model", overwrite=overwrite)
 
 
 def write_model_file(folder: Path, content: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:

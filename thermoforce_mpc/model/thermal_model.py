@@ -12,6 +12,7 @@ import numpy as np
 from thermoforce_mpc.data import SINGLE, Array, Boundary, Layout, Names, Observation, Record
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ArtifactError, DataError
+from thermoforce_mpc.files import check_replaceable
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.registry import build_free_response
@@ -21,7 +22,7 @@ from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.certificate import Certificate
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import Prediction, Predictor
-from thermoforce_mpc.model.saved import JSON_NAME, check_target, decode, encode, read_model_file, write_model_file
+from thermoforce_mpc.model.saved import JSON_NAME, decode, encode, read_model_file, write_model_file
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor, off_sensors
 from thermoforce_mpc.protocols import FreeResponse
 
@@ -238,7 +239,7 @@ class ThermalModel:
         certificate, and `StorageError` where the disk refuses.
         """
         folder = Path(folder)
-        check_target(folder, overwrite=overwrite)
+        check_replaceable(folder, JSON_NAME, "model", overwrite=overwrite)
         proofs = self.operator.certificates()
         _check_proofs(proofs, f"{folder}: not saved, ")
         content, arrays = encode(**{item.name: getattr(self, item.name) for item in fields(self)})

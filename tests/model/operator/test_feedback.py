@@ -14,8 +14,8 @@ from operators import HEAT_MAP, random_features, random_operator
 
 from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.errors import ArtifactError, DataError
+from thermoforce_mpc.model.exported import rollout_function
 from thermoforce_mpc.model.operator.building import forced_rollout
-from thermoforce_mpc.model.operator.casadi_export import rollout_function
 from thermoforce_mpc.model.operator.certificate import certificate, feedback_bounds, modulation_slope
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.model.operator.parameters import linear_operator
@@ -71,7 +71,9 @@ def test_three_forms_follow_the_recursion(order):
     for i in range(5):
         expected = _loop(params, F0, u[i], features)
         np.testing.assert_allclose(together[i], expected, atol=1e-12)
-        modes, forced = rollout_function(params, N)(F0, u[i], features.T)
+        modes, forced = rollout_function(ThermalModel.single(params), N, params.step_s, part_load="held")(
+            F0, u[i], features.T
+        )
         np.testing.assert_allclose(np.array(modes).T, expected, atol=1e-10)
         np.testing.assert_allclose(np.array(forced).ravel(), expected.sum(-1), atol=1e-10)
     by_torch = module(torch.tensor(F0), torch.tensor(u), torch.tensor(features)).detach().numpy()

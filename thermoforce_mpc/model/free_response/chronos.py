@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +21,6 @@ from thermoforce_mpc.model.free_response.multi_resolution import (
     FEWEST_VALUES,
     Resolution,
     merged,
-    own_resolution,
     resolutions_of,
 )
 from thermoforce_mpc.model.free_response.persistence import Persistence
@@ -88,7 +88,6 @@ class ChronosFreeResponse:
         self._after_linear_weather = after_linear_weather or self._reads_course
         if after_linear_weather:
             self.name = "residual"
-        self._short = Persistence()
 
     @property
     def label(self) -> str:
@@ -164,15 +163,18 @@ class ChronosFreeResponse:
             raise DataError(f"history at {history.step_s:g} s and forecast at {boundary.step_s:g} s differ in step")
         why = self._too_little(free, boundary.step_s)
         if why:
-            return self._persistence(free, history, boundary, why)
+            return replace(Persistence().forecast(free, history, boundary), note=f"persistence: {why}")
         past, ahead = _known_of(history), _known_of(boundary)[1:]
+        resolutions = partial(
+            resolutions_of, step_s=boundary.step_s, longest=self._context_steps, hourly=self._resolutions == "several"
+        )
         if not self._after_linear_weather:
-            return _Input(self._resolutions_of(free, past, ahead, boundary.step_s), np.zeros(boundary.n_steps))
+            return _Input(resolutions(free, past, ahead), np.zeros(boundary.n_steps))
         course = mean_course(fits_linear_weather(free, history, boundary, DISTURBANCES_H))
         past_C, ahead_C = course[: free.size], course[free.size :]
         if self._reads_course:
             past, ahead = np.column_stack([past, past_C]), np.column_stack([ahead, ahead_C])
-        return _Input(self._resolutions_of(free - past_C, past, ahead, boundary.step_s), ahead_C)
+        return _Input(resolutions(free - past_C, past, ahead), ahead_C)
 
     def _too_little(self, free: Array, step_s: float) -> str:
         """Return why persistence is needed, or an empty string."""
@@ -185,21 +187,11 @@ class ChronosFreeResponse:
             return f"only {n_recent} of the last {context.size} values were measured"
         return ""
 
-    def _resolutions_of(self, free: Array, past: Array, ahead: Array, step_s: float) -> list[Resolution]:
-        longest = self._context_steps
-        if self._resolutions == "one":
-            return [own_resolution(free, past, ahead, longest)]
-        return resolutions_of(free, past, ahead, step_s, longest)
-
     def _checked(self, quantiles: Array, boundary: Boundary) -> FreeForecast:
         if quantiles.shape != (LEVELS.size, boundary.n_steps) or not np.isfinite(quantiles).all():
             raise DataError(f"{self.label} gave values of shape {quantiles.shape} that are not all finite")
         note = f"linear weather model, corrected by {self.label}" if self._after_linear_weather else self.label
         return FreeForecast(LEVELS, quantiles, note)
-
-    def _persistence(self, free: Array, history: Record, boundary: Boundary, why: str) -> FreeForecast:
-        short = self._short.forecast(free, history, boundary)
-        return FreeForecast(short.levels, short.quantiles_C, f"persistence: {why}")
 
 
 def _known_of(of: Record | Boundary) -> Array:

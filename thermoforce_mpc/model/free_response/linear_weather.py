@@ -105,18 +105,8 @@ class LinearFit:
     weights: Array
 
 
-def fit_linear_weather(
-    free_C: Array, history: Record, boundary: Boundary, disturbance_h: float | None = None
-) -> LinearFit:
-    """Fit to the finite values of `free_C` (n + 1,) and simulate over the weather of `boundary`.
-
-    Args and errors as in `fits_linear_weather`.
-    """
-    return fits_linear_weather(free_C, history, boundary, (disturbance_h,))[0]
-
-
 def fits_linear_weather(
-    free_C: Array, history: Record, boundary: Boundary, disturbances_h: Sequence[float | None]
+    free_C: Array, history: Record, boundary: Boundary, disturbances_h: Sequence[float | None] = (None,)
 ) -> list[LinearFit]:
     """Fit to the finite values of `free_C` (n + 1,) °C and simulate over `boundary`, for each kind of disturbance.
 
@@ -192,9 +182,9 @@ class LinearWeather:
     name = "linear_weather"
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
-        """See `FreeResponse.forecast`; raises what `fit_linear_weather` raises."""
+        """See `FreeResponse.forecast`; raises what `fits_linear_weather` raises."""
         free = checked_free(free_C, history)
-        fit = fit_linear_weather(free, history, boundary)
+        (fit,) = fits_linear_weather(free, history, boundary)
         residual = free - fit.past_C
         n = boundary.n_steps
         fading = _fading(residual, n, boundary.step_s)

@@ -31,29 +31,25 @@ class Resolution:
     now_C: float
 
 
-def own_resolution(free_C: Array, past_weather: Array, ahead_weather: Array, longest: int) -> Resolution:
-    """Return the resolution at the series' own step, over all steps ahead; arguments as in `resolutions_of`."""
-    return _at_resolution(free_C, past_weather, ahead_weather, stride=1, longest=longest, ahead=len(ahead_weather))
-
-
 def resolutions_of(
-    free_C: Array, past_weather: Array, ahead_weather: Array, step_s: float, longest: int
+    free_C: Array, past_weather: Array, ahead_weather: Array, step_s: float, longest: int, *, hourly: bool = True
 ) -> list[Resolution]:
     """Return all resolutions of a series; the first is at its own step.
 
     `free_C` (k,) °C: the last value is now, NaN if not measured, at least one known; `past_weather` (k, 3) and
     `ahead_weather` (N, 3) as in `Context`, at steps of `step_s`; `longest`: most values of a context.
+    Without `hourly` the first alone, over all steps ahead.
     """
     n = len(ahead_weather)
-    stride = max(1, int((HOUR_S + 1e-6) // step_s))
+    stride = max(1, int((HOUR_S + 1e-6) // step_s)) if hourly else 1
     if stride > 1:
-        hourly = _at_resolution(free_C, past_weather, ahead_weather, stride=stride, longest=longest, ahead=n)
-        if np.isfinite(hourly.context.free_C).sum() >= FEWEST_VALUES:
+        coarse = _at_resolution(free_C, past_weather, ahead_weather, stride=stride, longest=longest, ahead=n)
+        if np.isfinite(coarse.context.free_C).sum() >= FEWEST_VALUES:
             # Steps beyond one output patch are left to the hourly one.
             ahead = min(n, _AT_ONCE)
             own = _at_resolution(free_C, past_weather, ahead_weather, stride=1, longest=longest, ahead=ahead)
-            return [own, hourly]
-    return [own_resolution(free_C, past_weather, ahead_weather, longest)]
+            return [own, coarse]
+    return [_at_resolution(free_C, past_weather, ahead_weather, stride=1, longest=longest, ahead=n)]
 
 
 def _at_resolution(

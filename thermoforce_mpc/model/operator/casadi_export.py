@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR, ZONE
+from thermoforce_mpc.model.operator.features import N_FEATURES, ZONE
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
@@ -148,18 +148,6 @@ def advanced(params: OperatorParameters, F: ca.SX, x: ca.SX, v: ca.SX) -> ca.SX:
     """Return F(t+1) (r,) K (paper eq:operator) of F (r,) K, `x` (4,) with T − F in it and the input `v`."""
     seen = ca.vertcat(x[ZONE] + ca.sum1(F), x[ZONE + 1 :]) if params.feedback_active else x
     return ca.DM(params.poles) * F + ca.DM(params.gains) * modulation_of(params, seen) * v
-
-
-def step_function(params: OperatorParameters) -> ca.Function:
-    """Return `F(t+1)` (paper eq:operator): F (r,) K, u, x (4,) with T − F in it → F_next (r,) K."""
-    F, u, x = ca.SX.sym("F", params.order), ca.SX.sym("u"), ca.SX.sym("x", N_FEATURES)
-    F_next = advanced(params, F, x, heat_input_expression(params.heat_input, u, x[OUTDOOR]))
-    return ca.Function("forced_step", [F, u, x], [F_next], ["F", "u", "x"], ["F_next"])
-
-
-def rollout_function(params: OperatorParameters, n_steps: int) -> ca.Function:
-    """Return the forced response over `n_steps` steps as one function, see `rolled_out`."""
-    return rolled_out(step_function(params), n_steps)
 
 
 def rolled_out(step: ca.Function, n_steps: int) -> ca.Function:
