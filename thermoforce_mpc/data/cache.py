@@ -10,15 +10,14 @@ from pathlib import Path
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import read_bounded
 
+_LOG = logging.getLogger(__name__)
+NAME, _MOST_BYTES = "given.jsonl", 10_000_000
+
 
 def cache_folder() -> Path:
     """`$XDG_CACHE_HOME/thermoforce-mpc`, by default in `~/.cache`."""
     root = os.environ.get("XDG_CACHE_HOME")
     return (Path(root) if root else Path.home() / ".cache") / "thermoforce-mpc"
-
-
-_LOG = logging.getLogger(__name__)
-NAME, _MOST_BYTES = "given.jsonl", 10_000_000
 
 
 def known_marks() -> set[str]:

@@ -89,7 +89,7 @@ def long_gaps(history: Record, name: str) -> NDArray[np.bool_]:
     measured = np.isfinite(values)
     if not measured.any():
         return np.ones(time_s.size, dtype=bool)
-    return ~measured & (_gap_s(time_s, time_s[measured]) > BRIDGED_GAP_H * HOUR_S)
+    return ~measured & (gap_s(time_s, time_s[measured]) > BRIDGED_GAP_H * HOUR_S)
 
 
 def long_level_gaps(history: Record) -> NDArray[np.bool_]:
@@ -106,7 +106,6 @@ def _long_gap(u: Array, step_s: float) -> NDArray[np.bool_]:
 
 
 def _of_levels(u: Array, step_s: float) -> str:
-    """Return in words what stands in the gaps of `u` (n,)."""
     unknown, long = ~np.isfinite(u), _long_gap(u, step_s)
     short = unknown & ~long
     words = [f"{_count(short)} ({100 * short.mean():.1f} %) between the levels around"] if short.any() else []
@@ -125,7 +124,7 @@ def _weather(history: Record, ahead: Boundary | None, name: str) -> tuple[Array,
     if not measured.size:
         raise DataError(f"history: {name} was never measured and no forecast of it is given; check the sensor")
     line = np.interp(time_s, at_s, measured)
-    long = missing & (_gap_s(time_s, at_s) > BRIDGED_GAP_H * HOUR_S)
+    long = missing & (gap_s(time_s, at_s) > BRIDGED_GAP_H * HOUR_S)
     note = f"{name}: {_count(missing)} by linear interpolation"
     if long.any():
         note = f"{name}: {_count(missing)}, {long.sum()} of them from the same hour of the nearest day"
@@ -133,8 +132,8 @@ def _weather(history: Record, ahead: Boundary | None, name: str) -> tuple[Array,
     return np.where(missing, line, values), note
 
 
-def _gap_s(time_s: Array, known_s: Array) -> Array:
-    """Return the gap length at each of `time_s` (n,), s, between the known instants (k,) or the ends of the data."""
+def gap_s(time_s: Array, known_s: Array) -> Array:
+    """The gap length at each of `time_s` (n,), s, between the known instants (k,) or the ends of the data."""
     after = np.searchsorted(known_s, time_s)
     ends = np.concatenate([[min(time_s[0], known_s[0])], known_s, [max(time_s[-1], known_s[-1])]])
     return np.asarray(ends[after + 1] - ends[after])

@@ -26,6 +26,13 @@ from thermoforce_mpc.scenario.settings import validate
 if TYPE_CHECKING:  # pvlib is loaded only where an estimate is needed
     from thermoforce_mpc.boundary.weather.solar import Sun
 
+# Full level of metered heat or power: this percentile of the steps in which the machine ran, which are those above a
+# share of the same percentile of all in which it took anything. Single peaks (a start, a wrong reading) do not count.
+_FULL, _RUNNING = 99.0, 0.05
+# Step of a record where the map has none: the usual distance of the rows, within these, s.
+_STEPS_S = (900.0, 3600.0)
+_LEAST_STEPS = 2
+
 
 def sunlight(
     rules: MeasurementMap, reader: SignalReader, grid_s: Array, origin: pd.Timestamp
@@ -54,11 +61,6 @@ def clear_sky(rules: MeasurementMap, time_s: Array, origin: pd.Timestamp) -> tup
     assert offset is not None
     sun = sun_position(time_s, site.latitude, site.longitude, offset.total_seconds() / HOUR_S)
     return clear_sky_W_m2(sun), sun
-
-
-# Full level of metered heat or power: this percentile of the steps in which the machine ran, which are those above a
-# share of the same percentile of all in which it took anything. Single peaks (a start, a wrong reading) do not count.
-_FULL, _RUNNING = 99.0, 0.05
 
 
 def full_load_W(power_W: Array) -> float:
@@ -113,11 +115,6 @@ def actuator_levels(rules: MeasurementMap, reader: SignalReader, heat: Array, po
             f"level of {name}: metered {what}{less} over {span:.0f} W ({how}); {cut} steps above that are cut to 1"
         )
     return np.array(rows), notes
-
-
-# Step of a record where the map has none: the usual distance of the rows, within these, s.
-_STEPS_S = (900.0, 3600.0)
-_LEAST_STEPS = 2
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,6 @@ class SignalReader:
     def _summarised(
         self, key: str, signal: Signal, rules: Rules, readings: Readings, values: Array, flags: tuple[Flag, ...]
     ) -> Array:
-        """`values`, noted among the summaries."""
         finite = np.isfinite(values)
         least, median, most = (
             np.quantile(values[finite], (0.0, 0.5, 1.0)).tolist() if finite.any() else (float("nan"),) * 3

@@ -9,6 +9,12 @@ from typing import Any
 from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 
+_GIVEN = "given"
+_UNJUDGED = (
+    "This model may not act, since it was not judged on data that it had not seen; the building is controlled without "
+    "it. Next: identify it again from its data, or turn the gate off (gate.enabled: false) to act on it all the same."
+)
+
 
 @dataclass(frozen=True)
 class HorizonScore:
@@ -71,13 +77,6 @@ class Competence:
         why = f", since {self.plainly}" if self.plainly else ""
         to_do = f" Next: {self.advice[0]}." if self.advice else ""
         return f"This model may not act{why}; the building is controlled without it.{to_do}"
-
-
-_GIVEN = "given"
-_UNJUDGED = (
-    "This model may not act, since it was not judged on data that it had not seen; the building is controlled without "
-    "it. Next: identify it again from its data, or turn the gate off (gate.enabled: false) to act on it all the same."
-)
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,6 @@ def rollout_function(
 
 
 def _heat(pair: OperatorParameters, u: ca.SX, on: ca.SX, T_out_C: ca.SX, part_load: PartLoad) -> ca.SX:
-    """v of a level."""
     heat_input = pair.heat_input.at_lowest_level(1.0) if part_load == "blocks" else pair.heat_input
     if heat_input.heat is None or part_load in ("blocks", "held"):
         return heat_input_expression(heat_input, u, T_out_C)
@@ -115,7 +114,6 @@ def _rounded(z: ca.SX) -> ca.SX:
 
 
 def _pair(model: ThermalModel, step_s: float, zone: str | None, actuator: str | None) -> OperatorParameters:
-    """The operator of an actuator on a zone at a step."""
     if not (np.isfinite(step_s) and step_s > 0):
         raise DataError(f"step_s is {step_s!r}, expected seconds above 0")
     operator = model.operator.resampled(float(step_s))

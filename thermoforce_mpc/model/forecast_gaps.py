@@ -17,7 +17,7 @@ import numpy as np
 
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H, OUTDOOR_C, SOLAR_W_M2
-from thermoforce_mpc.data.series import WEATHER, at_instants
+from thermoforce_mpc.data.series import WEATHER, at_instants, gap_s
 
 _RANGES = {"T_out_C": OUTDOOR_C, "solar_W_m2": SOLAR_W_M2}
 # Instants nearer than this are the same, s.
@@ -114,15 +114,12 @@ def _row(
 
 def _between(time_s: Array, values: Array) -> Array:
     """Values (n,) with gaps of up to 6 h between two known ones filled by a straight line."""
-    finite = np.flatnonzero(np.isfinite(values))
-    if finite.size < 2:
+    known_s = time_s[np.isfinite(values)]
+    if known_s.size < 2:
         return values
-    after = np.searchsorted(time_s[finite], time_s)
-    inside = (after > 0) & (after < finite.size)
-    after = np.clip(after, 1, finite.size - 1)
-    gap_s = time_s[finite[after]] - time_s[finite[after - 1]]
-    line = np.interp(time_s, time_s[finite], values[finite])
-    return np.where(inside & (gap_s <= BRIDGED_GAP_H * HOUR_S), line, values)
+    line = np.interp(time_s, known_s, values[np.isfinite(values)])
+    inside = (time_s > known_s[0]) & (time_s < known_s[-1])
+    return np.where(inside & (gap_s(time_s, known_s) <= BRIDGED_GAP_H * HOUR_S), line, values)
 
 
 def _mean_of_hour(time_s: Array, history: Record, name: str) -> Array:

@@ -34,6 +34,15 @@ from thermoforce_mpc.version import VERSION
 
 # Far beyond any temperature, power or gain, but products of it are still finite.
 _LARGEST = 1e12
+_WORDS = {bool: "true or false", str: "a text", list: "a list", dict: "an object with keys"}
+_OPERATOR_ARRAYS = ("poles", "gains", "hidden_weight", "hidden_bias", "output_weight", "feature_mean", "feature_scale")
+_FREE_ARRAYS = ("poles", "weights", "process_K2", "start_K2")
+FORMAT = "thermoforce-mpc thermal model"
+FORMAT_VERSION = 8
+JSON_NAME = "model.json"
+ARRAYS_NAME = "arrays.safetensors"
+# Thirty rooms with all pairs coupled: 0.8 MB of JSON, 2.1 MB of arrays.
+_MOST_JSON_BYTES, _MOST_ARRAYS_BYTES = 20_000_000, 100_000_000
 
 
 def built(kind: Any, value: Any) -> Any:
@@ -82,17 +91,10 @@ def _whole(value: Any, low: int, high: int) -> int:
     return value
 
 
-_WORDS = {bool: "true or false", str: "a text", list: "a list", dict: "an object with keys"}
-
-
 def _expected(kind: Any, value: Any) -> Any:
     if not isinstance(value, kind):
         raise TypeError(f"{value!r:.60} where {_WORDS.get(kind, kind)} is expected")
     return value
-
-
-_OPERATOR_ARRAYS = ("poles", "gains", "hidden_weight", "hidden_bias", "output_weight", "feature_mean", "feature_scale")
-_FREE_ARRAYS = ("poles", "weights", "process_K2", "start_K2")
 
 
 def encode(
@@ -200,15 +202,6 @@ def _free(data: Mapping[str, Any] | None, arrays: Mapping[str, Array], prefix: s
     if data is None:
         return None
     return of_fields(RcParameters, data, **{name: _array(arrays, prefix + name) for name in _FREE_ARRAYS})
-
-
-FORMAT = "thermoforce-mpc thermal model"
-FORMAT_VERSION = 8
-
-JSON_NAME = "model.json"
-ARRAYS_NAME = "arrays.safetensors"
-# Thirty rooms with all pairs coupled: 0.8 MB of JSON, 2.1 MB of arrays.
-_MOST_JSON_BYTES, _MOST_ARRAYS_BYTES = 20_000_000, 100_000_000
 
 
 def write_model_file(folder: Path, content: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:

@@ -124,7 +124,6 @@ def screened(measurement: Measurement, allowed: Limits, history: Record) -> tupl
 def _refusal(
     measurement: Measurement, name: str, row: int, value: float, label: str, allowed: Limits, history: Record
 ) -> str | None:
-    """Why a reading is refused; None where it is plausible."""
     if _outside(np.array([value]), allowed.range(name))[0]:
         return f"{label} of {value:.6g}{_UNITS[name]} is not {_words(allowed, name)}: {_NOT_MEASURED}"
     if name != "T_zone_C":

@@ -270,7 +270,6 @@ def model_from(content: Mapping[str, Any], arrays: Mapping[str, Array], path: Pa
 
 
 def _check_proofs(proofs: Mapping[tuple[str, str], Certificate], where: str) -> None:
-    """Raise `ArtifactError` for the first pair that fails its certificate."""
     for (zone, actuator), proof in proofs.items():
         if not proof.certified:
             of_pair = "" if len(proofs) == 1 else f" of {actuator} on {zone}"

@@ -16,6 +16,11 @@ _OBLIQUITY_RAD = np.deg2rad(23.45)
 _GROUND_REFLECTANCE = 0.2
 _SOLAR_CONSTANT_W_M2 = 1367.0
 _LEAST_DIFFUSE_W_M2 = 1e-4
+# Least-squares fit of daily clearness to humidity and its square over the 16 TMY3 years of the United States shipped
+# with EnergyPlus, days weighted by clear-sky energy. RMSE there: 0.11 to 0.21.
+_COEFFICIENTS = (0.884, 0.484, -1.150)
+# Overcast days keep a diffuse share; the maximum is the clear sky.
+_CLEARNESS_RANGE = (0.1, 1.0)
 
 
 @dataclass(frozen=True)
@@ -101,13 +106,6 @@ def sky_diffuse(
         tilt_deg, azimuth_deg, diffuse, beam_W_m2, _SOLAR_CONSTANT_W_M2, zenith_deg, sun_azimuth_deg, air_mass
     )
     return np.asarray(np.where(diffuse_W_m2 > 0.0, sky, 0.0))
-
-
-# Least-squares fit of daily clearness to humidity and its square over the 16 TMY3 years of the United States shipped
-# with EnergyPlus, days weighted by clear-sky energy. RMSE there: 0.11 to 0.21.
-_COEFFICIENTS = (0.884, 0.484, -1.150)
-# Overcast days keep a diffuse share; the maximum is the clear sky.
-_CLEARNESS_RANGE = (0.1, 1.0)
 
 
 def clear_sky_W_m2(sun: Sun) -> Array:

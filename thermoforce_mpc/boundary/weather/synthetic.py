@@ -66,7 +66,6 @@ def synthetic_weather(seed: int = 0, *, warmer_K: float = 0.0, clearer: float = 
 
 
 def _shifts(warmer_K: float, clearer: float) -> str:
-    """Return the shifts of the climate in words, empty without one."""
     return (f", {warmer_K:+.1f} K" if warmer_K else "") + (f", {clearer:+.2f} clearer" if clearer else "")
 
 

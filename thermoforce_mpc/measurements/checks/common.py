@@ -17,6 +17,8 @@ Kind = Literal[
     "unit of power",
     "unit of temperature",
 ]
+# Steps over which residuals may go together.
+_LAGS = 4
 
 
 @dataclass(frozen=True)
@@ -37,10 +39,6 @@ class Remark:
     def in_words(self) -> str:
         """One line."""
         return f"{self.kind}: {self.where}: {self.words}; {self.remedy}"
-
-
-# Steps over which residuals may go together.
-_LAGS = 4
 
 
 def fitted(columns: Array, target: Array) -> tuple[Array, Array, Array]:

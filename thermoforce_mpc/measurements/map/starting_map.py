@@ -40,6 +40,8 @@ _STAMPS = tuple(
 ROWS = 2000
 """Rows of a table that are looked at."""
 _COUNTED = "  unit: s  # stamps are numbers\n  since: FILL IN  # what they count from, such as 2016-01-01"
+# Median of the temperature of a room that is lived in, °C.
+_ROOM_C = (14.0, 30.0)
 
 
 def starting_map(file: str | Path) -> str:
@@ -174,14 +176,9 @@ def _quoted(column: str) -> str:
 
 
 def _name(column: str) -> str:
-    """A zone's name from that of its column."""
     plain = re.sub(r"[\[(].*?[\])]", "", column).strip()
     plain = re.sub(r"[_ ]?(deg_?c|°c|temp\w*|ist|ist-?wert)$", "", plain, flags=re.I)
     return re.sub(r"\W+", "_", plain).strip("_").lower() or "zone"
-
-
-# Median of the temperature of a room that is lived in, °C.
-_ROOM_C = (14.0, 30.0)
 
 
 def rooms_beside(head: pd.DataFrame, rules: MeasurementMap) -> tuple[str, ...]:

@@ -18,6 +18,8 @@ from thermoforce_mpc.measurements.tables.raw_table import RawTable
 
 _ISO = re.compile(r"\s*\d{4}-\d{2}-\d{2}")
 _OFFSET = "(?:[+-][0-9]{2}:?[0-9]{2}|Z) *$"
+_AN_HOUR = pd.Timedelta("1h")
+_MOST_YEARS = 20
 
 
 def instants(table: RawTable, clock: Clock, notes: list[str]) -> pd.Series:
@@ -148,10 +150,6 @@ def _all_year(zone: str, stamp: pd.Timestamp) -> str:
     if hours == 0:
         return "UTC"
     return f"Etc/GMT{-hours:+g}" if hours == round(hours) else f"one with an offset of {hours:+g} h"
-
-
-_AN_HOUR = pd.Timedelta("1h")
-_MOST_YEARS = 20
 
 
 @dataclass(frozen=True)

@@ -188,7 +188,6 @@ def head_of(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
 
 
 def _frame(path: Path, form: CsvFormat, separator: str, **more: Any) -> pd.DataFrame:
-    """The table of a CSV file, with `more` options of pandas."""
     with _reading(path, " as CSV"):
         rules: dict[str, Any] = {"decimal": form.decimal, "encoding": form.encoding, "skiprows": form.skip_lines}
         return pd.read_csv(path, sep=separator, **rules, **more)
@@ -215,7 +214,6 @@ def guessed_form(path: Path) -> CsvFormat:
 
 
 def _header(path: Path, form: CsvFormat) -> tuple[str, list[str]]:
-    """Separator and names of the columns."""
     try:
         with _reading(path, but=(UnicodeError,)), _opened(path, "rt", form.encoding) as lines:
             parts = iter(lambda: lines.readline(_BLOCK), "")  # not the whole of a line without end
@@ -238,7 +236,6 @@ def _header(path: Path, form: CsvFormat) -> tuple[str, list[str]]:
 
 
 def _opened(path: Path, mode: str = "rb", encoding: str | None = None) -> Any:
-    """An open file, unpacked while it is read."""
     return _COMPRESSED.get(path.suffix, open)(path, mode, encoding=encoding)
 
 

@@ -34,6 +34,8 @@ _SHOWN = 200
 _ZERO_OFFSET_W_M2, _DARK_W_M2 = 30.0, 1.0
 # A level may lie outside its range by this much from calibration; it is cut, not refused.
 LEVEL_SLACK = 0.02
+# Longest time between readings that is no gap: this many times their 90th percentile.
+_LOOSE, _PERCENTILE = 1.5, 90.0
 
 
 @dataclass(frozen=True)
@@ -154,10 +156,6 @@ def _stuck(time_s: Array, values: Array, most_s: float) -> NDArray[np.bool_]:
     ends = np.concatenate([begins[1:] - 1, [values.size - 1]])
     long = (time_s[ends] - time_s[begins]) > most_s
     return np.repeat(long, ends - begins + 1)
-
-
-# Longest time between readings that is no gap: this many times their 90th percentile.
-_LOOSE, _PERCENTILE = 1.5, 90.0
 
 
 @dataclass(frozen=True)

@@ -152,7 +152,6 @@ class ChronosFreeResponse:
         return answers
 
     def _run_backbone(self, contexts: Sequence[Context]) -> list[Array]:
-        """Quantiles of all contexts in one pass through the frozen backbone."""
         with frozen_pass():
             return self.model.quantiles_C(contexts)
 
@@ -177,7 +176,6 @@ class ChronosFreeResponse:
         return _Input(resolutions(free - past_C, past, ahead), ahead_C)
 
     def _too_little(self, free: Array, step_s: float) -> str:
-        """Return why persistence is needed, or an empty string."""
         context = free[-self._context_steps :]
         n_measured, n_recent = int(np.isfinite(free).sum()), int(np.isfinite(context).sum())
         # A day has one boundary more than steps.

@@ -23,6 +23,22 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, R
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, quantiles_from_errors
 
+# Time constants from room air to massive structure, h.
+TIME_CONSTANTS_H = np.array([0.5, 2.0, 6.0, 20.0, 60.0, 200.0])
+SHORTEST_HISTORY_S = DAY_S
+# Correlation times of the errors, h: the first is better if the model is nearly right, the second if it is not, and
+# their mean nearly always. Chosen on free runs of EnergyPlus and of the embedded plant that no table of the
+# documentation uses.
+DISTURBANCES_H = (None, 24.0)
+# Weights of the priors, relative to one data row with an error of 1 K; the data have hundreds of rows.
+_RIDGE_WEATHER = 0.1
+_RIDGE_WAVE = 1.0
+_RIDGE_START = 0.01
+_LONG_RUN_GAIN_WEIGHT = 5.0
+# Unit of irradiance that gives weights of order one, W/m².
+_SOLAR_UNIT_W_M2 = 100.0
+_SHORT_TAU_H = (1.0, 3.0, 8.0, 24.0, 72.0)
+
 
 @njit(cache=True)
 def simulated(drives: Array, waves: Array, poles: Array, start: Array) -> Array:
@@ -74,23 +90,6 @@ def whitened(columns: Array, targets: Array, decay: float) -> tuple[Array, Array
             rows[k, i] = unit * (columns[t, i] - kept * columns[last, i])
         before, k = t, k + 1
     return rows[:k], values[:k]
-
-
-# Time constants from room air to massive structure, h.
-TIME_CONSTANTS_H = np.array([0.5, 2.0, 6.0, 20.0, 60.0, 200.0])
-SHORTEST_HISTORY_S = DAY_S
-# Correlation times of the errors, h: the first is better if the model is nearly right, the second if it is not, and
-# their mean nearly always. Chosen on free runs of EnergyPlus and of the embedded plant that no table of the
-# documentation uses.
-DISTURBANCES_H = (None, 24.0)
-# Weights of the priors, relative to one data row with an error of 1 K; the data have hundreds of rows.
-_RIDGE_WEATHER = 0.1
-_RIDGE_WAVE = 1.0
-_RIDGE_START = 0.01
-_LONG_RUN_GAIN_WEIGHT = 5.0
-# Unit of irradiance that gives weights of order one, W/m².
-_SOLAR_UNIT_W_M2 = 100.0
-_SHORT_TAU_H = (1.0, 3.0, 8.0, 24.0, 72.0)
 
 
 @dataclass(frozen=True)

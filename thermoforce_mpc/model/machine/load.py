@@ -24,6 +24,18 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 
+# A level in (LEVEL_EDGE, 1 − LEVEL_EDGE) is intermediate; outside it is off or full.
+LEVEL_EDGE = 0.02
+# Lower bound of the end values, W, above zero so that rounding cannot make a load negative.
+LEAST_W = 1e-3
+# Least number of intermediate samples to separate the fixed and the proportional part.
+_MIN_LEVELS = 3
+_MIN_STEPS, LEAST_RUNNING = 10, 5
+# Standard deviation of a step's error as a share of full load (dynamics inside the step, model error).
+RESIDUAL_SCALE = 0.02
+# Extrapolation of the affine law beyond the outdoor temperatures of the data, K; beyond, its value is held.
+TRUST_K = 15.0
+
 
 @dataclass(frozen=True)
 class MachineLoad:
@@ -108,19 +120,6 @@ def running_share(on: Array, weights: Array) -> Array:
     # From the end of the next shorter on-time to its own, the machine runs for those on at least that long.
     shorter = np.concatenate([longest_first[..., 1:, :], np.zeros_like(longest_first[..., :1, :])], axis=-2)
     return np.asarray((runs * (longest_first - shorter)).sum(axis=-2))
-
-
-# A level in (LEVEL_EDGE, 1 − LEVEL_EDGE) is intermediate; outside it is off or full.
-LEVEL_EDGE = 0.02
-# Lower bound of the end values, W, above zero so that rounding cannot make a load negative.
-LEAST_W = 1e-3
-# Least number of intermediate samples to separate the fixed and the proportional part.
-_MIN_LEVELS = 3
-_MIN_STEPS, LEAST_RUNNING = 10, 5
-# Standard deviation of a step's error as a share of full load (dynamics inside the step, model error).
-RESIDUAL_SCALE = 0.02
-# Extrapolation of the affine law beyond the outdoor temperatures of the data, K; beyond, its value is held.
-TRUST_K = 15.0
 
 
 @dataclass(frozen=True)

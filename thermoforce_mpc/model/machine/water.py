@@ -28,6 +28,13 @@ MOST_LEFT = 0.6
 AS_GOOD = 1.5
 # Warmth at which levels are compared: that of a machine that gives half its heat.
 COMPARED_AT = 0.5
+# Least number of running steps with a measured return temperature to identify κ.
+_LEAST_STEPS = 20
+# 1 K of lift changes a heat pump's efficiency by 2 to 3 %, partly through the heat instead of the power.
+_PRIOR_PER_K, _PRIOR_SD_PER_K = 0.01, 0.01
+_BOUNDS_PER_K = (-0.02, 0.05)
+# Extrapolation beyond the return temperatures of the data, K.
+_TRUST_K = 5.0
 
 
 def warmth(u: Array, step_s: float, water_s: float) -> Array:
@@ -40,15 +47,6 @@ def warmth(u: Array, step_s: float, water_s: float) -> Array:
 def squares_of(histories: Sequence[Record], water_s: float) -> Array:
     """Level times warmth in each step of records of one actuator, (n,)."""
     return np.concatenate([h.u[0] * warmth(h.u[0], h.step_s, water_s) for h in histories])
-
-
-# Least number of running steps with a measured return temperature to identify κ.
-_LEAST_STEPS = 20
-# 1 K of lift changes a heat pump's efficiency by 2 to 3 %, partly through the heat instead of the power.
-_PRIOR_PER_K, _PRIOR_SD_PER_K = 0.01, 0.01
-_BOUNDS_PER_K = (-0.02, 0.05)
-# Extrapolation beyond the return temperatures of the data, K.
-_TRUST_K = 5.0
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,12 @@ from thermoforce_mpc.model.operator.certificate import Certificate, certificate
 from thermoforce_mpc.model.operator.features import N_FEATURES
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
+# What all pairs of one actuator have in common.
+_OF_ACTUATOR = (
+    "hidden_weight", "hidden_bias", "output_weight", "output_bias", "feature_mean", "feature_scale", "gamma", "sign",
+    "heat_input", "feedback",
+)  # fmt: skip
+
 
 def forced_rollout(params: OperatorParameters, F0: Array, u: Array, features: Array) -> Array:
     """Return the forced state of every mode at the end of each of N steps (paper eq:operator), (..., N, r), K.
@@ -74,13 +80,6 @@ def _stepwise(params: OperatorParameters, F0: Array, u: Array, features: Array) 
         state = params.step(state, u[..., t], features[..., t, :])
         forced[..., t, :] = state
     return forced
-
-
-# What all pairs of one actuator have in common.
-_OF_ACTUATOR = (
-    "hidden_weight", "hidden_bias", "output_weight", "output_bias", "feature_mean", "feature_scale", "gamma", "sign",
-    "heat_input", "feedback",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,8 @@ _PRUNE_ABOVE, _BOX_ABOVE = 48, 768
 _HULL_ROUNDING = 1e-9
 # Feedback gain per step above which the bounds are infinite; larger values would soon overflow float64.
 _RUNAWAY = 1e3
+# Tolerance of a negative response by rounding, as a share of the gains.
+_ROUNDING = 1e-8
 
 
 @dataclass(frozen=True)
@@ -95,10 +97,6 @@ def _box(points: Array) -> Array:
     low, high = points.min(axis=0), points.max(axis=0)
     grids = np.meshgrid(*zip(low, high, strict=True), indexing="ij")
     return np.stack([grid.ravel() for grid in grids], axis=1)
-
-
-# Tolerance of a negative response by rounding, as a share of the gains.
-_ROUNDING = 1e-8
 
 
 @dataclass(frozen=True)

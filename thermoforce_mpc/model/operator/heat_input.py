@@ -50,11 +50,6 @@ class HeatInput:
             )
 
     @property
-    def kind(self) -> str:
-        """'identity' (levels, by outdoor temperature or not) or 'heat' (measured)."""
-        return "identity" if self.heat is None else "heat"
-
-    @property
     def law(self) -> MachineLoad | None:
         """Measured heat of a level, whether it is v or not; None where heat was not measured."""
         return self.metered if self.heat is None else self.heat

@@ -38,6 +38,10 @@ if TYPE_CHECKING:
 
 GRAPH = "model.onnx"
 WEIGHTS_KEY = "weights_sha256"
+# Largest batch: beyond, the activations leave the cache of a core and the pass becomes slower.
+_AT_ONCE = 48
+# Contexts of one length below which they join a batch of longer ones.
+_FEW = 16
 
 
 class Graph:
@@ -111,12 +115,6 @@ def _again(folder: Path) -> str:
         f"export it again where the sources of this package are (`python -m benchmarks.pretraining export {folder}`), "
         f"or delete it to run the weights by torch"
     )
-
-
-# Largest batch: beyond, the activations leave the cache of a core and the pass becomes slower.
-_AT_ONCE = 48
-# Contexts of one length below which they join a batch of longer ones.
-_FEW = 16
 
 
 class BoltBackbone(ByGraph):
