@@ -31,15 +31,13 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Bo
     rules, record = measured.map, measured.record
     names = record.names
     overrides = {key: value for key, value in rules.forecast if value is not None}
-    ours = rules.model_copy(
-        update={key: value for key, value in overrides.items() if key in ("time", "outdoor", "sun")}
-    )
-    of_zones = [rules.zones[name] for name in names.zones]
-    zones = [(overrides.get("lower", zone.lower), overrides.get("upper", zone.upper)) for zone in of_zones]
+    ours = rules.model_copy(update={key: overrides[key] for key in ("time", "outdoor", "sun") if key in overrides})
+    zones = [rules.zones[name] for name in names.zones]
+    bounds = {name: [overrides.get(name, getattr(zone, name)) for zone in zones] for name in ("lower", "upper")}
     machines = [rules.machines.get(name, MappedMachine()) for name in names.machines]
     prices = [overrides.get("price", machine.price) for machine in machines]
     weather = [ours.outdoor, *([s for s in (ours.sun.signal, ours.sun.humidity) if s] if ours.sun else [])]
-    signals = [s for s in (*weather, *(bound for pair in zones for bound in pair), *prices) if isinstance(s, Signal)]
+    signals = [s for s in (*weather, *bounds["lower"], *bounds["upper"], *prices) if isinstance(s, Signal)]
     columns = [column for signal in signals for column in signal.columns]
     if isinstance(file, pd.DataFrame):
         table = raw_table(file, ours.time.column, columns, "forecast")
@@ -67,13 +65,11 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Bo
         return reader.scheduled(what, source, of)
 
     lower, upper = (
-        np.array(
-            [
-                scheduled(f"{name} of {zone}", pair[side], "zones, or forecast for all zones", BOUND)
-                for zone, pair in zip(names.zones, zones, strict=True)
-            ]
-        )
-        for side, name in enumerate(("lower", "upper"))
+        [
+            scheduled(f"{name} of {zone}", source, "zones, or forecast for all zones", BOUND)
+            for zone, source in zip(names.zones, sources, strict=True)
+        ]
+        for name, sources in bounds.items()
     )
     price = [
         scheduled(f"price of {machine}", tariff, "machines or forecast", PRICE)
@@ -81,8 +77,8 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Bo
     ]
     nothing = np.zeros((len(names.machines), grid_s.size))
     boundary = Boundary(
-        grid_s, outdoor, solar, np.zeros((len(names.zones), grid_s.size)), lower,
-        upper, np.array(price), nothing, names=names,
+        grid_s, outdoor, solar, np.zeros((len(names.zones), grid_s.size)), np.array(lower), np.array(upper),
+        np.array(price), nothing, names=names,
     )  # fmt: skip
     _check_complete(boundary, measured, table.name)
     return boundary

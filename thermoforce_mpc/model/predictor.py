@@ -85,17 +85,11 @@ class PredictorState:
 class PredictionContext:
     """A prediction at one instant, before an action is chosen: the free response, and what actions add to it.
 
-    Attributes:
-        operator: the operator at the step of `boundary`.
-        forced_K: forced state now, shape (Z, A, r), K.
-        free: forecast of the free response of all zones, N steps.
-        features: x_t of each zone at the start of each step, shape (Z, N, 4).
-        boundary: boundary conditions of the N steps.
-        bridged: which gaps of the history were filled and how, in words; empty where there were none.
-        unmeasured: zones without any temperature in the history; their free response is the mean of the others'.
-        origin: time stamp that the seconds count from, where the history has one.
-        seconds: what it cost, by part: `estimate` (forced state) and `forecast` (free response), s.
-        state: what to give to the next context of this run.
+    `operator` at the step of `boundary`; `forced_K` (Z, A, r): forced state now, K; `free`: forecast of all zones, N
+    steps; `features` (Z, N, 4): x_t at the start of each step. `bridged`: which gaps of the history were filled and
+    how, in words. `unmeasured`: zones without any temperature in the history; their free response is the mean of the
+    others'. `origin`: time stamp that the seconds count from, where the history has one. `seconds`: what it cost, by
+    part: `estimate` (forced state) and `forecast` (free response). `state`: for the next context of this run.
     """
 
     operator: BuildingOperator

@@ -31,16 +31,12 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 class Counterfactual:
     """A past stretch of N steps as it was and as it would have been.
 
-    Attributes:
-        time_s: start of each step (N,), counted from `origin` where the record has time stamps.
-        u, u_other: levels applied and other levels (A, N).
-        measured_C: temperature at the end of each step (Z, N), °C, NaN where it was not measured.
-        effect_K: what the other levels change (Z, N), K.
-        sd_K: its standard deviation by the identification (Z, N), K; NaN where the model's card has none. The errors of
-            all steps are taken to have one sign, so it is rather too wide.
-        certified_low_K, certified_high_K: proven bounds of the model's effect in any weather and state (Z, N), K.
-        energy_kWh, energy_other_kWh: by the model's power (M,), NaN where a machine has none, or heats and cools and
-            feeds several actuators.
+    `time_s` (N,): start of each step, counted from `origin` where the record has time stamps. `u`, `u_other` (A, N):
+    levels applied and other levels. `measured_C` (Z, N): temperature at the end of each step, NaN where it was not
+    measured. `effect_K` (Z, N): what the other levels change; `sd_K` its standard deviation by the identification, NaN
+    where the model's card has none (the errors of all steps are taken to have one sign, so it is rather too wide);
+    `certified_low_K`, `certified_high_K`: proven bounds in any weather and state. `energy_kWh`, `energy_other_kWh`
+    (M,): by the model's power, NaN where a machine has none, or heats and cools and feeds several actuators.
     """
 
     time_s: Array

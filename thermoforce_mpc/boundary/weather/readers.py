@@ -28,41 +28,14 @@ _MOST_BYTES = 10_000_000
 _MOST_LINES = 20_000
 _MOST_CELLS = 40
 _EPW_HEADER = 8
-# Column positions, from 0.
-_MOS_COLUMNS = {
-    "time_s": 0,
-    "T_dry_C": 1,
-    "T_dew_C": 2,
-    "relative_humidity": 3,
-    "pressure_Pa": 4,
-    "infrared_W_m2": 7,
-    "global_W_m2": 8,
-    "normal_W_m2": 9,
-    "diffuse_W_m2": 10,
-    "wind_from_rad": 15,
-    "wind_m_s": 16,
-    "total_cover": 17,
-    "opaque_cover": 18,
+# Column positions, from 0. An EPW has them in the same order, behind date, hour, minute and flags.
+_COLUMNS = {
+    "T_dry_C": 1, "T_dew_C": 2, "relative_humidity": 3, "pressure_Pa": 4, "infrared_W_m2": 7, "global_W_m2": 8,
+    "normal_W_m2": 9, "diffuse_W_m2": 10, "wind_from_rad": 15, "wind_m_s": 16, "total_cover": 17, "opaque_cover": 18,
     "ceiling_m": 20,
-}
-_EPW_COLUMNS = {
-    "month": 1,
-    "day": 2,
-    "hour": 3,
-    "T_dry_C": 6,
-    "T_dew_C": 7,
-    "relative_humidity": 8,
-    "pressure_Pa": 9,
-    "infrared_W_m2": 12,
-    "global_W_m2": 13,
-    "normal_W_m2": 14,
-    "diffuse_W_m2": 15,
-    "wind_from_rad": 20,
-    "wind_m_s": 21,
-    "total_cover": 22,
-    "opaque_cover": 23,
-    "ceiling_m": 25,
-}
+}  # fmt: skip
+_MOS_COLUMNS = {"time_s": 0, **_COLUMNS}
+_EPW_COLUMNS = {"month": 1, "day": 2, "hour": 3, **{name: place + 5 for name, place in _COLUMNS.items()}}
 
 
 def check_plausible(weather: Weather, path: Path) -> None:

@@ -122,16 +122,9 @@ def sunlight_from_humidity(time_s: Array, humidity: Array, sun: Sun) -> Array:
     year, which is not in the fit: 0.16 (clear sky 0.51). The daily temperature range (Hargreaves and Samani 1982) does
     no better there and worse in most places (tests/boundary/weather/test_clearness.py).
 
-    Args:
-        time_s: s since 1 January, local standard time, (n,); whole days, since mornings are more humid than their day.
-        humidity: outdoor relative humidity, 0 to 1, (n,), NaN if not measured.
-        sun: sun position at `time_s`.
-
-    Returns:
-        Irradiance: 0 at night, NaN in daylight on days without a humidity measured in daylight.
-
-    Raises:
-        WeatherError: shapes differ, or a humidity is not between 0 and 1.
+    `time_s` (n,): s since 1 January, local standard time, of whole days; `humidity` (n,): 0 to 1, NaN if not measured;
+    `sun` at `time_s`. The answer is 0 at night, NaN in daylight on days without a humidity measured in daylight. Raises
+    `WeatherError` where shapes differ, or a humidity is not between 0 and 1.
     """
     time_s, humidity = np.asarray(time_s, dtype=np.float64), np.asarray(humidity, dtype=np.float64)
     if not time_s.shape == humidity.shape == sun.zenith.shape or time_s.ndim != 1:

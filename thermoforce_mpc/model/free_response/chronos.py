@@ -62,14 +62,10 @@ class ChronosFreeResponse:
     ) -> None:
         """Load the weights.
 
-        Args:
-            backbone: 'shipped' (or a smaller scale), 'fracast', a local directory, or a hub name; see `load_backbone`.
-            context_steps: largest number of history values per resolution.
-            resolutions: 'several', see `multi_resolution`, or 'one' at the series' own step, unrolled as in the paper.
-            after_linear_weather: forecast what linear weather models leave over instead of the series itself; a
-                backbone that was trained for that does so anyhow.
-
-        Raises `ConfigError` for options that are not allowed, `BackboneError` as `load_backbone`.
+        `backbone`: see `load_backbone`. `context_steps`: largest number of history values per resolution.
+        `resolutions`: 'several', see `multi_resolution`, or 'one' at the series' own step, unrolled as in the paper.
+        `after_linear_weather`: forecast what linear weather models leave over instead of the series itself, as a
+        backbone that was trained for that does anyhow. Raises `ConfigError`, and `BackboneError` as `load_backbone`.
         """
         if context_steps < _SHORTEST_CONTEXT:
             raise ConfigError(

@@ -41,14 +41,10 @@ _ROUNDING = 1e-6
 class RcParameters:
     """Parameters of the free part of the grey-box model; raises `DataError` naming the field that is not allowed.
 
-    Attributes:
-        poles: a_i, shape (q,), in (0, 1) per step.
-        weights: shape (q, 8), K per step and unit of each of `INPUTS`; the first three columns are c, d, e.
-        step_s: length of a step, s.
-        process_K2: covariance of what disturbs the modes in a step, shape (q, q), K².
-        start_K2: covariance of the modes before the first measurement, about the steady state in the weather of the
-            first day, shape (q, q), K².
-        sensor_sd_K: noise of the temperature sensor, K.
+    `poles` (q,): a_i in (0, 1) per step. `weights` (q, 8): K per step and unit of each of `INPUTS`; the first three
+    columns are c, d, e. `process_K2` (q, q): covariance of what disturbs the modes in a step. `start_K2` (q, q): that
+    of the modes before the first measurement, about the steady state in the weather of the first day. `sensor_sd_K`:
+    noise of the temperature sensor.
     """
 
     poles: Array

@@ -93,16 +93,11 @@ def fit_heat(
 ) -> HeatFit:
     """Fit a `MachineLoad` by least squares with priors, both parts nonnegative over its outdoor range.
 
-    Args:
-        u: mean level over each step, shape (n,), in [0, 1].
-        T_out_C: outdoor temperature at the start of each step, shape (n,), °C.
-        heat_W: mean heat over each step, shape (n,), W, positive in the direction of the machine; NaN if missing.
-        kinds: possible machine types, the likeliest first, see `kinds_for`.
-        step_s: length of a step, s.
-        lowest_level: level below which the machine cycles. By default both an on/off machine (1, where fixed and
-            proportional part are one) and one with the lowest level in the data are tried.
-
-    Raises `DataError` for fewer than ten usable steps, fewer than five with the machine on, or no heat in these.
+    `u` (n,): mean level over each step, in [0, 1]; `T_out_C` (n,) at its start; `heat_W` (n,): mean over it, positive
+    in the direction of the machine, NaN if missing. `kinds`: possible machine types, the likeliest first, see
+    `kinds_for`. `lowest_level`: below it the machine cycles; by default both an on/off machine (1, where fixed and
+    proportional part are one) and one with the lowest level in the data are tried. Raises `DataError` as
+    `usable_steps`.
     """
     steps = usable_steps(u, T_out_C, heat_W, "delivered heat")
     residual_scale = RESIDUAL_SCALE * float(np.sqrt(max(1.0, 2.0 * _RESIDUAL_CORRELATION_H * HOUR_S / step_s)))

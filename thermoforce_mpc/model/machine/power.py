@@ -230,19 +230,11 @@ def fit_load(
 ) -> LoadFit:
     """Fit a `MachineLoad` by least squares, both parts nonnegative over its outdoor range.
 
-    Args:
-        u: mean level over each step, shape (n,), in [0, 1].
-        T_out_C: outdoor temperature at the start of each step, shape (n,), °C.
-        load_W: measured mean load over each step, shape (n,), W; NaN if missing.
-        what: name of the load for messages.
-        lowest_level: level below which the machine cycles. By default both an on/off machine (1, where fixed and
-            proportional part are one) and one with the lowest level in the data are tried, and the better fit kept.
-        slope: prior of the dependence on T_out; default: none.
-        factor: known factor on the load in each step, shape (n,); default: 1.
-        running: lowest levels to try instead, each with the share of each step that the machine runs, shape (n,).
-        squares: mean square of the level over each step, shape (n,), where the load may grow faster than it.
-
-    Raises `DataError` for fewer than ten usable steps, fewer than five with the load on, or no mean load in these.
+    `u` (n,): mean level over each step, in [0, 1]; `T_out_C` (n,) at its start; `load_W` (n,): mean over it, NaN if
+    missing; `what`: its name for messages. `lowest_level`: as of `fit_heat`. `slope`: prior of the dependence on T_out.
+    `factor` (n,): known factor on the load. `running`: lowest levels to try instead, each with the share of each step
+    that the machine runs (n,). `squares` (n,): mean square of the level over each step, where the load may grow faster
+    than it. Raises `DataError` as `usable_steps`.
     """
     steps = usable_steps(u, T_out_C, load_W, what)
     times = np.ones(steps.u.size) if factor is None else np.asarray(factor, dtype=np.float64)[steps.kept]
