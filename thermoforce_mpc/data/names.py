@@ -12,19 +12,11 @@ from thermoforce_mpc.errors import DataError, InputError
 
 # The first axis of each signal that has one: zones, actuators or machines.
 AXIS = {
-    "T_zone_C": "zones",
-    "occupancy": "zones",
-    "lower_C": "zones",
-    "upper_C": "zones",
-    "u": "actuators",
-    "heat_W": "actuators",
-    "power_W": "machines",
-    "T_return_C": "machines",
-    "price_per_kWh": "machines",
-    "emission_kg_per_kWh": "machines",
-    "heating_price_per_kWh": "machines",
+    **dict.fromkeys(("T_zone_C", "occupancy", "lower_C", "upper_C", "slack_K", "T_free_now_C"), "zones"),
     **dict.fromkeys(("T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "T_low_C", "T_high_C"), "zones"),
-    **dict.fromkeys(("slack_K", "T_free_now_C"), "zones"),
+    **dict.fromkeys(("u", "heat_W"), "actuators"),
+    **dict.fromkeys(("power_W", "T_return_C", "price_per_kWh", "heating_price_per_kWh"), "machines"),
+    "emission_kg_per_kWh": "machines",
 }
 
 
@@ -86,7 +78,7 @@ def frozen(value: object, name: str, length: int, names: Names) -> Array:
     array = value if _unchangeable(value) else np.array(value, dtype=np.float64)
     expected: tuple[int, ...] = (length,)
     if name in AXIS:
-        rows = len(getattr(names, AXIS[name]))
+        rows = names.rows(name)
         expected = (rows, length)
         if rows == 1 and array.shape == (length,):
             array = array[None]
@@ -106,7 +98,7 @@ def _unchangeable(value: object) -> TypeGuard[Array]:
 def of_each(value: object, name: str, names: Names) -> Array:
     """Values (rows,) of one instant; a number where there is one row. Raises `DataError` for another shape."""
     array = np.array(value, dtype=np.float64, ndmin=1)
-    rows = len(getattr(names, AXIS[name]))
+    rows = names.rows(name)
     if array.shape != (rows,):
         raise DataError(f"{name} has shape {array.shape}, expected ({rows},)")
     array.setflags(write=False)

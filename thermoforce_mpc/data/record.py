@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from thermoforce_mpc.data.clock import Array, check_clock
-from thermoforce_mpc.data.names import AXIS, SINGLE, Names, frozen, of_each
+from thermoforce_mpc.data.names import SINGLE, Names, frozen, of_each
 from thermoforce_mpc.errors import DataError
 
 if TYPE_CHECKING:  # loaded only where tables come in
@@ -176,7 +176,7 @@ class Record:
     @classmethod
     def beginning(cls, measurement: Measurement) -> Record:
         """Record of one instant, without a step."""
-        rows = {name: len(getattr(measurement.names, AXIS[name])) for name in ACTING}
+        rows = {name: measurement.names.rows(name) for name in ACTING}
         return cls(
             **{name: np.asarray(getattr(measurement, name))[..., None] for name in SAMPLED},
             **{name: np.empty((n, 0)) for name, n in rows.items()},
@@ -219,7 +219,7 @@ class Measurement:
         for name in ("T_zone_C", *ACTING):
             value = getattr(self, name)
             if not np.size(value):
-                value = np.full(len(getattr(self.names, AXIS[name])), np.nan)
+                value = np.full(self.names.rows(name), np.nan)
             object.__setattr__(self, name, of_each(value, name, self.names))
 
     def averaged_with(self, parts: list[tuple[float, Measurement]]) -> Measurement:

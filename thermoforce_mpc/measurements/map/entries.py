@@ -29,19 +29,9 @@ PER_STEP, COUNTER = " per step", " counter"
 _TEMPERATURES = {"C": (1.0, 0.0), "K": (1.0, -ZERO_C_K), "F": (5.0 / 9.0, -160.0 / 9.0)}
 _ENERGIES_J = {"Wh": 3600.0, "kWh": J_PER_KWH, "MWh": 3.6e9, "BTU": 1055.05585262, "kJ": 1e3, "MJ": 1e6}
 _LINEAR = {
-    "W": 1.0,
-    "kW": 1e3,
-    "MW": 1e6,
-    "BTU/h": _ENERGIES_J["BTU"] / 3600.0,
-    "0-1": 1.0,
-    "%": 0.01,
-    "W/m²": 1.0,
-    "W/m2": 1.0,
-    "kW/m²": 1e3,
-    "kW/m2": 1e3,
-    "per kWh": 1.0,
-    "per MWh": 1e-3,
-}
+    "W": 1.0, "kW": 1e3, "MW": 1e6, "BTU/h": _ENERGIES_J["BTU"] / 3600.0, "0-1": 1.0, "%": 0.01,
+    "W/m²": 1.0, "W/m2": 1.0, "kW/m²": 1e3, "kW/m2": 1e3, "per kWh": 1.0, "per MWh": 1e-3,
+}  # fmt: skip
 
 
 def converted(values: Array, unit: str) -> Array:
