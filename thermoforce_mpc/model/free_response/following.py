@@ -34,9 +34,14 @@ class Computed(ABC):
     """`FreeResponse` around that of `of`, whose name and weights it has, by its computation `following`."""
 
     def __init__(self, of: FreeResponse) -> None:
-        self.name = of.name
+        self._of = of
         if hasattr(of, "weight_hash"):
             self.weight_hash = of.weight_hash
+
+    @property
+    def name(self) -> str:
+        """That of the method inside."""
+        return self._of.name
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`; raises as `following` does."""
