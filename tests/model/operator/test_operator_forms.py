@@ -241,7 +241,8 @@ def test_other_levels_need_to_have_been_seen():
 def test_using_an_operator_imports_neither_torch_nor_casadi():
     code = (
         "import sys, numpy as np\n"
-        "from thermoforce_mpc.model.operator import linear_operator, forced_rollout\n"
+        "from thermoforce_mpc.model.operator.building import forced_rollout\n"
+        "from thermoforce_mpc.model.operator.parameters import linear_operator\n"
         "import thermoforce_mpc.model.predictor, thermoforce_mpc.model.saved\n"
         "p = linear_operator([0.9], [0.1], step_s=3600.0)\n"
         "forced_rollout(p, np.zeros(1), np.ones(3), np.zeros((3, 4)))\n"
