@@ -23,8 +23,7 @@ from controllers.rules.thermostat import ThermostatState
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import Boundary, Names
 from thermoforce_mpc.execution.keys import canonical, digest
-from thermoforce_mpc.model.card import ModelCard
-from thermoforce_mpc.model.competence import Competence, HorizonScore
+from thermoforce_mpc.model.card import Competence, HorizonScore, ModelCard
 from thermoforce_mpc.model.forced_state import ForcedState
 from thermoforce_mpc.model.free_response.calibrated import CalibratedState, IssuedForecasts, Scores
 from thermoforce_mpc.model.free_response.rc import RcParameters
@@ -33,13 +32,12 @@ from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
 from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.machine.return_water import ReturnWater
+from thermoforce_mpc.model.machine.water import ReturnWater
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import PredictorState
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
-from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.model.zone_model import ZoneModel
+from thermoforce_mpc.model.thermal_model import ThermalModel, ZoneModel
 
 STATE_CLASSES: tuple[type[Any], ...] = (
     # States of controllers.

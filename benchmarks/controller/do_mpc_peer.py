@@ -14,9 +14,10 @@ import numpy as np
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.model.operator.casadi_export import step_function
+from thermoforce_mpc.model.exported import step_function
 from thermoforce_mpc.model.operator.features import N_FEATURES
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
+from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Time-varying parameters: quantities that differ between steps or instances.
 _TIME_VARYING = ("price", "T_free", "lower", "upper")
@@ -68,7 +69,7 @@ class DoMpcPeer:
         for kind, names in (("_x", modes), ("_u", ["u", "slack"]), ("_tvp", self._varying)):
             for name in names:
                 model.set_variable(kind, name)
-        step = step_function(operator)
+        step = step_function(ThermalModel.single(operator), operator.step_s, part_load="held")
 
         def after() -> list[ca.SX]:
             if gain_beforehand:

@@ -18,7 +18,7 @@ from thermoforce_mpc.data import DAY_S, Array, Record
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig
-from thermoforce_mpc.model.operator import feature_matrix
+from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, generated_house
 from thermoforce_mpc.plants.registry import build_plant

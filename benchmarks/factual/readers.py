@@ -102,8 +102,7 @@ def mons_table(path: Path) -> tuple[pd.DataFrame, Array, Array, Array]:
 
     Sunlight was not measured; it is estimated from humidity and NaN on days without humidity.
     """
-    from thermoforce_mpc.boundary.weather.clearness import sunlight_from_humidity
-    from thermoforce_mpc.boundary.weather.solar import sun_position
+    from thermoforce_mpc.boundary.weather.solar import sun_position, sunlight_from_humidity
 
     frame = pd.read_csv(path, parse_dates=["time"]).set_index("time").asfreq("30min").reset_index()
     time_s: Array = np.asarray((frame["time"] - pd.Timestamp("2016-01-01")).dt.total_seconds(), dtype=np.float64)

@@ -61,7 +61,7 @@ class Oracle:
         """See `FollowingFreeResponse.follow`; follows the forced state as the controller does. Raises as `forecast`."""
         off_C = self._without_control(boundary)
         followed = self._predictor.followed(history, cast(PredictorState | None, state))
-        operator = self._predictor.operator_at(boundary.step_s)
+        operator = self._predictor.operator.resampled(boundary.step_s)
         nothing = np.zeros((len(operator.actuators), boundary.n_steps))
         left_K = operator.driven(followed.forced_K[:, :, -1], nothing).sum(axis=(-3, -1))
         known_C = control_free(off_C, left_K[self._zone])

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Layout, Observation, Record
-from thermoforce_mpc.data.series.gaps import bridged
+from thermoforce_mpc.data.series import bridged
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.identification.probing.operation import telling_part

@@ -12,8 +12,10 @@ import torch
 
 from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.model.operator import OperatorParameters, forced_rollout, linear_operator
-from thermoforce_mpc.model.operator.casadi_export import rollout_function
+from thermoforce_mpc.model.exported import rollout_function
+from thermoforce_mpc.model.operator.building import forced_rollout
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
+from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Largest difference between two implementations whose times are compared, K.
 _SAME_K = 1e-9
@@ -61,7 +63,7 @@ def median_s(work: Callable[[], object], repeats: int) -> float:
 def _casadi_rollout(params: OperatorParameters, F0: Array, u: Array, features: Array) -> tuple[Any, Array]:
     """The exported rollout bound to fixed memory, and its output array of modes (n, r)."""
     buffer: Any
-    buffer, evaluate = rollout_function(params, u.size).buffer()
+    buffer, evaluate = rollout_function(ThermalModel.single(params), u.size, params.step_s, part_load="held").buffer()
     arguments = [np.ascontiguousarray(value) for value in (F0, u, features)]
     results = [np.zeros((u.size, params.order)), np.zeros(u.size)]
     for i, value in enumerate(arguments):

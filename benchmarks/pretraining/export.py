@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from thermoforce_mpc.errors import BackboneError
 from thermoforce_mpc.model.free_response.backbones.checkpoint import WEIGHTS
-from thermoforce_mpc.model.free_response.backbones.graph import GRAPH, WEIGHTS_KEY
+from thermoforce_mpc.model.free_response.backbones.chronos_family import GRAPH, WEIGHTS_KEY
 from thermoforce_mpc.model.free_response.backbones.loading import load_backbone
 
 # What the graph is recorded with: any number of series and of patches may be given to it afterwards.

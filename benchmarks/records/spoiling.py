@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.records.drawing import STEP_S, Drawn
 from thermoforce_mpc.data import HOUR_S, Array, Record
-from thermoforce_mpc.measurements.checks.remark import Kind
+from thermoforce_mpc.measurements.checks.common import Kind
 
 Spoil = Callable[[Drawn, np.random.Generator], Record | None]
 # Share of full power that a household takes beside the heating, in the mean, and how long a load stays, h.

@@ -19,7 +19,7 @@ from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.identification.probing.probe import Probing
-from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thermoforce_mpc.model.operator.certificate import certificate
-from thermoforce_mpc.model.zone_model import ZoneModel
+from thermoforce_mpc.model.thermal_model import ZoneModel
 
 GAIN_BOUNDS = (0.3, 3.0)
 """Limits of gain and heat, as factors of the identified ones."""

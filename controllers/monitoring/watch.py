@@ -41,11 +41,11 @@ from controllers.monitoring.watch_tests import (
 )
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
+from thermoforce_mpc.model.operator.building import forced_rollout
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.operator.rollout import forced_rollout
 from thermoforce_mpc.model.predictor import PredictorState
-from thermoforce_mpc.model.zone_model import ZoneModel
+from thermoforce_mpc.model.thermal_model import ZoneModel
 
 LEADS_H = (1.0, 6.0)
 _MONTH_S = 30 * DAY_S

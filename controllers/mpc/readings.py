@@ -12,7 +12,7 @@ from controllers.monitoring.zone_sensors import Zones, ZoneSensors
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import Array, Boundary, Observation, Record
-from thermoforce_mpc.data.series.gaps import gapless
+from thermoforce_mpc.data.series import gapless
 from thermoforce_mpc.model.forced_state import ForcedState
 from thermoforce_mpc.model.forecast_gaps import completed, whole
 from thermoforce_mpc.model.predictor import Predictor

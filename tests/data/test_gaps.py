@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from thermoforce_mpc.data import HOUR_S, Boundary, Record
-from thermoforce_mpc.data.series.gaps import bridged
+from thermoforce_mpc.data.series import bridged
 from thermoforce_mpc.errors import DataError
 
 NAN = np.nan

@@ -14,12 +14,11 @@ from hypothesis import strategies as st
 from operators import HEAT_MAP, random_operator
 
 from thermoforce_mpc.errors import ArtifactError
-from thermoforce_mpc.model.card import ModelCard
-from thermoforce_mpc.model.competence import Competence, HorizonScore
+from thermoforce_mpc.model.card import Competence, HorizonScore, ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.machine.return_water import ReturnWater
-from thermoforce_mpc.model.saved.model_file import ARRAYS_NAME, JSON_NAME, read_model_file, write_model_file
+from thermoforce_mpc.model.machine.water import ReturnWater
+from thermoforce_mpc.model.saved import ARRAYS_NAME, JSON_NAME, read_model_file, write_model_file
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
 

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification import IdentificationConfig, Pair, identify
-from thermoforce_mpc.model.operator import certificate
+from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.scenario.settings import validate
 
 HOUSE = House()
@@ -114,7 +114,7 @@ def test_the_wrong_sign_is_noticed():
 
 def test_u_itself_drives_where_heat_is_not_measured():
     model = identify([record(HOUSE, 3.0, heat_measured=False)], config=LINEAR)
-    assert model.only.operator.heat_input.kind == "identity"
+    assert model.only.operator.heat_input.heat is None
     assert any("heat was measured in 0 %" in note for note in model.only.card.notes)
 
 
@@ -136,7 +136,7 @@ def test_the_network_learns_what_the_linear_gain_cannot():
 def test_order_one_on_u_is_the_papers_operator():
     model = identify([record(HOUSE, 3.0)], config=IdentificationConfig(order=1, heat_input="identity", epochs=20))
     assert model.only.operator.n_trained == 195
-    assert model.only.operator.heat_input.kind == "identity"
+    assert model.only.operator.heat_input.heat is None
     assert model.only.operator.gamma == 0.75
 
 

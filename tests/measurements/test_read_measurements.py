@@ -14,7 +14,7 @@ import yaml
 
 import thermoforce_mpc as tf
 from thermoforce_mpc.errors import ConfigError, DataError
-from thermoforce_mpc.measurements.map.mapped_table import CsvFormat
+from thermoforce_mpc.measurements.map.entries import CsvFormat
 from thermoforce_mpc.measurements.map.starting_map import starting_map
 from thermoforce_mpc.measurements.tables.files import read_table
 

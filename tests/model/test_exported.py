@@ -11,7 +11,8 @@ from operators import HEAT_MAP, random_features, random_operator
 
 import thermoforce_mpc as tf
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.operator import IDENTITY, BuildingOperator, forced_rollout
+from thermoforce_mpc.model.operator.building import BuildingOperator, forced_rollout
+from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 N = 24
 KINDS = ("blocks", "held", "smooth", "split")

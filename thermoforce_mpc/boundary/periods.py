@@ -2,8 +2,7 @@
 
 Rule (BOPTEST's tool for finding days): in a year of native control, the peak day has the highest 15-min mean of the
 heat pump's electric power; the typical day's highest 15-min mean is the nearest at or below the median over all heating
-days. A window begins seven days before its day. Both days must leave room for the warm-up and the second week (BOPTEST
-requires this of the peak day only).
+days. Both days must leave room for the warm-up and the second week (BOPTEST requires this of the peak day only).
 """
 
 from __future__ import annotations
@@ -33,11 +32,7 @@ def published_windows(fingerprint: str) -> dict[str, Period] | None:
 
 
 def heating_windows(power_W: Array) -> dict[str, Period]:
-    """Return the windows 'peak_heat_day' and 'typical_heat_day' of a year by BOPTEST's rule.
-
-    Args:
-        power_W: 15-min means of the electric heating power over 365 days of native control, W, shape (35040,).
-    """
+    """Return both windows by BOPTEST's rule from a year's 15-min means of electric heating power, W, (35040,)."""
     highest = np.asarray(power_W).reshape(365, _QUARTERS).max(axis=1)
     available = np.arange(_FIRST_DAY, _LAST_DAY)
     peak = int(available[np.argmax(highest[available])])

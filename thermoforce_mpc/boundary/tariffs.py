@@ -50,7 +50,6 @@ def synthetic_spot() -> Tariff:
     """Return a synthetic highly dynamic tariff: hourly, spot-like, mean near 0.24 EUR/kWh, rare negative hours.
 
     It replaces the day-ahead prices of the real test case (Belpex 2019 plus 0.20), which cannot be redistributed.
-    Morning and evening peaks, low prices at night and at weekends, slow weather-driven variation.
     """
     rng = np.random.default_rng(0)
     hour = np.arange(8760.0)
@@ -74,11 +73,8 @@ def tariff_from_file(path: Path) -> Tariff:
 
     Columns: `time`, s since 1 January, increasing from 0, and `price` per kWh, or BOPTEST's
     PriceElectricPowerHighlyDynamic. A file of a whole year (365 days) repeats; a shorter one is valid until its end.
-    The 366th day of a leap year is read with a `DoubtfulInput` warning and not used.
-
-    Raises:
-        ConfigError: the file is missing or damaged, has other columns, a value that is not a number, times that do
-            not increase, or prices beyond a year.
+    The 366th day of a leap year is read with a `DoubtfulInput` warning and not used. Raises `ConfigError` for a file
+    that is missing, damaged or has other columns, and for values that are no numbers, do not rise or leave the year.
     """
     time_s, price = _read_prices(path, _text(path))
     if time_s.size < 2:
@@ -107,10 +103,7 @@ def tariff_from_file(path: Path) -> Tariff:
 
 
 def price_doubt(price: Array, currency: str = "") -> str:
-    """What is doubtful about the size of prices per kWh, of any shape; '' where nothing is, or energy costs nothing.
-
-    Prices in a `currency` beside EUR and USD are not judged; the controller compares them with its weight of comfort.
-    """
+    """What is doubtful about the size of prices per kWh in EUR or USD; '' where nothing is."""
     if currency and currency not in _USUAL_IN:
         return ""
     known = np.abs(price[np.isfinite(price)])
@@ -126,10 +119,9 @@ def price_doubt(price: Array, currency: str = "") -> str:
 
 
 def held_prices(time_s: Array, price: Array, source: str = "tariff") -> Tariff:
-    """Return a tariff, periodic over the year, whose `price` (n,) per kWh holds from each `time_s` (n,) to the next.
+    """A tariff, periodic over the year, whose `price` (n,) per kWh holds from each `time_s` (n,) to the next.
 
-    `time_s` is in s since 1 January, increasing. The last price holds as long as the one before it. The tariff raises
-    `ConfigError`, naming `source`, for a later time of the year.
+    The last price holds as long as the one before it; beyond, the tariff raises `ConfigError`, naming `source`.
     """
     until_s = float(time_s[-1] + (time_s[-1] - time_s[-2]))
 

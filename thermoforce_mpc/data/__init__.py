@@ -11,39 +11,15 @@ there is one of them, constructors also take arrays without that axis.
 
 from __future__ import annotations
 
-from thermoforce_mpc.data.boundary import CONDITIONS, Boundary
+from thermoforce_mpc.data.boundary import CONDITIONS, Boundary, FreeForecast, Observation
 from thermoforce_mpc.data.clock import DAY_S, HOUR_S, J_PER_KWH, YEAR_S, ZERO_C_K, Array
-from thermoforce_mpc.data.layout import Layout
+from thermoforce_mpc.data.layout import Layout, Period, PlantInfo
 from thermoforce_mpc.data.names import SINGLE, Names
-from thermoforce_mpc.data.observation import FreeForecast, Observation
 from thermoforce_mpc.data.plan import Bands, Block, Levels, Plan, PlanStatus
-from thermoforce_mpc.data.plant import Period, PlantInfo
 from thermoforce_mpc.data.record import ACTING, SAMPLED, SIGNALS, Measurement, Record
 
 __all__ = [
-    "ACTING",
-    "CONDITIONS",
-    "DAY_S",
-    "HOUR_S",
-    "J_PER_KWH",
-    "SAMPLED",
-    "SIGNALS",
-    "SINGLE",
-    "YEAR_S",
-    "ZERO_C_K",
-    "Array",
-    "Bands",
-    "Block",
-    "Boundary",
-    "FreeForecast",
-    "Layout",
-    "Levels",
-    "Measurement",
-    "Names",
-    "Observation",
-    "Period",
-    "Plan",
-    "PlanStatus",
-    "PlantInfo",
-    "Record",
-]
+    "ACTING", "CONDITIONS", "DAY_S", "HOUR_S", "J_PER_KWH", "SAMPLED", "SIGNALS", "SINGLE", "YEAR_S", "ZERO_C_K",
+    "Array", "Bands", "Block", "Boundary", "FreeForecast", "Layout", "Levels", "Measurement", "Names", "Observation",
+    "Period", "Plan", "PlanStatus", "PlantInfo", "Record",
+]  # fmt: skip

@@ -1,13 +1,15 @@
-"""Boundary conditions of the steps ahead."""
+"""Boundary conditions of the steps ahead, the input of a controller, and the forecast it makes of the free response."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thermoforce_mpc.data.clock import CLOCK_ROUNDING_S, HOUR_S, Array, check_clock
+from thermoforce_mpc.data.clock import CLOCK_ROUNDING_S, CLOCK_TOLERANCE_S, HOUR_S, Array, check_clock
 from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.data.names import AXIS, SINGLE, Names, frozen
 from thermoforce_mpc.data.record import Record
@@ -29,12 +31,9 @@ class Boundary:
 
     Shape (N + 1,): `time_s` s, `T_out_C` °C, `solar_W_m2` global horizontal W/m².
     Shape (Z, N + 1): `occupancy` persons, `lower_C` and `upper_C` comfort bounds °C.
-    Shape (M, N + 1): `price_per_kWh` currency/kWh and `emission_kg_per_kWh` kg CO2/kWh of each machine's energy. Where
-    the heating of a machine that also cools has a carrier of its own (gas beside electric cooling),
-    `heating_price_per_kWh` is its price; by default it is `price_per_kWh`.
-
-    Raises:
-        DataError: an array of another shape, no instant at all, or instants that do not go up in equal steps.
+    Shape (M, N + 1): `price_per_kWh` currency/kWh and `emission_kg_per_kWh` kg CO2/kWh of each machine's energy;
+    `heating_price_per_kWh` where the heating of a machine that also cools has a carrier of its own, else the same.
+    Raises `DataError` for another shape, no instant, or instants that do not go up in equal steps.
     """
 
     time_s: Array
@@ -86,9 +85,9 @@ class Boundary:
             emission: kg CO2/kWh; a column, or one number.
 
         Raises:
-            DataError: a column is missing, the rows do not begin at the end of `record` or are not in order, a bound
-                is no room temperature in °C or the lower above the upper one, or `record` is one instant, which has no
-                step.
+            DataError: a column is missing, rows are not in order or do not begin at the end of `record`, `record` is
+                one
+                instant, or a bound is no room temperature in °C or the lower one above the upper one.
         """
         from thermoforce_mpc.data.dataframes import seconds_since, series, stamps
 
@@ -191,3 +190,86 @@ class Boundary:
     def head(self, n_steps: int) -> Boundary:
         """The first `n_steps` steps."""
         return Boundary(**{name: getattr(self, name)[..., : n_steps + 1] for name in CONDITIONS}, names=self.names)
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Input of a controller: the record until now and the forecast of the boundary conditions."""
+
+    history: Record
+    boundary: Boundary
+
+    @property
+    def time_s(self) -> float:
+        """Now, s since 1 January."""
+        return float(self.history.time_s[-1])
+
+    @property
+    def T_zone_C(self) -> Array:
+        """Zone temperatures now (Z,), °C (NaN when the sensor is silent); who keeps them does not keep the record."""
+        return np.array(self.history.T_zone_C[:, -1])
+
+    @property
+    def names(self) -> Names:
+        """Names of zones, actuators and machines."""
+        return self.history.names
+
+    def check_begin(self) -> None:
+        """Raise `DataError` where the boundary conditions do not begin now."""
+        ahead_s = float(self.boundary.time_s[0]) - self.time_s
+        if abs(ahead_s) <= CLOCK_TOLERANCE_S:
+            return
+        from thermoforce_mpc.data.dataframes import stamps
+
+        begin, now = stamps(np.array([self.boundary.time_s[0], self.time_s]), self.history.origin)
+        raise DataError(
+            f"boundary forecast: it begins at {begin}, {abs(ahead_s):.10g} s {'after' if ahead_s > 0 else 'before'} "
+            f"now, which is the end of the history, {now}: give the conditions from there on"
+        )
+
+
+@dataclass(frozen=True)
+class FreeForecast:
+    """A free response over `N` steps, of one zone as a method gives it, or of all Z zones (`stacked`).
+
+    `quantiles_C` °C has shape (Q, N) or (Q, Z, N) for the increasing `levels` (Q,); `note` says what made it, and
+    `doubt` why it was not the configured method; empty where it was.
+    """
+
+    levels: Array
+    quantiles_C: Array
+    note: str = ""
+    doubt: str = ""
+
+    @classmethod
+    def stacked(cls, zones: Sequence[FreeForecast]) -> FreeForecast:
+        """The forecasts of all zones as one; levels that not all zones have are interpolated."""
+        levels = np.asarray(zones[0].levels, dtype=np.float64)
+        rows = [
+            zone.quantiles_C
+            if np.array_equal(zone.levels, levels)
+            else np.stack([zone.quantile_C(float(level)) for level in levels])
+            for zone in zones
+        ]
+        note = "; ".join(dict.fromkeys(zone.note for zone in zones))
+        doubt = "; ".join(dict.fromkeys(zone.doubt for zone in zones if zone.doubt))
+        return cls(levels, np.stack(rows, axis=1), note, doubt)
+
+    @property
+    def median_C(self) -> Array:
+        """The 0.5 quantile, shape (N,) or (Z, N), °C."""
+        index = int(np.argmin(np.abs(np.asarray(self.levels) - 0.5)))
+        return np.asarray(self.quantiles_C[index], dtype=np.float64)
+
+    def quantile_C(self, level: float) -> Array:
+        """The quantile of `level`, (N,) or (Z, N), °C: linear between levels that were forecast, held beyond them."""
+        levels = np.asarray(self.levels, dtype=np.float64)
+        above = int(np.searchsorted(levels, level))
+        for at in (above, above - 1):  # levels are decimal fractions, which are rounded
+            if 0 <= at < levels.size and math.isclose(levels[at], level, abs_tol=1e-12):
+                return np.asarray(self.quantiles_C[at], dtype=np.float64)
+        if above in (0, levels.size):
+            return np.asarray(self.quantiles_C[min(above, levels.size - 1)], dtype=np.float64)
+        share = (level - levels[above - 1]) / (levels[above] - levels[above - 1])
+        lower, upper = self.quantiles_C[above - 1], self.quantiles_C[above]
+        return np.asarray(lower + share * (upper - lower), dtype=np.float64)

@@ -14,10 +14,8 @@ from thermoforce_mpc.errors import DataError, suggestion
 def new_year(index: pd.Index, what: str) -> pd.Timestamp:
     """1 January 00:00 of the year in which `index` begins, on its zone's clock of that day: where `time_s` counts from.
 
-    That is standard time in the north, summer time in the south, where days counted from it begin at 23:00 all winter.
-
-    Raises:
-        DataError: the index does not hold time stamps, is empty, or holds NaT.
+    In the south that is summer time: days counted from it begin at 23:00 all winter. Raises `DataError` for an index
+    that holds no time stamps, NaT, or nothing.
     """
     return _stamped(index, what)[0]
 
@@ -45,8 +43,7 @@ def _stamped(index: pd.Index, what: str) -> tuple[pd.Timestamp, pd.DatetimeIndex
 def seconds_since(origin: pd.Timestamp, index: pd.Index, what: str) -> NDArray[np.float64]:
     """Seconds from `origin` to each stamp of `index`, shape (n,): elapsed time, so summer time makes no jump.
 
-    Raises:
-        DataError: the index holds no time stamps, or one of `origin` and `index` has a time zone and the other not.
+    Raises `DataError` where the index holds no time stamps, or only one of `origin` and `index` has a time zone.
     """
     _, at = _stamped(index, what)
     if (at.tz is None) != (origin.tz is None):
@@ -58,10 +55,8 @@ def seconds_since(origin: pd.Timestamp, index: pd.Index, what: str) -> NDArray[n
 def seconds_at(origin: pd.Timestamp, time: pd.Timestamp | str, what: str) -> float:
     """Seconds from `origin` to a time as people write it, on the clock of `origin` where it has no offset.
 
-    Of an hour that the end of summer time repeats, the first is meant.
-
-    Raises:
-        DataError: `time` is no time stamp, does not exist on that clock, or has a zone where `origin` has none.
+    Of an hour that the end of summer time repeats, the first is meant. Raises `DataError` for what is no time stamp,
+    does not exist on that clock, or has a zone where `origin` has none.
     """
     try:
         at = pd.Timestamp(time)
@@ -95,12 +90,7 @@ def table(time_s: NDArray[np.float64], origin: pd.Timestamp | None, **columns: N
 
 
 def column(df: pd.DataFrame, name: str, what: str) -> NDArray[np.float64]:
-    """The numbers of a column, shape (n,), NaN where a cell is empty.
-
-    Raises:
-        DataError: there is no such column or more than one, or it holds text; names near misses and the columns there
-            are.
-    """
+    """The numbers of a column, shape (n,), NaN where a cell is empty; raises `DataError` where it is none."""
     if name not in df.columns:
         names = [str(key) for key in df.columns]
         raise DataError(f"{what}: no column '{name}'{suggestion(str(name), names)}; there are {', '.join(names)}")

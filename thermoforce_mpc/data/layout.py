@@ -1,13 +1,13 @@
-"""What acts where in a building."""
+"""What acts where in a building, and what a plant says of itself."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from thermoforce_mpc.data.clock import Array
+from thermoforce_mpc.data.clock import DAY_S, Array
 from thermoforce_mpc.data.names import SINGLE, Names
 from thermoforce_mpc.errors import DataError
 
@@ -26,9 +26,7 @@ class Layout:
         floor_area_m2: of each zone, m² (Z,); NaN where it is not known.
         exclusive: groups of actuators (their numbers) of which at most one may act in a step.
 
-    Raises:
-        DataError: a number of entries is wrong, one names no zone or machine, a floor area is not above 0, or a group
-            is not two or more actuators whose levels the controller gives.
+    Raises `DataError` for entries that are too few, name what is not there, or are no area or group.
     """
 
     names: Names = SINGLE
@@ -65,11 +63,7 @@ class Layout:
 
     @classmethod
     def single(cls, mode: str = "heating", lowest: float = 0.0, floor_area_m2: float | None = None) -> Layout:
-        """One zone with one actuator; `mode` 'heating', 'cooling' or 'both' (levels are signed).
-
-        Raises:
-            DataError: the mode is another, or the area is not above 0 m².
-        """
+        """One zone with one actuator; `mode` 'heating', 'cooling' or 'both' (levels are signed). Raises `DataError`."""
         if mode not in ("heating", "cooling", "both"):
             raise DataError(f"mode is {mode!r}: expected heating, cooling or both")
         area = float("nan") if floor_area_m2 is None else floor_area_m2
@@ -101,11 +95,9 @@ class Layout:
     def excluded(self, wanted: Sequence[float | None]) -> dict[int, int]:
         """The actuators that may not do what is `wanted` of them, each with the one that excludes it.
 
-        Native control of one leaves all of its group to native control, which alone knows what it does there. Otherwise
-        the one that is wanted most acts (of equals the first), and the others are off.
-
-        Args:
-            wanted: how much each actuator is wanted (A,), 0 where it is off anyway, None for native control.
+        `wanted` (A,): 0 where an actuator is off anyway, None for native control. Native control of one leaves all of
+        its group to native control, which alone knows what it does there. Otherwise the one that is wanted most acts
+        (of equals the first), and the others are off.
         """
         excluded_by: dict[int, int] = {}
         left, native = list(wanted), [a for a, level in enumerate(wanted) if level is None]
@@ -120,3 +112,25 @@ class Layout:
                 if a != kept:
                     left[a], excluded_by[a] = 0.0, kept
         return excluded_by
+
+
+@dataclass(frozen=True)
+class Period:
+    """A scored window: it starts at `start_s`, lasts `scored_s`, and follows `warmup_s` of native control."""
+
+    name: str
+    start_s: float
+    scored_s: float = 14 * DAY_S
+    warmup_s: float = 7 * DAY_S
+
+
+@dataclass(frozen=True)
+class PlantInfo:
+    """Plant kind, test case, weather and version, for manifests and headlines."""
+
+    kind: str
+    testcase: str
+    description: str
+    weather: str
+    version: str
+    details: Mapping[str, str] = field(default_factory=dict)

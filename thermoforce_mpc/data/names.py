@@ -12,29 +12,17 @@ from thermoforce_mpc.errors import DataError, InputError
 
 # The first axis of each signal that has one: zones, actuators or machines.
 AXIS = {
-    "T_zone_C": "zones",
-    "occupancy": "zones",
-    "lower_C": "zones",
-    "upper_C": "zones",
-    "u": "actuators",
-    "heat_W": "actuators",
-    "power_W": "machines",
-    "T_return_C": "machines",
-    "price_per_kWh": "machines",
-    "emission_kg_per_kWh": "machines",
-    "heating_price_per_kWh": "machines",
+    **dict.fromkeys(("T_zone_C", "occupancy", "lower_C", "upper_C", "slack_K", "T_free_now_C"), "zones"),
     **dict.fromkeys(("T_free_C", "T_forced_K", "T_free_low_C", "T_free_high_C", "T_low_C", "T_high_C"), "zones"),
-    **dict.fromkeys(("slack_K", "T_free_now_C"), "zones"),
+    **dict.fromkeys(("u", "heat_W"), "actuators"),
+    **dict.fromkeys(("power_W", "T_return_C", "price_per_kWh", "heating_price_per_kWh"), "machines"),
+    "emission_kg_per_kWh": "machines",
 }
 
 
 @dataclass(frozen=True)
 class Names:
-    """Names of the zones (Z), actuators (A) and machines (M) of a building, in the order of the arrays.
-
-    Raises:
-        DataError: a kind has no name, or one twice.
-    """
+    """Names of the zones (Z), actuators (A) and machines (M) of a building; `DataError` for none, or one twice."""
 
     zones: tuple[str, ...] = ("zone",)
     actuators: tuple[str, ...] = ("actuator",)
@@ -75,23 +63,11 @@ SINGLE = Names()
 
 
 def check_same_building(
-    what: str,
-    names: Names,
-    of: str,
-    others: Names,
-    *,
-    single_alike: bool = False,
-    error: type[InputError] = DataError,
+    what: str, names: Names, of: str, others: Names, *, single_alike: bool = False, error: type[InputError] = DataError
 ) -> None:
-    """Raise `error` where two things are not of the same zones, actuators and machines.
+    """Raise `error` where two things (`what` and `of` in words) are not of the same zones, actuators and machines.
 
-    Args:
-        what: the one, in words, such as 'the model'.
-        names: of it.
-        of: the other, such as 'the record'.
-        others: of that.
-        single_alike: buildings of one zone with one actuator and one machine are the same, whatever their names.
-        error: what is raised.
+    With `single_alike`, buildings of one zone with one actuator and one machine are the same, whatever their names.
     """
     if names != others and not (single_alike and names.single and others.single):
         raise error(f"{what} is of {names}, {of} of {others}: another building?")
@@ -102,7 +78,7 @@ def frozen(value: object, name: str, length: int, names: Names) -> Array:
     array = value if _unchangeable(value) else np.array(value, dtype=np.float64)
     expected: tuple[int, ...] = (length,)
     if name in AXIS:
-        rows = len(getattr(names, AXIS[name]))
+        rows = names.rows(name)
         expected = (rows, length)
         if rows == 1 and array.shape == (length,):
             array = array[None]
@@ -122,7 +98,7 @@ def _unchangeable(value: object) -> TypeGuard[Array]:
 def of_each(value: object, name: str, names: Names) -> Array:
     """Values (rows,) of one instant; a number where there is one row. Raises `DataError` for another shape."""
     array = np.array(value, dtype=np.float64, ndmin=1)
-    rows = len(getattr(names, AXIS[name]))
+    rows = names.rows(name)
     if array.shape != (rows,):
         raise DataError(f"{name} has shape {array.shape}, expected ({rows},)")
     array.setflags(write=False)

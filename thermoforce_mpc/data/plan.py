@@ -36,7 +36,7 @@ Bands = Sequence[Any] | None
 class Block:
     """One stretch of constant actuation: `u` (A,) holds the level of each actuator in [0, 1], None for native control.
 
-    An actuator that heats and cools takes levels in [−1, 1]. `band_C` (A,) are the heating and the cooling set-point
+    Levels of an actuator that heats and cools lie in [−1, 1]. `band_C` (A,) are the heating and the cooling set-point
     that the plant's own loops are to keep meanwhile, °C, None where there are none; u is then the mean level that the
     plan expects of them. One actuator's level and band may be given without a tuple.
     """
@@ -93,18 +93,18 @@ class PlanStatus(StrEnum):
 class Plan:
     """A decision and its reason.
 
-    `blocks` is what to apply until the next plan. The arrays describe the whole horizon of N steps for reports: planned
-    `u` (A, N), predicted `T_free_C` and `T_forced_K` at the end of each step and comfort `slack_K` (violation allowed
-    for) (Z, N), and predicted `power_W` (M, N); they are empty for rules. `time_s` (N,) is the start of each step,
-    counted from `origin` where the record has time stamps. `T_free_now_C` (Z,) is the control-free temperature the plan
-    starts from; `lower_C` and `upper_C` (Z, N) are the comfort bounds with the margins that it kept inside them.
-    `margins` of the first step by name: K inside the lower and the upper bound of each zone (2, Z); `offset` (Z,), K,
-    is added to the prediction, `unused_capacity` (M,) the share of each machine that is not planned for.
-    `acting` (A,): source of the action of each actuator; `status` is that of the plan, or of what took the place of the
-    plan at one of them. `why` is one sentence for people; `news` (part of it) what the controller learned in this step
-    of sensors, meters or its model; `solver_status` is the status reported by the solver, `export_calls` how often the
-    exported operator was called for it, `own` the values of your own variables by name (`controller.options.terms`).
-    `state` goes to the controller's next plan of this run and is opaque to others.
+    `blocks` is what to apply until the next plan. The arrays describe the horizon of N steps: planned `u` (A, N),
+    predicted `T_free_C` and `T_forced_K` at the end of each step and comfort `slack_K` (violation allowed for) (Z, N),
+    and predicted `power_W` (M, N); they are empty for rules. `time_s` (N,) is the start of each step, counted from
+    `origin` where the record has time stamps. `T_free_now_C` (Z,) is the control-free temperature the plan starts from;
+    `lower_C` and `upper_C` (Z, N) are the comfort bounds with the margins that it kept inside them. `margins` of the
+    first step by name: K inside the lower and the upper bound of each zone (2, Z); `offset` (Z,), K, is added to the
+    prediction, `unused_capacity` (M,) the share of each machine that is not planned for. `acting` (A,): source of the
+    action of each actuator; `status` is that of the plan, or of what took its place at one of them. `why` is one
+    sentence for people; `news` (part of it) what was learned in this step of sensors, meters or the model;
+    `solver_status` is the solver's, `export_calls` how often it called the exported operator, `own` the values of your
+    own variables by name (`controller.options.terms`). `state` goes to the controller's next plan of this run and is
+    opaque to others.
     """
 
     blocks: tuple[Block, ...]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from thermoforce_mpc.data.clock import Array, check_clock
-from thermoforce_mpc.data.names import AXIS, SINGLE, Names, frozen, of_each
+from thermoforce_mpc.data.names import SINGLE, Names, frozen, of_each
 from thermoforce_mpc.errors import DataError
 
 if TYPE_CHECKING:  # loaded only where tables come in
@@ -26,14 +26,11 @@ class Record:
     """What was measured over `n` past steps of equal length, the last boundary being *now*.
 
     Sampled at the boundaries: `time_s`, `T_out_C`, `solar_W_m2` (n + 1,) and `T_zone_C` (Z, n + 1), NaN where the
-    sensor was silent.
-    Mean over each step: `u` (A, n) in [0, 1] (in [−1, 1], cooling below 0, where one actuator heats and cools),
-    `heat_W` (A, n) delivered heat, `power_W` (M, n) total electric, `T_return_C` (M, n) return water from the emitters
-    (NaN where not measured; all of `T_return_C` where it is not given).
-    `origin` is the `pandas.Timestamp` with `time_s` 0 where the record came from a table with time stamps.
-
-    Raises:
-        DataError: an array of another shape, no instant at all, or instants that do not go up in equal steps.
+    sensor was silent. Mean over each step: `u` (A, n) in [0, 1] (in [−1, 1], cooling below 0, where one actuator heats
+    and cools), `heat_W` (A, n) delivered heat, `power_W` (M, n) total electric, `T_return_C` (M, n) return water from
+    the emitters (NaN where not measured; all of `T_return_C` where it is not given). `origin` is the `pandas.Timestamp`
+    with `time_s` 0 where the record came from a table with time stamps. Raises `DataError` for another shape, no
+    instant, or instants that do not go up in equal steps.
     """
 
     time_s: Array
@@ -89,8 +86,9 @@ class Record:
             return_water: column of the return water temperature, °C.
 
         Raises:
-            DataError: a column is missing, twice there or holds text, zone and outdoor are one column, the index has no
-                time stamps, or they are not equally spaced; the message says what to do.
+            DataError: a column is missing, twice there or holds text, zone and outdoor are one column, or the index
+                holds no
+                equally spaced time stamps; says what to do.
         """
         from thermoforce_mpc.data.dataframes import new_year, seconds_since, series
 
@@ -178,7 +176,7 @@ class Record:
     @classmethod
     def beginning(cls, measurement: Measurement) -> Record:
         """Record of one instant, without a step."""
-        rows = {name: len(getattr(measurement.names, AXIS[name])) for name in ACTING}
+        rows = {name: measurement.names.rows(name) for name in ACTING}
         return cls(
             **{name: np.asarray(getattr(measurement, name))[..., None] for name in SAMPLED},
             **{name: np.empty((n, 0)) for name, n in rows.items()},
@@ -201,10 +199,9 @@ class Record:
 class Measurement:
     """Measured values at one instant.
 
-    `time_s` s; `T_zone_C` (Z,), `T_out_C` °C and `solar_W_m2` W/m² are samples at that instant; `u`, `heat_W` (A,),
-    `power_W` (total electric) and `T_return_C` (return water) (M,) are means over the interval just advanced (NaN right
-    after a reset, and where not measured). Where there is one zone, actuator or machine, a number will do. `points`
-    holds the plant's own signals by their own names and units, as at the wire.
+    `time_s` s; `T_zone_C` (Z,), `T_out_C` °C and `solar_W_m2` W/m² are samples; `u`, `heat_W` (A,), `power_W` and
+    `T_return_C` (M,) are means over the interval just advanced (NaN right after a reset, and where not measured). Where
+    there is one zone, actuator or machine, a number will do. `points`: the plant's own signals, as at the wire.
     """
 
     time_s: float
@@ -222,7 +219,7 @@ class Measurement:
         for name in ("T_zone_C", *ACTING):
             value = getattr(self, name)
             if not np.size(value):
-                value = np.full(len(getattr(self.names, AXIS[name])), np.nan)
+                value = np.full(self.names.rows(name), np.nan)
             object.__setattr__(self, name, of_each(value, name, self.names))
 
     def averaged_with(self, parts: list[tuple[float, Measurement]]) -> Measurement:

@@ -1,7 +1,6 @@
 """Superposition (paper eq:compose): a zone's temperature is its free response plus the forced one.
 
-Every sum and difference of the two in the package is one of these functions, but for those of solvers, which state the
-sum in their own variables, and of identification, which estimates both parts of a measured temperature at once.
+Solvers state the sum in their own variables; identification estimates both parts of a measured temperature at once.
 """
 
 from __future__ import annotations

@@ -10,14 +10,14 @@ import pandas as pd
 from thermoforce_mpc.data import Array, Boundary
 from thermoforce_mpc.data.dataframes import seconds_since
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.load import Measurements
-from thermoforce_mpc.measurements.map.mapped_signals import Price, Signal, Temperature
+from thermoforce_mpc.measurements.load import Measurements, sunlight
+from thermoforce_mpc.measurements.map.entries import Signal
 from thermoforce_mpc.measurements.map.mapping import MappedMachine
 from thermoforce_mpc.measurements.signals import SignalReader
-from thermoforce_mpc.measurements.sunlight import sunlight
 from thermoforce_mpc.measurements.tables.clock import timed
 from thermoforce_mpc.measurements.tables.files import found_files, read_table
 from thermoforce_mpc.measurements.tables.raw_table import raw_table
+from thermoforce_mpc.measurements.tables.readings import BOUND, OUTDOOR, PRICE, Rules
 
 
 def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Boundary:
@@ -25,24 +25,19 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Bo
 
     Temperatures and irradiance go straight between two rows, bounds and prices hold until the next one. Columns are
     those of the map's key `forecast`, where it has one, else of the same keys as for measurements; numbers in the map
-    hold throughout.
-
-    Raises:
-        DataError: the forecast is several files, does not begin at or before the end of the record, or lacks something;
-            names file, column and time.
+    hold throughout. Raises `DataError`, naming file, column and time, for several files, a forecast that does not begin
+    at or before the end of the record, and one that lacks something.
     """
     rules, record = measured.map, measured.record
     names = record.names
     overrides = {key: value for key, value in rules.forecast if value is not None}
-    ours = rules.model_copy(
-        update={key: value for key, value in overrides.items() if key in ("time", "outdoor", "sun")}
-    )
-    of_zones = [rules.zones[name] for name in names.zones]
-    zones = [(overrides.get("lower", zone.lower), overrides.get("upper", zone.upper)) for zone in of_zones]
+    ours = rules.model_copy(update={key: overrides[key] for key in ("time", "outdoor", "sun") if key in overrides})
+    zones = [rules.zones[name] for name in names.zones]
+    bounds = {name: [overrides.get(name, getattr(zone, name)) for zone in zones] for name in ("lower", "upper")}
     machines = [rules.machines.get(name, MappedMachine()) for name in names.machines]
     prices = [overrides.get("price", machine.price) for machine in machines]
     weather = [ours.outdoor, *([s for s in (ours.sun.signal, ours.sun.humidity) if s] if ours.sun else [])]
-    signals = [s for s in (*weather, *(bound for pair in zones for bound in pair), *prices) if isinstance(s, Signal)]
+    signals = [s for s in (*weather, *bounds["lower"], *bounds["upper"], *prices) if isinstance(s, Signal)]
     columns = [column for signal in signals for column in signal.columns]
     if isinstance(file, pd.DataFrame):
         table = raw_table(file, ours.time.column, columns, "forecast")
@@ -61,32 +56,32 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Bo
         )
     grid_s = now_s + np.arange(np.floor((time_s[-1] - now_s) / step_s + 1e-6) + 1.0) * step_s
     reader = SignalReader(rows, time_s, grid_s, step_s, ours)
-    outdoor = reader.outdoor(ours.outdoor)
+    outdoor = reader.sampled("outdoor", ours.outdoor, OUTDOOR)
     solar, _ = sunlight(ours, reader, grid_s, record.origin)
-    bounds = [
-        [_bound(reader, f"{name} of {zone}", limit) for name, limit in zip(("lower", "upper"), pair, strict=True)]
-        for zone, pair in zip(names.zones, zones, strict=True)
+
+    def scheduled(what: str, source: float | Signal | None, where: str, of: Rules) -> Array:
+        if source is None:
+            raise DataError(f"forecast: no {what}: name a number or a column in the map ({where})")
+        return reader.scheduled(what, source, of)
+
+    lower, upper = (
+        [
+            scheduled(f"{name} of {zone}", source, "zones, or forecast for all zones", BOUND)
+            for zone, source in zip(names.zones, sources, strict=True)
+        ]
+        for name, sources in bounds.items()
+    )
+    price = [
+        scheduled(f"price of {machine}", tariff, "machines or forecast", PRICE)
+        for machine, tariff in zip(names.machines, prices, strict=True)
     ]
-    price = [_price(reader, machine, tariff) for machine, tariff in zip(names.machines, prices, strict=True)]
     nothing = np.zeros((len(names.machines), grid_s.size))
     boundary = Boundary(
-        grid_s, outdoor, solar, np.zeros((len(names.zones), grid_s.size)), np.array([low for low, _ in bounds]),
-        np.array([high for _, high in bounds]), np.array(price), nothing, names=names,
+        grid_s, outdoor, solar, np.zeros((len(names.zones), grid_s.size)), np.array(lower), np.array(upper),
+        np.array(price), nothing, names=names,
     )  # fmt: skip
     _check_complete(boundary, measured, table.name)
     return boundary
-
-
-def _bound(reader: SignalReader, what: str, bound: float | Temperature | None) -> Array:
-    if bound is None:
-        raise DataError(f"forecast: no {what}: name a number or a column in the map (zones, or forecast for all zones)")
-    return reader.bound(what, bound)
-
-
-def _price(reader: SignalReader, machine: str, price: float | Price | None) -> Array:
-    if price is None:
-        raise DataError(f"forecast: no price of {machine}: name a number or a column in the map (machines or forecast)")
-    return reader.price(f"price of {machine}", price)
 
 
 def _check_complete(boundary: Boundary, measured: Measurements, name: str) -> None:

@@ -5,37 +5,123 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
-from thermoforce_mpc.data import DAY_S, Array, Boundary, Layout, Names, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
 from thermoforce_mpc.data.dataframes import new_year, seconds_since, stamps
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.levels import actuator_levels
-from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, MeasurementMap, load_map
-from thermoforce_mpc.measurements.map.rooms_beside import rooms_beside
-from thermoforce_mpc.measurements.map.starting_map import ROWS
+from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, MappedActuator, MeasurementMap, load_map
+from thermoforce_mpc.measurements.map.starting_map import ROWS, rooms_beside
 from thermoforce_mpc.measurements.signals import SignalReader
-from thermoforce_mpc.measurements.sunlight import sunlight
+from thermoforce_mpc.measurements.tables import readings
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
 from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, head_of, read_table
 from thermoforce_mpc.measurements.tables.raw_table import RawTable, raw_table
-from thermoforce_mpc.measurements.tables.resampling import usual_s
 from thermoforce_mpc.measurements.understood import Understood, missing, of_clock
 from thermoforce_mpc.scenario.settings import validate
 
+if TYPE_CHECKING:  # pvlib is loaded only where an estimate is needed
+    from thermoforce_mpc.boundary.weather.solar import Sun
+
+# Full level of metered heat or power: this percentile of the steps in which the machine ran, which are those above a
+# share of the same percentile of all in which it took anything. Single peaks (a start, a wrong reading) do not count.
+_FULL, _RUNNING = 99.0, 0.05
 # Step of a record where the map has none: the usual distance of the rows, within these, s.
 _STEPS_S = (900.0, 3600.0)
 _LEAST_STEPS = 2
+
+
+def sunlight(
+    rules: MeasurementMap, reader: SignalReader, grid_s: Array, origin: pd.Timestamp
+) -> tuple[Array, tuple[str, ...]]:
+    """Global horizontal irradiance at `grid_s` (n,), W/m², and what was decided by rule; 0 where there is no sun."""
+    if rules.sun is None:
+        return np.zeros(grid_s.size), ()
+    if rules.sun.signal is not None:
+        return reader.irradiance(rules.sun.signal), ()
+    from thermoforce_mpc.boundary.weather.solar import sunlight_from_humidity
+
+    clear, sun = clear_sky(rules, grid_s, origin)
+    if rules.sun.humidity is None:
+        return clear, ("irradiance: that of a clear sky, every day; clouds count as a disturbance",)
+    humidity = np.clip(reader.sampled("sun.humidity", rules.sun.humidity, readings.HUMIDITY), 0.0, 1.0)
+    note = "irradiance: clear sky times one clearness per day, from the relative humidity; RMSE of a day about 0.16"
+    return sunlight_from_humidity(grid_s, humidity, sun), (note,)
+
+
+def clear_sky(rules: MeasurementMap, time_s: Array, origin: pd.Timestamp) -> tuple[Array, Sun]:
+    """Clear-sky irradiance (n,), W/m², at the place of the map, and the sun's position."""
+    from thermoforce_mpc.boundary.weather.solar import clear_sky_W_m2, sun_position
+
+    site, offset = rules.site, origin.utcoffset()
+    assert site is not None  # checked by the map
+    assert offset is not None
+    sun = sun_position(time_s, site.latitude, site.longitude, offset.total_seconds() / HOUR_S)
+    return clear_sky_W_m2(sun), sun
+
+
+def full_load_W(power_W: Array) -> float:
+    """Robust largest value of `power_W` (n,), W: the 99th percentile of the steps in which it ran; 0 if it never did.
+
+    It ran where it took more than 5 % of the 99th percentile of all steps in which it took anything.
+    """
+    positive = power_W[np.isfinite(power_W) & (power_W > 0.0)]
+    if not positive.size:
+        return 0.0
+    running = positive[positive > _RUNNING * np.percentile(positive, _FULL, method="lower")]
+    return float(np.percentile(running, _FULL, method="lower")) if running.size else 0.0
+
+
+def actuator_levels(rules: MeasurementMap, reader: SignalReader, heat: Array, power: Array) -> tuple[Array, list[str]]:
+    """Levels (A, n) in [0, 1], or [−1, 1] with mode both, and what was decided by rule.
+
+    `heat` (A, n), W: of the actuators as mapped; `power` (M, n), W: of the machines.
+    """
+    notes: list[str] = []
+    if not rules.actuators:
+        return np.full((1, reader.grid_s.size - 1), np.nan), notes
+    machine_of = rules.layout.machine_of
+    actuators: Mapping[str, MappedActuator] = rules.actuators
+    rows = []
+    for a, (name, actuator) in enumerate(actuators.items()):
+        if actuator.level is not None:
+            signed = actuator.mode == "both"
+            level = reader.mean(
+                f"actuators.{name}.level", actuator.level, readings.SIGNED_LEVEL if signed else readings.LEVEL
+            )
+            rows.append(np.clip(level, -1.0 if signed else 0.0, 1.0))
+            continue
+        what, load = ("heat", heat[a]) if actuator.heat is not None else ("power", power[machine_of[a]])
+        used = np.abs(load) if actuator.mode == "both" else load
+        full = actuator.full_W or full_load_W(used - actuator.off_W)
+        if full <= 0.0:
+            raise DataError(
+                f"actuators.{name}: its metered {what} is never above {actuator.off_W:g} W: check column and unit, or "
+                "give a longer record"
+            )
+        span = full - actuator.off_W if actuator.full_W else full
+        if span <= 0.0:
+            raise DataError(f"actuators.{name}: full_W of {full:g} W is not above off_W of {actuator.off_W:g} W")
+        level = (used - actuator.off_W) / span * (np.sign(load) if actuator.mode == "both" else 1.0)
+        cut = int((level > 1.0).sum())
+        lowest = -1.0 if actuator.mode == "both" else 0.0
+        rows.append(np.clip(level, lowest, 1.0))
+        how = "as given" if actuator.full_W else "the 99th percentile of the steps in which it ran"
+        less = f" above {actuator.off_W:g} W" if actuator.off_W else ""
+        notes.append(
+            f"level of {name}: metered {what}{less} over {span:.0f} W ({how}); {cut} steps above that are cut to 1"
+        )
+    return np.array(rows), notes
 
 
 @dataclass(frozen=True)
 class Measurements:
     """Measurements of a building: the record, what acts where, the conditions of the time, and what was understood.
 
-    `conditions`: measured weather with the bounds and prices of the map, NaN where it names none. `map`: the map.
+    `conditions`: measured weather with the bounds and prices of the map, NaN where it names none.
     """
 
     record: Record
@@ -45,11 +131,7 @@ class Measurements:
     map: MeasurementMap
 
     def served(self) -> Measurements:
-        """The zones that an actuator serves, as `identify` needs them.
-
-        Raises:
-            DataError: there is no actuator whose level was measured.
-        """
+        """The zones that an actuator serves, as `identify` needs them; `DataError` where no level was measured."""
         if not np.isfinite(self.record.u).any():
             raise DataError("no level, heat or power was measured: name an actuator in the map with one of them")
         zones = [z for z in range(len(self.layout.names.zones)) if self.layout.actuators_of(z)]
@@ -125,7 +207,7 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
     names, layout = rules.names, rules.layout
     origin = new_year(table.index, tables[0].name)
     time_s = seconds_since(origin, table.index, tables[0].name)
-    rows_every_s = usual_s(time_s)
+    rows_every_s = readings.usual_s(time_s)
     if step_s is None:
         step_s = pd.Timedelta(rules.step).total_seconds() if rules.step else _step_s(rows_every_s)
     if not LEAST_STEP_S <= step_s <= MOST_STEP_S:
@@ -138,16 +220,21 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
         )
     reader = SignalReader(table, time_s, grid_s, step_s, rules)
     zones, actuators, machines = rules.zones.items(), rules.actuators.items(), rules.machines.items()
-    T_zone = np.array([reader.temperature(f"zones.{name}.temperature", z.temperature) for name, z in zones])
-    T_out = reader.outdoor(rules.outdoor)
+    T_zone = np.array([reader.sampled(f"zones.{name}.temperature", z.temperature, readings.ZONE) for name, z in zones])
+    T_out = reader.sampled("outdoor", rules.outdoor, readings.OUTDOOR)
     solar, of_sun = sunlight(rules, reader, grid_s, origin)
-    power = _rows([reader.power(f"machines.{name}.power", m.power) for name, m in machines], names.machines, grid_s)
-    water = [reader.water(f"machines.{name}.return_water", m.return_water) for name, m in machines]
-    heat = _rows([reader.power(f"actuators.{name}.heat", a.heat) for name, a in actuators], names.actuators, grid_s)
+    unknown = np.full((1, grid_s.size - 1), np.nan)  # where there is no machine or actuator
+    power = np.array(
+        [reader.mean(f"machines.{name}.power", m.power, readings.POWER) for name, m in machines] or unknown
+    )
+    water = [
+        reader.mean(f"machines.{name}.return_water", m.return_water, readings.WATER) for name, m in machines
+    ] or unknown
+    heat = np.array([reader.mean(f"actuators.{name}.heat", a.heat, readings.POWER) for name, a in actuators] or unknown)
     u, of_levels = actuator_levels(rules, reader, heat, power)
     record = Record(
         grid_s, T_zone, T_out, solar, u, power, heat * np.array(layout.signs)[:, None],
-        _rows(water, names.machines, grid_s), origin, names,
+        np.array(water), origin, names,
     )  # fmt: skip
     none = np.zeros((len(names.machines), grid_s.size))
     conditions = Boundary(
@@ -155,9 +242,12 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
         T_out,
         solar,
         np.zeros(T_zone.shape),
-        np.array([reader.bound(f"zones.{name}.lower", z.lower) for name, z in zones]),
-        np.array([reader.bound(f"zones.{name}.upper", z.upper) for name, z in zones]),
-        np.array([reader.price(f"machines.{name}.price", m.price) for name, m in machines] or none * np.nan),
+        np.array([reader.scheduled(f"zones.{name}.lower", z.lower, readings.BOUND) for name, z in zones]),
+        np.array([reader.scheduled(f"zones.{name}.upper", z.upper, readings.BOUND) for name, z in zones]),
+        np.array(
+            [reader.scheduled(f"machines.{name}.price", m.price, readings.PRICE) for name, m in machines]
+            or none * np.nan
+        ),
         none,
         names=names,
     )
@@ -181,9 +271,3 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
 
 def _step_s(rows_every_s: float) -> float:
     return float(np.clip(round(rows_every_s / 60.0) * 60.0, *_STEPS_S)) if np.isfinite(rows_every_s) else _STEPS_S[0]
-
-
-def _rows(rows: Sequence[Array | None], names: Sequence[str], grid_s: Array) -> Array:
-    """Signals over steps (rows, n), NaN for what is not measured."""
-    unknown = np.full(grid_s.size - 1, np.nan)
-    return np.array([unknown if row is None else row for row in rows] or [unknown] * len(names))

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.measurements.load import Measurements
 
 if TYPE_CHECKING:
@@ -115,6 +116,5 @@ def _flags(axes: Axes, measured: Measurements, key: str) -> None:
 
 def _gaps(axes: Axes, at: Any, values: Array, colour: str) -> None:
     """Shade the stretches in which `values` are not known."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], np.isfinite(values), [True]]).astype(int)))
-    for start, stop in zip(edges[0::2], edges[1::2], strict=True):
+    for start, stop in stretches(~np.isfinite(values)):
         axes.axvspan(at[max(start - 1, 0)], at[min(stop, at.size - 1)], color=colour, alpha=0.08, linewidth=0)

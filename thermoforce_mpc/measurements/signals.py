@@ -8,32 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.errors import counted
-from thermoforce_mpc.measurements.map.mapped_signals import (
-    Humidity,
-    Irradiance,
-    Level,
-    Power,
-    Price,
-    Signal,
-    Temperature,
-)
+from thermoforce_mpc.measurements.map.entries import COUNTER, PER_STEP, Irradiance, Power, Signal, converted
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.measurements.map.starting_map import kind_of
-from thermoforce_mpc.measurements.map.units import COUNTER, PER_STEP, converted
-from thermoforce_mpc.measurements.tables import screening
 from thermoforce_mpc.measurements.tables.clock import Timed
-from thermoforce_mpc.measurements.tables.resampling import (
+from thermoforce_mpc.measurements.tables.readings import (
+    EXCURSION_S,
+    SOLAR,
+    Flag,
     Readings,
+    Rules,
     around,
     durations_s,
     held,
     longest_s,
     means,
     sampled,
+    screened,
     usual_s,
 )
-from thermoforce_mpc.measurements.tables.screening import EXCURSION_S, Flag, Rules, screened
 from thermoforce_mpc.measurements.understood import SignalSummary
 
 # A counter that rises by this many times the 99th percentile of its rises did not count energy.
@@ -51,55 +46,28 @@ class SignalReader:
         self._table, self._time_s, self._step_s = table, time_s, step_s
         self._marks, self._coverage = rules.time.marks, rules.coverage
 
-    def temperature(self, key: str, signal: Temperature) -> Array:
-        """Zone temperature at the boundaries (n + 1,), °C."""
-        return self._sample(key, signal, screening.ZONE)
-
-    def outdoor(self, signal: Temperature) -> Array:
-        """Outdoor temperature at the boundaries (n + 1,), °C."""
-        return self._sample("outdoor", signal, screening.OUTDOOR)
-
-    def irradiance(self, signal: Irradiance) -> Array:
-        """Irradiance at the boundaries (n + 1,), W/m²."""
-        readings, unit, flags = self._readings("sun", signal, screening.SOLAR)
-        values = around(readings, self.grid_s, self._step_s, self._coverage)
-        return self._summarised("sun", signal, unit, readings, values, flags)
-
-    def humidity(self, key: str, signal: Humidity) -> Array:
-        """Relative humidity at the boundaries (n + 1,), 0 to 1."""
-        return self._sample(key, signal, screening.HUMIDITY)
-
-    def level(self, key: str, signal: Level, *, signed: bool = False) -> Array:
-        """Mean level of the steps (n,)."""
-        return self._mean(key, signal, screening.SIGNED_LEVEL if signed else screening.LEVEL)
-
-    def power(self, key: str, signal: Power | None) -> Array | None:
-        """Mean power of the steps (n,), W; None where it is not measured."""
-        return None if signal is None else self._mean(key, signal, screening.POWER)
-
-    def water(self, key: str, signal: Temperature | None) -> Array | None:
-        """Mean water temperature of the steps (n,), °C; None where it is not measured."""
-        return None if signal is None else self._mean(key, signal, screening.WATER)
-
-    def bound(self, key: str, source: float | Temperature | None) -> Array:
-        """Comfort bound at the boundaries (n + 1,), °C: a number, or the last reading of a column."""
-        return self._scheduled(key, source, screening.BOUND)
-
-    def price(self, key: str, source: float | Price | None) -> Array:
-        """Price at the boundaries (n + 1,), per kWh: a number, or the last reading of a column."""
-        return self._scheduled(key, source, screening.PRICE)
-
-    def _sample(self, key: str, signal: Signal, rules: Rules) -> Array:
+    def sampled(self, key: str, signal: Signal, rules: Rules) -> Array:
+        """A signal at the boundaries (n + 1,)."""
         readings, unit, flags = self._readings(key, signal, rules)
         return self._summarised(key, signal, unit, readings, sampled(readings, self.grid_s), flags)
 
-    def _scheduled(self, key: str, source: float | Signal | None, rules: Rules) -> Array:
+    def irradiance(self, signal: Irradiance) -> Array:
+        """Irradiance at the boundaries (n + 1,), W/m²."""
+        readings, unit, flags = self._readings("sun", signal, SOLAR)
+        values = around(readings, self.grid_s, self._step_s, self._coverage)
+        return self._summarised("sun", signal, unit, readings, values, flags)
+
+    def scheduled(self, key: str, source: float | Signal | None, rules: Rules) -> Array:
+        """A bound or price at the boundaries (n + 1,): a number, the last reading of a column, or NaN for None."""
         if not isinstance(source, Signal):
             return np.full(self.grid_s.size, np.nan if source is None else float(source))
         readings, unit, flags = self._readings(key, source, rules)
         return self._summarised(key, source, unit, readings, held(readings, self.grid_s), flags)
 
-    def _mean(self, key: str, signal: Signal, rules: Rules) -> Array:
+    def mean(self, key: str, signal: Signal | None, rules: Rules) -> Array:
+        """Means of a signal over the steps (n,); NaN where it is not measured."""
+        if signal is None:
+            return np.full(self.grid_s.size - 1, np.nan)
         readings, unit, flags = self._readings(key, signal, rules)
         lasts = durations_s(readings.time_s, readings.longest_s, self._marks) if readings.values.size else np.empty(0)
         starts = readings.time_s - (lasts if self._marks == "end" else 0.0)
@@ -138,14 +106,12 @@ class SignalReader:
     def _summarised(
         self, key: str, signal: Signal, rules: Rules, readings: Readings, values: Array, flags: tuple[Flag, ...]
     ) -> Array:
-        """`values`, noted among the summaries."""
         finite = np.isfinite(values)
         least, median, most = (
             np.quantile(values[finite], (0.0, 0.5, 1.0)).tolist() if finite.any() else (float("nan"),) * 3
         )
         doubt = _doubt(signal, rules, readings, median, most) if finite.any() else "never measured: check the column"
-        edges = np.flatnonzero(np.diff(np.concatenate([[True], finite, [True]]).astype(int)))
-        gaps = edges[1::2] - edges[0::2]
+        longest_gap = max((stop - start for start, stop in stretches(~finite)), default=0)
         self.summaries.append(
             SignalSummary(
                 key,
@@ -155,7 +121,7 @@ class SignalReader:
                 int(readings.values.size),
                 usual_s(readings.time_s),
                 float(finite.mean()),
-                float(gaps.max() * self._step_s / HOUR_S) if gaps.size else 0.0,
+                longest_gap * self._step_s / HOUR_S,
                 least,
                 median,
                 most,
@@ -188,7 +154,7 @@ def _intervals_s(time_s: Array, measured: NDArray[np.bool_], hold_h: float | Non
     """Lengths (n,) of the intervals of energies that stand at the rows `time_s` (n,) where they are `measured`, s.
 
     An interval reaches from row to row where cells beside are empty by chance, and from reading to reading where other
-    columns have rows of their own (a table joined of several): of both what is nearer to the column's usual distance.
+    columns have rows of their own: of both what is nearer to the column's usual distance.
     """
     rows = durations_s(time_s, longest_s(time_s, 0.0, hold_h), marks)
     read_s = time_s[measured]
@@ -205,7 +171,7 @@ def _from_counter(
     """Mean power between readings of a counter, W, at the stamps that mark its intervals; and what was flagged.
 
     A reading that falls below the one before and comes back at once is none, since a counter that begins anew climbs as
-    slowly as it did before. A rise of more than 10 times what the machine takes at most is no energy.
+    slowly as before. A rise of more than 10 times what the machine takes at most is no energy.
     """
     flags: list[Flag] = []
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Boundary, Record
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
-from thermoforce_mpc.measurements.tables.screening import Flag
+from thermoforce_mpc.measurements.tables.readings import Flag
 
 # About three days: a table of three has a step less.
 _ABOUT_THREE_DAYS_H = 70.0
@@ -42,10 +42,10 @@ class SignalSummary:
 
 @dataclass(frozen=True)
 class Understood:
-    """Report on a table: files and rows read, period, time zone, usual distance of rows and step, s, and signals.
+    """Report on a table: files and rows read, period, time zone ('' for none), distance of rows and step, signals.
 
-    `begins`, `ends`: time stamps. `zone`: '' where stamps have none. `assumed`: what was decided by rule, in words.
-    `missing`: what the table does not hold, and what follows. `beside`: rooms that it holds and the map does not name.
+    `assumed`: what was decided by rule, in words. `missing`: what the table does not hold, and what follows. `beside`:
+    rooms that it holds and the map does not name.
     """
 
     files: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""Model card: source, training data and quality of a model."""
+"""Model card: source, training data and quality of a model, and the verdict on it by data that it had not seen."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor
 
@@ -18,15 +17,77 @@ _UNJUDGED = (
 
 
 @dataclass(frozen=True)
+class HorizonScore:
+    """Held-out errors at lead time `hours`, RMSE in K, and tests, which count an earlier held-out part as well.
+
+    `persistence_K`: the temperature stays as it is; `weather_K`: the same model fitted without the actuator.
+    `better_t`: paired t statistic for the model being better than the weather alone, over `blocks` blocks of hours (NaN
+    with fewer than 4); `persistence_t`: the same for persistence being better than the model.
+    """
+
+    hours: float
+    model_K: float
+    persistence_K: float
+    weather_K: float
+    better_t: float
+    blocks: int
+    persistence_t: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Competence:
+    """Verdict on a model; `identification.competence` computes it and owns the criteria.
+
+    `competent`: whether a controller may act on it. `reasons`: each criterion that it misses, in words. `advice`: what
+    to do about them. `effect_K` and `effect_sd_K`: change of the zone after 8 h at full level and its standard
+    deviation, K. `sign_probability`: that the effect has the sign of the mode. `log_odds`: that the actuator acts at
+    all (NaN where an older file does not say). `held_out_h`: held-out hours. `plainly`: the first reason in words for
+    the owner of the building; empty where an older file has none.
+    """
+
+    competent: bool
+    reasons: tuple[str, ...] = ()
+    advice: tuple[str, ...] = ()
+    horizons: tuple[HorizonScore, ...] = ()
+    effect_K: float = float("nan")
+    effect_sd_K: float = float("nan")
+    sign_probability: float = float("nan")
+    log_odds: float = float("nan")
+    held_out_h: float = float("nan")
+    plainly: str = ""
+
+    @property
+    def relative_sd(self) -> float:
+        """Standard deviation of the effect of 8 h at full level, as a share of it."""
+        return self.effect_sd_K / abs(self.effect_K) if self.effect_K else float("inf")
+
+    def in_words(self) -> str:
+        """One line for an engineer: the verdict, and what it rests on."""
+        if self.competent:
+            return f"competent: the effect of 8 h at full level is known to ± {100 * self.relative_sd:.0f} %"
+        return f"not competent: {'; '.join(self.reasons)}"
+
+    def sentence(self) -> str:
+        """For the owner of the building: whether the model may act, why not, and what to do next."""
+        if self.competent:
+            return (
+                "This model may act: its predictions held on data that it had not seen, and what full level does in "
+                f"8 h is known to ± {100 * self.relative_sd:.0f} %."
+            )
+        why = f", since {self.plainly}" if self.plainly else ""
+        to_do = f" Next: {self.advice[0]}." if self.advice else ""
+        return f"This model may not act{why}; the building is controlled without it.{to_do}"
+
+
+@dataclass(frozen=True)
 class ModelCard:
     """Source, data and quality of a model, in JSON types.
 
     `data` maps the name of each record to its SHA-256, `ranges` each signal to the (low, high) of the identification
-    data, `scores` and `uncertainty` hold numbers by name, `config` is the configuration of the identification.
-    `competence` is the verdict on held-out data; None: not judged (given by hand, or identified before there was one).
-    `sun_on_sensor` is the sun in the readings of the zone sensor, which is no warmth of the room; `foreign_heat`
-    what the heat meter of the actuator shows beside its heat. None: none was found. `blocked_hours`: hours of the day
-    in which nothing came while it was probed, whatever was asked for (`machine.blocked_hours`).
+    data. `competence` is the verdict on held-out data; None: not judged (given by hand, or identified before there was
+    one). `sun_on_sensor` is the sun in the readings of the zone sensor, `foreign_heat` what the heat meter of the
+    actuator shows beside its heat; None: none was found. `blocked_hours`: hours of the day in which nothing came while
+    it was probed, whatever was asked for (`machine.blocked_hours`).
     """
 
     source: str = _GIVEN

@@ -38,12 +38,7 @@ _ROUNDING = 0.05
 def modulation_function(model: ThermalModel, *, actuator: str | None = None) -> ca.Function:
     """Return the gain m(x) of an actuator (paper eq:mod): `x` (4,) → `m`, dimensionless, in [1 − γ, 1 + γ].
 
-    Args:
-        model: identified model.
-        actuator: its name; may be left out where there is one.
-
-    Raises:
-        DataError: there is no such actuator, or it was not named and there are several.
+    `actuator` may be left out where there is one; raises `DataError` for an unknown or missing name.
     """
     pair = model.operator.of_actuator(_number(actuator, model.operator.actuators, "actuator"))
     return casadi_export.modulation_function(pair)
@@ -92,22 +87,11 @@ def rollout_function(
     actuator: str | None = None,
     part_load: PartLoad = "blocks",
 ) -> ca.Function:
-    """Return the forced response over a horizon of N = `n_steps` steps as one function.
+    """Return the forced response over a horizon of N = `n_steps` steps as one function; others as of `step_function`.
 
     Inputs `F0` (r,) K now, `u` (N,) and `X` (4, N) with x of each step in its column; outputs `modes` (r, N) and
     `forced` (1, N), their sum, K, at the end of each step. With `part_load` split the inputs are F0, u, on (N,) and X.
-    Call it with numbers, or with CasADi's SX or MX of an optimisation.
-
-    Args:
-        model: identified model.
-        n_steps: number of steps.
-        step_s: length of a step, s.
-        zone: as of `step_function`.
-        actuator: as of `step_function`.
-        part_load: as of `step_function`.
-
-    Raises:
-        DataError: as `step_function`, or `n_steps` is not a number of steps.
+    Call it with numbers, or with CasADi's SX or MX of an optimisation. Raises `DataError`.
     """
     if not (isinstance(n_steps, int | np.integer) and n_steps >= 1):
         raise DataError(f"rollout_function: n_steps is {n_steps!r}, expected a whole number of at least 1")
@@ -116,7 +100,6 @@ def rollout_function(
 
 
 def _heat(pair: OperatorParameters, u: ca.SX, on: ca.SX, T_out_C: ca.SX, part_load: PartLoad) -> ca.SX:
-    """v of a level."""
     heat_input = pair.heat_input.at_lowest_level(1.0) if part_load == "blocks" else pair.heat_input
     if heat_input.heat is None or part_load in ("blocks", "held"):
         return heat_input_expression(heat_input, u, T_out_C)
@@ -131,7 +114,6 @@ def _rounded(z: ca.SX) -> ca.SX:
 
 
 def _pair(model: ThermalModel, step_s: float, zone: str | None, actuator: str | None) -> OperatorParameters:
-    """The operator of an actuator on a zone at a step."""
     if not (np.isfinite(step_s) and step_s > 0):
         raise DataError(f"step_s is {step_s!r}, expected seconds above 0")
     operator = model.operator.resampled(float(step_s))

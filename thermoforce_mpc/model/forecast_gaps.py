@@ -5,9 +5,7 @@
 | weather | interpolation up to 6 h between two values; the last whole forecast; the day before; the mean of that hour |
 | prices, bounds, occupancy, emissions | the last whole forecast; the day before; the value before, or the first known |
 
-The day before is in the record or a forecast, the mean of the hour of the day in the record.
-
-A weather value that cannot be (`limits`) is none. Every filling is said in words.
+The day before is in the record or a forecast. A weather value that cannot be (`limits`) is none.
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ import numpy as np
 
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H, OUTDOOR_C, SOLAR_W_M2
-from thermoforce_mpc.data.series.gaps import WEATHER
+from thermoforce_mpc.data.series import WEATHER, at_instants, gap_s
 
 _RANGES = {"T_out_C": OUTDOOR_C, "solar_W_m2": SOLAR_W_M2}
 # Instants nearer than this are the same, s.
@@ -43,13 +41,8 @@ def lengthened(boundary: Boundary, n_steps: int, step_s: float) -> Boundary:
 def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tuple[Boundary, str]:
     """`boundary` with its gaps filled, and what was filled with what, in words ('' without gaps).
 
-    What cannot be filled from anything stays NaN. Occupancy and emissions count as gaps only where part of them is
-    known: they need not be given.
-
-    Args:
-        boundary: forecast with NaN for missing values.
-        history: record until now, for the weather of the days before.
-        last: the last forecast of this run that was whole.
+    What cannot be filled from anything stays NaN. Occupancy and emissions, which need not be given, count as gaps only
+    where part of them is known. `last`: the last forecast of this run that was whole.
     """
     filled: dict[str, Any] = {}
     notes: list[str] = []
@@ -94,21 +87,21 @@ def _row(
     weather = name in WEATHER
     if weather:
         fill(_between(time_s, out), "interpolation")
-    if last is not None:
-        forecast = np.atleast_2d(getattr(last, name))[row]
-        hours = (time_s[0] - last.time_s[0]) / HOUR_S
-        fill(_at(time_s, last.time_s, forecast), f"the last forecast ({hours:g} h old)")
     # Of the record only the weather is known; of the other signals, what forecasts say of the day before.
     sources = [(time_s, out)]
     if last is not None:
-        sources.append((last.time_s, np.atleast_2d(getattr(last, name))[row]))
+        forecast = np.atleast_2d(getattr(last, name))[row]
+        sources.append((last.time_s, forecast))
+        hours = (time_s[0] - last.time_s[0]) / HOUR_S
+        fill(at_instants(time_s, last.time_s, forecast, _SAME_S), f"the last forecast ({hours:g} h old)")
     if weather:
         sources.append((history.time_s, getattr(history, name)))
     for day in range(1, _DAYS_BEFORE + 1):
         for source_s, source in sources:
             if np.isnan(out).any():
                 fill(
-                    _at(time_s - day * DAY_S, source_s, source.copy()), "the day before" if day == 1 else "days before"
+                    at_instants(time_s - day * DAY_S, source_s, source.copy(), _SAME_S),
+                    "the day before" if day == 1 else "days before",
                 )
     if weather and np.isnan(out).any():
         fill(_mean_of_hour(time_s, history, name), "the mean of the record at that hour")
@@ -121,21 +114,12 @@ def _row(
 
 def _between(time_s: Array, values: Array) -> Array:
     """Values (n,) with gaps of up to 6 h between two known ones filled by a straight line."""
-    finite = np.flatnonzero(np.isfinite(values))
-    if finite.size < 2:
+    known_s = time_s[np.isfinite(values)]
+    if known_s.size < 2:
         return values
-    after = np.searchsorted(time_s[finite], time_s)
-    inside = (after > 0) & (after < finite.size)
-    after = np.clip(after, 1, finite.size - 1)
-    gap_s = time_s[finite[after]] - time_s[finite[after - 1]]
-    line = np.interp(time_s, time_s[finite], values[finite])
-    return np.where(inside & (gap_s <= BRIDGED_GAP_H * HOUR_S), line, values)
-
-
-def _at(time_s: Array, source_s: Array, source: Array) -> Array:
-    """Values of `source` (k,) at `source_s` at the instants `time_s` (n,); NaN where there is none at that instant."""
-    index = np.clip(np.searchsorted(source_s, time_s - _SAME_S), 0, source_s.size - 1)
-    return np.where(np.abs(source_s[index] - time_s) <= _SAME_S, source[index], np.nan)
+    line = np.interp(time_s, known_s, values[np.isfinite(values)])
+    inside = (time_s > known_s[0]) & (time_s < known_s[-1])
+    return np.where(inside & (gap_s(time_s, known_s) <= BRIDGED_GAP_H * HOUR_S), line, values)
 
 
 def _mean_of_hour(time_s: Array, history: Record, name: str) -> Array:

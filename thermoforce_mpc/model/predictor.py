@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import SINGLE, Array, Boundary, FreeForecast, Names, Observation, Record
 from thermoforce_mpc.data.limits import ROUNDING
-from thermoforce_mpc.data.series.gaps import WEATHER, bridged
+from thermoforce_mpc.data.series import WEATHER, bridged
 from thermoforce_mpc.data.superposition import compose, control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution.cooperative import Computation, gather, run, timed
-from thermoforce_mpc.model.forced_history import InitialForce
-from thermoforce_mpc.model.forced_state import ForcedState, followed
+from thermoforce_mpc.model.forced_state import ForcedState, InitialForce, followed
 from thermoforce_mpc.model.free_response.checks import checked_forecast
 from thermoforce_mpc.model.free_response.following import following
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -58,10 +57,7 @@ class Prediction:
         """One row per step, at its end: `T_zone_C`, its 80 % band `T_low_C` to `T_high_C`, `T_free_C`, `T_forced_K`.
 
         The band is that of the free response; the uncertainty of the gain is on the model's card. With several zones,
-        one of each per name: `T_zone_C[bath]`.
-
-        Raises:
-            DataError: the prediction is of several candidates at once.
+        one of each per name: `T_zone_C[bath]`. Raises `DataError` for several candidates at once.
         """
         if self.forced_K.ndim != 2:
             raise DataError(f"the prediction has {self.forced_K.shape[:-2]} candidates: predict one to get a table")
@@ -89,17 +85,11 @@ class PredictorState:
 class PredictionContext:
     """A prediction at one instant, before an action is chosen: the free response, and what actions add to it.
 
-    Attributes:
-        operator: the operator at the step of `boundary`.
-        forced_K: forced state now, shape (Z, A, r), K.
-        free: forecast of the free response of all zones, N steps.
-        features: x_t of each zone at the start of each step, shape (Z, N, 4).
-        boundary: boundary conditions of the N steps.
-        bridged: which gaps of the history were filled and how, in words; empty where there were none.
-        unmeasured: zones without any temperature in the history; their free response is the mean of the others'.
-        origin: time stamp that the seconds count from, where the history has one.
-        seconds: what it cost, by part: `estimate` (forced state) and `forecast` (free response), s.
-        state: what to give to the next context of this run.
+    `operator` at the step of `boundary`; `forced_K` (Z, A, r): forced state now, K; `free`: forecast of all zones, N
+    steps; `features` (Z, N, 4): x_t at the start of each step. `bridged`: which gaps of the history were filled and
+    how, in words. `unmeasured`: zones without any temperature in the history; their free response is the mean of the
+    others'. `origin`: time stamp that the seconds count from, where the history has one. `seconds`: what it cost, by
+    part: `estimate` (forced state) and `forecast` (free response). `state`: for the next context of this run.
     """
 
     operator: BuildingOperator
@@ -122,11 +112,8 @@ class PredictionContext:
     def predict(self, u: Array) -> Prediction:
         """Temperature under `u` (..., A, N) in [0, 1], free and forced apart; all candidates at once.
 
-        One actuator's levels may be given as (..., N).
-
-        Raises:
-            DataError: `u` has another number of actuators or steps, is not finite, or leaves [0, 1] (its lower end
-                where the operator's levels are signed).
+        One actuator's levels may be given as (..., N). Raises `DataError` for another number of actuators or steps, and
+        levels that are not finite or leave [0, 1] (its lower end where the operator's levels are signed).
         """
         u = np.asarray(u, dtype=np.float64)
         actuators = len(self.operator.actuators)
@@ -163,12 +150,9 @@ class PredictionContext:
 class Predictor:
     """Splits a history into free and forced response and predicts both (paper eq:compose).
 
-    Args:
-        operator: the identified operator, at any step.
-        free_responses: forecaster of the control-free series of each zone (Z,), or one for all zones that keeps no
-            state of its own.
-        initial_force: 'steady' starts F at the steady state of the first day's mean action, 'zero' at 0 as the paper
-            does (F_t0 = 0); with modes of days the difference takes days to fade.
+    `free_responses`: forecaster of the control-free series of each zone (Z,), or one for all that keeps no state of its
+    own. `initial_force`: 'steady' starts F at the steady state of the first day's mean action, 'zero' at 0 as the paper
+    does (F_t0 = 0); with modes of days the difference takes days to fade.
     """
 
     def __init__(
@@ -184,28 +168,13 @@ class Predictor:
         methods = tuple(free_responses) if isinstance(free_responses, Sequence) else (free_responses,) * zones
         if len(methods) != zones:
             raise DataError(f"{len(methods)} free responses for {zones} zones")
-        self._operator = operator
-        self._free_responses = methods
+        self.operator = operator
+        self.free_responses = methods
         self._initial_force: InitialForce = initial_force
-
-    @property
-    def free_responses(self) -> tuple[FreeResponse, ...]:
-        """The forecaster of each zone's control-free series (Z,)."""
-        return self._free_responses
-
-    @property
-    def operator(self) -> BuildingOperator:
-        """The identified operator, at its own step."""
-        return self._operator
-
-    def operator_at(self, step_s: float) -> BuildingOperator:
-        """The operator at a step of `step_s` seconds."""
-        return self._operator.resampled(step_s)
 
     def forced_history(self, history: Record) -> Array:
         """Forced state of each pair at each boundary of `history`, (Z, A, n + 1, r), K; gaps are bridged (`gaps`)."""
-        history, _ = bridged(history)
-        return followed(self._operator, None, history, self._initial_force).forced_K
+        return self.followed(history).forced_K
 
     def forced_state(self, history: Record) -> Array:
         """Forced state of each pair now, shape (Z, A, r), K."""
@@ -218,17 +187,13 @@ class Predictor:
     def followed(self, history: Record, state: PredictorState | None = None) -> ForcedState:
         """Forced states at all boundaries of `history`, from those that `state` knows; gaps are bridged (`gaps`)."""
         filled, _ = bridged(history)
-        return followed(self._operator, state.forced if state else None, filled, self._initial_force)
+        return followed(self.operator, state.forced if state else None, filled, self._initial_force)
 
     def context(self, observation: Observation, state: PredictorState | None = None) -> PredictionContext:
-        """Forecast the free response and set up everything an action could change.
+        """Forecast the free response and set up everything an action could change; `state` is of the last context.
 
-        Gaps in the weather and the levels of the past are bridged, see `data.series.gaps`. One zone that was never
-        measured does not stop the others: it is given the mean of their free responses, and `bridged` says so.
-
-        Args:
-            observation: the run so far, and what is known of the steps ahead.
-            state: `PredictionContext.state` of the last context of this run; None begins a run.
+        Gaps in the weather and the levels of the past are bridged, see `data.series`. A zone that was never measured is
+        given the mean of the others' free responses, and `bridged` says so.
 
         Raises:
             DataError: the history cannot be split (see `forced_history`), no zone's temperature was ever measured nor
@@ -249,21 +214,21 @@ class Predictor:
         began = time.perf_counter()
         history, note = bridged(observation.history, boundary)
         before = state or PredictorState()
-        forced_state = followed(self._operator, before.forced, history, self._initial_force)
+        forced_state = followed(self.operator, before.forced, history, self._initial_force)
         forced = forced_state.forced_K
         estimate_s = time.perf_counter() - began
         free_C = control_free(history.T_zone_C, forced.sum(axis=(1, 3)))
-        zones = range(len(self._free_responses))
+        zones = range(len(self.free_responses))
         kept = before.free or (None,) * len(zones)
         has_readings = np.asarray(np.isfinite(free_C).any(axis=1))
         if not has_readings.any():
             raise DataError("the zone temperature was never measured in the history: nothing to forecast from")
         measured, states = np.flatnonzero(has_readings).tolist(), list(kept)
-        forecasts = [following(self._free_responses[z], free_C[z], history, boundary, kept[z]) for z in measured]
+        forecasts = [following(self.free_responses[z], free_C[z], history, boundary, kept[z]) for z in measured]
         results, forecast_s = yield from timed(gather(forecasts))
         answers = []
         for z, (answer, states[z]) in zip(measured, results, strict=True):
-            answers.append(checked_forecast(answer, boundary.n_steps, self._free_responses[z].name))
+            answers.append(checked_forecast(answer, boundary.n_steps, self.free_responses[z].name))
         unmeasured = tuple(np.flatnonzero(~has_readings).tolist())
         free = _with_mean(FreeForecast.stacked(answers), has_readings)
         for z in unmeasured:
@@ -275,7 +240,7 @@ class Predictor:
         starts = np.concatenate([now_C[:, None], free.median_C[:, :-1]], axis=1)
         features = feature_matrix(starts, boundary.T_out_C[:-1], boundary.solar_W_m2[:-1], boundary.time_s[:-1])
         return PredictionContext(
-            operator=self.operator_at(boundary.step_s),
+            operator=self.operator.resampled(boundary.step_s),
             forced_K=forced[:, :, -1],
             free=free,
             features=features,

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array, Measurement, Record, limits
+from thermoforce_mpc.data.names import AXIS
 
 if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -28,8 +29,6 @@ _UNITS = {
     "heat_W": " W",
     "T_return_C": " °C",
 }
-# Signals with a row per zone, actuator or machine.
-_BY_ROWS = ("T_zone_C", "u", "power_W", "heat_W", "T_return_C")
 _NOT_MEASURED = "taken as not measured"
 # Signals that every plant reports; a missing value gives a note. Heat and power are not metered everywhere.
 _ALWAYS = ("T_zone_C", "T_out_C", "solar_W_m2")
@@ -49,7 +48,7 @@ class Limits:
 
     @classmethod
     def of(cls, model: ThermalModel | None, floor_area_m2: float | None = None, lowest: float = 0.0) -> Limits:
-        """Return limits as multiples of the identified machine's largest heat and power.
+        """Limits as multiples of the identified machine's largest heat and power.
 
         Without a heat or power model: 500 W per m² of floor area; without a floor area, no limit.
         """
@@ -100,10 +99,7 @@ def limits_of(controller: object, floor_area_m2: float | None = None, lowest: fl
 def screened(measurement: Measurement, allowed: Limits, history: Record) -> tuple[Measurement, tuple[str, ...]]:
     """Return `measurement` with implausible readings set to NaN, and one note per reading.
 
-    Args:
-        measurement: as reported by the plant.
-        allowed: plausible ranges.
-        history: accepted readings so far, which limit the change of the zone temperature.
+    `history`: accepted readings so far, which limit the change of the zone temperature.
     """
     cleaned: dict[str, Any] = {}
     notes: list[str] = []
@@ -112,7 +108,7 @@ def screened(measurement: Measurement, allowed: Limits, history: Record) -> tupl
         readings = np.atleast_1d(getattr(measurement, name))
         refused = np.zeros(readings.size, dtype=bool)
         for row, value in enumerate(readings):
-            label = names.label(name, row) if name in _BY_ROWS else name
+            label = names.label(name, row) if name in AXIS else name
             note = _refusal(measurement, name, row, float(value), label, allowed, history)
             refused[row] = note is not None
             if note is not None:
@@ -121,14 +117,13 @@ def screened(measurement: Measurement, allowed: Limits, history: Record) -> tupl
                 notes.append(f"{label} was not measured")
         if refused.any():
             kept = np.where(refused, np.nan, readings)
-            cleaned[name] = kept if name in _BY_ROWS else float(kept[0])
+            cleaned[name] = kept if name in AXIS else float(kept[0])
     return replace(measurement, **cleaned), tuple(notes)
 
 
 def _refusal(
     measurement: Measurement, name: str, row: int, value: float, label: str, allowed: Limits, history: Record
 ) -> str | None:
-    """Why a reading is refused; None where it is plausible."""
     if _outside(np.array([value]), allowed.range(name))[0]:
         return f"{label} of {value:.6g}{_UNITS[name]} is not {_words(allowed, name)}: {_NOT_MEASURED}"
     if name != "T_zone_C":
@@ -152,7 +147,9 @@ def screened_history(history: Record, allowed: Limits) -> tuple[Record, tuple[st
     notes: list[str] = []
     for name in _UNITS:
         rows = np.atleast_2d(getattr(history, name))
-        wrong = np.array([_implausible(name, values, history.time_s, allowed) for values in rows])
+        wrong = _outside(rows, allowed.range(name))
+        if name == "T_zone_C":
+            wrong = np.array([implausible_zone(values, history.time_s, allowed.range(name)) for values in rows])
         for row, outside in enumerate(wrong):
             if not outside.any():
                 continue
@@ -160,7 +157,7 @@ def screened_history(history: Record, allowed: Limits) -> tuple[Record, tuple[st
             what = _words(allowed, name)
             if not _outside(values, allowed.range(name))[outside].all():
                 what += f", or more than {limits.ZONE_JUMP_K:g} K from one instant to the next"
-            label = history.names.label(name, row) if name in _BY_ROWS else name
+            label = history.names.label(name, row) if name in AXIS else name
             notes.append(
                 f"{label} at {outside.sum()} of {values.size} places of the record is not {what} "
                 f"(first {values[first]:.6g}{_UNITS[name]} at {history.time_s[first]:.10g} s): {_NOT_MEASURED}"
@@ -170,13 +167,6 @@ def screened_history(history: Record, allowed: Limits) -> tuple[Record, tuple[st
     return (replace(history, **refused), tuple(notes)) if refused else (history, ())
 
 
-def _implausible(name: str, values: Array, time_s: Array, allowed: Limits) -> NDArray[np.bool_]:
-    """Which values (n,) of one signal are refused."""
-    if name == "T_zone_C":
-        return implausible_zone(values, time_s, allowed.range(name))
-    return _outside(values, allowed.range(name))
-
-
 def implausible_zone(values: Array, time_s: Array, allowed: tuple[float, float]) -> NDArray[np.bool_]:
     """Which temperatures (n,) of one zone are outside the range, °C, or too far from the last one that is not."""
     outside = _outside(values, allowed)
@@ -184,7 +174,7 @@ def implausible_zone(values: Array, time_s: Array, allowed: tuple[float, float])
 
 
 def _outside(values: Array, allowed: tuple[float, float]) -> NDArray[np.bool_]:
-    """Return which values (n,) are infinite or outside the range; NaN is not."""
+    """Which values are infinite or outside the range; NaN is not."""
     low, high = allowed
     return np.asarray((values < low) | (values > high) | np.isinf(values))
 

@@ -1,8 +1,7 @@
 """Sun that shines on a zone sensor: the part of its reading that the room does not share.
 
-Only the value that travels with the model; `identification.network.sensor` finds it. A record holds global horizontal
-irradiance alone, so that on the sensor's facade is computed: diffuse share by Erbs et al. (1982), isotropic sky, sun
-position of a nominal site.
+`identification.network.sensor` finds it. A record holds global horizontal irradiance alone, so that on the sensor's
+facade is computed: diffuse share by Erbs et al. (1982), isotropic sky, sun position of a nominal site.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
-from thermoforce_mpc.data.series.lag import lagged
+from thermoforce_mpc.data.series import lagged
 
 if TYPE_CHECKING:  # pvlib is loaded only where the sun is needed
     from thermoforce_mpc.boundary.weather.solar import Sun
@@ -51,10 +50,7 @@ class SunOnSensor:
         return self.probability > LIKELY
 
     def part_K(self, time_s: Array, solar_W_m2: Array) -> Array:
-        """Sun in the readings at the instants `time_s` (n,), equally spaced, K, from irradiance (n,), W/m².
-
-        Instants without irradiance take it from their neighbours.
-        """
+        """Sun in the readings at equally spaced `time_s` (n,), K, from irradiance (n,), W/m², with gaps bridged."""
         measured = np.isfinite(solar_W_m2)
         if not measured.any():
             return np.zeros(len(time_s))
@@ -114,10 +110,7 @@ def facade_W_m2(
 
 
 def sensor_lag(signal: Array, time_s: Array, lag_s: float) -> Array:
-    """First-order lag of `signal` (n,), piecewise linear between equally spaced `time_s` (n,), at these instants.
-
-    The signal stood still before.
-    """
+    """First-order lag of `signal` (n,), piecewise linear between equally spaced `time_s`; it stood still before."""
     if len(time_s) < 2:
         return signal
     steps = float(time_s[1] - time_s[0]) / lag_s

@@ -1,9 +1,9 @@
-"""The thermal model of a building: what was identified on it, and what is saved."""
+"""The thermal model of a building: what was identified on it, zone by zone, and what is saved."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from thermoforce_mpc.data import SINGLE, Array, Boundary, Layout, Names, Observation, Record
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ArtifactError, DataError
+from thermoforce_mpc.files import check_replaceable
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.registry import build_free_response
@@ -21,11 +22,22 @@ from thermoforce_mpc.model.operator.building import BuildingOperator, single
 from thermoforce_mpc.model.operator.certificate import Certificate
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import Prediction, Predictor
-from thermoforce_mpc.model.saved.encoding import decode, encode
-from thermoforce_mpc.model.saved.model_file import JSON_NAME, check_target, read_model_file, write_model_file
+from thermoforce_mpc.model.saved import JSON_NAME, decode, encode, read_model_file, write_model_file
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor, off_sensors
-from thermoforce_mpc.model.zone_model import ZoneModel
 from thermoforce_mpc.protocols import FreeResponse
+
+
+@dataclass(frozen=True)
+class ZoneModel:
+    """Operator of an actuator on its home zone, power of its machine, linear free model and card of the zone.
+
+    `power` is None where it was not measured, `free` where the zone was identified from pairs alone.
+    """
+
+    operator: OperatorParameters
+    power: PowerModel | None = None
+    free: RcParameters | None = None
+    card: ModelCard = field(default_factory=ModelCard)
 
 
 @dataclass(frozen=True)
@@ -38,13 +50,9 @@ class ThermalModel:
         free: linear free model of each zone (Z,); None where it was identified from pairs alone.
         cards: source and quality of each actuator's model on its home zone (A,).
         machines: names of the machines (M,).
-        machine_of: number of the machine that feeds each actuator (A,).
-        shares: share of its machine's capacity that each actuator takes at full level (A,), 0 where it is the only one.
-        exclusive: groups of actuators (their numbers) of which at most one may act in a step.
-        floor_area_m2: of each zone, m² (Z,); NaN where it is not known, as by default.
+        machine_of, shares, exclusive, floor_area_m2: as in `Layout`.
 
-    Raises:
-        DataError: a part has not as many entries as there are zones, actuators or machines.
+    Raises `DataError` for a part without as many entries as there are zones, actuators or machines.
     """
 
     operator: BuildingOperator
@@ -138,11 +146,7 @@ class ThermalModel:
 
     @property
     def only(self) -> ZoneModel:
-        """The zone of a building that has one, with one actuator.
-
-        Raises:
-            DataError: there are several.
-        """
+        """The zone of a building that has one, with one actuator; raises `DataError` where there are several."""
         if not self.names.single:
             raise DataError(f"the model has {self.names}: name the zone and the actuator")
         return self.actuator(0)
@@ -231,26 +235,14 @@ class ThermalModel:
     def save(self, folder: Path | str, *, overwrite: bool = False) -> Path:
         """Write the model to `folder`; the same model gives the same bytes.
 
-        Raises:
-            ArtifactError: `folder` exists (unless `overwrite` and it holds a model), or the model fails its
-                certificate.
-            StorageError: the disk refuses.
+        Raises `ArtifactError` where `folder` exists (unless `overwrite` and it holds a model) or the model fails its
+        certificate, and `StorageError` where the disk refuses.
         """
         folder = Path(folder)
-        check_target(folder, overwrite=overwrite)
+        check_replaceable(folder, JSON_NAME, "model", overwrite=overwrite)
         proofs = self.operator.certificates()
         _check_proofs(proofs, f"{folder}: not saved, ")
-        content, arrays = encode(
-            self.operator,
-            self.power,
-            self.free,
-            self.cards,
-            self.machines,
-            self.machine_of,
-            self.shares,
-            self.exclusive,
-            self.floor_area_m2,
-        )
+        content, arrays = encode(**{item.name: getattr(self, item.name) for item in fields(self)})
         certificates = [
             {"zone": zone, "actuator": actuator, **proof.to_json()} for (zone, actuator), proof in proofs.items()
         ]
@@ -259,12 +251,7 @@ class ThermalModel:
 
 
 def load_model(folder: Path | str) -> ThermalModel:
-    """Read a saved model and prove its certificate again.
-
-    Raises:
-        ArtifactError: the folder or a file is missing, damaged, foreign or of another version, or the operator fails
-            its certificate; the message names the file and the reason.
-    """
+    """Read a saved model and prove its certificate again; raises `ArtifactError` naming the file and the reason."""
     folder = Path(folder)
     content, arrays = read_model_file(folder)
     return model_from(content, arrays, folder / JSON_NAME)
@@ -283,7 +270,6 @@ def model_from(content: Mapping[str, Any], arrays: Mapping[str, Array], path: Pa
 
 
 def _check_proofs(proofs: Mapping[tuple[str, str], Certificate], where: str) -> None:
-    """Raise `ArtifactError` for the first pair that fails its certificate."""
     for (zone, actuator), proof in proofs.items():
         if not proof.certified:
             of_pair = "" if len(proofs) == 1 else f" of {actuator} on {zone}"

@@ -18,7 +18,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from thermoforce_mpc.data.given import known_marks, note_marks
+from thermoforce_mpc.data.cache import known_marks, note_marks
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.plants.boptest.token import allow_token

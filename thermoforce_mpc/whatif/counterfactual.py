@@ -1,8 +1,7 @@
 """What another schedule would have done on a past day (paper, counterfactual query, eq:effect).
 
-The free response of a past day is known: the measured temperature minus the forced response of the levels applied. So
-nothing is forecast; the other levels' forced response takes the place of theirs, and weather, sun and people stay as
-they were.
+The free response of a past day is known, measured minus forced by the levels applied, so nothing is forecast: the other
+levels' forced response takes the place of theirs, and weather, sun and people stay as they were.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import pandas as pd
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Boundary, FreeForecast, Names, Record
 from thermoforce_mpc.data.dataframes import seconds_at, table
 from thermoforce_mpc.data.names import check_same_building
-from thermoforce_mpc.data.series.gaps import WEATHER, bridged
+from thermoforce_mpc.data.series import WEATHER, bridged, interpolated
 from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
@@ -32,17 +31,12 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 class Counterfactual:
     """A past stretch of N steps as it was and as it would have been.
 
-    Attributes:
-        time_s: start of each step (N,), counted from `origin` where the record has time stamps.
-        u, u_other: levels applied and other levels (A, N).
-        measured_C: temperature at the end of each step (Z, N), °C, NaN where it was not measured.
-        effect_K: what the other levels change (Z, N), K.
-        sd_K: standard deviation of the effect by the identification (Z, N), K; NaN where the model's card has none. The
-            errors of all steps are taken to have one sign, so it is rather too wide.
-        certified_low_K, certified_high_K: bounds that the certificate proves for the model's effect, whatever the
-            weather and the state (Z, N), K.
-        energy_kWh, energy_other_kWh: by the model's power for levels applied and other levels (M,), NaN where a machine
-            has no power model, or heats and cools and feeds several actuators.
+    `time_s` (N,): start of each step, counted from `origin` where the record has time stamps. `u`, `u_other` (A, N):
+    levels applied and other levels. `measured_C` (Z, N): temperature at the end of each step, NaN where it was not
+    measured. `effect_K` (Z, N): what the other levels change; `sd_K` its standard deviation by the identification, NaN
+    where the model's card has none (the errors of all steps are taken to have one sign, so it is rather too wide);
+    `certified_low_K`, `certified_high_K`: proven bounds in any weather and state. `energy_kWh`, `energy_other_kWh`
+    (M,): by the model's power, NaN where a machine has none, or heats and cools and feeds several actuators.
     """
 
     time_s: Array
@@ -69,13 +63,8 @@ class Counterfactual:
         return np.asarray(BAND * self.sd_K)
 
     def to_dataframe(self) -> pd.DataFrame:
-        """One row per step at its start: levels applied and other; at its end, measured and other temperature with its
-        90 % band by the identification, the effect and its certified bounds.
-        """
-        columns = self.names.columns(
-            u=self.u,
-            T_zone_C=self.measured_C,
-        )
+        """One row per step, at its start: both levels; at its end both temperatures, 90 % band, effect, bounds."""
+        columns = self.names.columns(u=self.u, T_zone_C=self.measured_C)
         parts = {
             "u_other": ("u", self.u_other),
             "T_other_C": ("T_zone_C", self.other_C),
@@ -151,7 +140,10 @@ def _known_from(model: ThermalModel, whole: Record, first: int) -> PredictionCon
     """The instant `first` of a record without gaps, with the free response that followed in the place of a forecast."""
     forced_K = followed(model.operator, None, whole).forced_K
     free_C = control_free(whole.T_zone_C, forced_K.sum(axis=(1, 3)))
-    filled = np.array([_without_gaps(row, name) for row, name in zip(free_C, whole.names.zones, strict=True)])
+    for zone, row in zip(whole.names.zones, free_C, strict=True):
+        if not np.isfinite(row).any():
+            raise DataError(f"the temperature of zone '{zone}' was never measured: nothing to compare with")
+    filled = np.array([interpolated(row) for row in free_C])
     boundary = Boundary.measured(whole.slice(first, whole.n_steps))
     boundary.check(*WEATHER)
     return PredictionContext(
@@ -173,13 +165,6 @@ def _boundary(record: Record, start: pd.Timestamp | str | float) -> int:
             raise DataError(f"start is '{start}', but the record has no time stamps: give seconds")
         start = seconds_at(record.origin, start, "start")
     return round((start - record.time_s[0]) / record.step_s)
-
-
-def _without_gaps(free_C: Array, zone: str) -> Array:
-    finite = np.flatnonzero(np.isfinite(free_C))
-    if not finite.size:
-        raise DataError(f"the temperature of zone '{zone}' was never measured: nothing to compare with")
-    return np.asarray(np.interp(np.arange(free_C.size), finite, free_C[finite]))
 
 
 def _certified_bounds(model: ThermalModel, change: Array, step_s: float) -> tuple[Array, Array]:

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Record
-from thermoforce_mpc.data.series.gaps import interpolated
-from thermoforce_mpc.data.series.lag import lagged
+from thermoforce_mpc.data.series import interpolated, lagged
 from thermoforce_mpc.errors import DataError
 
 # Least share of a day's steps with energy and outdoor temperature for it to count, and with sun, where that is metered:
@@ -21,16 +20,11 @@ LAGS_H: tuple[float, ...] = (0.0, 12.0, 24.0, 48.0)
 
 @dataclass(frozen=True)
 class Days:
-    """Whole days of a record, those with gaps left out.
+    """Whole days of a record; `left_out` have gaps.
 
-    Attributes:
-        number: day since the record's time 0 (n,).
-        energy_kWh: of all machines, or the heat that was moved, over the day (n,).
-        T_out_C: daily means of the outdoor temperature through a low pass of each of `LAGS_H` (lags, n), °C.
-        solar_W_m2: likewise of the irradiance (lags, n), W/m².
-        T_zone_C: daily mean temperature of each zone (Z, n), °C.
-        weekend: whether it is a Saturday or Sunday (n,); False throughout where the record has no date.
-        left_out: days with gaps.
+    `number` (n,): day since the record's time 0. `energy_kWh` (n,): of all machines, or the heat that was moved.
+    `T_out_C`, `solar_W_m2` (lags, n): daily means of °C and W/m² through a low pass of each of `LAGS_H`. `T_zone_C` (Z,
+    n): daily means, °C. `weekend` (n,): False throughout where the record has no date.
     """
 
     number: NDArray[np.int64]
@@ -48,16 +42,10 @@ class Days:
 
 
 def days_of(record: Record, meter: str, name: str, past: Record | None = None) -> Days:
-    """The whole days of `record`, midnight to midnight.
+    """The whole days of `record`, midnight to midnight; the energy is that of `meter`, 'power_W' or 'heat_W'.
 
-    Args:
-        record: at any step that divides a day.
-        meter: the signal that is the energy, 'power_W' or 'heat_W'.
-        name: for messages.
-        past: what was recorded just before, so that the weather's low passes start from it.
-
-    Raises:
-        DataError: the step does not divide a day, or no whole day is there.
+    `past`: what was recorded just before, from which the weather's low passes start. Raises `DataError`, with `name`,
+    where the step does not divide a day or no whole day is there.
     """
     per_day = DAY_S / record.step_s
     if abs(per_day - round(per_day)) > 1e-6:

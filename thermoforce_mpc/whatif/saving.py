@@ -2,16 +2,14 @@
 
 The energy that keeps a building at its temperatures is what its control-free temperature falls short of them: E =
 (T_kept − T_free) / R. T_free follows the weather through the building's mass (paper eq:free-evol), so the energy of a
-day is linear in low-passed outdoor temperature and sun, and ends at 0. A changed operation moves T_kept; the building,
-and so what the weather does to its energy, stays. So one regression is fitted to the days before and after together,
-in which the change is an offset that may depend on the outdoor temperature; the baseline is its value without the
-offset. Indoor temperatures are no input: they are part of what was changed.
+day is linear in low-passed outdoor temperature and sun, and ends at 0. A changed operation moves T_kept; the building
+stays. So one regression is fitted to the days before and after together, in which the change is an offset that may
+depend on the outdoor temperature; the baseline is its value without the offset. Indoor temperatures are no input: they
+are part of what was changed.
 
 Several regressions of this form (time constants of the mass, curvature, weekends) are averaged with Akaike's weights;
-the interval holds their disagreement beside the scatter of the days (Burnham and Anderson 2002, section 4.3). Days are
-correlated to first order, with the estimate of that correlation corrected for its small-sample bias, which also sets
-how many independent days there are. The interval does not cover what else changed with the operation: other occupants,
-a new machine, another use of the rooms.
+the interval holds their disagreement beside the scatter of the days (Burnham and Anderson 2002, section 4.3), which are
+correlated to first order. It does not cover what else changed: occupants, a machine, another use of the rooms.
 """
 
 from __future__ import annotations
@@ -50,16 +48,14 @@ class Saving:
 
     Attributes:
         saved_kWh: baseline minus measured, positive where less was used; `low_kWh` to `high_kWh` is its interval.
-        baseline_kWh: what the old operation would have used in the days after.
-        measured_kWh: what was used in them.
+        baseline_kWh: what the old operation would have used in the days after; `measured_kWh`: what was used.
         level: of the interval.
         meter: what the energy was metered by, 'power_W' (of the machines) or 'heat_W' (heat and cold delivered).
         before, after: days that count, numbered on one calendar where the records have time stamps.
-        baseline_of_day_kWh: baseline of each day after (n,); `fitted_of_day_kWh` of each day before, by the best fit.
+        baseline_of_day_kWh: of each day after (n,); `fitted_of_day_kWh` of each day before, by the best fit.
         rmse_kWh: scatter of a day around the best fit; `correlation` of one day's with the next; its `r2`.
         warmer_K: mean change of the zones' temperature, after minus before (Z,), NaN where it was not measured.
-        regressors: what the best fit depends on, in words.
-        notes: what to know before quoting the number.
+        regressors: what the best fit depends on, in words; `notes`: what to know before quoting the number.
     """
 
     saved_kWh: float
@@ -133,14 +129,15 @@ def verified_saving(before: Record, after: Record, *, level: float = _LEVEL) -> 
 
     Args:
         before: the old operation, 10 whole days at least, better a month with the weather of what follows.
-        after: the new one, 7 whole days at least, in the same building with the same meters, in the same or another
-            year; without time stamps, on the same clock.
+        after: the new one, 7 whole days at least, in the same building with the same meters; without time stamps, on
+            the
+            same clock.
         level: of the interval.
 
     Raises:
-        DataError: too few whole days, one with an energy below 0, another number of zones or machines, a machine that
-            is not metered in both records, records that overlap or of which one has a time zone, or a level outside
-            (0, 1).
+        DataError: too few whole days, one with an energy below 0, other zones or machines, a machine that is not
+            metered
+            in both records, records that overlap or of which one has a time zone, or a level outside (0, 1).
     """
     if not 0.0 < level < 1.0:
         raise DataError(f"level is {level:g}: give a number between 0 and 1, such as 0.95")
@@ -196,10 +193,7 @@ def verified_saving(before: Record, after: Record, *, level: float = _LEVEL) -> 
 
 
 def _on_the_clock_of(before: Record, after: Record) -> Record:
-    """`after` counting from the same instant as `before`: each counts from the new year before it.
-
-    Days are correlated by how far they lie apart, so a day of the next year must not be taken for the same day.
-    """
+    """`after` counting from the same instant as `before`: days are correlated by how far they lie apart."""
     if before.origin is not None and after.origin is not None:
         shift_s = seconds_since(before.origin, pd.DatetimeIndex([after.origin]), "the record after")
         after = replace(after, time_s=after.time_s + shift_s, origin=before.origin)
@@ -213,10 +207,7 @@ def _on_the_clock_of(before: Record, after: Record) -> Record:
 
 
 def _meter(before: Record, after: Record) -> str:
-    """The signal that meters all there is, before and after: power of each machine, else heat of each actuator.
-
-    One signal for both, since heat before and power after would differ by the efficiency of the machine.
-    """
+    """The signal that meters all there is before and after: one for both, which differ by the machine's efficiency."""
     unmetered = {
         signal: [
             f"{before.names.label(signal, row)} {name}"
@@ -305,10 +296,10 @@ def _fit(old: Days, new: Days, columns: tuple[tuple[str, int], ...]) -> _Fit:
 
 
 def _correlation(residual: Array, number: NDArray[np.int64], p: int) -> float:
-    """Correlation of a day's residual with the next, in [0, 0.9], corrected for its bias towards negative values.
+    """Correlation of a day's residual with the next, in [0, 0.9].
 
-    The bias of an estimate from n residuals of a mean is −(1 + 3 ρ)/n (Marriott and Pope 1954); further regressors
-    add about −1/n each.
+    Its bias from n residuals of a mean, −(1 + 3 ρ)/n (Marriott and Pope 1954), and about −1/n of each further
+    regressor, are taken off.
     """
     following = np.diff(number) == 1
     if following.sum() < 3 or not residual.any():

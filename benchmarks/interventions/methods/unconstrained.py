@@ -16,7 +16,7 @@ from benchmarks.interventions.dataset import Window
 from benchmarks.interventions.methods.base import Training, best
 from benchmarks.interventions.methods.thermoforce import identified
 from thermoforce_mpc.data import Array, Record
-from thermoforce_mpc.model.forced_history import forced_history
+from thermoforce_mpc.model.forced_state import forced_history
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.model.operator.features import N_FEATURES, feature_matrix
 from thermoforce_mpc.model.operator.parameters import HIDDEN

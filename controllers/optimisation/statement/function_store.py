@@ -15,7 +15,7 @@ import casadi as ca
 
 import thermoforce_mpc.model.operator.casadi_export as export
 from controllers.optimisation.statement.structure import Structure
-from thermoforce_mpc.data.cache_folder import cache_folder
+from thermoforce_mpc.data.cache import cache_folder
 
 # Files kept.
 _MOST = 120

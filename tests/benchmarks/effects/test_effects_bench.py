@@ -17,7 +17,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.execution import LocalEngine
 from thermoforce_mpc.model.card import ModelCard
-from thermoforce_mpc.model.operator import linear_operator
+from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant
 

@@ -10,7 +10,7 @@ from simple_house import SimpleHouse, simple_model
 from benchmarks.fleet.plan_many import Situation, in_words, measure
 from controllers import MPCConfig
 from thermoforce_mpc.data import HOUR_S, Observation
-from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.card import Competence
 
 CONFIG = MPCConfig(step_s=None, horizon_h=24.0, free_response={"name": "linear_weather"})
 

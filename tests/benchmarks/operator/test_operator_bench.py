@@ -13,7 +13,7 @@ from benchmarks.operator.bench import run_operator_bench
 from benchmarks.operator.data import cut, read_hourly_pairs, read_run
 from benchmarks.operator.score import score_pairs
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.operator import linear_operator
+from thermoforce_mpc.model.operator.parameters import linear_operator
 
 pytestmark = pytest.mark.slow
 

@@ -13,7 +13,7 @@ from benchmarks.verdicts.house import Case, Judged, Week
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.execution import LocalEngine
-from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.card import Competence
 
 THERMOSTAT = Week(0.50, 1.0, 3.0)
 

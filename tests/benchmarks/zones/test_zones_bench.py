@@ -11,7 +11,7 @@ import pytest
 from benchmarks.closed_loop.boptest import verdict_in_words
 from benchmarks.zones.bench import APARTMENT, HOUSE, Case, Outcome, speed_targets, targets
 from benchmarks.zones.scaling import BesideDoMpc
-from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.card import Competence
 
 
 def outcome(testcase: str, ours, native, thermostat) -> Outcome:

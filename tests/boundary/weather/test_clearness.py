@@ -10,8 +10,7 @@ import pvlib
 import pytest
 
 from thermoforce_mpc.boundary.weather import Weather, load_weather
-from thermoforce_mpc.boundary.weather.clearness import clear_sky_W_m2, sunlight_from_humidity
-from thermoforce_mpc.boundary.weather.solar import sun_position
+from thermoforce_mpc.boundary.weather.solar import clear_sky_W_m2, sun_position, sunlight_from_humidity
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import WeatherError
 

@@ -9,8 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from thermoforce_mpc.cli import cli
-from thermoforce_mpc.model.card import ModelCard
-from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.card import Competence, ModelCard
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.part_load import LevelCost
 from thermoforce_mpc.model.machine.power import PowerModel

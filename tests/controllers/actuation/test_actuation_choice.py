@@ -20,7 +20,7 @@ from thermoforce_mpc.identification import identify
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.part_load import LevelCost
 from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.machine.return_water import ReturnWater
+from thermoforce_mpc.model.machine.water import ReturnWater
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario

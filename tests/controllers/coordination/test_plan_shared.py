@@ -14,7 +14,7 @@ from controllers.coordination.planning import plan_shared
 from controllers.many.portfolio import plan_many
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.card import Competence
 
 CONFIG = MPCConfig(step_s=None, horizon_h=24.0, free_response={"name": "linear_weather"})
 FUSE_kW = 6.0

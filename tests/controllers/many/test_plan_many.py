@@ -23,8 +23,8 @@ from controllers.many.worker import read_shared, write_shared
 from controllers.optimisation.solvers.milp import Highs
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.competence import Competence
-from thermoforce_mpc.model.free_response.backbones.bolt import BoltBackbone
+from thermoforce_mpc.model.card import Competence
+from thermoforce_mpc.model.free_response.backbones.chronos_family import BoltBackbone
 
 HOURLY = {"step_s": None, "horizon_h": 24.0}
 WEATHER_MODEL = MPCConfig(**HOURLY, free_response={"name": "linear_weather"})

@@ -12,7 +12,9 @@ from controllers.monitoring.scaled_model import GAIN_BOUNDS, scaled
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.operator import BuildingOperator, HeatInput, linear_operator
+from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.heat_input import HeatInput
+from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 

@@ -14,7 +14,8 @@ from controllers.monitoring.scaled_model import scaled
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.modulation.selection import prove
-from thermoforce_mpc.model.operator import OperatorParameters, certificate, linear_operator
+from thermoforce_mpc.model.operator.certificate import certificate
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
 

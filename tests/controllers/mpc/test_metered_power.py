@@ -12,7 +12,7 @@ from two_houses import TwoHouses, two_model, two_observation
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.actuation.actuator import ActuationState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, PlanStatus
-from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 

@@ -21,7 +21,7 @@ from controllers.rules.pi import PIController
 from controllers.rules.thermostat import Thermostat
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput

@@ -26,10 +26,9 @@ from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, SolverResult
 from controllers.optimisation.statement.difference_equations import difference_equation
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.operator.building import single
+from thermoforce_mpc.model.operator.building import driven_rollout, single
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import linear_operator
-from thermoforce_mpc.model.operator.rollout import driven_rollout
 
 SHAPES = {
     "every step": ProblemShape(every_step(N)),

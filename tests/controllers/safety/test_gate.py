@@ -12,7 +12,7 @@ from controllers import MPCConfig, ThermoForceMPC
 from controllers.checks import ControllerConfigError
 from controllers.registry import REGISTRY, build_controller, controller_config
 from controllers.rules.native import NativeController
-from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 

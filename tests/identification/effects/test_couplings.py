@@ -14,9 +14,8 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.couplings import assembled
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.model.card import ModelCard
-from thermoforce_mpc.model.operator import linear_operator
-from thermoforce_mpc.model.thermal_model import load_model
-from thermoforce_mpc.model.zone_model import ZoneModel
+from thermoforce_mpc.model.operator.parameters import linear_operator
+from thermoforce_mpc.model.thermal_model import ZoneModel, load_model
 
 pytestmark = pytest.mark.slow
 

@@ -15,10 +15,10 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.effects.confounding import confounding, shared_sd
 from thermoforce_mpc.identification.effects.level_laws import laws_of, levels_only
-from thermoforce_mpc.model.operator.casadi_export import step_function
+from thermoforce_mpc.model.exported import step_function
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
-from thermoforce_mpc.model.thermal_model import load_model
+from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
 CONFIG = IdentificationConfig(order=3, modulation="linear", sun_on_sensor=False)
 DAYS = 12.0
@@ -84,7 +84,10 @@ def test_every_form_of_the_operator_has_the_same_heat(tmp_path):
     assert operator.heat_input == model.only.operator.heat_input
     assert operator.heat_input.per_K > 0.01
     assert certificate(operator).certified
-    step, torch_form = step_function(operator), ForcedResponseOperator(operator)
+    step, torch_form = (
+        step_function(ThermalModel.single(operator), operator.step_s, part_load="held"),
+        ForcedResponseOperator(operator),
+    )
     for T_out in (-30.0, -2.0, 4.0, 40.0):
         features = np.array([18.0, T_out, 100.0, 0.5])
         expected = operator.step(np.zeros(operator.order), 0.6, features)

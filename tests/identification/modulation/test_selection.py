@@ -12,9 +12,9 @@ from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.modulation import selection
 from thermoforce_mpc.identification.modulation.training import with_network
-from thermoforce_mpc.model.forced_history import forced_history, heat_drive
-from thermoforce_mpc.model.operator import certificate
+from thermoforce_mpc.model.forced_state import forced_history, heat_drive
 from thermoforce_mpc.model.operator.building import single
+from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.operator.parameters import linear_operator
 
@@ -38,7 +38,7 @@ def test_three_days_of_probing_give_the_level_and_the_network():
     model = found(record(HOUSE, 3.0, u=SWITCHED, noise_K=0.01))
     assert counts(model) == (199, 199, 199)
     assert model.operator.parameters_in_words == "199 trained parameters, 199 used"
-    assert (model.operator.heat_input.kind, model.card.scores["modulation_kept"]) == ("identity", 1.0)
+    assert (model.operator.heat_input.heat, model.card.scores["modulation_kept"]) == (None, 1.0)
     assert "heat input: the level, v = u" in model.card.notes
     assert certificate(model.operator).certified
 
@@ -58,7 +58,7 @@ def test_the_network_is_the_measured_heat_of_full_level_where_temperatures_say_n
 def test_linear_trains_no_network():
     model = found(record(HOUSE, 3.0, u=SWITCHED), modulation="linear")
     assert counts(model) == (6, 6, 6)
-    assert model.operator.heat_input.kind == "heat"
+    assert model.operator.heat_input.heat is not None
     assert model.operator.constant_modulation == 1.0
 
 
@@ -112,7 +112,8 @@ def test_a_network_that_is_significantly_worse_is_dropped_unless_it_is_always_ke
 def test_levels_that_are_held_keep_the_heat_map_under_the_network():
     """A plan that holds levels needs the heat at each, which v = u does not have."""
     model = found(record(HOUSE, 3.0, noise_K=0.01))
-    assert (model.operator.heat_input.kind, *counts(model)) == ("heat", 199, 199, 199)
+    assert model.operator.heat_input.heat is not None
+    assert counts(model) == (199, 199, 199)
     (said,) = [note for note in model.card.notes if note.startswith("heat input")]
     assert said.startswith("heat input: measured heat, since levels between off and full are held")
 

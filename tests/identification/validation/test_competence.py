@@ -22,7 +22,7 @@ from thermoforce_mpc.identification.validation.competence import (
     most_K,
 )
 from thermoforce_mpc.identification.validation.held_out import before_held_out, held_out, seen_rows
-from thermoforce_mpc.model.competence import Competence, HorizonScore
+from thermoforce_mpc.model.card import Competence, HorizonScore
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 

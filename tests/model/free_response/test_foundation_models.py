@@ -13,9 +13,10 @@ import torch
 from foundation_models import MAKERS
 from safetensors.torch import load_file, save_file
 
+from thermoforce_mpc.data.series import interpolated
 from thermoforce_mpc.errors import BackboneError
 from thermoforce_mpc.model.free_response.backbones import known
-from thermoforce_mpc.model.free_response.backbones.base import Backbone, Context, bridged
+from thermoforce_mpc.model.free_response.backbones.base import Backbone, Context
 from thermoforce_mpc.model.free_response.backbones.loading import load_backbone
 
 # Of what the packages themselves warn.
@@ -170,7 +171,7 @@ def test_an_unknown_name_gets_the_nearest() -> None:
 
 def test_gaps_are_bridged_by_lines_and_ends_hold() -> None:
     nan = np.nan
-    np.testing.assert_allclose(bridged(np.array([nan, 1.0, nan, 3.0, nan])), [1.0, 1.0, 2.0, 3.0, 3.0])
+    np.testing.assert_allclose(interpolated(np.array([nan, 1.0, nan, 3.0, nan])), [1.0, 1.0, 2.0, 3.0, 3.0])
 
 
 def test_only_what_may_be_sold_is_the_default() -> None:

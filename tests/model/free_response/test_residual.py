@@ -12,7 +12,6 @@ from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.linear_weather import (
     DISTURBANCES_H,
     TIME_CONSTANTS_H,
-    fit_linear_weather,
     fits_linear_weather,
     mean_course,
 )
@@ -44,7 +43,7 @@ def past_and_ahead(outdoor: np.ndarray, solar: np.ndarray, free: np.ndarray) -> 
 def test_the_fit_finds_the_physics_and_obeys_its_signs() -> None:
     free, outdoor, solar = room_and_weather(0)
     history, boundary = past_and_ahead(outdoor, solar, free)
-    fit = fit_linear_weather(free[: N + 1], history, boundary)
+    (fit,) = fits_linear_weather(free[: N + 1], history, boundary)
     q = TIME_CONSTANTS_H.size
     assert np.sqrt(np.mean((fit.past_C - free[: N + 1]) ** 2)) < 0.15
     assert np.abs(fit.ahead_C - free[N + 1 :]).max() < 0.4
@@ -56,7 +55,7 @@ def test_the_fit_finds_the_physics_and_obeys_its_signs() -> None:
 def test_a_room_that_cools_when_the_sun_shines_is_not_believed() -> None:
     free, outdoor, solar = room_and_weather(1)
     history, boundary = past_and_ahead(outdoor, solar, free)
-    fit = fit_linear_weather(free[: N + 1] - 0.01 * solar[: N + 1], history, boundary)
+    (fit,) = fits_linear_weather(free[: N + 1] - 0.01 * solar[: N + 1], history, boundary)
     assert (fit.weights[: 2 * TIME_CONSTANTS_H.size] >= 0).all()
 
 
@@ -106,13 +105,13 @@ def test_a_slow_disturbance_bends_the_generalised_fit_less() -> None:
     free = free + np.where((np.arange(free.size) > 150) & (np.arange(free.size) < 222), 2.0, 0.0)
     history, boundary = past_and_ahead(outdoor, solar, free)
     truth = free[N + 1 :]
-    plain, slow = (fit_linear_weather(free[: N + 1], history, boundary, tau) for tau in (None, 24.0))
+    plain, slow = fits_linear_weather(free[: N + 1], history, boundary, (None, 24.0))
     gap = [np.std(fit.ahead_C - truth) for fit in (plain, slow)]  # a constant offset is the backbone's part
     assert gap[1] < 0.7 * gap[0]
     holed = free[: N + 1].copy()
     holed[40:60] = np.nan
     holed[::9] = np.nan
-    again = fit_linear_weather(holed, history, boundary, 24.0)
+    (again,) = fits_linear_weather(holed, history, boundary, (24.0,))
     assert np.std(again.ahead_C - truth) < 1.5 * gap[1]
 
 

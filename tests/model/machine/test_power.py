@@ -11,7 +11,7 @@ from machine_history import machine_history
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.machine.power import fit_both_directions, fit_load, fit_power
-from thermoforce_mpc.model.machine.return_water import ReturnWater
+from thermoforce_mpc.model.machine.water import ReturnWater
 
 
 def _machine(u, T):

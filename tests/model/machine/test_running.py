@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from thermoforce_mpc.model.machine.running import running_share
+from thermoforce_mpc.model.machine.load import running_share
 
 
 @settings(max_examples=60, deadline=None)

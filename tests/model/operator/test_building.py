@@ -9,7 +9,8 @@ import pytest
 from operators import random_operator
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.operator import BuildingOperator, OperatorParameters, forced_rollout, single
+from thermoforce_mpc.model.operator.building import BuildingOperator, forced_rollout, single
+from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 N = 12
 

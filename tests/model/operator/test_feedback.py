@@ -14,17 +14,12 @@ from operators import HEAT_MAP, random_features, random_operator
 
 from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.errors import ArtifactError, DataError
-from thermoforce_mpc.model.operator import (
-    IDENTITY,
-    HeatInput,
-    certificate,
-    feedback_bounds,
-    forced_rollout,
-    linear_operator,
-    modulation_slope,
-)
-from thermoforce_mpc.model.operator.casadi_export import rollout_function
-from thermoforce_mpc.model.saved.model_file import content_sha256
+from thermoforce_mpc.model.exported import rollout_function
+from thermoforce_mpc.model.operator.building import forced_rollout
+from thermoforce_mpc.model.operator.certificate import certificate, feedback_bounds, modulation_slope
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
+from thermoforce_mpc.model.operator.parameters import linear_operator
+from thermoforce_mpc.model.saved import content_sha256
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
 N = 12
@@ -76,7 +71,9 @@ def test_three_forms_follow_the_recursion(order):
     for i in range(5):
         expected = _loop(params, F0, u[i], features)
         np.testing.assert_allclose(together[i], expected, atol=1e-12)
-        modes, forced = rollout_function(params, N)(F0, u[i], features.T)
+        modes, forced = rollout_function(ThermalModel.single(params), N, params.step_s, part_load="held")(
+            F0, u[i], features.T
+        )
         np.testing.assert_allclose(np.array(modes).T, expected, atol=1e-10)
         np.testing.assert_allclose(np.array(forced).ravel(), expected.sum(-1), atol=1e-10)
     by_torch = module(torch.tensor(F0), torch.tensor(u), torch.tensor(features)).detach().numpy()

@@ -16,16 +16,14 @@ from operators import HEAT_MAP, random_features, random_operator
 
 from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.model.exported import rollout_function, step_function
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.operator import (
-    IDENTITY,
-    HeatInput,
-    OperatorParameters,
-    feature_matrix,
-    forced_rollout,
-    linear_operator,
-)
-from thermoforce_mpc.model.operator.casadi_export import modulation_function, rollout_function, step_function
+from thermoforce_mpc.model.operator.building import forced_rollout
+from thermoforce_mpc.model.operator.casadi_export import modulation_function
+from thermoforce_mpc.model.operator.features import feature_matrix
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
+from thermoforce_mpc.model.operator.parameters import OperatorParameters, linear_operator
+from thermoforce_mpc.model.thermal_model import ThermalModel
 
 N = 24
 
@@ -70,12 +68,14 @@ def test_casadi_equals_torch(seed, order, scale, heat_input):
     module = ForcedResponseOperator(params)
     F0, u, features = rng.normal(size=order) * 5, rng.uniform(0, 1, N), random_features(rng, N)
     by_torch = module(torch.tensor(F0), torch.tensor(u), torch.tensor(features)).detach().numpy()
-    modes, forced = rollout_function(params, N)(F0, u, features.T)
+    modes, forced = rollout_function(ThermalModel.single(params), N, params.step_s, part_load="held")(F0, u, features.T)
     assert np.abs(np.array(modes).T - by_torch).max() <= 1e-10
     assert np.abs(np.array(forced).ravel() - by_torch.sum(-1)).max() <= 1e-10
     m = np.array(modulation_function(params).map(N)(features.T)).ravel()
     assert np.abs(m - module.modulation(torch.tensor(features)).detach().numpy()).max() <= 1e-10
-    one = np.array(step_function(params)(F0, u[0], features[0])).ravel()
+    one = np.array(
+        step_function(ThermalModel.single(params), params.step_s, part_load="held")(F0, u[0], features[0])
+    ).ravel()
     assert np.abs(one - by_torch[0]).max() <= 1e-10
 
 
@@ -84,7 +84,7 @@ def test_casadi_derivative_equals_autodiff():
     params = random_operator(9, 3, heat_input=HEAT_MAP)
     F0, u, features = rng.normal(size=3), rng.uniform(0.3, 1, N), random_features(rng, N)
     plan = ca.MX.sym("u", N)
-    forced = rollout_function(params, N)(F0, plan, features.T)[1]
+    forced = rollout_function(ThermalModel.single(params), N, params.step_s, part_load="held")(F0, plan, features.T)[1]
     by_casadi = np.array(ca.Function("j", [plan], [ca.jacobian(forced, plan)])(u))
     module = ForcedResponseOperator(params)
     by_torch = torch.autograd.functional.jacobian(
@@ -241,8 +241,9 @@ def test_other_levels_need_to_have_been_seen():
 def test_using_an_operator_imports_neither_torch_nor_casadi():
     code = (
         "import sys, numpy as np\n"
-        "from thermoforce_mpc.model.operator import linear_operator, forced_rollout\n"
-        "import thermoforce_mpc.model.predictor, thermoforce_mpc.model.saved.model_file\n"
+        "from thermoforce_mpc.model.operator.building import forced_rollout\n"
+        "from thermoforce_mpc.model.operator.parameters import linear_operator\n"
+        "import thermoforce_mpc.model.predictor, thermoforce_mpc.model.saved\n"
         "p = linear_operator([0.9], [0.1], step_s=3600.0)\n"
         "forced_rollout(p, np.zeros(1), np.ones(3), np.zeros((3, 4)))\n"
         "sys.exit(', '.join(m for m in ('torch', 'casadi') if m in sys.modules) or 0)\n"

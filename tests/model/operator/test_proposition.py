@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from operators import HEAT_MAP, random_features, random_operator
 
 from benchmarks.operator.torch_operator import ForcedResponseOperator
-from thermoforce_mpc.model.operator import IDENTITY, certificate, forced_rollout
-from thermoforce_mpc.model.operator.certificate import modulation_interval
+from thermoforce_mpc.model.operator.building import forced_rollout
+from thermoforce_mpc.model.operator.certificate import certificate, modulation_interval
+from thermoforce_mpc.model.operator.heat_input import IDENTITY
 
 N = 12
 

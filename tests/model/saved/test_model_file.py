@@ -13,8 +13,9 @@ from thermoforce_mpc.errors import ArtifactError, DataError
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.operator import forced_rollout, linear_operator
-from thermoforce_mpc.model.saved.model_file import ARRAYS_NAME, JSON_NAME, content_sha256
+from thermoforce_mpc.model.operator.building import forced_rollout
+from thermoforce_mpc.model.operator.parameters import linear_operator
+from thermoforce_mpc.model.saved import ARRAYS_NAME, JSON_NAME, content_sha256
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
 

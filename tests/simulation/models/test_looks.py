@@ -11,7 +11,7 @@ from simple_house import simple_model
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, PlantInfo, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.validation.competence import SETTLED_SD, lacking
-from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.simulation.models.probing import Identifying, Look, Probed
 
 KNOWN = Competence(True, effect_K=2.0, effect_sd_K=0.2)

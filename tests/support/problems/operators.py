@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.operator import HIDDEN, IDENTITY, HeatInput, OperatorParameters
-from thermoforce_mpc.model.operator.parameters import initial_weight
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
+from thermoforce_mpc.model.operator.parameters import HIDDEN, OperatorParameters, initial_weight
 
 HEAT_MAP = HeatInput(heat=MachineLoad((1600.0, 20.0, 8500.0, 300.0), (-4.0, 15.0), lowest_level=0.2), reference_C=0.0)
 

@@ -23,14 +23,10 @@ _MOST_BYTES = 5_000_000
 
 
 def fetch_brussels(folder: Path, url: str = URL, fingerprint: str = FINGERPRINT) -> Path:
-    """Return the path of the Brussels weather year in `folder`, downloading it if missing; always check its values.
+    """The path of the Brussels weather year in `folder`, downloaded if missing; its values are always checked.
 
-    The file is ASHRAE's IWEC data, licensed for your own use, not for redistribution.
-
-    Raises:
-        WeatherError: no network, unexpected content at `url`, or another file of that name in `folder`. No partial
-            file is left.
-        StorageError: the folder cannot be written.
+    The file is ASHRAE's IWEC data, licensed for your own use, not for redistribution. Raises `WeatherError` without
+    network, for unexpected content at `url` or another file of that name (no partial file is left), and `StorageError`.
     """
     path = Path(folder) / FILE_NAME
     if path.exists():

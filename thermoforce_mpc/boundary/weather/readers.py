@@ -1,71 +1,88 @@
-"""Readers for Modelica `.mos` weather tables (TMY3 layout) and EnergyPlus `.epw` files."""
+"""Readers for Modelica `.mos` weather tables (TMY3 layout) and EnergyPlus `.epw` files; what cannot be is refused."""
 
 from __future__ import annotations
 
 import datetime
 import hashlib
+import warnings
 from pathlib import Path
 
 import numpy as np
 
-from thermoforce_mpc.boundary.weather.plausible import check_plausible
+from thermoforce_mpc.boundary.weather.solar import sun_position
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.errors import WeatherError
-from thermoforce_mpc.files import read_bounded
+from thermoforce_mpc.files import DoubtfulInput, read_bounded
 
+# Mean of a year, °C: the extremes on Earth are Vostok (-55) and Dallol (35).
+_MEAN_C = (-60.0, 40.0)
+_USUAL_MEAN_C = (-25.0, 32.0)
+# An hour is dark if the sun is so far below the horizon in its middle: 7.5 degrees to its end, and astronomical dusk.
+_DARK_DEG = -12.0
+_MOST_IN_THE_DARK = 0.01
+_STUCK_H = 72
 _HOURS = 8760
 # A year of EPW has 1.6 MB.
 _MOST_BYTES = 10_000_000
 _MOST_LINES = 20_000
 _MOST_CELLS = 40
 _EPW_HEADER = 8
-
-# Column positions, from 0.
-_MOS_COLUMNS = {
-    "time_s": 0,
-    "T_dry_C": 1,
-    "T_dew_C": 2,
-    "relative_humidity": 3,
-    "pressure_Pa": 4,
-    "infrared_W_m2": 7,
-    "global_W_m2": 8,
-    "normal_W_m2": 9,
-    "diffuse_W_m2": 10,
-    "wind_from_rad": 15,
-    "wind_m_s": 16,
-    "total_cover": 17,
-    "opaque_cover": 18,
+# Column positions, from 0. An EPW has them in the same order, behind date, hour, minute and flags.
+_COLUMNS = {
+    "T_dry_C": 1, "T_dew_C": 2, "relative_humidity": 3, "pressure_Pa": 4, "infrared_W_m2": 7, "global_W_m2": 8,
+    "normal_W_m2": 9, "diffuse_W_m2": 10, "wind_from_rad": 15, "wind_m_s": 16, "total_cover": 17, "opaque_cover": 18,
     "ceiling_m": 20,
-}
-_EPW_COLUMNS = {
-    "month": 1,
-    "day": 2,
-    "hour": 3,
-    "T_dry_C": 6,
-    "T_dew_C": 7,
-    "relative_humidity": 8,
-    "pressure_Pa": 9,
-    "infrared_W_m2": 12,
-    "global_W_m2": 13,
-    "normal_W_m2": 14,
-    "diffuse_W_m2": 15,
-    "wind_from_rad": 20,
-    "wind_m_s": 21,
-    "total_cover": 22,
-    "opaque_cover": 23,
-    "ceiling_m": 25,
-}
+}  # fmt: skip
+_MOS_COLUMNS = {"time_s": 0, **_COLUMNS}
+_EPW_COLUMNS = {"month": 1, "day": 2, "hour": 3, **{name: place + 5 for name, place in _COLUMNS.items()}}
+
+
+def check_plausible(weather: Weather, path: Path) -> None:
+    """Raise `WeatherError` for a year of no place on Earth; `DoubtfulInput` warns of an improbable one."""
+    mean_C = float(weather.T_dry_C.mean())
+    if not _MEAN_C[0] <= mean_C <= _MEAN_C[1]:
+        raise WeatherError(
+            f"{path}: the year's mean temperature is {mean_C:.1f} °C, that of no place on Earth; is the column in °C?"
+        )
+    sun = weather.global_W_m2 + weather.normal_W_m2 + weather.diffuse_W_m2
+    shining = float(sun.sum())
+    if shining > 0:
+        # Rows are means over the hour that ends there.
+        middle_s: Array = (np.arange(float(sun.size)) - 0.5) * HOUR_S
+        zenith = sun_position(middle_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h).zenith
+        share = float(sun[np.rad2deg(zenith) > 90.0 - _DARK_DEG].sum()) / shining
+        if share > _MOST_IN_THE_DARK:
+            raise WeatherError(
+                f"{path}: {100 * share:.0f} % of the year's sun shines in the dark at latitude "
+                f"{weather.latitude_deg:g}, longitude {weather.longitude_deg:g}, time zone {weather.timezone_h:g} h; "
+                "these are wrong, or the rows are shifted"
+            )
+    for doubt in _doubts(weather, mean_C, shining):
+        warnings.warn(f"{path}: {doubt}", DoubtfulInput, stacklevel=3)
+
+
+def _doubts(weather: Weather, mean_C: float, shining: float) -> list[str]:
+    doubts = []
+    if not _USUAL_MEAN_C[0] <= mean_C <= _USUAL_MEAN_C[1]:
+        doubts.append(f"the year's mean temperature is {mean_C:.1f} °C: few people live there")
+    if shining == 0:
+        doubts.append("the sun never shines in it: the columns of irradiance are empty")
+    changes = np.flatnonzero(np.diff(weather.T_dry_C) != 0)
+    stuck = np.diff(np.concatenate([[-1], changes, [weather.T_dry_C.size - 1]]))
+    if stuck.max() > _STUCK_H:
+        first = int(np.concatenate([[0], changes + 1])[int(stuck.argmax())])
+        doubts.append(
+            f"the temperature is {weather.T_dry_C[first]:g} °C for {int(stuck.max())} hours from day {first // 24 + 1}"
+        )
+    return doubts
 
 
 def load_weather(path: Path) -> Weather:
-    """Read a weather year from a `.mos` or `.epw` file.
+    """Read a weather year from a `.mos` or `.epw` file; `DoubtfulInput` warns of one that is improbable.
 
-    `DoubtfulInput` warns of a year that is possible but improbable.
-
-    Raises:
-        WeatherError: the file is missing, of another type, truncated, not hourly, or has values or a place that cannot
-            be; the message names the file and what to do.
+    Raises `WeatherError`, naming the file and what to do, for a file that is missing, of another type, truncated, not
+    hourly, or has values or a place that cannot be.
     """
     path = Path(path)
     readers = {".mos": _read_mos, ".epw": _read_epw}
@@ -110,8 +127,7 @@ def _read_mos(path: Path, name: str, lines: list[str]) -> Weather:
 def _read_epw(path: Path, name: str, lines: list[str]) -> Weather:
     """Read an `.epw` file: eight header lines, then rows for hours 1 to 24; row h is the state at h o'clock.
 
-    pvlib's `read_epw` is not used: it accepts truncated files, short rows and text in cells without an error, refuses
-    rows that end in a comma and Latin-1 place names, and names neither file nor row.
+    pvlib's `read_epw` accepts truncated files and text in cells, refuses Latin-1 place names, and names no row.
     """
     if len(lines) <= _EPW_HEADER or not lines[0].upper().startswith("LOCATION"):
         raise WeatherError(f"{path}: does not start with a LOCATION line, so it is not an EPW file")

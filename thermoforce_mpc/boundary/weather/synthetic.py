@@ -22,9 +22,8 @@ _UNLIMITED_CEILING_M = 22_000.0
 def synthetic_weather(seed: int = 0, *, warmer_K: float = 0.0, clearer: float = 0.0) -> Weather:
     """Return the synthetic year of `seed`; the same arguments give the same bytes.
 
-    Args:
-        warmer_K: shift of the outdoor temperature over the whole year, K.
-        clearer: shift of the cloud process towards a clear sky, in standard deviations; 0: a maritime sky.
+    `warmer_K` shifts the outdoor temperature over the whole year, `clearer` the cloud process towards a clear sky, in
+    standard deviations.
     """
     rng = np.random.default_rng(seed)
     hour = np.arange(float(_HOURS))
@@ -67,7 +66,6 @@ def synthetic_weather(seed: int = 0, *, warmer_K: float = 0.0, clearer: float = 
 
 
 def _shifts(warmer_K: float, clearer: float) -> str:
-    """Return the shifts of the climate in words, empty without one."""
     return (f", {warmer_K:+.1f} K" if warmer_K else "") + (f", {clearer:+.2f} clearer" if clearer else "")
 
 
@@ -97,12 +95,11 @@ def _radiation(hour: Array, cover: Array) -> tuple[Array, Array, Array]:
     """Return global horizontal, direct normal and diffuse horizontal irradiance, W/m², means over the hour that ends.
 
     Clear sky after Haurwitz (1945), cover factor after Kasten and Czeplak (1980), diffuse share after Erbs, Klein and
-    Duffie (1982). The latter is written out because pvlib's version includes the sun's distance, which gives 2.6 % less
-    diffuse irradiance over the year than the figures in docs/how-it-works/plants.md.
+    Duffie (1982); pvlib's version of the latter includes the sun's distance: 2.6 % less diffuse over the year than the
+    figures in docs/how-it-works/plants.md.
     """
     # Imported here: pvlib takes 0.3 s to import and a run with a weather file does not need it yet.
-    from thermoforce_mpc.boundary.weather.clearness import clear_sky_W_m2
-    from thermoforce_mpc.boundary.weather.solar import sun_position
+    from thermoforce_mpc.boundary.weather.solar import clear_sky_W_m2, sun_position
 
     minutes = (np.arange(6) + 0.5) * 600.0 - HOUR_S
     time_s = hour[:, None] * HOUR_S + minutes[None, :]

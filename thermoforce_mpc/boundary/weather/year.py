@@ -46,11 +46,8 @@ class Weather:
 
     `T_dry_C`, `T_dew_C` °C; global horizontal, direct normal and diffuse horizontal irradiance W/m² (means over the
     hour that ends at the row); `wind_m_s`; `wind_from_rad` clockwise from north; `opaque_cover` 0 to 1; `pressure_Pa`.
-    Only reported: `relative_humidity` and `total_cover` 0 to 1, horizontal `infrared_W_m2`, cloud `ceiling_m`.
-
-    Raises:
-        WeatherError: a column has the wrong length, a value that is not finite, or one outside its physical range;
-            the place is not on Earth.
+    Only reported: `relative_humidity` and `total_cover` 0 to 1, horizontal `infrared_W_m2`, cloud `ceiling_m`. Raises
+    `WeatherError` for a column of another length or with a value outside its range, and a place not on Earth.
     """
 
     name: str
@@ -97,10 +94,7 @@ class Weather:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of values and site, twelve hexadecimal digits, independent of the file format.
-
-        Columns that are only reported are excluded.
-        """
+        """Hash of values and site, twelve hexadecimal digits; not of the file format and of what is only reported."""
         digest = hashlib.sha256()
         place = np.array([self.latitude_deg, self.longitude_deg, self.timezone_h])
         for values in (place, *(getattr(self, name) for name in _LIMITS)):
@@ -108,9 +102,9 @@ class Weather:
         return digest.hexdigest()[:12]
 
     def at(self, column: str, time_s: Array) -> Array:
-        """Interpolate `column` at `time_s` (s since 1 January, periodic over the year), any shape.
+        """Interpolate `column` at `time_s` (s since 1 January, periodic over the year), clipped to its range.
 
-        Akima splines, as Modelica's `ContinuousDerivative` tables; the result is clipped to the column's valid range.
+        Akima splines, as Modelica's `ContinuousDerivative` tables.
         """
         shift = _RADIATION_SHIFT_S if column in _RADIATION else 0.0
         values = self._spline(column)(np.mod(np.asarray(time_s, dtype=np.float64) + shift, YEAR_S))
@@ -129,8 +123,8 @@ class Weather:
     def sky_temperature_C(self, time_s: Array) -> Array:
         """Return black-body sky temperature from dew point, dry bulb and opaque cover, °C, shape of `time_s`.
 
-        Clear-sky emissivity and cover factor after Clark and Allen (1978) and Walton (1983), as in EnergyPlus'
-        engineering reference and the IBPSA Modelica library.
+        Emissivity and cover factor after Clark and Allen (1978) and Walton (1983), as in EnergyPlus and the IBPSA
+        library.
         """
         dry_C, dew_C = self.at("T_dry_C", time_s), self.at("T_dew_C", time_s)
         return black_body_sky_C(dry_C, dew_C, self.at("opaque_cover", time_s))

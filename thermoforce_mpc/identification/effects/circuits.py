@@ -21,12 +21,10 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
-from thermoforce_mpc.data.series.gaps import interpolated
-from thermoforce_mpc.data.series.lag import lagged
+from thermoforce_mpc.data.series import interpolated, lagged
 from thermoforce_mpc.identification.effects.couplings import largest_W
 from thermoforce_mpc.identification.network.estimate import RoomFit, Run
-from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE, TRUST_K
+from thermoforce_mpc.model.machine.load import LEVEL_EDGE, TRUST_K, MachineLoad
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
 # Level about which plans are linearised: that which holds a room over a season.

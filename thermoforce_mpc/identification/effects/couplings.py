@@ -14,8 +14,7 @@ from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.model.zone_model import ZoneModel
+from thermoforce_mpc.model.thermal_model import ThermalModel, ZoneModel
 
 # A neighbour's effect below this after a day at full level, K, is none.
 _LEAST_EFFECT_K = 0.02

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.data.series.lag import lagged
+from thermoforce_mpc.data.series import lagged
 
 # Times after a step to full level at which the response and its standard deviation are stored, h.
 STEP_RESPONSE_H: tuple[int, ...] = (1, 2, 4, 8, 12, 24, 48)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import DAY_S, HOUR_S, SIGNALS, Array, Record
 from thermoforce_mpc.data.limits import LEVEL, ROUNDING
 from thermoforce_mpc.data.names import AXIS
-from thermoforce_mpc.data.series.gaps import WEATHER, bridged, long_gaps, long_level_gaps
+from thermoforce_mpc.data.series import WEATHER, bridged, long_gaps, long_level_gaps
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.screening import Limits, screened_history
 

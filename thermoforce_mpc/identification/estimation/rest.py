@@ -15,7 +15,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize, nnls
 
 from thermoforce_mpc.data import Array, Record
-from thermoforce_mpc.data.series.lag import lagged
+from thermoforce_mpc.data.series import lagged
 from thermoforce_mpc.identification.estimation.modes import unit_responses
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.model.free_response.rc import RcParameters

@@ -9,16 +9,15 @@ import numpy as np
 from scipy.optimize import brentq
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
-from thermoforce_mpc.data.series.gaps import interpolated
+from thermoforce_mpc.data.series import interpolated
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.identification.modulation.training import TrainingData, train
 from thermoforce_mpc.identification.validation.blocks import block_numbers, is_significant, standard_errors_saved
 from thermoforce_mpc.identification.validation.errors_ahead import Fold
-from thermoforce_mpc.model.forced_history import forced_history
-from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
+from thermoforce_mpc.model.forced_state import forced_history
+from thermoforce_mpc.model.machine.load import LEVEL_EDGE, MachineLoad
 from thermoforce_mpc.model.machine.part_load import SWITCH_FROM, part_load
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import single

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
-from thermoforce_mpc.data.series.gaps import interpolated
+from thermoforce_mpc.data.series import interpolated
 from thermoforce_mpc.identification.effects.circuits import Circuit
 from thermoforce_mpc.identification.effects.level_laws import LevelLaw
 from thermoforce_mpc.identification.network.estimate import RoomFit, Run, estimate_room

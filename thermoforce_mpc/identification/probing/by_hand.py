@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Record
-from thermoforce_mpc.data.series.gaps import bridged
+from thermoforce_mpc.data.series import bridged
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.probing.design import choose, expected_rise_K
 from thermoforce_mpc.identification.probing.excitation import Draws, Excitation

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, Layout, Record
-from thermoforce_mpc.data.series.gaps import bridged
+from thermoforce_mpc.data.series import bridged
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.pipeline import identify

@@ -27,7 +27,7 @@ from thermoforce_mpc.identification.validation.blocks import (
 )
 from thermoforce_mpc.identification.validation.errors_ahead import Fold, HeldOutErrors, errors_of
 from thermoforce_mpc.identification.validation.reasons import Kind, Missed, advice, plainly
-from thermoforce_mpc.model.competence import Competence, HorizonScore
+from thermoforce_mpc.model.card import Competence, HorizonScore
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 LEAD_TIMES_H = (1.0, 3.0, 6.0, 12.0, 24.0)

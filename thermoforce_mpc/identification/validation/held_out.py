@@ -13,9 +13,8 @@ from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.estimation.regression import RegressionData
 from thermoforce_mpc.model.machine.heat_capacity import HeatFit, fit_heat, kinds_for
-from thermoforce_mpc.model.machine.load_regression import LEAST_RUNNING, LEVEL_EDGE
+from thermoforce_mpc.model.machine.load import LEAST_RUNNING, LEVEL_EDGE, running_share
 from thermoforce_mpc.model.machine.power import PowerModel, fit_both_directions, fit_power
-from thermoforce_mpc.model.machine.running import running_share
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
 HELD_OUT_SHARE = 0.25

@@ -12,7 +12,7 @@ import numpy as np
 from thermoforce_mpc.data import HOUR_S, Record
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH
 from thermoforce_mpc.identification.validation.errors_ahead import HeldOutErrors
-from thermoforce_mpc.model.competence import HorizonScore
+from thermoforce_mpc.model.card import HorizonScore
 
 # Most extra hours that are advised; beyond, more of the same data is not the answer.
 _MOST_ADVISED_H = 30.0 * 24.0

@@ -19,9 +19,9 @@ from thermoforce_mpc.identification.validation.competence import judge
 from thermoforce_mpc.identification.validation.held_out import ranges
 from thermoforce_mpc.identification.validation.reasons import UNJUDGED
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
-from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.zone_model import ZoneModel
+from thermoforce_mpc.model.thermal_model import ZoneModel
 
 # Least log odds that the actuator acts: of 84 random houses with the levels of another one, 2 had more
 # (`python -m benchmarks.zones.placebo` for houses of rooms).

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from thermoforce_mpc.data import Layout, Record
+from thermoforce_mpc.measurements.checks.common import Remark
 from thermoforce_mpc.measurements.checks.levels import level_remarks
-from thermoforce_mpc.measurements.checks.remark import Remark
 from thermoforce_mpc.measurements.checks.timing import timing_remarks
 from thermoforce_mpc.measurements.checks.units import unit_remarks
 

@@ -1,8 +1,8 @@
 """Whether meter and level go together; where they do not, whether the level is none or the meter holds another load.
 
-A level is what acts: with the outdoor temperature it tells what the machine takes. Where it does not, the rooms tell
-why. What the meter shows beside the level and warms the rooms is heating that the level does not know of: the column is
-a set-point, or what was asked for. What warms nobody is another load: hot water, or a whole house on the meter.
+With the outdoor temperature a level tells what the machine takes. Where it does not, the rooms tell why: what the meter
+shows beside the level and warms the rooms is heating that the level does not know of (the column is a set-point, or
+what was asked for); what warms nobody is another load: hot water, or a whole house on the meter.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, Array, Layout, Record
-from thermoforce_mpc.measurements.checks.regression import explained, fitted
-from thermoforce_mpc.measurements.checks.remark import Remark
+from thermoforce_mpc.measurements.checks.common import Remark, explained, fitted
 
 # Share of the variance of its power that a machine's levels explain at least, with the outdoor temperature. Part load,
 # cycling and water temperatures leave up to 10 % (test cases and generated houses), another load or a set-point more.

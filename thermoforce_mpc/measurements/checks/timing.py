@@ -1,12 +1,10 @@
 """Whether heat or level are stamped late or early: moved by so many steps, they explain a room much better.
 
 The next reading of a room is told by the readings so far, the weather, and heat that acted at once or through lags of
-emitter and sensor, which only warms. All that acts is moved by some steps, and each time fitted again: what is late has
-to be moved forward, to before the temperature that it made; what is early back, beyond any lag that emitters have. Half
-the logarithm of the squared errors, times their number, is the negative log likelihood (Ljung 1999, chapter 7).
-
-A lag and an early stamp delay a room alike, a late stamp hides a lag: what emitter, pipes and sensor delay anyway, a
-quarter of an hour or with a floor slab an hour, cannot be told from a wrong stamp.
+emitter and sensor, which only warms. All that acts is moved by some steps, and fitted again: what is late has to be
+moved to before the temperature that it made; what is early, beyond any lag that emitters have. Half the logarithm of
+the squared errors, times their number, is the negative log likelihood (Ljung 1999, chapter 7). What emitter, pipes and
+sensor delay anyway, a quarter of an hour or with a floor slab an hour, cannot be told from a wrong stamp.
 """
 
 from __future__ import annotations
@@ -15,9 +13,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 from thermoforce_mpc.data import DAY_S, Array, Layout, Record
-from thermoforce_mpc.data.series.gaps import interpolated
-from thermoforce_mpc.data.series.lag import lagged
-from thermoforce_mpc.measurements.checks.remark import Remark
+from thermoforce_mpc.data.series import interpolated, lagged
+from thermoforce_mpc.measurements.checks.common import Remark
 
 # Steps by which what acts is moved, at most.
 _MOST_SHIFT = 6

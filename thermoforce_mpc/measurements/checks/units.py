@@ -18,8 +18,7 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array, Layout, Record
 from thermoforce_mpc.data.limits import LOAD_W_PER_M2, OUTDOOR_C, ZONE_C
-from thermoforce_mpc.measurements.checks.regression import fitted
-from thermoforce_mpc.measurements.checks.remark import Remark
+from thermoforce_mpc.measurements.checks.common import Remark, fitted
 
 # Heat per energy: least of any heater over a season; share of Carnot's between outdoor air and water of 35 °C that no
 # heat pump passes, and no less than 6.5, of one with a borehole.
@@ -88,7 +87,6 @@ def _runs(record: Record, fed: list[int], load_W: Array) -> bool:
 
 
 def _of_machine(record: Record, layout: Layout, m: int, machine: str) -> list[Remark]:
-    """Power of a machine and the heat of what it feeds."""
     fed = layout.fed_by(m)
     power, heat = record.power_W[m], np.abs(record.heat_W[fed]).sum(axis=0)
     of_heat = " + ".join(record.names.label("heat_W", a) for a in fed)
@@ -122,7 +120,6 @@ def _size(load_W: Array, area_m2: float) -> tuple[str, str] | None:
 
 
 def _of_ratio(record: Record, heat: Array, power: Array, both: Array, on: Array, where: str) -> list[Remark]:
-    """Heat over power of a machine."""
     ratio = float(heat[both].sum() / power[both].sum())
     T_out = record.T_out_C[:-1]
     warm = _mean(T_out[on])
@@ -161,7 +158,6 @@ def _ratio_remark(ratio: float, step_h: float, where: str, why: str) -> Remark:
 
 
 def _of_loss(record: Record, layout: Layout, fed: list[int], heat: Array, where: str) -> list[Remark]:
-    """Heat over floor area and difference of temperatures."""
     area = _area_m2(layout, fed)
     difference = _mean(record.T_zone_C[[layout.home[a] for a in fed]]) - _mean(record.T_out_C)
     if not np.isfinite(area) or not abs(difference) >= _COLDER_K or record.step_s == HOUR_S:
@@ -181,7 +177,6 @@ def _of_loss(record: Record, layout: Layout, fed: list[int], heat: Array, where:
 
 
 def _of_outdoors(record: Record, layout: Layout) -> list[Remark]:
-    """Heating while it is said to be warm outdoors."""
     heats = [a for a, sign in enumerate(layout.signs) if sign > 0 and layout.lowest[a] >= 0.0]
     if not heats:
         return []

@@ -12,8 +12,10 @@ from pydantic import Field, field_validator, model_validator
 
 from thermoforce_mpc.data import Layout, Names
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.measurements.map.mapped_signals import (
+from thermoforce_mpc.measurements.map.entries import (
     Bound,
+    Clock,
+    CsvFormat,
     OfLevel,
     OfPower,
     OfPrice,
@@ -21,7 +23,6 @@ from thermoforce_mpc.measurements.map.mapped_signals import (
     OfTemperature,
     Signal,
 )
-from thermoforce_mpc.measurements.map.mapped_table import Clock, CsvFormat
 from thermoforce_mpc.scenario.settings import StrictModel, read_yaml, validate
 
 LEAST_STEP_S, MOST_STEP_S = 60.0, 3600.0
@@ -187,11 +188,7 @@ class MeasurementMap(StrictModel):
 
 
 def load_map(path: Path) -> MeasurementMap:
-    """The map in a YAML file.
-
-    Raises:
-        ConfigError: there is no such file, or a key or value is wrong; names every one.
-    """
+    """The map in a YAML file; raises `ConfigError` where it is missing, or naming every wrong key or value."""
     if not Path(path).is_file():
         raise ConfigError(f"--map {path}: no such file; `tf-mpc data map FILE` writes one to start from")
     return validate(MeasurementMap, read_yaml(Path(path)), str(path))

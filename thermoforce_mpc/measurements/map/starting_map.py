@@ -1,15 +1,17 @@
-"""A commented map to start from, by the names of a table's columns and the sizes of their values."""
+"""What columns probably are, by name and size: a commented map to start from, and rooms that a map leaves out."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.map.mapped_table import CsvFormat
+from thermoforce_mpc.measurements.map.entries import CsvFormat, converted
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.measurements.tables.files import found_files, guessed_form, head_of
 from thermoforce_mpc.measurements.tables.raw_table import as_numbers
 
@@ -38,13 +40,14 @@ _STAMPS = tuple(
 ROWS = 2000
 """Rows of a table that are looked at."""
 _COUNTED = "  unit: s  # stamps are numbers\n  since: FILL IN  # what they count from, such as 2016-01-01"
+# Median of the temperature of a room that is lived in, °C.
+_ROOM_C = (14.0, 30.0)
 
 
 def starting_map(file: str | Path) -> str:
     """The text of a map for the first columns that look like each signal; everything else stands in comments.
 
-    Raises:
-        DataError: the file cannot be read, or no column looks like a zone's or the outdoor temperature.
+    Raises `DataError` where the file cannot be read, or no column looks like a temperature.
     """
     path = found_files([file])[0]
     form = guessed_form(path)
@@ -173,7 +176,35 @@ def _quoted(column: str) -> str:
 
 
 def _name(column: str) -> str:
-    """A zone's name from that of its column."""
     plain = re.sub(r"[\[(].*?[\])]", "", column).strip()
     plain = re.sub(r"[_ ]?(deg_?c|°c|temp\w*|ist|ist-?wert)$", "", plain, flags=re.I)
     return re.sub(r"\W+", "_", plain).strip("_").lower() or "zone"
+
+
+def rooms_beside(head: pd.DataFrame, rules: MeasurementMap) -> tuple[str, ...]:
+    """What the first rows of a table tell of rooms outside the map, in words, by names and size of readings."""
+    named = {column for _, signal in rules.signals() for column in signal.columns}
+    units: set[str] = {zone.temperature.unit for zone in rules.zones.values()}
+    rooms = [
+        str(column)
+        for column in head.columns.drop_duplicates(keep=False)
+        if str(column) not in named and kind_of(str(column)) == "temperature" and _of_a_room(head[column], rules, units)
+    ]
+    return (_of_rooms(rooms, list(rules.zones)),) if rooms else ()
+
+
+def _of_a_room(column: pd.Series, rules: MeasurementMap, units: set[str]) -> bool:
+    numbers = np.asarray(as_numbers(column, rules.csv.decimal), dtype=np.float64)
+    known = numbers[np.isfinite(numbers)]
+    if not known.size or np.ptp(known) == 0.0:
+        return False
+    return any(_ROOM_C[0] <= converted(np.array([np.median(known)]), unit)[0] <= _ROOM_C[1] for unit in units)
+
+
+def _of_rooms(rooms: Sequence[str], zones: Sequence[str]) -> str:
+    many = len(rooms) > 1
+    return (
+        f"neighbours left out: {', '.join(rooms)} {'look like rooms' if many else 'looks like a room'} beside "
+        f"{', '.join(zones)} and stand{'' if many else 's'} outside the map: where {'they are' if many else 'it is'} "
+        "heated, that heat is taken for the own; name them as zones, with what heats them"
+    )

@@ -1,9 +1,11 @@
-"""Rows of one table or several in the order of time: shuffled and repeated stamps, differing clocks."""
+"""Time stamps of tables to instants in order: formats, numbers, zones, daylight saving, shuffled and repeated rows."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -11,21 +13,148 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.map.mapped_table import Clock
+from thermoforce_mpc.measurements.map.entries import Clock
 from thermoforce_mpc.measurements.tables.raw_table import RawTable
-from thermoforce_mpc.measurements.tables.stamps import instants
 
+_ISO = re.compile(r"\s*\d{4}-\d{2}-\d{2}")
+_OFFSET = "(?:[+-][0-9]{2}:?[0-9]{2}|Z) *$"
 _AN_HOUR = pd.Timedelta("1h")
 _MOST_YEARS = 20
 
 
+def instants(table: RawTable, clock: Clock, notes: list[str]) -> pd.Series:
+    """The instants of a table's rows, in the zone of the map; rows that are left out are missing from its index."""
+    stamps = table.stamps
+    empty = np.flatnonzero(stamps.isna().to_numpy())
+    if empty.size:
+        raise DataError(
+            f"{table.where(int(empty[0]))}: the time stamp is empty ({empty.size} such rows); remove the row"
+        )
+    if pd.api.types.is_numeric_dtype(stamps):
+        times = _counted(table, clock)
+    elif pd.api.types.is_datetime64_any_dtype(stamps):
+        times = stamps
+    else:
+        times = _parsed(table, stamps.astype(str), clock)
+    if times.dt.tz is not None:
+        if clock.zone is not None:
+            return times.dt.tz_convert(clock.zone)
+        return times
+    if clock.zone is None:
+        return times
+    return _localised(table, times, clock, notes)
+
+
+def _counted(table: RawTable, clock: Clock) -> pd.Series:
+    """Numbers as elapsed time: since an instant where `since` has an offset, else on the clock of the map's zone."""
+    if clock.unit is None or clock.since is None:
+        raise DataError(
+            f"{table.name}: the time stamps are numbers (first {table.stamps.iloc[0]:g}); set time.unit (s, ms, min, "
+            "h, D) and time.since (what they count from), or name another column as time.column"
+        )
+    numbers = np.asarray(table.stamps, dtype=np.float64)
+    if not np.isfinite(numbers).all():
+        row = int(np.argmin(np.isfinite(numbers)))
+        raise DataError(f"{table.where(row)}: the time stamp is {numbers[row]:g}; remove the row")
+    try:
+        return pd.Series(clock.counted_from() + pd.to_timedelta(numbers, unit=clock.unit)).dt.round("1ms")
+    except (ValueError, OverflowError) as error:
+        row = int(np.argmax(np.abs(numbers)))
+        raise DataError(
+            f"{table.where(row)}: the time stamp {numbers[row]:.17g} is no date, read in {clock.unit} since "
+            f"{clock.since}: check time.unit, or mend the row"
+        ) from error
+
+
+def _parsed(table: RawTable, text: pd.Series, clock: Clock) -> pd.Series:
+    form = clock.format or "ISO8601"
+    if clock.format is None and not _ISO.match(text.iloc[0]):
+        raise DataError(
+            f"{table.where(0)}: the time stamp {text.iloc[0]!r} is not of the form 2025-01-31 14:30; set time.format, "
+            "such as '%d/%m/%Y %H:%M' (day first) or '%m/%d/%Y %I:%M %p', or name another column as time.column"
+        )
+    # With daylight saving, offsets differ: those with a zone to come to are read as instants at once.
+    as_instants = clock.zone is not None and bool(_with_offset(text.iloc[:1])[0]) and bool(_with_offset(text).all())
+    try:
+        return pd.to_datetime(text, format=form, utc=as_instants)
+    except (ValueError, OverflowError) as error:
+        with_one = _with_offset(text)
+        if with_one.any() and not with_one.all():
+            other = int(np.argmax(with_one != with_one[0]))
+            words = ("has none", "has a time zone") if with_one[0] else ("has a time zone", "has none")
+            raise DataError(
+                f"{table.where(other)}: the time stamp {text.iloc[other]!r} {words[0]}, {text.iloc[0]!r} before it "
+                f"{words[1]}: two clocks in one table; write all stamps with an offset, or none"
+            ) from error
+        times = pd.to_datetime(text, format=form, utc=bool(with_one.all()), errors="coerce")
+        wrong = np.flatnonzero(times.isna().to_numpy())
+        if wrong.size:
+            raise DataError(
+                f"{table.where(int(wrong[0]))}: {text.iloc[wrong[0]]!r} is no time stamp of the form "
+                f"{clock.format or '2025-01-31 14:30'} ({wrong.size} such rows); mend the row, or set time.format"
+            ) from error
+        if clock.zone is None:
+            kinds = text.str.extract(f"({_OFFSET})", expand=False).str.strip().drop_duplicates()
+            second = int(kinds.index[1])
+            raise DataError(
+                f"{table.where(second)}: the time stamps have the offsets {kinds.iloc[0]} and {kinds.iloc[1]}: "
+                "daylight saving, or two time zones; name the building's as time.zone, such as Europe/Brussels"
+            ) from error
+        return times
+
+
+def _with_offset(text: pd.Series) -> NDArray[np.bool_]:
+    """Which stamps (n,) end with an offset from UTC."""
+    return np.asarray(text.str.contains(_OFFSET, regex=True), dtype=bool)
+
+
+def _localised(table: RawTable, times: pd.Series, clock: Clock, notes: list[str]) -> pd.Series:
+    """Stamps of the wall clock as instants, by the rules of the map for the hours of summer time's begin and end."""
+    zone = str(clock.zone)
+    existing = times.dt.tz_localize(zone, ambiguous=np.ones(len(times), dtype=bool), nonexistent="NaT")
+    lost = np.flatnonzero(existing.isna().to_numpy())
+    if lost.size:
+        what = (
+            f"{table.where(int(lost[0]))}: {times.iloc[lost[0]]} does not exist in {zone}, where summer time begins "
+            f"({lost.size} such rows)"
+        )
+        if clock.nonexistent == "refuse":
+            raise DataError(
+                f"{what}; a clock without summer time is time.zone: {_all_year(zone, times.iloc[0])}, "
+                "time.nonexistent: gap leaves the rows out"
+            )
+        notes.append(f"{what}: left out")
+        times = times[existing.notna()]
+    rule = {"infer": "infer", "gap": "NaT"}.get(clock.ambiguous)
+    try:
+        ambiguous = rule or np.full(len(times), clock.ambiguous == "first")
+        local = times.dt.tz_localize(zone, ambiguous=ambiguous)
+    except ValueError as error:
+        twice = times.dt.tz_localize(zone, ambiguous="NaT")
+        row = int(times.index[int(np.argmax(twice.isna().to_numpy()))])
+        raise DataError(
+            f"{table.where(row)}: {times.loc[row]} comes twice in {zone}, where summer time ends, and the order of the "
+            "rows does not tell which it is; set time.ambiguous: first, second or gap, or, for a clock without summer "
+            f"time, time.zone: {_all_year(zone, times.iloc[0])}"
+        ) from error
+    unclear = int(local.isna().sum())
+    if unclear:
+        notes.append(f"{table.name}: {unclear} rows in the hour that the end of summer time repeats were left out")
+    return local[local.notna()]
+
+
+def _all_year(zone: str, stamp: pd.Timestamp) -> str:
+    """The name of the clock that keeps the standard time of `zone` all year."""
+    offsets = [pd.Timestamp(year=stamp.year, month=month, day=1, tz=zone).utcoffset() for month in (1, 7)]
+    hours = min(offset.total_seconds() for offset in offsets if offset is not None) / 3600.0
+    if hours == 0:
+        return "UTC"
+    return f"Etc/GMT{-hours:+g}" if hours == round(hours) else f"one with an offset of {hours:+g} h"
+
+
 @dataclass(frozen=True)
 class Timed:
-    """Columns of one table or several over increasing instants.
-
-    `index` (n,): in the zone of the map, without a zone where there is none; `columns` by name (n,); `notes`: what was
-    done to the rows, in words.
-    """
+    """Columns of tables by name (n,) over increasing instants; `notes`: what was done to rows, in words."""
 
     index: pd.DatetimeIndex
     columns: dict[str, Array]
@@ -33,11 +162,10 @@ class Timed:
 
 
 def timed(tables: Sequence[RawTable], clock: Clock) -> Timed:
-    """The rows of `tables` in the order of time.
+    """The rows of `tables` in the order of time, in the zone of the map, without a zone where there is none.
 
-    Raises:
-        DataError: a stamp cannot be read, is out of order, comes twice or does not exist, or zones differ; names
-            file, line and what to do.
+    Raises `DataError`, with file, line and what to do, for a stamp that cannot be read, is out of order, comes twice or
+    does not exist, and for zones that differ.
     """
     notes: list[str] = []
     stamps = [instants(table, clock, notes) for table in tables]
@@ -61,8 +189,7 @@ def timed(tables: Sequence[RawTable], clock: Clock) -> Timed:
         name: np.concatenate([t.columns[name][s.index] for t, s in zip(tables, stamps, strict=True)])
         for name in tables[0].columns
     }
-    places = _Places(tables, stamps)
-    keep = _in_order(index, clock, places, notes)
+    keep = _in_order(index, clock, partial(_place, tables, stamps), notes)
     if keep is not None:
         index, columns = index[keep], {name: values[keep] for name, values in columns.items()}
     if (years := (index[-1] - index[0]).days / 365.0) > _MOST_YEARS:
@@ -74,22 +201,18 @@ def timed(tables: Sequence[RawTable], clock: Clock) -> Timed:
     return Timed(index, columns, tuple(notes))
 
 
-@dataclass(frozen=True)
-class _Places:
-    """Where the rows of several tables stand."""
-
-    tables: Sequence[RawTable]
-    stamps: Sequence[pd.Series]
-
-    def where(self, row: int) -> str:
-        for table, stamps in zip(self.tables, self.stamps, strict=True):
-            if row < len(stamps):
-                return table.where(int(stamps.index[row]))
-            row -= len(stamps)
-        return self.tables[-1].name
+def _place(tables: Sequence[RawTable], stamps: Sequence[pd.Series], row: int) -> str:
+    """Where a row of several tables stands."""
+    for table, of_table in zip(tables, stamps, strict=True):
+        if row < len(of_table):
+            return table.where(int(of_table.index[row]))
+        row -= len(of_table)
+    return tables[-1].name
 
 
-def _in_order(index: pd.DatetimeIndex, clock: Clock, places: _Places, notes: list[str]) -> NDArray[np.intp] | None:
+def _in_order(
+    index: pd.DatetimeIndex, clock: Clock, where: Callable[[int], str], notes: list[str]
+) -> NDArray[np.intp] | None:
     """The rows to keep in the order to keep them, None where all stand as they should."""
     at = index.asi8
     keep = np.arange(at.size)
@@ -97,7 +220,7 @@ def _in_order(index: pd.DatetimeIndex, clock: Clock, places: _Places, notes: lis
     if back.size:
         row = int(back[0]) + 1
         autumn = index[row - 1] - index[row] < _AN_HOUR * 1.01
-        what = f"{places.where(row)}: {index[row]} comes after {index[row - 1]}; {back.size} such rows"
+        what = f"{where(row)}: {index[row]} comes after {index[row - 1]}; {back.size} such rows"
         if clock.order == "refuse":
             hint = "; if it is the end of summer time, name time.zone" if autumn and clock.zone is None else ""
             raise DataError(f"{what}: sort the table, or set time.order: sort{hint}")
@@ -107,7 +230,7 @@ def _in_order(index: pd.DatetimeIndex, clock: Clock, places: _Places, notes: lis
     same = np.flatnonzero(np.diff(at) == 0)
     if same.size:
         first, second = (int(keep[same[0] + i]) for i in (0, 1))
-        what = f"{places.where(second)}: {index[second]} stands at {places.where(first)} too; {same.size} such rows"
+        what = f"{where(second)}: {index[second]} stands at {where(first)} too; {same.size} such rows"
         if clock.duplicates == "refuse":
             raise DataError(f"{what}: remove one of them, or set time.duplicates: first or last")
         drop = same + 1 if clock.duplicates == "first" else same

@@ -21,7 +21,7 @@ import pandas as pd
 
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import check_regular, pyarrow_for
-from thermoforce_mpc.measurements.map.mapped_table import CsvFormat
+from thermoforce_mpc.measurements.map.entries import CsvFormat
 from thermoforce_mpc.measurements.tables.raw_table import RawTable, known_column, raw_table
 
 # What is read at once, bytes when unpacked: about 15 million rows of six columns, in 4 GB of memory.
@@ -39,8 +39,7 @@ _DAMAGED = (ValueError, OSError, EOFError, LookupError, csv.Error, lzma.LZMAErro
 def found_files(patterns: Sequence[str | Path], most_bytes: int = MOST_BYTES) -> list[Path]:
     """The files of paths and patterns (`data/*.csv`), each once.
 
-    Raises:
-        DataError: there is none, one is a device or pipe, or they hold more than `most_bytes` when unpacked.
+    Raises `DataError` for none, a device or pipe, or more than `most_bytes` when unpacked.
     """
     files: list[Path] = []
     for item in patterns:
@@ -83,8 +82,8 @@ def _unpacked_bytes(path: Path, most_bytes: int) -> int:
 def read_table(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> RawTable:
     """The time stamps (column `stamps`, by default the first or the index) and `columns` of a file.
 
-    Raises:
-        DataError: the file cannot be read, is empty, lacks a column or holds text in one; names column and line.
+    Raises `DataError`, with column and line, for one that cannot be read, is empty, lacks a column or holds text in
+    one.
     """
     if path.suffix in _PARQUET:
         df, line = _parquet(path, stamps, columns), 1
@@ -179,11 +178,7 @@ def _check_lines(path: Path, form: CsvFormat, separator: str, n: int) -> None:
 
 
 def head_of(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
-    """The first `rows` rows of a file with all its columns, the time stamps (or the index) first.
-
-    Raises:
-        DataError: the file cannot be read.
-    """
+    """The first `rows` rows of a file with all its columns, stamps (or index) first; raises `DataError`."""
     if path.suffix in _PARQUET:
         df = _parquet(path, None, None).iloc[:rows]
         return df.reset_index() if isinstance(df.index, pd.DatetimeIndex) else df
@@ -193,7 +188,6 @@ def head_of(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
 
 
 def _frame(path: Path, form: CsvFormat, separator: str, **more: Any) -> pd.DataFrame:
-    """The table of a CSV file, with `more` options of pandas."""
     with _reading(path, " as CSV"):
         rules: dict[str, Any] = {"decimal": form.decimal, "encoding": form.encoding, "skiprows": form.skip_lines}
         return pd.read_csv(path, sep=separator, **rules, **more)
@@ -220,7 +214,6 @@ def guessed_form(path: Path) -> CsvFormat:
 
 
 def _header(path: Path, form: CsvFormat) -> tuple[str, list[str]]:
-    """Separator and names of the columns."""
     try:
         with _reading(path, but=(UnicodeError,)), _opened(path, "rt", form.encoding) as lines:
             parts = iter(lambda: lines.readline(_BLOCK), "")  # not the whole of a line without end
@@ -243,7 +236,6 @@ def _header(path: Path, form: CsvFormat) -> tuple[str, list[str]]:
 
 
 def _opened(path: Path, mode: str = "rb", encoding: str | None = None) -> Any:
-    """An open file, unpacked while it is read."""
     return _COMPRESSED.get(path.suffix, open)(path, mode, encoding=encoding)
 
 

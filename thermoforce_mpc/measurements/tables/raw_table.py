@@ -21,7 +21,7 @@ _SWITCH = {"on": 1.0, "off": 0.0, "ein": 1.0, "an": 1.0, "aus": 0.0, "true": 1.0
 class RawTable:
     """Columns of one file as they stand there: `stamps` (n,) of any kind, `columns` by name (n,) numbers.
 
-    `name`: of the file. `line`: line of its first row (1 where rows are counted, as in Parquet files and data frames).
+    `line`: that of its first row in file `name` (1 where rows are counted, as in Parquet files and data frames).
     """
 
     name: str

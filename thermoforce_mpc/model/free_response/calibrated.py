@@ -3,12 +3,10 @@
 Each issued forecast is compared with the later free response by lead time, and the errors of the last 6 days set the
 width (split conformal prediction over a rolling window, Angelopoulos and Bates 2023). These errors are few and
 correlated, so the width is also adapted: wider after a value outside, narrower after a value inside (adaptive conformal
-inference, Gibbs and Candès 2021, on the logarithm of the width as in the quantile tracking of Angelopoulos, Candès and
-Tibshirani 2023).
+inference, Gibbs and Candès 2021, on the logarithm of the width as in Angelopoulos, Candès and Tibshirani 2023).
 
-The error of a forecast is known hours later, when the window already includes much of it. Adapting to it as well would
-widen the interval twice for the same errors. So a value counts as outside only if it is outside with the present window
-and the adaptation at the time of issue.
+The error of a forecast is known hours later, when the window already includes much of it. To not widen twice for the
+same errors, a value counts as outside only if it is so with the present window and the adaptation at the time of issue.
 """
 
 from __future__ import annotations
@@ -19,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
-from thermoforce_mpc.execution.cooperative import Computation, run
+from thermoforce_mpc.data.series import at_instants
+from thermoforce_mpc.execution.cooperative import Computation
 from thermoforce_mpc.model.free_response.checks import checked_free
-from thermoforce_mpc.model.free_response.following import following
+from thermoforce_mpc.model.free_response.following import Computed, following
 from thermoforce_mpc.protocols import FreeResponse
 
 _INSIDE = 0.8
@@ -62,10 +61,7 @@ class IssuedForecasts:
 
 @dataclass(frozen=True)
 class Scores:
-    """Distances of past values from the median of what forecast them, in raw half-widths.
-
-    `time_s` (H,): instants, s; `values` (H, K): by lead time, NaN where unknown.
-    """
+    """Distances (H, K) of past values at `time_s` (H,), s, from the medians that forecast them, in raw half-widths."""
 
     time_s: Array
     values: Array
@@ -87,28 +83,13 @@ class CalibratedState:
     n_steps: int = 0
 
 
-class CalibratedFreeResponse:
-    """`inner` with intervals scaled to a coverage of 80 %.
-
-    The state of a run holds its forecasts; a step back in time or another horizon resets it.
-    """
+class CalibratedFreeResponse(Computed):
+    """`inner` with intervals scaled to a coverage of 80 %; a step back in time or another horizon begins anew."""
 
     def __init__(self, inner: FreeResponse) -> None:
         """Wrap `inner`, which keeps no state; its own intervals are used until enough errors are known."""
+        super().__init__(inner)
         self.inner = inner
-        self.name = inner.name
-        if hasattr(inner, "weight_hash"):
-            self.weight_hash = inner.weight_hash
-
-    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
-        """See `FreeResponse.forecast`; raises what the wrapped method raises."""
-        return self.follow(free_C, history, boundary, None)[0]
-
-    def follow(
-        self, free_C: Array, history: Record, boundary: Boundary, state: object
-    ) -> tuple[FreeForecast, CalibratedState]:
-        """See `FollowingFreeResponse.follow`; raises what the wrapped method raises."""
-        return run(self.following(free_C, history, boundary, state))
 
     def following(
         self, free_C: Array, history: Record, boundary: Boundary, state: object
@@ -161,7 +142,7 @@ def _scored(
         return last
     which, lead = np.nonzero(due)
     median, up, down = issued.raw[which, :, lead].T
-    gap = _free_at(ends[due], history.time_s, free) - median
+    gap = at_instants(ends[due], history.time_s, free, 0.5) - median
     score = np.abs(gap) / np.where(gap >= 0, up, down)
     group, at = group_of[lead], last.window[group_of[lead]]
     adapted = issued.adapted[which, group]
@@ -198,12 +179,3 @@ def _quantile(values: Array, level: float) -> float:
 def _width(window: Array | float, steering: Array | float) -> Array:
     """Return the factor on the distance of each quantile from the median; 1 with too few values."""
     return np.nan_to_num(np.clip(window * np.exp(steering), *_SCALE_RANGE), nan=1.0)
-
-
-def _free_at(ends_s: Array, time_s: Array, free: Array) -> Array:
-    """Return the control-free temperature at `ends_s` (N,), NaN if not in the history."""
-    index = np.searchsorted(time_s, ends_s - 0.5)
-    inside = (index < time_s.size) & (ends_s >= time_s[0] - 0.5)
-    index = np.minimum(index, time_s.size - 1)
-    match = inside & (np.abs(time_s[index] - ends_s) < 0.5)
-    return np.where(match, free[index], np.nan)

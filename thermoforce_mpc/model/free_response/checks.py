@@ -32,12 +32,7 @@ def checked_free(free_C: Array, history: Record) -> Array:
 
 
 def checked_forecast(forecast: object, n_steps: int, name: str) -> FreeForecast:
-    """Return `forecast` of the free response `name` after checking it.
-
-    Raises:
-        DataError: it is not a `FreeForecast`, does not have `n_steps` values per level, or its levels or quantiles are
-            not finite and increasing.
-    """
+    """Return `forecast` of the free response `name`; raises `DataError` unless it has `n_steps` rising quantiles."""
     wrong = f"free response '{name}'"
     if not isinstance(forecast, FreeForecast):
         raise DataError(f"{wrong} gave a {type(forecast).__name__}, expected a FreeForecast")
@@ -63,11 +58,9 @@ def checked_forecast(forecast: object, n_steps: int, name: str) -> FreeForecast:
 
 
 def quantiles_from_errors(center: Array, errors: Array) -> Array:
-    """Return quantiles (9, N) around `center` (N,) from past errors (measured − forecast).
+    """Return quantiles (9, N) around `center` (N,) from past errors (measured − forecast), (k, N), NaN if unknown.
 
-    Args:
-        errors: shape (k, N), NaN if unknown; a lead time with fewer than eight errors uses the spread of the nearest
-            shorter lead time that has enough, or none.
+    A lead time with fewer than eight uses the spread of the nearest shorter one that has enough, or none.
     """
     offsets = np.zeros((LEVELS.size, center.size))
     last = np.zeros(LEVELS.size)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +21,6 @@ from thermoforce_mpc.model.free_response.multi_resolution import (
     FEWEST_VALUES,
     Resolution,
     merged,
-    own_resolution,
     resolutions_of,
 )
 from thermoforce_mpc.model.free_response.persistence import Persistence
@@ -62,16 +62,10 @@ class ChronosFreeResponse:
     ) -> None:
         """Load the weights.
 
-        Args:
-            backbone: 'shipped' (or a smaller scale), 'fracast', a local directory, or a hub name; see `load_backbone`.
-            context_steps: largest number of history values per resolution.
-            resolutions: 'several', see `multi_resolution`, or 'one' at the series' own step, unrolled as in the paper.
-            after_linear_weather: forecast what linear weather models leave over instead of the series itself; a
-                backbone that was trained for that does so anyhow.
-
-        Raises:
-            ConfigError: `context_steps` is below the patch length of 16, or `resolutions` is neither of the two.
-            BackboneError: see `load_backbone`.
+        `backbone`: see `load_backbone`. `context_steps`: largest number of history values per resolution.
+        `resolutions`: 'several', see `multi_resolution`, or 'one' at the series' own step, unrolled as in the paper.
+        `after_linear_weather`: forecast what linear weather models leave over instead of the series itself, as a
+        backbone that was trained for that does anyhow. Raises `ConfigError`, and `BackboneError` as `load_backbone`.
         """
         if context_steps < _SHORTEST_CONTEXT:
             raise ConfigError(
@@ -90,7 +84,6 @@ class ChronosFreeResponse:
         self._after_linear_weather = after_linear_weather or self._reads_course
         if after_linear_weather:
             self.name = "residual"
-        self._short = Persistence()
 
     @property
     def label(self) -> str:
@@ -117,17 +110,13 @@ class ChronosFreeResponse:
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
         """See `FreeResponse.forecast`. NaN gaps are passed to the model unfilled.
 
-        Raises:
-            DataError: no value was measured, history and forecast differ in step, or the model's output is not finite;
-                of a backbone that corrects a linear weather model also where the weather is not finite.
+        Raises `DataError` where no value was measured, history and forecast differ in step, the model's output is not
+        finite, or the weather is not and a linear weather model is corrected.
         """
         return self.forecast_many([(free_C, history, boundary)])[0]
 
     def forecast_many(self, tasks: Sequence[Task]) -> list[FreeForecast]:
-        """Return forecasts for several buildings or instants in one pass through the model.
-
-        Each task holds the arguments of `forecast` and is treated the same; raises what `forecast` raises.
-        """
+        """Forecasts for several buildings or instants in one pass; a task is the arguments of `forecast`."""
         return run(self.forecasting(tasks))
 
     def following(
@@ -159,7 +148,6 @@ class ChronosFreeResponse:
         return answers
 
     def _run_backbone(self, contexts: Sequence[Context]) -> list[Array]:
-        """Quantiles of all contexts in one pass through the frozen backbone."""
         with frozen_pass():
             return self.model.quantiles_C(contexts)
 
@@ -170,18 +158,20 @@ class ChronosFreeResponse:
             raise DataError(f"history at {history.step_s:g} s and forecast at {boundary.step_s:g} s differ in step")
         why = self._too_little(free, boundary.step_s)
         if why:
-            return self._persistence(free, history, boundary, why)
+            return replace(Persistence().forecast(free, history, boundary), note=f"persistence: {why}")
         past, ahead = _known_of(history), _known_of(boundary)[1:]
+        resolutions = partial(
+            resolutions_of, step_s=boundary.step_s, longest=self._context_steps, hourly=self._resolutions == "several"
+        )
         if not self._after_linear_weather:
-            return _Input(self._resolutions_of(free, past, ahead, boundary.step_s), np.zeros(boundary.n_steps))
+            return _Input(resolutions(free, past, ahead), np.zeros(boundary.n_steps))
         course = mean_course(fits_linear_weather(free, history, boundary, DISTURBANCES_H))
         past_C, ahead_C = course[: free.size], course[free.size :]
         if self._reads_course:
             past, ahead = np.column_stack([past, past_C]), np.column_stack([ahead, ahead_C])
-        return _Input(self._resolutions_of(free - past_C, past, ahead, boundary.step_s), ahead_C)
+        return _Input(resolutions(free - past_C, past, ahead), ahead_C)
 
     def _too_little(self, free: Array, step_s: float) -> str:
-        """Return why persistence is needed, or an empty string."""
         context = free[-self._context_steps :]
         n_measured, n_recent = int(np.isfinite(free).sum()), int(np.isfinite(context).sum())
         # A day has one boundary more than steps.
@@ -191,21 +181,11 @@ class ChronosFreeResponse:
             return f"only {n_recent} of the last {context.size} values were measured"
         return ""
 
-    def _resolutions_of(self, free: Array, past: Array, ahead: Array, step_s: float) -> list[Resolution]:
-        longest = self._context_steps
-        if self._resolutions == "one":
-            return [own_resolution(free, past, ahead, longest)]
-        return resolutions_of(free, past, ahead, step_s, longest)
-
     def _checked(self, quantiles: Array, boundary: Boundary) -> FreeForecast:
         if quantiles.shape != (LEVELS.size, boundary.n_steps) or not np.isfinite(quantiles).all():
             raise DataError(f"{self.label} gave values of shape {quantiles.shape} that are not all finite")
         note = f"linear weather model, corrected by {self.label}" if self._after_linear_weather else self.label
         return FreeForecast(LEVELS, quantiles, note)
-
-    def _persistence(self, free: Array, history: Record, boundary: Boundary, why: str) -> FreeForecast:
-        short = self._short.forecast(free, history, boundary)
-        return FreeForecast(short.levels, short.quantiles_C, f"persistence: {why}")
 
 
 def _known_of(of: Record | Boundary) -> Array:

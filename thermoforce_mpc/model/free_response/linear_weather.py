@@ -9,10 +9,12 @@ history instead of one-step changes, which gives the better 24-h forecast.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtrs
 from scipy.optimize import nnls
@@ -20,7 +22,6 @@ from scipy.optimize import nnls
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, quantiles_from_errors
-from thermoforce_mpc.model.free_response.linear_equations import simulated, whitened
 
 # Time constants from room air to massive structure, h.
 TIME_CONSTANTS_H = np.array([0.5, 2.0, 6.0, 20.0, 60.0, 200.0])
@@ -39,12 +40,63 @@ _SOLAR_UNIT_W_M2 = 100.0
 _SHORT_TAU_H = (1.0, 3.0, 8.0, 24.0, 72.0)
 
 
+@njit(cache=True)
+def simulated(drives: Array, waves: Array, poles: Array, start: Array) -> Array:
+    """Simulated response per unit of every parameter: (n, d q + w + q) for d drives, w waves, q modes.
+
+    `drives` (n, d) at all boundaries, linear in between; `waves` (n, w): given columns; `poles` (q,) per step; `start`
+    (d,): state of all modes for each input at the first boundary. The columns are modes of steady gain 1 for each
+    input, the waves, and the decay of each mode.
+    """
+    (n, d), w, q = drives.shape, waves.shape[1], poles.size
+    out = np.empty((n, d * q + w + q))
+    for k in range(d):
+        for i in range(q):
+            out[0, k * q + i] = start[k]
+    for i in range(q):
+        out[0, d * q + w + i] = 1.0
+    for t in range(n):
+        for i in range(w):
+            out[t, d * q + i] = waves[t, i]
+        if t == 0:
+            continue
+        for k in range(d):
+            mean = 0.5 * (drives[t - 1, k] + drives[t, k])
+            for i in range(q):
+                out[t, k * q + i] = poles[i] * out[t - 1, k * q + i] + (1.0 - poles[i]) * mean
+        for i in range(q):
+            out[t, d * q + w + i] = poles[i] * out[t - 1, d * q + w + i]
+    return out
+
+
+@njit(cache=True)
+def whitened(columns: Array, targets: Array, decay: float) -> tuple[Array, Array]:
+    """Rows (k, p) of `columns` (n or more, p) whose target (n,) is finite, and their targets (k,), as innovations.
+
+    `decay` per step of first-order errors: innovations are scaled to the variance of the errors, so that priors weigh
+    the same whatever it is; across a gap the correlation decays over its length. 0: independent errors.
+    """
+    p, k, before = columns.shape[1], 0, -1
+    rows, values = np.empty((targets.size, p)), np.empty(targets.size)
+    for t in range(targets.size):
+        if not math.isfinite(targets[t]):
+            continue
+        kept, unit, last = 0.0, 1.0, max(before, 0)
+        if before >= 0 and decay > 0.0:
+            kept = decay if t == before + 1 else decay ** (t - before)
+            unit = 1.0 / math.sqrt(1.0 - kept * kept)
+        values[k] = unit * (targets[t] - kept * targets[last]) if before >= 0 else targets[t]
+        for i in range(p):
+            rows[k, i] = unit * (columns[t, i] - kept * columns[last, i])
+        before, k = t, k + 1
+    return rows[:k], values[:k]
+
+
 @dataclass(frozen=True)
 class LinearFit:
-    """Fitted model over history and horizon.
+    """Simulated temperature over history (n + 1,) and horizon (N,), °C, not corrected by the last measurement.
 
-    `past_C` (n + 1,) and `ahead_C` (N,): simulated temperature over history and horizon, °C, not corrected by the last
-    measurement; `weights` (p,): its parameters in the order of the columns.
+    `weights` (p,): its parameters in the order of the columns.
     """
 
     past_C: Array
@@ -52,30 +104,14 @@ class LinearFit:
     weights: Array
 
 
-def fit_linear_weather(
-    free_C: Array, history: Record, boundary: Boundary, disturbance_h: float | None = None
-) -> LinearFit:
-    """Fit to the finite values of `free_C` (n + 1,) and simulate over the weather of `boundary`.
-
-    Args and errors as in `fits_linear_weather`.
-    """
-    return fits_linear_weather(free_C, history, boundary, (disturbance_h,))[0]
-
-
 def fits_linear_weather(
-    free_C: Array, history: Record, boundary: Boundary, disturbances_h: Sequence[float | None]
+    free_C: Array, history: Record, boundary: Boundary, disturbances_h: Sequence[float | None] = (None,)
 ) -> list[LinearFit]:
-    """Fit as `fit_linear_weather` does, once for each kind of disturbance.
+    """Fit to the finite values of `free_C` (n + 1,) °C and simulate over `boundary`, for each kind of disturbance.
 
-    Args:
-        free_C: control-free temperature at the boundaries of `history`, °C.
-        history: past weather.
-        boundary: weather forecast.
-        disturbances_h: None: independent errors (ordinary least squares). A number: time constant, h, of first-order
-            autocorrelated errors (generalised least squares), so that a disturbance of a few days has less influence.
-
-    Raises:
-        DataError: less than a day of history, weather that is not finite, or history and forecast of different steps.
+    `disturbances_h`: None for independent errors (ordinary least squares), else the time constant, h, of first-order
+    autocorrelated ones (generalised least squares), so that a disturbance of a few days has less influence. Raises
+    `DataError` for less than a day of history, weather that is not finite, or steps that differ.
     """
     step_s = boundary.step_s
     if history.n_steps * step_s < SHORTEST_HISTORY_S:
@@ -95,10 +131,7 @@ def fits_linear_weather(
 def fitted(
     free_C: Array, time_s: Array, T_out: Array, solar: Array, step_s: float, disturbances_h: Sequence[float | None]
 ) -> list[LinearFit]:
-    """Fit to the finite values of `free_C` (k,), for weather (n,) at the same instants and after them.
-
-    `time_s` s, `T_out` °C, `solar` W/m², all finite; `disturbances_h`: see `fits_linear_weather`.
-    """
+    """Fit to the finite values of `free_C` (k,), for finite weather (n,) at the same instants and after them."""
     columns, bounded, ridge = _columns(time_s, T_out, solar, step_s)
     modes = TIME_CONSTANTS_H.size
     # Columns 0..modes-1 are the outdoor gains: their sum is the long-run gain.
@@ -126,8 +159,7 @@ def _bounded_least_squares(gram: Array, right: Array, bounded: NDArray[np.bool_]
     """Return the exact minimiser of |A w − b| with w ≥ 0 for the `bounded` columns, from A'A and A'b.
 
     There are thousands of rows and few columns; the priors make A'A positive definite. With the free columns first in
-    the Cholesky factor, the bounded ones form a separate nonnegative least-squares problem and the free ones follow by
-    substitution.
+    the Cholesky factor, the bounded ones form a nonnegative least-squares problem and the free ones follow.
     """
     order = np.argsort(bounded, kind="stable")
     free = int((~bounded).sum())
@@ -149,9 +181,9 @@ class LinearWeather:
     name = "linear_weather"
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
-        """See `FreeResponse.forecast`; raises what `fit_linear_weather` raises."""
+        """See `FreeResponse.forecast`; raises what `fits_linear_weather` raises."""
         free = checked_free(free_C, history)
-        fit = fit_linear_weather(free, history, boundary)
+        (fit,) = fits_linear_weather(free, history, boundary)
         residual = free - fit.past_C
         n = boundary.n_steps
         fading = _fading(residual, n, boundary.step_s)

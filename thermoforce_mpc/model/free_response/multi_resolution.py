@@ -1,9 +1,8 @@
 """Forecast of one series at two resolutions: its own step, and hourly.
 
 A model that forecasts 64 steps at once covers 16 h at 15 min and must be unrolled beyond. An hourly series of the same
-history reaches further back and ahead in one pass: beyond 16 h errors are a few percent smaller, and the interval, far
-too narrow when unrolled, is nearly right (docs/evidence/free-responses.md). The mean of both is better than either.
-Quantiles are averaged level by level (Lichtendahl et al. 2013).
+history reaches further: beyond 16 h errors are a few percent smaller, and the interval, far too narrow when unrolled,
+is nearly right (docs/evidence/free-responses.md). The mean of both is better than either.
 """
 
 from __future__ import annotations
@@ -32,57 +31,40 @@ class Resolution:
     now_C: float
 
 
-def own_resolution(free_C: Array, past_weather: Array, ahead_weather: Array, longest: int) -> Resolution:
-    """Return the resolution at the series' own step, over all steps ahead; arguments as in `resolutions_of`."""
-    return _at_resolution(free_C, past_weather, ahead_weather, stride=1, longest=longest, ahead=len(ahead_weather))
-
-
 def resolutions_of(
-    free_C: Array, past_weather: Array, ahead_weather: Array, step_s: float, longest: int
+    free_C: Array, past_weather: Array, ahead_weather: Array, step_s: float, longest: int, *, hourly: bool = True
 ) -> list[Resolution]:
     """Return all resolutions of a series; the first is at its own step.
 
-    Args:
-        free_C: (k,) °C, the last value is now; NaN if not measured, at least one value known.
-        past_weather: (k, 3) at the same instants, see `Context`.
-        ahead_weather: (N, 3) at the ends of the steps ahead.
-        step_s: step of both, s.
-        longest: largest number of values of a context.
+    `free_C` (k,) °C: the last value is now, NaN if not measured, at least one known; `past_weather` (k, 3) and
+    `ahead_weather` (N, 3) as in `Context`, at steps of `step_s`; `longest`: most values of a context.
+    Without `hourly` the first alone, over all steps ahead.
     """
     n = len(ahead_weather)
-    stride = max(1, int((HOUR_S + 1e-6) // step_s))
+    stride = max(1, int((HOUR_S + 1e-6) // step_s)) if hourly else 1
     if stride > 1:
-        hourly = _at_resolution(free_C, past_weather, ahead_weather, stride=stride, longest=longest, ahead=n)
-        if np.isfinite(hourly.context.free_C).sum() >= FEWEST_VALUES:
+        coarse = _at_resolution(free_C, past_weather, ahead_weather, stride=stride, longest=longest, ahead=n)
+        if np.isfinite(coarse.context.free_C).sum() >= FEWEST_VALUES:
             # Steps beyond one output patch are left to the hourly one.
             ahead = min(n, _AT_ONCE)
             own = _at_resolution(free_C, past_weather, ahead_weather, stride=1, longest=longest, ahead=ahead)
-            return [own, hourly]
-    return [own_resolution(free_C, past_weather, ahead_weather, longest)]
+            return [own, coarse]
+    return [_at_resolution(free_C, past_weather, ahead_weather, stride=1, longest=longest, ahead=n)]
 
 
 def _at_resolution(
     free_C: Array, past_weather: Array, ahead_weather: Array, *, stride: int, longest: int, ahead: int
 ) -> Resolution:
     """Return the resolution of the last `longest` of every `stride`-th value up to now, and `ahead` steps ahead."""
-    series = _every(free_C, stride, longest)
+    series = free_C[::-1][::stride][::-1][-longest:]
     # Weather of a coarse step is its mean, since irradiance at one instant does not represent an hour.
     past = _block_means(past_weather[-series.size * stride :], stride, pad_before=True)
     coming = _block_means(ahead_weather[:ahead], stride, pad_before=False)
-    return Resolution(Context(series, past, coming), stride, len(ahead_weather), _now_C(free_C))
-
-
-def _every(free_C: Array, stride: int, longest: int) -> Array:
-    return free_C[::-1][::stride][::-1][-longest:]
-
-
-def _now_C(free_C: Array) -> float:
-    """The last value that is known."""
-    return float(free_C[-1] if np.isfinite(free_C[-1]) else free_C[np.isfinite(free_C)][-1])
+    return Resolution(Context(series, past, coming), stride, len(ahead_weather), float(free_C[np.isfinite(free_C)][-1]))
 
 
 def merged(resolutions: list[Resolution], answers: list[Array]) -> Array:
-    """Return the mean over the resolutions that reach each lead time, (levels, N), °C; NaN only if one returned NaN.
+    """The mean over the resolutions that reach each lead time, (levels, N), °C; NaN only if one returned NaN.
 
     Coarse ones are interpolated linearly between their instants, starting from the last known value.
     """
@@ -98,10 +80,7 @@ def merged(resolutions: list[Resolution], answers: list[Array]) -> Array:
 
 @lru_cache(maxsize=64)
 def _shares(courses: tuple[tuple[int, int], ...], n_steps: int) -> list[tuple[Array, Array]]:
-    """What the last known value (n_steps,) and the answer (ahead, n_steps) of each resolution count in the mean.
-
-    `courses`: stride and number of steps ahead of each.
-    """
+    """What the last known value (n_steps,) and the answer (ahead, n_steps) of each course count in the mean."""
     lead = np.arange(1, n_steps + 1)
     reaches = np.array([lead <= stride * ahead for stride, ahead in courses])
     shares = []

@@ -1,9 +1,9 @@
 """Linear, weather-driven free response of the grey-box model (paper eq:free-evol) with q parallel modes.
 
 z_i(t+1) = a_i z_i(t) + c_i T_out(t) + d_i I_sol(t) + e_i and T_free = Σ z_i. One mode is the paper's (a, c, d, e); a
-building with a slab needs two. Solar gains depend on the sun's position and internal gains on the time of day, so
-irradiance and constant may also have a daily wave (zero weights in the paper's form). A Kalman filter (Kalman 1960)
-estimates the modes from the control-free history, skipping missing values; its covariance gives the quantiles.
+building with a slab needs two. Irradiance and constant may also have a daily wave (zero weights in the paper's form),
+since gains depend on the sun's position and the time of day. A Kalman filter (Kalman 1960) estimates the modes from the
+control-free history, skipping missing values; its covariance gives the quantiles.
 """
 
 from __future__ import annotations
@@ -39,19 +39,12 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class RcParameters:
-    """Parameters of the free part of the grey-box model.
+    """Parameters of the free part of the grey-box model; raises `DataError` naming the field that is not allowed.
 
-    Attributes:
-        poles: a_i, shape (q,), in (0, 1) per step.
-        weights: shape (q, 8), K per step and unit of each of `INPUTS`; the first three columns are c, d, e.
-        step_s: length of a step, s.
-        process_K2: covariance of what disturbs the modes in a step, shape (q, q), K².
-        start_K2: covariance of the modes before the first measurement, about the steady state in the weather of the
-            first day, shape (q, q), K².
-        sensor_sd_K: noise of the temperature sensor, K.
-
-    Raises:
-        DataError: a shape or value is not allowed; the message names the field.
+    `poles` (q,): a_i in (0, 1) per step. `weights` (q, 8): K per step and unit of each of `INPUTS`; the first three
+    columns are c, d, e. `process_K2` (q, q): covariance of what disturbs the modes in a step. `start_K2` (q, q): that
+    of the modes before the first measurement, about the steady state in the weather of the first day. `sensor_sd_K`:
+    noise of the temperature sensor.
     """
 
     poles: Array
@@ -141,11 +134,7 @@ class RcFreeResponse:
         self._params = params
 
     def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
-        """See `FreeResponse.forecast`.
-
-        Raises:
-            DataError: `free_C` does not belong to `history`, has no finite value, or the weather has gaps.
-        """
+        """See `FreeResponse.forecast`; raises `DataError` for no finite value or gaps in the weather."""
         free_C = checked_free(free_C, history)
         past = self._params.resampled(history.step_s if history.n_steps else boundary.step_s)
         drive = past.drive(history.time_s, history.T_out_C, history.solar_W_m2)

@@ -28,7 +28,7 @@ def _residual(
     """
     from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
     from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
-    from thermoforce_mpc.model.free_response.mean import MeanFreeResponse
+    from thermoforce_mpc.model.free_response.following import MeanFreeResponse
     from thermoforce_mpc.model.free_response.rc import RcFreeResponse
 
     method: FreeResponse = ChronosFreeResponse(backbone, after_linear_weather=True)
@@ -93,9 +93,7 @@ def options_of(build: Callable[..., FreeResponse]) -> dict[str, Any]:
 def build_free_response(name: str, *, rc: RcParameters | None = None, **options: Any) -> FreeResponse:
     """Build a free response by name; `rc` is the identified linear free part, needed by 'rc' and used by 'residual'.
 
-    Raises:
-        ConfigError: unknown name or option, or 'rc' without a linear free part.
-        BackboneError: the forecaster's weights cannot be loaded.
+    Raises `ConfigError` for an unknown name or option, or no linear free part, and `BackboneError` by the weights.
     """
     check_free_response(name, options)
     build = REGISTRY.find(name)
@@ -109,12 +107,9 @@ def needs_identified(name: str) -> bool:
 
 
 def may_be_file(name: str, key: str, value: object) -> bool:
-    """Whether the option `key` of a free response may name a file or folder by `value`.
+    """Whether the option `key` of a free response may name a file or folder by `value`; raises `ConfigError`.
 
     Of ours a backbone that has no registered name, of a plugin's every text but the default.
-
-    Raises:
-        ConfigError: unknown name.
     """
     from thermoforce_mpc.model.free_response.backbones.loading import REGISTRY as BACKBONES
 

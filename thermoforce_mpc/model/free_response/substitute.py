@@ -1,9 +1,9 @@
 """What takes the place of a forecaster that fails: the linear weather model, then persistence, each with its reason.
 
-A forecast is not used where its method raised, did not answer in time, or gave numbers that are not a forecast; nor
-where it is finite and absurd. Absurd is what leaves the last measured temperature faster than the record ever did over
-the same time, and is at the same time far from what the linear weather model says. Either alone is no evidence: a cold
-front exceeds what three days have shown, and the linear model is poor in a light building.
+A forecast is not used where its method raised, did not answer in time, or gave numbers that are not a forecast or
+absurd. Absurd is what leaves the last measured temperature faster than the record ever did over the same time, and is
+at the same time far from the linear weather model. Either alone is no evidence: a cold front exceeds what three days
+have shown, and the linear model is poor in a light building.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, FreeForecast, Record
 from thermoforce_mpc.errors import DataError, ThermoForceError
-from thermoforce_mpc.execution.cooperative import Computation, run
+from thermoforce_mpc.execution.cooperative import Computation
 from thermoforce_mpc.model.free_response.checks import checked_forecast, checked_free
-from thermoforce_mpc.model.free_response.following import following
+from thermoforce_mpc.model.free_response.following import Computed, following
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
 from thermoforce_mpc.model.free_response.persistence import Persistence
 from thermoforce_mpc.protocols import FreeResponse
@@ -46,49 +46,23 @@ class SubstituteState:
     failures: int = 0
 
 
-class WithSubstitutes:
-    """`method`, or the first of linear weather model and persistence that gives a forecast fit to plan with.
+class WithSubstitutes(Computed):
+    """`method`, or the first of `substitutes` that gives a forecast fit to plan with; it is tried again at every step.
 
-    `FreeForecast.doubt` says why another method took its place. The method is tried again at every step.
-
-    Args:
-        method: the free response tried first.
-        substitutes: tried in turn where the method fails; without any, its failures are raised, and what is finite is
-            taken.
+    `FreeForecast.doubt` says why another took its place. Without substitutes, failures are raised, and what is finite
+    is taken.
     """
 
     def __init__(
-        self,
-        method: FreeResponse,
-        substitutes: Sequence[FreeResponse] = (LinearWeather(), Persistence()),
+        self, method: FreeResponse, substitutes: Sequence[FreeResponse] = (LinearWeather(), Persistence())
     ) -> None:
+        super().__init__(method)
         self.method, self._substitutes = method, tuple(substitutes)
-        if hasattr(method, "weight_hash"):
-            self.weight_hash = method.weight_hash
-
-    @property
-    def name(self) -> str:
-        """That of the method."""
-        return self.method.name
-
-    def forecast(self, free_C: Array, history: Record, boundary: Boundary) -> FreeForecast:
-        """See `FreeResponse.forecast`; raises as `follow` does."""
-        return self.follow(free_C, history, boundary, None)[0]
-
-    def follow(
-        self, free_C: Array, history: Record, boundary: Boundary, state: object
-    ) -> tuple[FreeForecast, SubstituteState]:
-        """See `FollowingFreeResponse.follow`.
-
-        Raises:
-            DataError: no temperature was measured, or neither the method nor a substitute gave a forecast.
-        """
-        return run(self.following(free_C, history, boundary, state))
 
     def following(
         self, free_C: Array, history: Record, boundary: Boundary, state: object
     ) -> Computation[tuple[FreeForecast, SubstituteState]]:
-        """See `ComputedFreeResponse.following`; raises as `follow` does."""
+        """See `ComputedFreeResponse.following`; raises `DataError` where no temperature was measured or all fail."""
         free = checked_free(free_C, history)
         before = state if isinstance(state, SubstituteState) else SubstituteState()
         inner = before.inner if before.failures < _COLD_AFTER else None

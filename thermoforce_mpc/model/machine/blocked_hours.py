@@ -84,9 +84,8 @@ class BlockedHours:
     def after(self, asked: Sequence[tuple[float, float]], history: Record, sign: int) -> BlockedHours:
         """What is known after the last step of a record (one zone and actuator), where an hour ends with it.
 
-        An hour with a step whose level is not known (NaN) tells nothing.
-
         `asked`: (start of the step s, mean level) of the last plans, NaN for native control; `sign`: of the actuator.
+        An hour with a step whose level is not known (NaN) tells nothing.
         """
         now, steps = float(history.time_s[-1]), max(1, round(HOUR_S / history.step_s)) if history.n_steps else 0
         if not steps or history.n_steps < steps or now % HOUR_S > 1.0:

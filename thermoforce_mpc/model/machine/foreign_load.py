@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.machine.load_regression import LEVEL_EDGE
+from thermoforce_mpc.model.machine.load import LEVEL_EDGE
 
 # Least mean of such a load as a share of full power: below, it is a standby or an error of the meter.
 _LEAST_SHARE = 0.03
@@ -76,11 +76,8 @@ class ForeignLoad:
 def foreign_load(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> ForeignLoad | None:
     """The foreign load on the meter of a machine; None where there is none, or the machine was hardly off.
 
-    Args:
-        u: levels of all that it feeds (A, n).
-        time_s: starts of the steps (n,), s since 1 January.
-        T_out_C: outdoor temperature (n,), °C.
-        meter_W: of power, or of heat in the direction of the machine (n,), W; NaN where it is missing.
+    `u` (A, n): levels of all that it feeds; `time_s` (n,): starts of the steps; `meter_W` (n,): of power, or of heat in
+    the direction of the machine, NaN where it is missing.
     """
     off = np.asarray((np.abs(u) <= LEVEL_EDGE).all(axis=0))
     known = np.isfinite(meter_W) & np.isfinite(T_out_C) & np.isfinite(u).all(axis=0)

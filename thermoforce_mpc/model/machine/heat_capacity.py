@@ -1,9 +1,8 @@
 """Fit of a machine's heat (or cooling) capacity as a function of level and outdoor temperature.
 
-One day of data covers few levels and a few K of outdoor temperature, while plans extrapolate to full level and colder
-weather. So the fit uses a prior per machine type (`MachinePrior`). The type, and whether intermediate levels are
-modulated or made by cycling, are chosen by the evidence of the data, with all coefficients marginalised (MacKay 1992;
-without the bounds that keep loads positive).
+A day of data covers few levels and a few K, while plans extrapolate to full level and colder weather. So the fit uses a
+prior per machine type (`MachinePrior`). The type, and whether intermediate levels are modulated or made by cycling, are
+chosen by the evidence of the data, with all coefficients marginalised (MacKay 1992; without the bounds).
 """
 
 from __future__ import annotations
@@ -15,12 +14,12 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.machine.load_regression import (
+from thermoforce_mpc.model.machine.load import (
     LEAST_W,
     LEVEL_EDGE,
     RESIDUAL_SCALE,
     EndValues,
+    MachineLoad,
     Quality,
     Steps,
     levels_to_try,
@@ -37,12 +36,9 @@ _FIRST_KIND, _LEVELS_ARE_RUN = 20.0, 10.0
 class MachinePrior:
     """Prior of a machine type, each parameter as (mean, standard deviation).
 
-    Attributes:
-        name: name of the type.
-        slope: (1/load) · d load/d T_out at full level, 1/K.
-        fixed: share of full heat that does not depend on u while the machine runs.
-        sag: deficit of full heat against extrapolation from the lowest levels, as a share of full heat; the returned
-            law is linear in u, exact at the lowest level and at full level.
+    `slope`: (1/load) · d load/d T_out at full level, 1/K. `fixed`: share of full heat that does not depend on u while
+    the machine runs. `sag`: deficit of full heat against extrapolation from the lowest levels, as a share of full heat;
+    the returned law is linear in u, exact at the lowest level and at full level.
     """
 
     name: str
@@ -97,17 +93,11 @@ def fit_heat(
 ) -> HeatFit:
     """Fit a `MachineLoad` by least squares with priors, both parts nonnegative over its outdoor range.
 
-    Args:
-        u: mean level over each step, shape (n,), in [0, 1].
-        T_out_C: outdoor temperature at the start of each step, shape (n,), °C.
-        heat_W: mean heat over each step, shape (n,), W, positive in the direction of the machine; NaN if missing.
-        kinds: possible machine types, the likeliest first, see `kinds_for`.
-        step_s: length of a step, s.
-        lowest_level: level below which the machine cycles. By default both an on/off machine (1, where fixed and
-            proportional part are one) and one with the lowest level in the data are tried.
-
-    Raises:
-        DataError: fewer than ten usable steps, fewer than five with the machine on, or no heat in these.
+    `u` (n,): mean level over each step, in [0, 1]; `T_out_C` (n,) at its start; `heat_W` (n,): mean over it, positive
+    in the direction of the machine, NaN if missing. `kinds`: possible machine types, the likeliest first, see
+    `kinds_for`. `lowest_level`: below it the machine cycles; by default both an on/off machine (1, where fixed and
+    proportional part are one) and one with the lowest level in the data are tried. Raises `DataError` as
+    `usable_steps`.
     """
     steps = usable_steps(u, T_out_C, heat_W, "delivered heat")
     residual_scale = RESIDUAL_SCALE * float(np.sqrt(max(1.0, 2.0 * _RESIDUAL_CORRELATION_H * HOUR_S / step_s)))

@@ -14,7 +14,7 @@ from scipy.optimize import nnls
 
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
-from thermoforce_mpc.model.machine.water_warmth import COMPARED_AT
+from thermoforce_mpc.model.machine.water import COMPARED_AT
 
 # Excess of power per heat at half level from which a machine of several actuators is switched. Below it is what a few
 # days of data leave uncertain: an exponent of a radiator that is wrong by 0.2 looks like a fixed part of 8 %.
@@ -34,10 +34,7 @@ _EXACT = 1e3
 
 @dataclass(frozen=True)
 class LevelCost:
-    """What heat costs at `level`: power per heat there over that at full level, expected.
-
-    `heat`: heat per level there over that at full level. Each with its standard deviation.
-    """
+    """Power per heat at `level` over that at full level (`cost`), heat per level likewise, and their deviations."""
 
     level: float
     cost: float
@@ -125,10 +122,9 @@ class PowerShape:
 
 @dataclass(frozen=True)
 class PartLoad:
-    """Part load in the middle of the outdoor range of the power law.
+    """Shares of full power and full heat that do not depend on the level while the machine runs, in middling weather.
 
-    `power_fixed`, `heat_fixed`: share of full power and of full heat that does not depend on the level while the
-    machine runs (heat: 0 where it is not measured and counts as proportional to the level).
+    `heat_fixed` is 0 where heat is not measured and counts as proportional to the level.
     """
 
     power_fixed: float

@@ -1,10 +1,8 @@
 """Total electric power as a function of the level: a fixed part while on and a part proportional to u, both with T_out.
 
-P(u, T_out, T_return) = [on·(c0 + c1·T_out) + u·(c2 + c3·T_out)]·(1 + κ (T_return − reference)), the last factor if the
-return water temperature is measured (`return_water.py`). Without the fixed part the model underestimates the power at
-part load; on a machine with speed-independent losses that costs a controller 25 % of the energy. Water is the warmer
-the higher the level of the last hours was, or the plan sets it, and the warmer the more power heat takes: a term in u²
-is fitted (`water_warmth.py`).
+P(u, T_out, T_return) = [on·(c0 + c1·T_out) + u·(c2 + c3·T_out)]·(1 + κ (T_return − reference)), the last factor or a
+term in u² for warm water (`water.py`). Without the fixed part the model underestimates the power at part load; on a
+machine with speed-independent losses that costs a controller 25 % of the energy.
 """
 
 from __future__ import annotations
@@ -12,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -19,21 +18,28 @@ from scipy.optimize import lsq_linear
 
 from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
-from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.machine.load_regression import (
+from thermoforce_mpc.model.machine.load import (
     LEAST_RUNNING,
     LEAST_W,
     LEVEL_EDGE,
     RESIDUAL_SCALE,
     EndValues,
+    MachineLoad,
     Quality,
     Steps,
     levels_to_try,
+    running_share,
     usable_steps,
 )
-from thermoforce_mpc.model.machine.return_water import ReturnWater, fit_return_water
-from thermoforce_mpc.model.machine.running import running_share
-from thermoforce_mpc.model.machine.water_warmth import AS_GOOD, LONGEST_S, MOST_LEFT, WATER_S, squares_of
+from thermoforce_mpc.model.machine.water import (
+    AS_GOOD,
+    LONGEST_S,
+    MOST_LEFT,
+    WATER_S,
+    ReturnWater,
+    fit_return_water,
+    squares_of,
+)
 
 
 @dataclass(frozen=True)
@@ -136,47 +142,37 @@ def fit_power(
 ) -> PowerModel:
     """Fit the power model to the measured power of records; see `fit_load` for arguments and errors.
 
-    Where warm water explains most of what level and weather leave over, it is in the part in u², which plans see;
-    else, where it is measured, in a factor of the return water.
+    Where warm water explains most of what level and weather leave over, it is in the part in u², which plans see; else,
+    where it is measured, in a factor of the return water.
     """
     u, T_out, power, T_return, T_zone = (
-        np.concatenate([values(history) for history in histories])
-        for values in (
-            lambda h: h.u[0],
-            lambda h: h.T_out_C[:-1],
-            lambda h: h.power_W[0],
-            lambda h: h.T_return_C[0],
-            lambda h: h.T_zone_C[0, :-1],
+        np.concatenate(rows)
+        for rows in zip(
+            *((h.u[0], h.T_out_C[:-1], h.power_W[0], h.T_return_C[0], h.T_zone_C[0, :-1]) for h in histories),
+            strict=True,
         )
     )
-
-    def fit(factor: Array, squares: Array | None = squares) -> LoadFit:
-        what = "electric power"
-        return fit_load(
-            u,
-            T_out,
-            power,
-            what=what,
-            lowest_level=lowest_level,
-            slope=POWER_SLOPE,
-            factor=factor,
-            running=running,
-            squares=squares,
-        )
+    fit = partial(
+        fit_load, u, T_out, power, what="electric power", lowest_level=lowest_level, slope=POWER_SLOPE, running=running
+    )
 
     def modelled(best: LoadFit, water: ReturnWater | None, water_s: float | None = None) -> PowerModel:
         quality = best.quality
         source = f"fitted to {quality.n_samples} steps"
         return PowerModel(best.load, quality.rmse_W, quality.r2, source, water, water_s=water_s)
 
-    plain = fit(np.ones_like(u))
+    plain = fit(squares=squares)
     full_W = float(np.nanmax(power))
     water = fit_return_water(
-        T_return, T_zone, u, lambda factor: fit(factor).quality.rmse_W ** 2 * plain.quality.n_running, full_W=full_W
+        T_return,
+        T_zone,
+        u,
+        lambda factor: fit(factor=factor, squares=squares).quality.rmse_W ** 2 * plain.quality.n_running,
+        full_W=full_W,
     )
-    best = plain if water is None else fit(water.factor(T_return))
+    best = plain if water is None else fit(factor=water.factor(T_return), squares=squares)
     if squares is None and running is None:
-        warm = {time_s: fit(np.ones_like(u), squares_of(histories, time_s)) for time_s in WATER_S}
+        warm = {time_s: fit(squares=squares_of(histories, time_s)) for time_s in WATER_S}
         water_s = min(warm, key=lambda time_s: warm[time_s].quality.rmse_W)
         most_W = min(MOST_LEFT * plain.quality.rmse_W, AS_GOOD * best.quality.rmse_W)
         if water_s <= LONGEST_S and warm[water_s].quality.rmse_W <= most_W:
@@ -187,16 +183,9 @@ def fit_power(
 def fit_both_directions(histories: Sequence[Record], heating: Array, cooling: Array) -> PowerModel:
     """Fit the power of a machine that heats and cools, perhaps one zone while another, each proportional to its level.
 
-    A direction that the records hardly have takes the law of the other, which `source` says: a few winter days do not
-    show cooling, and a plan for them hardly needs it.
-
-    Args:
-        histories: records with the machine's power, n steps in all.
-        heating: level of heating, the sum over its actuators, shape (n,), at least 0.
-        cooling: level of cooling, as `heating`.
-
-    Raises:
-        DataError: neither direction was on in enough measured steps.
+    `heating`, `cooling` (n,): summed levels over the n steps of all records. A direction that they hardly have takes
+    the law of the other, which `source` says: a few winter days do not show cooling, and a plan for them hardly needs
+    it. Raises `DataError` where neither direction was on in enough measured steps.
     """
     T_out, power = (
         np.concatenate([values(h) for h in histories]) for values in (lambda h: h.T_out_C[:-1], lambda h: h.power_W[0])
@@ -241,20 +230,11 @@ def fit_load(
 ) -> LoadFit:
     """Fit a `MachineLoad` by least squares, both parts nonnegative over its outdoor range.
 
-    Args:
-        u: mean level over each step, shape (n,), in [0, 1].
-        T_out_C: outdoor temperature at the start of each step, shape (n,), °C.
-        load_W: measured mean load over each step, shape (n,), W; NaN if missing.
-        what: name of the load for messages.
-        lowest_level: level below which the machine cycles. By default both an on/off machine (1, where fixed and
-            proportional part are one) and one with the lowest level in the data are tried, and the better fit kept.
-        slope: prior of the dependence on T_out; default: none.
-        factor: known factor on the load in each step, shape (n,); default: 1.
-        running: lowest levels to try instead, each with the share of each step that the machine runs, shape (n,).
-        squares: mean square of the level over each step, shape (n,), where the load may grow faster than it.
-
-    Raises:
-        DataError: fewer than ten usable steps, the load was on in fewer than five, or its mean while on is not above 0.
+    `u` (n,): mean level over each step, in [0, 1]; `T_out_C` (n,) at its start; `load_W` (n,): mean over it, NaN if
+    missing; `what`: its name for messages. `lowest_level`: as of `fit_heat`. `slope`: prior of the dependence on T_out.
+    `factor` (n,): known factor on the load. `running`: lowest levels to try instead, each with the share of each step
+    that the machine runs (n,). `squares` (n,): mean square of the level over each step, where the load may grow faster
+    than it. Raises `DataError` as `usable_steps`.
     """
     steps = usable_steps(u, T_out_C, load_W, what)
     times = np.ones(steps.u.size) if factor is None else np.asarray(factor, dtype=np.float64)[steps.kept]

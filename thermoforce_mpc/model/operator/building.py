@@ -1,4 +1,4 @@
-"""Operator of a building: one monotone operator per pair of zone and actuator.
+"""Operator of a building: one monotone operator per pair of zone and actuator, rolled out over a horizon.
 
 F_z = Σ_a F_za with F_za as in `operator.parameters` (paper eq:operator), so the sign of an effect is certified pair by
 pair. What an actuator delivers, v(u, T_out) and its modulation m(x), does not depend on where the heat goes: all pairs
@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 
 from thermoforce_mpc.data import SINGLE, Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.certificate import Certificate, certificate
 from thermoforce_mpc.model.operator.features import N_FEATURES
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
-from thermoforce_mpc.model.operator.rollout import driven_rollout, forced_rollout
 
 # What all pairs of one actuator have in common.
 _OF_ACTUATOR = (
@@ -28,18 +28,66 @@ _OF_ACTUATOR = (
 )  # fmt: skip
 
 
+def forced_rollout(params: OperatorParameters, F0: Array, u: Array, features: Array) -> Array:
+    """Return the forced state of every mode at the end of each of N steps (paper eq:operator), (..., N, r), K.
+
+    `F0` (..., r) K is now, `u` (..., N) in [0, 1], `features` (..., N, 4) at the start of each step with T − F. Raises
+    `DataError` where shapes do not fit together, or a value is not finite.
+    """
+    u = np.asarray(u, dtype=np.float64)
+    F0 = np.asarray(F0, dtype=np.float64)
+    features = np.asarray(features, dtype=np.float64)
+    if u.ndim < 1 or features.shape[-2:] != (u.shape[-1], N_FEATURES):
+        raise DataError(f"forced rollout: u {u.shape} and features {features.shape} do not describe the same steps")
+    if F0.shape[-1:] != (params.order,):
+        raise DataError(f"forced rollout: F0 has shape {F0.shape}, expected (..., {params.order})")
+    if not (np.isfinite(u).all() and np.isfinite(F0).all() and np.isfinite(features).all()):
+        raise DataError("forced rollout: u, F0 and features must be finite")
+    if params.feedback_active:
+        return _stepwise(params, F0, u, features)
+    return driven_rollout(params, F0, params.drive(u, features))
+
+
+def driven_rollout(params: OperatorParameters, F0: Array, drive: Array) -> Array:
+    """Return the forced state of every mode for a known m(x)·v: `F0` (..., r) K, `drive` (..., N) → (..., N, r) K."""
+    lead, n = np.broadcast_shapes(drive.shape[:-1], F0.shape[:-1]), drive.shape[-1]
+    drives = np.ascontiguousarray(np.broadcast_to(drive, (*lead, n))).reshape(-1, n)
+    states = np.ascontiguousarray(np.broadcast_to(F0, (*lead, params.order))).reshape(-1, params.order)
+    return np.asarray(_modes(params.poles, params.gains, states, drives).reshape(*lead, n, params.order))
+
+
+@njit(cache=True)
+def _modes(poles: Array, gains: Array, F0: Array, drives: Array) -> Array:
+    """Forced states (c, n, r) of c candidates: F ← a F + g d from `F0` (c, r), under the drives (c, n)."""
+    (c, n), r = drives.shape, poles.size
+    out = np.empty((c, n, r))
+    for k in range(c):
+        for i in range(r):
+            state = F0[k, i]
+            for t in range(n):
+                state = poles[i] * state + gains[i] * drives[k, t]
+                out[k, t, i] = state
+    return out
+
+
+def _stepwise(params: OperatorParameters, F0: Array, u: Array, features: Array) -> Array:
+    """Roll out step by step, all candidates at once, for m(x) that depends on F."""
+    lead = np.broadcast_shapes(u.shape[:-1], features.shape[:-2], F0.shape[:-1])
+    n = u.shape[-1]
+    forced = np.empty((*lead, n, params.order))
+    state = np.broadcast_to(F0, (*lead, params.order))
+    for t in range(n):
+        state = params.step(state, u[..., t], features[..., t, :])
+        forced[..., t, :] = state
+    return forced
+
+
 @dataclass(frozen=True)
 class BuildingOperator:
-    """Operators of Z zones and A actuators.
+    """Operators of Z zones and A actuators; raises `DataError` where names or pairs do not fit together.
 
-    Attributes:
-        zones: names of the zones (Z,).
-        actuators: names of the actuators (A,).
-        pairs: `pairs[z][a]`, the operator of actuator a on zone z, or None where it has no effect. All have one step.
-        home: zone whose features enter the modulation of each actuator (A,); the actuator must have an effect there.
-
-    Raises:
-        DataError: names are missing or double, or the pairs do not fit together; says which.
+    `pairs[z][a]`: the operator of actuator a on zone z, or None where it has no effect; all have one step. `home` (A,):
+    zone whose features enter the modulation of each actuator, which must have an effect there.
     """
 
     zones: tuple[str, ...]
@@ -61,20 +109,12 @@ class BuildingOperator:
             where = f"building operator: {self.actuators[a]} on {self.zones[z]}"
             if pair.step_s != step_s:
                 raise DataError(f"{where}: step {pair.step_s:g} s differs from the first actuator's")
-            home = self._home_pair(a)
+            home = self.of_actuator(a)
             for name in _OF_ACTUATOR:
                 if not np.array_equal(getattr(pair, name), getattr(home, name)):
                     raise DataError(f"{where}: {name} differs from that of its home zone")
             if pair.feedback_active and (Z > 1 or A > 1):
                 raise DataError(f"{where}: feedback of the predicted temperature is for one zone and one actuator")
-
-    def _home_pair(self, a: int) -> OperatorParameters:
-        pair = self.pairs[self.home[a]][a]
-        if pair is None:
-            raise DataError(
-                f"building operator: {self.actuators[a]} has no effect in its home zone {self.zones[self.home[a]]}"
-            )
-        return pair
 
     def each(self) -> Iterator[tuple[int, int, OperatorParameters]]:
         """Zone, actuator and operator of every pair with an effect."""
@@ -85,7 +125,12 @@ class BuildingOperator:
 
     def of_actuator(self, a: int) -> OperatorParameters:
         """The operator of actuator `a` on its home zone: its sign, heat input and modulation."""
-        return self._home_pair(a)
+        pair = self.pairs[self.home[a]][a]
+        if pair is None:
+            raise DataError(
+                f"building operator: {self.actuators[a]} has no effect in its home zone {self.zones[self.home[a]]}"
+            )
+        return pair
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -136,18 +181,10 @@ class BuildingOperator:
         )
 
     def rollout(self, F0: Array, u: Array, features: Array) -> Array:
-        """Forced state of every pair at the end of each of N steps (paper eq:operator).
+        """Forced state of every pair at the end of each of N steps (paper eq:operator), (..., Z, A, N, r), K.
 
-        Args:
-            F0: forced state now, shape (Z, A, r), K.
-            u: planned levels, shape (..., A, N).
-            features: x_t of each zone at the start of each step, shape (Z, N, 4); the zone's column is T − F.
-
-        Returns:
-            Shape (..., Z, A, N, r), K; the sum over actuators and modes is the forced response of a zone.
-
-        Raises:
-            DataError: shapes do not fit together, or a value is not finite.
+        `F0` (Z, A, r) K is now, `u` (..., A, N), `features` (Z, N, 4) at the start of each step with T − F. The sum
+        over actuators and modes is the forced response of a zone. Raises `DataError` as `forced_rollout`.
         """
         u, F0, features = (np.asarray(value, dtype=np.float64) for value in (u, F0, features))
         Z, A, r = self.shape

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.machine.load import MachineLoad
-from thermoforce_mpc.model.operator.features import N_FEATURES, OUTDOOR, ZONE
+from thermoforce_mpc.model.operator.features import N_FEATURES, ZONE
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
@@ -29,8 +29,7 @@ _calls = _Calls()
 def export_calls() -> int:
     """Number of horizons for which this thread has put features into the exported gain, one for each actuator.
 
-    A gain that sees the predicted temperature is part of the programme: a solver then evaluates it as often as it
-    needs, and the horizon counts once.
+    A gain that sees the predicted temperature is part of the programme: its horizon counts once.
     """
     return _calls.n
 
@@ -38,7 +37,7 @@ def export_calls() -> int:
 def on_load_expression(
     load: MachineLoad, u: Expression, T_out_C: Expression, on: Expression | None = None
 ) -> Expression:
-    """Return `load(u, T_out)` in W as an expression (elementwise), for delivered heat, which has no term in u².
+    """`load(u, T_out)` in W as an expression (elementwise), for delivered heat, which has no term in u².
 
     `on`: share of the step in which the machine is on, by default that of a level that is held.
     """
@@ -66,10 +65,8 @@ def heat_input_expression(
 def gain_from(q: Mapping[str, ca.SX], before: ca.SX, forced: ca.SX | float = 0.0) -> ca.SX:
     """Return m(x) (paper eq:mod) with its weights as expressions.
 
-    Args:
-        q: `slope` (H, 1), what the hidden units add per kelvin of the zone, `output` (H, 1), `output_bias`, `gamma`.
-        before: what enters the hidden units without the forced response, (H, 1).
-        forced: forced response, K, where the gain sees the predicted temperature.
+    `q`: `slope` (H, 1), what the hidden units add per kelvin of the zone, `output` (H, 1), `output_bias`, `gamma`.
+    `before` (H, 1): what enters the hidden units without the forced response; `forced`, K, where m sees it.
     """
     hidden = ca.tanh(before + q["slope"] * forced)
     return 1.0 + q["gamma"] * ca.tanh(ca.dot(q["output"], hidden) + q["output_bias"])
@@ -151,18 +148,6 @@ def advanced(params: OperatorParameters, F: ca.SX, x: ca.SX, v: ca.SX) -> ca.SX:
     """Return F(t+1) (r,) K (paper eq:operator) of F (r,) K, `x` (4,) with T − F in it and the input `v`."""
     seen = ca.vertcat(x[ZONE] + ca.sum1(F), x[ZONE + 1 :]) if params.feedback_active else x
     return ca.DM(params.poles) * F + ca.DM(params.gains) * modulation_of(params, seen) * v
-
-
-def step_function(params: OperatorParameters) -> ca.Function:
-    """Return `F(t+1)` (paper eq:operator): F (r,) K, u, x (4,) with T − F in it → F_next (r,) K."""
-    F, u, x = ca.SX.sym("F", params.order), ca.SX.sym("u"), ca.SX.sym("x", N_FEATURES)
-    F_next = advanced(params, F, x, heat_input_expression(params.heat_input, u, x[OUTDOOR]))
-    return ca.Function("forced_step", [F, u, x], [F_next], ["F", "u", "x"], ["F_next"])
-
-
-def rollout_function(params: OperatorParameters, n_steps: int) -> ca.Function:
-    """Return the forced response over `n_steps` steps as one function, see `rolled_out`."""
-    return rolled_out(step_function(params), n_steps)
 
 
 def rolled_out(step: ca.Function, n_steps: int) -> ca.Function:

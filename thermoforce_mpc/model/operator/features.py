@@ -28,19 +28,10 @@ def time_of_day(time_s: Array) -> Array:
 
 
 def feature_matrix(free_C: Array, T_out_C: Array, solar_W_m2: Array, time_s: Array) -> Array:
-    """Stack the four features of N steps, each sampled at the *start* of its step.
+    """Stack the four features of N steps, each sampled at the *start* of its step: (..., N, 4), as `FEATURES`.
 
-    Args:
-        free_C: control-free temperature T − F, shape (..., N), °C.
-        T_out_C: outdoor temperature, shape (..., N), °C.
-        solar_W_m2: global horizontal irradiance, shape (..., N), W/m².
-        time_s: start of each step, shape (..., N), s since 1 January.
-
-    Returns:
-        Shape (..., N, 4), columns in the order of `FEATURES`, physical units (the operator normalises).
-
-    Raises:
-        DataError: shapes do not broadcast, or a value is not finite.
+    `free_C`: T − F, °C; `time_s`: s since 1 January; all (..., N) in physical units. Raises `DataError` where shapes do
+    not broadcast, or a value is not finite.
     """
     columns = (free_C, T_out_C, solar_W_m2, time_of_day(time_s))
     try:

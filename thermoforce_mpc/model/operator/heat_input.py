@@ -16,14 +16,11 @@ class HeatInput:
     """Map v(u, T_out), dimensionless and nondecreasing in u, with v = 1 at full level and `reference_C`.
 
     Without a `heat` load it is v = u·(1 + per_K·(T_out − reference_C)), and the identity v = u of the paper's operator
-    where `per_K` is 0; outside `T_out_range_C`, °C, T_out is held at the nearer end. Heat that was measured beside
-    v = u is `metered`: it does not enter v, but readings of the meter are levels by it. `lowest` is the lowest level:
-    0, or less where the level of one zone's heating and cooling is signed (cooling below 0), which only the identity
-    allows.
-
-    Raises:
-        DataError: `lowest` is not in [−10, 0], or below 0 without the identity; a load has a term in u²; `per_K` or
-            `metered` beside a heat load, or `per_K` so large that v does not rise with u somewhere in the range.
+    where `per_K` is 0; outside `T_out_range_C`, °C, T_out is held at the nearer end. Heat that was measured beside v =
+    u is `metered`: it does not enter v, but readings of the meter are levels by it. `lowest` is the lowest level: 0, or
+    less where the level of one zone's heating and cooling is signed, which only the identity allows. Raises `DataError`
+    for `lowest` outside [−10, 0], a load with a term in u², parts that do not go together, or a `per_K` so large that v
+    does not rise with u somewhere in the range.
     """
 
     heat: MachineLoad | None = None
@@ -51,11 +48,6 @@ class HeatInput:
                 f"heat input: {self.per_K:g} 1/K about {self.reference_C:g} °C is not positive from {low:g} to "
                 f"{high:g} °C"
             )
-
-    @property
-    def kind(self) -> str:
-        """'identity' (levels, by outdoor temperature or not) or 'heat' (measured)."""
-        return "identity" if self.heat is None else "heat"
 
     @property
     def law(self) -> MachineLoad | None:

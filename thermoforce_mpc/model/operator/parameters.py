@@ -1,11 +1,10 @@
 """Forced-response operator and its parameters (paper eq:operator to eq:mod), in numpy only.
 
 `r` parallel modes, fastest first, F = Σ F_i with F_i(t+1) = a_i F_i(t) + g_i m(x_t) v(u_t, T_out). Order 1 with v = u
-is the paper's operator. With gains of one sign the response is largest right after the action, but a floor slab
-responds hours later. So the fastest gain may be negative, which gives a delay, as long as Σ g_i (−ln a_i)/(1 − a_i)
-keeps the sign. That sum is the initial slope of the step response (up to the step), and this condition is sufficient:
-the impulse response divided by the fastest decay is monotone, so it does not cross zero at any step length and for any
-weights.
+is the paper's operator. A floor slab responds hours later, so the fastest gain may be negative, which gives a delay, as
+long as Σ g_i (−ln a_i)/(1 − a_i), the initial slope of the step response (up to the step), keeps the sign. That is
+sufficient: the impulse response divided by the fastest decay is monotone, so it does not cross zero at any step length
+and for any weights.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ def initial_weight(poles: Array) -> Array:
 
 @dataclass(frozen=True)
 class OperatorParameters:
-    """Parameters of an identified operator.
+    """Parameters of an identified operator; raises `DataError` naming the field that is not allowed.
 
     Attributes:
         poles: a_i, shape (r,), dimensionless, in (0, 1), per step, increasing.
@@ -51,10 +50,7 @@ class OperatorParameters:
         step_s: step of poles and gains, s.
         heat_input: v(u, T_out) in front of the modes.
         feedback: whether m(x) uses the predicted temperature T instead of T − F (the paper's). Past actions then change
-            the gain of later ones; see `operator.feedback` for the bounds.
-
-    Raises:
-        DataError: a shape or value is not allowed; the message names the field.
+            the gain of later ones; see `operator.certificate` for the bounds.
     """
 
     poles: Array
@@ -173,7 +169,7 @@ class OperatorParameters:
         return np.asarray(self.gains / (1.0 - self.poles))
 
     def impulse(self, n_steps: int) -> Array:
-        """Return the impulse response Σ g_i a_i^(k−1), k = 1 … `n_steps`, to one step of v = m = 1, (n_steps,), K.
+        """The impulse response Σ g_i a_i^(k−1), k = 1 … `n_steps`, to one step of v = m = 1, (n_steps,), K.
 
         It has one sign; rounding errors beyond zero are clipped.
         """
@@ -235,12 +231,7 @@ class OperatorParameters:
         if ratio == 1.0:
             return self
         poles = self.poles**ratio
-        return replace(
-            self,
-            poles=poles,
-            gains=self.steady_gains_K * (1.0 - poles),
-            step_s=step_s,
-        )
+        return replace(self, poles=poles, gains=self.steady_gains_K * (1.0 - poles), step_s=step_s)
 
 
 def linear_operator(

@@ -7,7 +7,7 @@ import json
 import os
 from urllib.parse import urlsplit
 
-from thermoforce_mpc.data.given import known_marks, note_marks
+from thermoforce_mpc.data.cache import known_marks, note_marks
 from thermoforce_mpc.errors import ConfigError
 
 

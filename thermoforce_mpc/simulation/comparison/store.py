@@ -16,7 +16,7 @@ from typing import Any
 from thermoforce_mpc.errors import ArtifactError, StorageError
 from thermoforce_mpc.execution import Task
 from thermoforce_mpc.files import storage_errors, write_folder, write_whole
-from thermoforce_mpc.model.saved.model_file import read_model_file
+from thermoforce_mpc.model.saved import read_model_file
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell
 from thermoforce_mpc.simulation.comparison.input_files import InputFiles

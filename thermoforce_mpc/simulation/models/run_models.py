@@ -28,8 +28,7 @@ from thermoforce_mpc.simulation.models.kept_probing import FOLDER as PROBING
 from thermoforce_mpc.simulation.views.display import RunDisplay
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
-    from thermoforce_mpc.model.thermal_model import ThermalModel
-    from thermoforce_mpc.model.zone_model import ZoneModel
+    from thermoforce_mpc.model.thermal_model import ThermalModel, ZoneModel
 from thermoforce_mpc.protocols import Controller
 
 FOLDER = "model"
@@ -142,7 +141,7 @@ def kept_models(
         StorageError: it cannot be written.
     """
     noted = plant.noted("models", lambda: _save_models(folder, find()))
-    from thermoforce_mpc.model.saved.model_file import JSON_NAME
+    from thermoforce_mpc.model.saved import JSON_NAME
     from thermoforce_mpc.model.thermal_model import load_model
 
     loaded: dict[str, IdentifiedModel] = {}
@@ -163,7 +162,7 @@ def kept_models(
 
 def _save_models(folder: Path, identified: Mapping[str, IdentifiedModel]) -> Json:
     """Save each different model once; what the journal says of them."""
-    from thermoforce_mpc.model.saved.model_file import JSON_NAME
+    from thermoforce_mpc.model.saved import JSON_NAME
 
     saved: list[tuple[IdentifiedModel, Json]] = []
     entries: Json = {}

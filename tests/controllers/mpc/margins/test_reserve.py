@@ -9,8 +9,7 @@ import pytest
 
 from controllers.actuation.actuator import Actuation, ActuationConfig
 from controllers.mpc.margin_rules import is_fast, reserve_K
-from thermoforce_mpc.model.card import ModelCard
-from thermoforce_mpc.model.competence import Competence, HorizonScore
+from thermoforce_mpc.model.card import Competence, HorizonScore, ModelCard
 from thermoforce_mpc.model.operator.parameters import linear_operator
 
 MODULATING = Actuation(ActuationConfig(mode="modulating", lowest_level=0.0))

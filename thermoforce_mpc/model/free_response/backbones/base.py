@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
@@ -60,17 +59,13 @@ class Backbone(Protocol):
     def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
         """Return quantiles 0.1, 0.2, ... 0.9 over the N steps ahead of each context, shape (9, N), °C.
 
-        Contexts may differ in length and in N; a batch (several buildings, several past instants) costs little more
-        than one context.
+        Contexts may differ in length and in N; a batch costs little more than one context.
         """
         ...
 
 
 def padded_series(contexts: Sequence[Context], multiple: int = 1) -> NDArray[np.float32]:
-    """Return the series of all contexts in one array (contexts, k), padded on the left with NaN.
-
-    k is the least multiple of `multiple` that holds the longest.
-    """
+    """The series of all contexts, padded on the left with NaN to a multiple of `multiple`, (contexts, k)."""
     longest = -(-max(context.free_C.size for context in contexts) // multiple) * multiple
     series = np.full((len(contexts), longest), np.nan, dtype=np.float32)
     for row, context in zip(series, contexts, strict=True):
@@ -80,10 +75,7 @@ def padded_series(contexts: Sequence[Context], multiple: int = 1) -> NDArray[np.
 
 @contextmanager
 def frozen_pass() -> Iterator[None]:
-    """One thread of torch and no gradients, where torch is loaded.
-
-    Results are bitwise reproducible, and models this small gain nothing by more threads.
-    """
+    """One thread of torch, which makes results bitwise reproducible, and no gradients, where torch is loaded."""
     torch = sys.modules.get("torch")
     if torch is None:
         yield
@@ -97,17 +89,21 @@ def frozen_pass() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-class ByLength(ABC):
+class ByLength:
     """`Backbone` of a library's model: contexts of one length and number of steps ahead form a batch.
 
-    Args:
-        label: name for reports.
-        modules: modules with weights, in a fixed order.
-        at_once: largest number of steps that the model forecasts; longer horizons are unrolled on its medians.
+    `at_once`: largest number of steps that the model forecasts; longer horizons are unrolled on its medians. `predict`:
+    quantiles 0.1 to 0.9 of contexts of one length, (contexts, 9, steps), °C.
     """
 
-    def __init__(self, label: str, modules: tuple[nn.Module, ...], at_once: int) -> None:
-        self.label, self.modules, self._at_once = label, modules, at_once
+    def __init__(
+        self,
+        label: str,
+        modules: tuple[nn.Module, ...],
+        at_once: int,
+        predict: Callable[[Sequence[Context], int], Array],
+    ) -> None:
+        self.label, self.modules, self._at_once, self._predict = label, modules, at_once, predict
 
     def quantiles_C(self, contexts: Sequence[Context]) -> list[Array]:
         """See `Backbone.quantiles_C`."""
@@ -119,10 +115,6 @@ class ByLength(ABC):
             for i, values in zip(same, self._unrolled([contexts[i] for i in same], steps), strict=True):
                 answers[i] = values
         return answers
-
-    @abstractmethod
-    def _predict(self, contexts: Sequence[Context], steps: int) -> Array:
-        """Quantiles 0.1 to 0.9 of contexts of one length, shape (contexts, 9, steps), °C."""
 
     def _unrolled(self, contexts: Sequence[Context], steps: int) -> Array:
         done = min(steps, self._at_once)
@@ -138,9 +130,3 @@ class ByLength(ABC):
             for context, values in zip(contexts, first, strict=True)
         ]
         return np.concatenate([first, self._unrolled(onwards, steps - done)], axis=2, dtype=np.float64)
-
-
-def bridged(free_C: Array) -> Array:
-    """A series (k,) with its gaps bridged by lines, for models that read no gaps; at an end the nearest value holds."""
-    known = np.flatnonzero(np.isfinite(free_C))
-    return np.interp(np.arange(free_C.size), known, free_C[known])

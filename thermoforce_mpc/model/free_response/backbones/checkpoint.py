@@ -1,8 +1,6 @@
-"""Folders of checkpoints: fetched from the Hugging Face hub, and their weights checked.
+"""Folders of checkpoints: fetched from the Hugging Face hub (`owner/model@revision`), and their weights checked.
 
-A hub's name is `owner/model`, or `owner/model@revision`: from the local cache, else downloaded; where neither can be,
-that is told within seconds. Only config.json and safetensors files are fetched: other weights are pickles, which can
-run any code.
+Only config.json and safetensors files are fetched: other weights are pickles, which can run any code.
 """
 
 from __future__ import annotations
@@ -24,11 +22,7 @@ _ADVICE = "download it where there is a network and give its directory, or use b
 
 
 def hub_folder(name: str) -> Path:
-    """Return the folder of a hub's model, downloaded unless it is in the local cache.
-
-    Raises:
-        BackboneError: unknown name, hub not reachable, or no safetensors there.
-    """
+    """The folder of a hub's model, downloaded unless it is cached; raises `BackboneError` within seconds."""
     from huggingface_hub import snapshot_download
 
     owner_model, _, revision = name.partition("@")

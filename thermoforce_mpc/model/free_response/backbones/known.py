@@ -22,8 +22,8 @@ class Known:
     """A model that is chosen by name.
 
     `checkpoint`: name on the hub, `owner/model` with `@revision` where the main branch is another model; '' where the
-    weights are in an installed package. `parameters` and `licence` are of the weights. `covariates`: whether it reads
-    the weather. `module`: what its package is imported as, '' for ours. `python`, `torch`: versions it works with.
+    weights, which `parameters` and `licence` are of, are in an installed package. `covariates`: whether it reads the
+    weather. `module`: what its package is imported as, '' for ours. `python`, `torch`: versions it works with.
     """
 
     name: str

@@ -40,29 +40,22 @@ _LAST: deque[Backbone] = deque(maxlen=1)
 # By what config.json says: the adapter of a family, its loader, and the name of a known model of it.
 _BY_KEY = {
     "chronos_config": ("chronos_family", "load", "chronos-2"),
-    "stack_config": ("tirex2", "load", "tirex-2"),
-    "use_iterative_cpm_revin": ("timesfm", "load3", "timesfm-3"),
-    "num_variate_layers_per_group": ("toto2", "load", "toto-2"),
+    "stack_config": ("optional", "load_tirex2", "tirex-2"),
+    "use_iterative_cpm_revin": ("optional", "load_timesfm3", "timesfm-3"),
+    "num_variate_layers_per_group": ("optional", "load_toto2", "toto-2"),
 }
-_BY_TYPE = {
-    "tinytimemixer": ("granite", "load_ttm", "ttm"),
-    "flowstate": ("granite", "load_flowstate", "flowstate"),
-}
+_BY_TYPE = {"tinytimemixer": ("optional", "load_ttm", "ttm"), "flowstate": ("optional", "load_flowstate", "flowstate")}
 # TimesFM 2.5 is loaded without a config; its weights are known by the first of their names.
-_TIMESFM_25 = ("timesfm", "load", "timesfm")
+_TIMESFM_25 = ("optional", "load_timesfm", "timesfm")
 _FAMILIES = "Chronos-Bolt, Chronos-2, TiRex-2, TimesFM, Toto 2, TTM and FlowState"
 
 
 def load_backbone(name: str) -> Backbone:
     """Load a backbone, frozen: evaluation mode and no gradients; one that is in use, or was the last, is shared.
 
-    Args:
-        name: one of `known.KNOWN`, a plugin's, a directory with weights of one of these families, or a hub name such
-            as 'amazon/chronos-bolt-small'.
-
-    Raises:
-        BackboneError: unknown name, package not installed, damaged or incomplete weights, hub not reachable, or
-            unsupported model family.
+    `name`: one of `known.KNOWN`, a plugin's, a directory with weights, or a hub name such as
+    'amazon/chronos-bolt-small'. Raises `BackboneError` for unknown names, packages that are not installed, damaged or
+    incomplete weights, a hub that does not answer, or an unsupported family.
     """
     key = _same(name)
     backbone = _SHARED.get(key)
@@ -99,7 +92,7 @@ def _shipped(name: str, model: str) -> Backbone:
 
 def _fracast() -> Backbone:
     """A second pretrained backbone, extra [fracast]."""
-    from thermoforce_mpc.model.free_response.backbones.fracast import FracastBackbone
+    from thermoforce_mpc.model.free_response.backbones.optional import FracastBackbone
 
     return FracastBackbone()
 

@@ -1,13 +1,44 @@
-"""Least squares of a time series, with a covariance that holds for residuals that go together in time."""
+"""What the checks share: a remark, and least squares of a time series."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from thermoforce_mpc.data import Array
 
+Kind = Literal[
+    "stamps late",
+    "stamps early",
+    "level is no level",
+    "meter holds another load",
+    "unit of power",
+    "unit of temperature",
+]
 # Steps over which residuals may go together.
 _LAGS = 4
+
+
+@dataclass(frozen=True)
+class Remark:
+    """One finding of a check: its kind, the signals concerned, what was found with its numbers, and what to do.
+
+    `sure`: the statistic, as a number of its standard deviations; inf where a physical limit is exceeded. `actuators`:
+    numbers of those whose model it bars; none where the record may serve all the same.
+    """
+
+    kind: Kind
+    where: str
+    words: str
+    remedy: str
+    sure: float = float("inf")
+    actuators: tuple[int, ...] = ()
+
+    def in_words(self) -> str:
+        """One line."""
+        return f"{self.kind}: {self.where}: {self.words}; {self.remedy}"
 
 
 def fitted(columns: Array, target: Array) -> tuple[Array, Array, Array]:

@@ -1,4 +1,4 @@
-"""Filling of gaps in the measured past for computations that need numbers; the record itself keeps NaN.
+"""A first-order lag of a series, and gaps of the measured past filled where a computation needs numbers.
 
 | signal | filled with |
 |---|---|
@@ -8,8 +8,7 @@
 | u, longer | the mean level over 12 h on either side, or of all known levels; 0 if none is known |
 | zone temperature, heat, power, return water | not filled: their users handle NaN |
 
-If heat was measured and the operator is driven by heat, the level is not needed (`heat_drive`). The closed loop stores
-its own level if the plant does not report u, so gaps in u occur only before a run.
+The level is not needed where heat was measured and drives the operator (`heat_drive`).
 """
 
 from __future__ import annotations
@@ -27,15 +26,18 @@ from thermoforce_mpc.errors import DataError, counted
 WEATHER = ("T_out_C", "solar_W_m2")
 
 
+def lagged(signal: Array, pole: float, start: float = 0.0) -> Array:
+    """States (n + 1,) of a lag of steady gain 1 of `signal` (n,), constant in each step; `pole`: exp(−step/τ)."""
+    from scipy.signal import lfilter  # takes half a second to import; loading a model does not need it
+
+    return np.append(start, lfilter([1.0 - pole], [1.0, -pole], signal, zi=[pole * start])[0])
+
+
 def bridged(history: Record, ahead: Boundary | None = None) -> tuple[Record, str]:
     """Return `history` with all gaps in weather and levels filled, and a note on the filling ('' without gaps).
 
-    Args:
-        history: record with NaN for missing values.
-        ahead: forecast from now on, used for the weather at the end of the history.
-
-    Raises:
-        DataError: a weather signal has no value in `history` nor in `ahead`.
+    `ahead`: forecast from now on, for the weather at the end of the history. Raises `DataError` where a weather signal
+    has no value in either.
     """
     filled: dict[str, Any] = {}
     notes: list[str] = []
@@ -57,6 +59,25 @@ def interpolated(values: Array) -> Array:
     return np.interp(np.arange(values.size), known, values[known]) if known.size else np.zeros(values.size)
 
 
+def held(values: Array) -> Array:
+    """`values` (n,), not all NaN, with each gap filled by the last finite value (at the start, by the first)."""
+    finite = np.isfinite(values)
+    index = np.maximum.accumulate(np.where(finite, np.arange(values.size), -1))
+    return np.asarray(values[np.where(index < 0, int(np.argmax(finite)), index)])
+
+
+def at_instants(time_s: Array, known_s: Array, values: Array, within_s: float) -> Array:
+    """The `values` (k,) at `known_s` that stand at the instants `time_s`, its shape; NaN where none does."""
+    index = np.clip(np.searchsorted(known_s, time_s - within_s), 0, known_s.size - 1)
+    return np.where(np.abs(known_s[index] - time_s) <= within_s, values[index], np.nan)
+
+
+def stretches(wanted: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and one past the last place of each stretch in which `wanted` (n,) holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted, [False]]).astype(int))).tolist()
+    return list(zip(edges[0::2], edges[1::2], strict=True))
+
+
 def gapless(history: Record) -> bool:
     """Whether `bridged` has nothing to fill."""
     return all(bool(np.isfinite(getattr(history, name)).all()) for name in (*WEATHER, "u"))
@@ -68,7 +89,7 @@ def long_gaps(history: Record, name: str) -> NDArray[np.bool_]:
     measured = np.isfinite(values)
     if not measured.any():
         return np.ones(time_s.size, dtype=bool)
-    return ~measured & (_gap_s(time_s, time_s[measured]) > BRIDGED_GAP_H * HOUR_S)
+    return ~measured & (gap_s(time_s, time_s[measured]) > BRIDGED_GAP_H * HOUR_S)
 
 
 def long_level_gaps(history: Record) -> NDArray[np.bool_]:
@@ -77,16 +98,14 @@ def long_level_gaps(history: Record) -> NDArray[np.bool_]:
 
 
 def _long_gap(u: Array, step_s: float) -> NDArray[np.bool_]:
-    """Return which of `u` (n,) are unknown for more than 2 h together."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], np.isfinite(u), [True]]).astype(int)))
+    """Which of `u` (n,) are unknown for more than 2 h together."""
     long = np.zeros(u.size, dtype=bool)
-    for start, stop in zip(edges[0::2], edges[1::2], strict=True):
+    for start, stop in stretches(~np.isfinite(u)):
         long[start:stop] = (stop - start) * step_s > BRIDGED_LEVEL_H * HOUR_S
     return long
 
 
 def _of_levels(u: Array, step_s: float) -> str:
-    """Return in words what stands in the gaps of `u` (n,)."""
     unknown, long = ~np.isfinite(u), _long_gap(u, step_s)
     short = unknown & ~long
     words = [f"{_count(short)} ({100 * short.mean():.1f} %) between the levels around"] if short.any() else []
@@ -105,7 +124,7 @@ def _weather(history: Record, ahead: Boundary | None, name: str) -> tuple[Array,
     if not measured.size:
         raise DataError(f"history: {name} was never measured and no forecast of it is given; check the sensor")
     line = np.interp(time_s, at_s, measured)
-    long = missing & (_gap_s(time_s, at_s) > BRIDGED_GAP_H * HOUR_S)
+    long = missing & (gap_s(time_s, at_s) > BRIDGED_GAP_H * HOUR_S)
     note = f"{name}: {_count(missing)} by linear interpolation"
     if long.any():
         note = f"{name}: {_count(missing)}, {long.sum()} of them from the same hour of the nearest day"
@@ -113,8 +132,8 @@ def _weather(history: Record, ahead: Boundary | None, name: str) -> tuple[Array,
     return np.where(missing, line, values), note
 
 
-def _gap_s(time_s: Array, known_s: Array) -> Array:
-    """Return the gap length at each of `time_s` (n,), s, between the known instants (k,) or the ends of the data."""
+def gap_s(time_s: Array, known_s: Array) -> Array:
+    """The gap length at each of `time_s` (n,), s, between the known instants (k,) or the ends of the data."""
     after = np.searchsorted(known_s, time_s)
     ends = np.concatenate([[min(time_s[0], known_s[0])], known_s, [max(time_s[-1], known_s[-1])]])
     return np.asarray(ends[after + 1] - ends[after])
@@ -126,10 +145,8 @@ def _same_hour(time_s: Array, measured_s: Array, measured: Array, otherwise: Arr
     days = int(np.ceil((max(measured_s[-1], time_s[-1]) - min(measured_s[0], time_s[0])) / DAY_S)) + 1
     for day in range(1, days + 1):
         for shift_s in (-day * DAY_S, day * DAY_S):
-            shifted_s = time_s + shift_s
-            index = np.clip(np.searchsorted(measured_s, shifted_s - within_s), 0, measured_s.size - 1)
-            matches = np.isnan(filled) & (np.abs(measured_s[index] - shifted_s) <= within_s)
-            filled[matches] = measured[index[matches]]
+            there = at_instants(time_s + shift_s, measured_s, measured, within_s)
+            filled = np.where(np.isnan(filled), there, filled)
         if not np.isnan(filled).any():
             break
     return np.where(np.isnan(filled), otherwise, filled)

@@ -1,12 +1,16 @@
-"""Rules that flag impossible, stuck and isolated readings; what they flag is taken as not measured.
+"""Readings of a signal: which of them hold, and what they are at equal steps.
 
-| rule | flags | overridden in the map by |
+| rule | flags (what is flagged is taken as not measured) | overridden in the map by |
 |---|---|---|
 | range | readings outside what is physically possible, see `data/limits.py` | `range` |
 | spike | readings that lie more than `spike` from the one before, and come back so within 6 h | `spike` |
 | stuck | stretches of one and the same reading for longer than `stuck_h` | `stuck_h` (0: never) |
 
 More than 10 % of a signal out of range is a wrong unit, not a fault, and refused.
+
+What acts holds from one reading to the next and becomes its mean over each step; what is sampled is read at the steps'
+boundaries on the straight line between readings; irradiance that is read more often than once a step is the mean over
+the step around each boundary. Readings farther apart than the longest time without a gap make one: NaN.
 """
 
 from __future__ import annotations
@@ -19,8 +23,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, limits
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.map.mapped_signals import Signal
-from thermoforce_mpc.measurements.map.units import likelier
+from thermoforce_mpc.measurements.map.entries import Signal, likelier
 
 _MOST_REFUSED = 0.1
 # Longest excursion that is a spike, s; whoever moved a sensor and left it there meant it.
@@ -31,6 +34,8 @@ _SHOWN = 200
 _ZERO_OFFSET_W_M2, _DARK_W_M2 = 30.0, 1.0
 # A level may lie outside its range by this much from calibration; it is cut, not refused.
 LEVEL_SLACK = 0.02
+# Longest time between readings that is no gap: this many times their 90th percentile.
+_LOOSE, _PERCENTILE = 1.5, 90.0
 
 
 @dataclass(frozen=True)
@@ -80,27 +85,13 @@ class Flag:
 
 
 def screened(
-    time_s: Array,
-    values: Array,
-    raw: Array,
-    rules: Rules,
-    name: str,
-    declared: str,
-    where: Callable[[int], str],
+    time_s: Array, values: Array, raw: Array, rules: Rules, name: str, declared: str, where: Callable[[int], str]
 ) -> tuple[NDArray[np.bool_], tuple[Flag, ...]]:
     """Which readings of a signal hold (n,), and what was flagged.
 
-    Args:
-        time_s: instants of the readings, s, increasing, shape (n,).
-        values: readings in the unit inside, all finite, shape (n,).
-        raw: the same as they stand in the table.
-        rules: what they must pass.
-        name: of signal and column, for messages.
-        declared: unit that the map declares.
-        where: time stamp of a reading, for messages.
-
-    Raises:
-        DataError: more than 10 % are out of range; says which unit they look like.
+    `time_s` increases, `values` are in the unit inside and finite, `raw` as in the table, (n,) each; `name` (of signal
+    and column), `declared` unit and `where` (time stamp of a reading) are for messages. Raises `DataError` where more
+    than 10 % are out of range; says which unit they look like.
     """
     flags: list[Flag] = []
 
@@ -165,3 +156,94 @@ def _stuck(time_s: Array, values: Array, most_s: float) -> NDArray[np.bool_]:
     ends = np.concatenate([begins[1:] - 1, [values.size - 1]])
     long = (time_s[ends] - time_s[begins]) > most_s
     return np.repeat(long, ends - begins + 1)
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Readings of one signal: `time_s` (n,) s, increasing; `values` (n,), finite; `longest_s`: no gap until then."""
+
+    time_s: Array
+    values: Array
+    longest_s: float
+
+    @property
+    def usual_s(self) -> float:
+        """Usual time between two readings, s."""
+        return usual_s(self.time_s)
+
+
+def usual_s(time_s: Array) -> float:
+    """Median distance of instants, s; NaN for fewer than two."""
+    return float(np.median(np.diff(time_s))) if time_s.size > 1 else float("nan")
+
+
+def longest_s(time_s: Array, step_s: float, hold_h: float | None) -> float:
+    """Longest time between readings that is no gap, s: as given, or by the usual one, a step at least."""
+    if hold_h is not None:
+        return hold_h * 3600.0
+    if time_s.size < 2:
+        return step_s
+    return max(_LOOSE * float(np.percentile(np.diff(time_s), _PERCENTILE)), step_s)
+
+
+def durations_s(time_s: Array, longest: float, marks: str) -> Array:
+    """Length of the interval of each reading (n,), s: to the next one (marks start) or from the one before (end)."""
+    usual = min(usual_s(time_s), longest) if time_s.size > 1 else longest
+    between = np.diff(time_s)
+    between = np.where(between <= longest, between, usual)
+    return np.append(between, usual) if marks == "start" else np.insert(between, 0, usual)
+
+
+def means(starts_s: Array, lasts_s: Array, values: Array, edges_s: Array, coverage: float) -> Array:
+    """Means (m,) over the steps between `edges_s` (m + 1,) of values that hold from `starts_s` for `lasts_s`.
+
+    NaN where less than the share `coverage` of a step is covered.
+    """
+    if not values.size:
+        return np.full(edges_s.size - 1, np.nan)
+    knots = np.empty(2 * values.size)
+    knots[0::2], knots[1::2] = starts_s, starts_s + lasts_s
+    amount, covered = np.zeros(knots.size), np.zeros(knots.size)
+    amount[1::2] = np.cumsum(values * lasts_s)
+    covered[1::2] = np.cumsum(lasts_s)
+    amount[2::2], covered[2::2] = amount[1:-1:2], covered[1:-1:2]
+    total = np.diff(np.interp(edges_s, knots, amount))
+    time_s = np.diff(np.interp(edges_s, knots, covered))
+    enough = time_s >= coverage * np.diff(edges_s) * (1.0 - 1e-9)
+    return np.where(enough, total / np.where(enough, time_s, 1.0), np.nan)
+
+
+def sampled(readings: Readings, at_s: Array) -> Array:
+    """Values (m,) at `at_s` on the line between the readings around, NaN in gaps."""
+    time_s, values = readings.time_s, readings.values
+    if not values.size:
+        return np.full(at_s.size, np.nan)
+    after = np.clip(np.searchsorted(time_s, at_s), 0, time_s.size - 1)
+    before = np.maximum(np.where(time_s[after] > at_s, after - 1, after), 0)
+    inside = (time_s[before] <= at_s) & (at_s <= time_s[after])
+    line = np.interp(at_s, time_s, values)
+    bridged = inside & (time_s[after] - time_s[before] <= readings.longest_s)
+    # Clocks that are off by a little: the nearest reading, within a quarter of the usual distance and of the step.
+    step_s = float(at_s[1] - at_s[0]) if at_s.size > 1 else np.inf
+    nearest = np.where(np.abs(at_s - time_s[before]) <= np.abs(time_s[after] - at_s), before, after)
+    near = np.abs(time_s[nearest] - at_s) <= 0.25 * min(readings.longest_s, readings.usual_s or 0.0, step_s)
+    return np.where(bridged, line, np.where(near, values[nearest], np.nan))
+
+
+def around(readings: Readings, at_s: Array, step_s: float, coverage: float) -> Array:
+    """Means (m,) over the step around each of `at_s`, if readings are denser than half a step; else `sampled`."""
+    if not readings.values.size or not readings.usual_s <= 0.5 * step_s:
+        return sampled(readings, at_s)
+    # Readings are instants: each holds for half the time to the ones before and after it.
+    after, before = (0.5 * durations_s(readings.time_s, readings.longest_s, marks) for marks in ("start", "end"))
+    edges = np.append(at_s - 0.5 * step_s, at_s[-1] + 0.5 * step_s)
+    return means(readings.time_s - before, before + after, readings.values, edges, coverage)
+
+
+def held(readings: Readings, at_s: Array) -> Array:
+    """The last reading before or at each of `at_s` (m,): what follows a schedule; NaN in gaps."""
+    if not readings.values.size:
+        return np.full(at_s.size, np.nan)
+    last = np.searchsorted(readings.time_s, at_s, side="right") - 1
+    fresh = (last >= 0) & (at_s - readings.time_s[np.maximum(last, 0)] <= readings.longest_s)
+    return np.where(fresh, readings.values[np.maximum(last, 0)], np.nan)
