@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 
 import numpy as np
 
@@ -234,8 +235,7 @@ def _keeps_moving(since: tuple[tuple[float, float, float], ...]) -> bool:
 
 
 def _longest_run(flags: Array) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, dtype=np.int8), [0]])))
-    return int((edges[1::2] - edges[::2]).max()) if edges.size else 0
+    return max((len(list(run)) for is_set, run in groupby(flags) if is_set), default=0)
 
 
 @dataclass(frozen=True)

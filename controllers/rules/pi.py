@@ -98,11 +98,11 @@ class PIController:
         elapsed_s = 0.0 if last.time_s is None else min(observation.time_s - last.time_s, 2 * self.step_s)
         demands: list[float | None] = []
         integrals, reasons = [], []
-        for a, actuator in enumerate(names.actuators):
+        for a in range(len(names.actuators)):
             share, integral, why = self._apply_law(a, observation, last.integral[a], elapsed_s)
             demands.append(None if share is None else share * self._actuators.each[a].highest)
             integrals.append(integral)
-            reasons.append(why if len(names.actuators) == 1 else f"{actuator}: {why}")
+            reasons.append(names.of_actuator(a, why))
         realised = self._actuators.realise(demands, self.step_s, machines)
         reasons += [f"{names.actuators[a]}: excluded by {names.actuators[by]}" for a, by in realised.excluded.items()]
         # Under native control of all, the law has not been applied.

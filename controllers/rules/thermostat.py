@@ -101,7 +101,7 @@ class Thermostat:
             is_on, why = self._switch(a, T_zone_C, observation.time_s, last.on[a])
             levels.append(None if is_on is None else self.config.level * is_on)
             on.append(last.on[a] if is_on is None else is_on)
-            reasons.append(why if len(names.actuators) == 1 else f"{actuator}: {why}")
+            reasons.append(names.of_actuator(a, why))
         wanted = [None if level is None else level * (1 + was) for level, was in zip(levels, last.on, strict=True)]
         for a, by in self.layout.excluded(wanted).items():
             levels[a] = None if levels[by] is None else 0.0
