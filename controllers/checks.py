@@ -19,11 +19,9 @@ from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
 
 @dataclass(frozen=True, eq=False)
 class PackedState:
-    """A controller's state in bytes. It may be pickled, as any state.
+    """A controller's state in bytes (`packed`: pickled). It may be pickled, as any state.
 
-    Attributes:
-        name: of no other state; the process that packed it still keeps it by this name for a while.
-        packed: the state, pickled.
+    `name`: of no other state; the process that packed it still keeps it by this name for a while.
     """
 
     name: str
@@ -113,7 +111,6 @@ def check_observation(observation: Observation, step_s: float, n_steps: int, nam
 
 
 def _check_steps(what: str, time_s: Array, step_s: float) -> None:
-    """Raise `DataError` where `time_s` (n,) does not go up in steps of `step_s` seconds."""
     steps = np.diff(time_s)
     wrong = np.flatnonzero(~(np.abs(steps - step_s) <= CLOCK_TOLERANCE_S))
     if wrong.size:

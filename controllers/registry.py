@@ -76,7 +76,7 @@ _SUPPLY: dict[str, Any] = {"mode": "supply", "lowest_level": 0.2}
 
 _OWN: dict[str, Entry] = {
     "thermoforce_mpc": _mpc_entry(
-        "MPC: free response of a linear weather model and a frozen forecaster, on/off blocks, 15 min step",
+        "MPC: free response of a linear weather model and a frozen forecaster, on/off blocks, 15 min step"
     ),
     "thermoforce_paper": _mpc_entry(
         "the paper's setting: frozen forecaster on T - F, level held for the test case's step, Ipopt",
@@ -84,8 +84,7 @@ _OWN: dict[str, Entry] = {
         solver="ipopt",
     ),
     "rc_mpc": _mpc_entry(
-        "as thermoforce_mpc, with the free response of a linear RC model",
-        free_response={"name": "rc"},
+        "as thermoforce_mpc, with the free response of a linear RC model", free_response={"name": "rc"}
     ),
     "thermostat": Entry(
         "on/off thermostat, optional weekday setback",
@@ -128,8 +127,7 @@ _lent: dict[str, Entry] = {}
 def lent(controller: Controller | type) -> Iterator[str]:
     """The name by which a controller, or a class of one, is known while the block lasts.
 
-    Raises:
-        ControllerConfigError: it cannot be used, or its name is that of another controller.
+    Raises `ControllerConfigError` where it cannot be used, or its name is that of another controller.
     """
     name = str(getattr(controller, "name", None) or getattr(controller, "__name__", type(controller).__name__))
     if name in REGISTRY or name in _lent:
@@ -148,8 +146,7 @@ def lent(controller: Controller | type) -> Iterator[str]:
 def find_entry(name: str) -> Entry:
     """The entry of `name`, also of a class or function `file.py:name` of the user's, or a trained policy `file.zip`.
 
-    Raises:
-        ControllerConfigError: there is none; with a suggestion and all known names.
+    Raises `ControllerConfigError` where there is none, with a suggestion and all known names.
     """
     if is_own_code(name):
         return own_entry(name, own_code(name, "controller", ControllerConfigError))
@@ -161,8 +158,7 @@ def find_entry(name: str) -> Entry:
 def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase) -> StrictModel:
     """Validated options of a controller, defaults included.
 
-    Raises:
-        ConfigError: wrong options, each key is named, or a controller that is not for this kind of test case.
+    Raises `ConfigError` for wrong options, each key named, or a controller that is not for this kind of test case.
     """
     entry = find_entry(name)
     defaults: dict[str, Any] = dict(entry.defaults)
@@ -212,7 +208,6 @@ def _free_response_name(options: Mapping[str, Any]) -> Any:
 
 
 def _check_supply(config: StrictModel, actuators: Sequence[str], behind: Collection[str]) -> None:
-    """Refuse actuation mode supply for actuators that are not `behind` water that a plan can set."""
     common, own = getattr(config, "actuation", None), getattr(config, "actuations", {})
     for actuator in actuators:
         actuation = own.get(actuator, common)
@@ -244,14 +239,10 @@ def _actuation_by_kind(actuator: Actuator, entry: Entry) -> dict[str, Any]:
 def build_controller(
     name: str, options: Mapping[str, Any], testcase: TestCase, model: ThermalModel | str | None = None
 ) -> Controller:
-    """Build a controller by name.
+    """Build a controller of the registry by name.
 
-    Args:
-        name: name in the registry.
-        options: its options.
-        testcase: the building.
-        model: identified model, or the reason why none could be identified: then a controller that needs one stands
-            back for the whole run.
+    `model`: identified, or the reason why none could be: then a controller that needs one stands back for the whole
+    run.
 
     Raises:
         ConfigError: wrong options, a missing model, or one of the other mode.

@@ -9,14 +9,13 @@ from typing import Any
 
 from controllers.actuation.actuator import ActuationState
 from controllers.monitoring.meters import MeterState
-from controllers.monitoring.scaled_model import ScaledModel
 from controllers.monitoring.sun_on_sensors import SunState
-from controllers.monitoring.watch_state import Issued, Track, WatchState
+from controllers.monitoring.watch_state import Issued, ScaledModel, Track, WatchState
 from controllers.monitoring.zone_sensor_state import Anchor, SensorState
+from controllers.mpc.acting import NoModelState
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.margin_rules import LearnedMargin
 from controllers.mpc.margins import Margins
-from controllers.mpc.no_model import NoModelState
 from controllers.mpc.state import MPCState
 from controllers.rules.pi import PIState
 from controllers.rules.thermostat import ThermostatState

@@ -15,7 +15,7 @@ from benchmarks.controller.steps import FORECAST, WHOLE, part_rows, run_timed
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.mpc.planner import build_solver
-from controllers.optimisation.evaluation import Evaluator
+from controllers.optimisation.plan_model import Evaluator
 from controllers.optimisation.problem import MPCProblem, ProblemShape, blocked_moves, every_step
 from controllers.optimisation.solution import Solution, Solver
 from controllers.optimisation.solvers.ipopt import IpoptSolver

@@ -1,11 +1,10 @@
 """Conversion of a planned level into actuator blocks: on/off blocks at one level, or one level held for the step.
 
-A machine gives heat most cheaply at one level: a heat pump with a large fixed loss while on near full speed, one whose
-water gets hotter with the level near its lowest. In `modulating` mode higher levels are held for the step, and lower
-ones are made of blocks at it; in `duty` mode there is no higher one. This module converts the share of on-time into
-blocks that respect minimum on and off times across steps, and carries the unrealised remainder over to the next step.
-With a lowest level of 0 any level is held (the paper's setting). In `supply` mode the level is the heat that the
-machine's water gives, which all its valves share: one that needs less is open for a part of the step.
+In `modulating` mode higher levels are held for the step, and lower ones are made of blocks at the lowest, at which heat
+is cheapest; in `duty` mode there is no higher one. Blocks respect minimum on and off times across steps, and what they
+leave of the on-time is carried over to the next step. With a lowest level of 0 any level is held (the paper's setting).
+In `supply` mode the level is the heat that the machine's water gives, which all its valves share: one that needs less
+is open for a part of the step.
 """
 
 from __future__ import annotations
@@ -80,48 +79,23 @@ _UNKNOWN = ActuationState(on=False, held_s=0.0)
 class Actuation:
     """Converts planned levels into blocks; the machine's state is passed from step to step as a value.
 
-    Args:
-        config: options; `mode` auto, which only a model can decide (`actuation_choice`), is duty here.
-        part_levels: in `duty` mode a level between off and `level` may be held where blocks would not do.
+    `mode` auto, which only a model can decide (`choice`), is duty here. `part_levels`: in `duty` mode a level between
+    off and `level` may be held where blocks would not do.
+
+    `by_supply`: the plan sets the machine's water; `by_rooms`: the plant's own loops keep room set-points; `modulates`:
+    levels above that of blocks, `block_level`, are held for the step; `switches`: it makes blocks, at one level or
+    below its lowest. `highest`: of a plan; levels below `lowest_level` cost and heat as their share of it, all where it
+    is `highest`.
     """
 
     def __init__(self, config: ActuationConfig, *, part_levels: bool = False) -> None:
         self.config, self.part_levels = config, part_levels
-
-    @property
-    def modulates(self) -> bool:
-        """Whether levels above that of blocks are held for the step."""
-        return self.config.mode in ("modulating", "supply")
-
-    @property
-    def switches(self) -> bool:
-        """Whether it makes blocks: at one level, or below its lowest."""
-        return not self.modulates or (not self.by_supply and self.config.lowest_level > 0.0)
-
-    @property
-    def block_level(self) -> float:
-        """Level of blocks."""
-        return self.config.lowest_level if self.modulates else self.config.level
-
-    @property
-    def by_supply(self) -> bool:
-        """Whether the plan sets the machine's water."""
-        return self.config.mode == "supply"
-
-    @property
-    def by_rooms(self) -> bool:
-        """Whether the plant's own loops keep room set-points."""
-        return self.config.mode == "room_setpoints"
-
-    @property
-    def highest(self) -> float:
-        """Highest level of a plan."""
-        return 1.0 if self.modulates else self.config.level
-
-    @property
-    def lowest_level(self) -> float:
-        """Levels below this cost and heat as their share of it; `highest` where all levels do."""
-        return self.block_level if self.switches else self.highest
+        self.by_supply, self.by_rooms = config.mode == "supply", config.mode == "room_setpoints"
+        self.modulates = config.mode in ("modulating", "supply")
+        self.switches = not self.modulates or (not self.by_supply and config.lowest_level > 0.0)
+        self.block_level = config.lowest_level if self.modulates else config.level
+        self.highest = 1.0 if self.modulates else config.level
+        self.lowest_level = self.block_level if self.switches else self.highest
 
     @property
     def in_words(self) -> str:
@@ -181,12 +155,7 @@ class Actuation:
         return _UNKNOWN  # full before, or unknown: may have switched off in the last step
 
     def realise(
-        self,
-        u: float | None,
-        step_s: float,
-        state: ActuationState,
-        water: float = 0.0,
-        most: float = math.inf,
+        self, u: float | None, step_s: float, state: ActuationState, water: float = 0.0, most: float = math.inf
     ) -> tuple[tuple[Block, ...], ActuationState]:
         """Blocks of total length `step_s` whose mean level is as near to `u` (in [0, `highest`]) as the limits allow.
 
@@ -277,5 +246,4 @@ class Actuation:
 
 
 def _last_run(flags: NDArray[np.bool_]) -> int:
-    """Length of the run of set `flags` (n,) at the end."""
     return int(flags.size if flags.all() else np.argmin(flags[::-1]))

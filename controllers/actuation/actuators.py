@@ -1,15 +1,14 @@
 """The actuators of a building, acting together: levels of all become blocks of all.
 
-Each actuator has its own `Actuation`. On/off blocks of actuators that share a machine lie within those of the one that
-is on longest, so that the machine runs no longer: all at the start of a step while it runs, all at its end while it
-stands. Two such steps in a row join to one run. Within it they take turns where together they would need more than
-the machine has: beyond its capacity the water cools, and the warmest rooms go without. Where turns do not suffice, each
-holds a part level for all of the run. Minimum on and off times are those of the machine, whichever of its actuators is
-on: a valve may open and close while it runs. Where the plan sets the machine's water, it is as warm as the valve with
-the highest level needs it when it is open for all of the step.
+On/off blocks of actuators that share a machine lie within those of the one that is on longest, so that the machine runs
+no longer: all at the start of a step while it runs, all at its end while it stands; two such steps in a row join to one
+run. Where together they would need more than the machine has they take turns in it, since beyond its capacity the water
+cools and the warmest rooms go without; where turns do not suffice, each holds a part level for all of the run. Minimum
+on and off times are those of the machine, whichever of its actuators is on. Where the plan sets the machine's water, it
+is as warm as the valve with the highest level needs it when it is open for all of the step.
 
-Of actuators that exclude one another one acts in a step: one that must stay on for its minimum time, else the one
-with the largest demand.
+Of actuators that exclude one another one acts in a step: one that must stay on for its minimum time, else the one with
+the largest demand.
 """
 
 from __future__ import annotations
@@ -50,12 +49,7 @@ class ActuatorBlocks:
 
 
 class Actuators:
-    """Converts demands on all actuators into blocks.
-
-    Args:
-        layout: what acts where.
-        actuations: how each actuator is run (A,).
-    """
+    """Converts demands on all actuators (A,) into blocks."""
 
     def __init__(self, layout: Layout, actuations: Sequence[Actuation]) -> None:
         self.layout, self.each = layout, tuple(actuations)
@@ -153,7 +147,9 @@ class Actuators:
         }
         realised: dict[int, tuple[tuple[Block, ...], ActuationState]] = {}
         alone = [a for a in range(len(demands)) if not any(a in of_machine for of_machine in shared)]
-        for a in sorted(alone, key=lambda a: (room.limits(a), *self._precedence(a, states[a]))):
+        for a in sorted(
+            alone, key=lambda a: (room.limits(a), not self.each[a].must_stay_on(states[a]), -states[a].owed_s)
+        ):
             demand, most = demands[a], room.most(a, self.each[a].half_block(step_s))
             if isinstance(demand, tuple):
                 realised[a] = demand, states[a]
@@ -163,10 +159,6 @@ class Actuators:
         for of_machine in shared:
             realised |= self._realise_shared(of_machine, step_s, states, excluded, room)
         return [realised[a] for a in range(len(demands))]
-
-    def _precedence(self, a: int, state: ActuationState) -> tuple[bool, float]:
-        """Sorts actuators of which not all can have what they ask for."""
-        return not self.each[a].must_stay_on(state), -state.owed_s
 
     def _realise_shared(
         self,
@@ -254,7 +246,6 @@ def _machine_state(states: Sequence[ActuationState]) -> ActuationState:
 
 
 def _mean_level(blocks: Sequence[Block]) -> float | None:
-    """Mean level of blocks of one actuator; None under native control."""
     if any(block.u[0] is None for block in blocks):
         return None
     return sum((block.u[0] or 0.0) * block.duration_s for block in blocks) / sum(block.duration_s for block in blocks)
@@ -284,7 +275,6 @@ def _end_times(blocks: Sequence[Block]) -> list[float]:
 
 
 def _block_at(blocks: Sequence[Block], time_s: float) -> Block:
-    """The block in force at `time_s` from the start of the step."""
     t = 0.0
     for block in blocks:
         t += block.duration_s

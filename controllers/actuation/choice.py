@@ -47,13 +47,9 @@ def choose_actuation(
 ) -> ActuationChoice:
     """Decide `mode: auto`; another mode stays.
 
-    Args:
-        config: options.
-        power: power of the machine, as identified.
-        heat_input: heat of the actuator over its level.
-        costs: what heat costs at levels below full.
-        shared: the machine feeds other actuators too, whose levels say what it costs. By the laws it is then switched
-            or any level held, as where there are no `costs`.
+    `power`: of the machine, as identified; `heat_input`: of the actuator; `costs`: what heat costs at levels below
+    full; `shared`: the machine feeds other actuators too, whose levels say what it costs. By the laws it is then
+    switched or any level held, as where there are no `costs`.
 
     Raises:
         ControllerConfigError: levels above blocks are to be held, and the machine feeds other actuators too.

@@ -25,12 +25,9 @@ _SAME_W, _SAME_LEVEL = 1.0, 1e-6
 class PowerLimit:
     """How much all machines may take together, mean over one step.
 
-    Attributes:
-        cap_W: the cap, W, infinite without one: blocks exceed it only as far as the plan does.
-        peak_W: highest power that is free or planned, W, infinite where peaks are: blocks are rounded to it.
-        planned: levels of the plan (A,).
-        power_W: power, W, of mean levels (A,).
-        exempt: numbers of the actuators of which something else than the plan decides.
+    `cap_W`: infinite without a cap; blocks exceed it only as far as the plan does. `peak_W`: highest power that is free
+    or planned, infinite where peaks are; blocks are rounded to it. `planned` (A,): levels of the plan; `power_W`:
+    power, W, of mean levels (A,); `exempt`: numbers of the actuators of which something else than the plan decides.
     """
 
     cap_W: float

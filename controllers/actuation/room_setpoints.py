@@ -39,15 +39,10 @@ def room_blocks(
     exceeds the level that holds the zone, at full level, rounded up to `block_s`. Where nothing is planned, a loop that
     holds the zone at its bound goes on undisturbed.
 
-    Args:
-        u: planned mean level, below 0 for cooling.
-        T_end_C: planned zone temperature at the end of the step, °C.
-        T_now_C: zone temperature now, °C; NaN if it is not known, then the loops act for the whole step.
-        u_last: measured level of the last step, NaN if it is not known.
-        bounds_C: lower and upper bound in force during the step, margins and learned reserve inside, °C.
-        lowest: level of full cooling, below 0.
-        step_s: length of the step, s.
-        block_s: least time between two set-points, s.
+    `u`: below 0 for cooling; temperatures at the end of the step and now, °C (`T_now_C` NaN: not known, the loops act
+    for the whole step); `u_last`: measured level of the last step, NaN: not known; `bounds_C`: in force during the
+    step, margins and learned reserve inside; `lowest`: level of full cooling, below 0; `block_s`: least time between
+    two set-points, s.
     """
     lower, upper = bounds_C
     holding = _holding_sign(u_last, T_now_C, bounds_C)

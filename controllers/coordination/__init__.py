@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from controllers.coordination.joint import JointPlan, Member, plan_jointly
-from controllers.coordination.limit import SharedPower
+from controllers.coordination.joint import JointPlan, Member, SharedPower, plan_jointly
 from controllers.coordination.planning import SharedPlans, plan_shared
 
 __all__ = ["JointPlan", "Member", "SharedPlans", "SharedPower", "plan_jointly", "plan_shared"]

@@ -1,4 +1,4 @@
-"""The programmes of buildings that share power as one, coupled by the limit and the peak of their sum."""
+"""Buildings that share a limit on the sum of their powers, or a price of its peak, as one programme."""
 
 from __future__ import annotations
 
@@ -10,13 +10,62 @@ import numpy as np
 from scipy import sparse
 
 from controllers.checks import ControllerConfigError
-from controllers.coordination.limit import SharedPower
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem
 from controllers.optimisation.solution import Answer, Solution, checked, failed
 from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, QPData
 from controllers.optimisation.statement.terms import PlanExpressions
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.errors import DataError
+
+
+@dataclass(frozen=True, eq=False)
+class SharedPower:
+    """Limit and peak price of the summed power S over N steps.
+
+    `limit_kW` (N,): highest mean power of each step, infinite without a limit. `peak_price_per_kW`: currency per kW by
+    which the largest S exceeds `peak_so_far_kW`.
+
+    Raises:
+        DataError: a limit below 0 or not a number, or a price or peak that is not finite and nonnegative.
+    """
+
+    limit_kW: Array
+    peak_price_per_kW: float = 0.0
+    peak_so_far_kW: float = 0.0
+
+    def __post_init__(self) -> None:
+        limit = np.array(self.limit_kW, dtype=np.float64)
+        if limit.ndim != 1 or not limit.size or not (limit >= 0.0).all():
+            raise DataError(f"shared power: limit_kW needs one value of at least 0 per step; found {limit}")
+        for name in ("peak_price_per_kW", "peak_so_far_kW"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise DataError(f"shared power: {name} is {value}, expected a number of at least 0")
+        limit.setflags(write=False)
+        object.__setattr__(self, "limit_kW", limit)
+
+    def less(self, reserved_kW: float) -> SharedPower:
+        """What is left beside a draw of `reserved_kW`: at least 0."""
+        return SharedPower(
+            np.maximum(self.limit_kW - reserved_kW, 0.0),
+            self.peak_price_per_kW,
+            max(self.peak_so_far_kW - reserved_kW, 0.0),
+        )
+
+    def why_over(self, reserved_kW: float, buildings: int) -> str:
+        """'', or why the limit may be exceeded by a draw of `reserved_kW` of as many buildings."""
+        if reserved_kW <= self.limit_kW.min():
+            return ""
+        return (
+            f"the {buildings} buildings that take no part may draw {reserved_kW:.4g} kW, more than the limit of "
+            f"{self.limit_kW.min():.4g} kW"
+        )
+
+    def cost(self, total_kW: Array) -> float:
+        """Cost of the peak of `total_kW` (N,), currency; the limit is not part of it."""
+        return self.peak_price_per_kW * max(float(total_kW.max()) - self.peak_so_far_kW, 0.0)
+
 
 # Power above its part of the limit that a checked plan may have, kW: a solver's tolerance. The programme's limit is
 # lower by as much for each building.
@@ -30,13 +79,7 @@ def power_of_steps(plan: PlanExpressions) -> None:
 
 
 class Member:
-    """A building whose problem is a convex quadratic programme.
-
-    Args:
-        name: its name.
-        model: its statement.
-        problem: its instance.
-        largest_kW: the most it may draw whatever happens.
+    """A building whose problem is a convex quadratic programme; `largest_kW`: the most it may draw whatever happens.
 
     Raises:
         ControllerConfigError: it cannot be planned with others, and why.
@@ -119,7 +162,6 @@ def _why_not(members: Sequence[Member], config: QPConfig) -> dict[str, str]:
 
 
 def _solved(members: Sequence[Member], shared: SharedPower, config: QPConfig) -> list[Array] | None:
-    """Variables of each member at the joint optimum; None where PIQP does not reach it."""
     found = Piqp(config)(joint_programme(members, shared))
     if not found.solved:
         return None
@@ -157,6 +199,5 @@ def joint_programme(members: Sequence[Member], shared: SharedPower) -> QPData:
 
 
 def _beside(blocks: Sequence[sparse.csc_matrix]) -> sparse.csc_matrix:
-    """Blocks along the diagonal, with a column of zeros for the peak."""
     rows = sum(block.shape[0] for block in blocks)
     return sparse.hstack([sparse.block_diag(blocks), sparse.csc_matrix((rows, 1))], format="csc")

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from controllers.checks import ControllerConfigError
-from controllers.coordination.joint import JointPlan, Member, plan_jointly
-from controllers.coordination.limit import SharedPower
+from controllers.coordination.joint import JointPlan, Member, SharedPower, plan_jointly
 from controllers.many.batch import BatchPlanner, Planned, buildings_of
 from controllers.mpc.config import MPCConfig
 from controllers.optimisation.plan_model import PlanModel
@@ -45,25 +44,20 @@ def plan_shared(
     config: MPCConfig | Mapping[str, MPCConfig] | None = None,
     grace_s: float = 300.0,
 ) -> SharedPlans:
-    """Plan for buildings whose planned powers together keep what is shared.
+    """Plan for buildings whose planned powers together keep what is shared, mean over each step.
 
-    It holds for the mean power of each step as it is planned. A building that takes no part, because its model is not
-    competent, its data are bad, it has no convex problem or no plan, has `largest_kW` set aside for it. The guard of a
-    building, which acts when its rooms leave their band, asks nobody.
+    A building that takes no part, because its model is not competent, its data are bad, it has no convex problem or no
+    plan, has `largest_kW` set aside for it. The guard of a building, which acts when its rooms leave their band, asks
+    nobody. `states`, `config` and their errors are those of `plan_many`.
 
     Args:
-        models: the identified model of each building, by name.
         observations: record and forecast of each building to plan for, by name; with the same steps.
         shared: limit and peak price over the steps of the plans (N,).
         largest_kW: the most that each building may draw whatever happens, by name, such as its fuse; also of buildings
             behind the same limit that are not planned for.
-        states: `Planned.state` of each building's last plan; a building that is not named begins a run.
-        config: options of all controllers, or of each building by name.
         grace_s: how long a plan stays valid after its step while the next one is late, s.
 
     Raises:
-        ControllerConfigError: `config` names a building without a model, or what is given for a building is no model or
-            no options.
         DataError: `largest_kW` lacks a building, or holds what is no power of at least 0.
     """
     for name in {**observations, **largest_kW}:
@@ -73,7 +67,7 @@ def plan_shared(
     solves = _SharedSolves(shared, largest_kW, planner.answer)
     wanted = [(name, observation, (states or {}).get(name)) for name, observation in observations.items()]
     computations = [_labelled(name, planner.planning(name, observation, state)) for name, observation, state in wanted]
-    plans = run(gather(computations, last=_is_solve), solves)
+    plans = run(gather(computations, last=lambda request: isinstance(request.call, _LabelledSolve)), solves)
     planned = {
         name: planner.to_planned(observation, plan, state, seconds)
         for (name, observation, _), ((plan, state), seconds) in zip(wanted, plans, strict=True)
@@ -83,8 +77,6 @@ def plan_shared(
 
 @dataclass(frozen=True)
 class _LabelledSolve:
-    """The solve of a building by name."""
-
     name: str
     solve: Solve
 
@@ -92,12 +84,7 @@ class _LabelledSolve:
         return self.solve()
 
 
-def _is_solve(request: Request) -> bool:
-    return isinstance(request.call, _LabelledSolve)
-
-
 def _labelled(name: str, computation: Computation[Result]) -> Computation[Result]:
-    """The computation, its solves told with the name of the building."""
     return altered(
         computation,
         lambda request: (
@@ -117,7 +104,6 @@ class _SharedSolves:
     why_over: str = field(default="")
 
     def __call__(self, requests: list[Request]) -> Sequence[Outcome]:
-        """Outcomes in the order of `requests`."""
         of = {i: request.call for i, request in enumerate(requests) if isinstance(request.call, _LabelledSolve)}
         rest = [i for i in range(len(requests)) if i not in of]
         outcomes = dict(zip(rest, self.others([requests[i] for i in rest]), strict=True)) if rest else {}

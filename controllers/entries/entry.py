@@ -25,12 +25,9 @@ HANDED = ("testcase", "model")
 class Entry:
     """A controller as it is registered.
 
-    Attributes:
-        summary: one line for `tf-mpc controllers`.
-        needs_model: whether it plans with an identified model.
-        config: returns the class of its options; called when the controller is used.
-        build: makes it from its name, validated options, test case and model, or the reason why there is none.
-        defaults: its own defaults of options.
+    `summary`: one line for `tf-mpc controllers`; `needs_model`: whether it plans with an identified one; `config`
+    returns the class of its options, called when the controller is used; `build` makes it from its name, validated
+    options, test case and model, or the reason why there is none; `defaults`: its own defaults of options.
     """
 
     summary: str
@@ -47,7 +44,7 @@ def build_on_model(
     if model is None:
         raise ControllerConfigError(f"controller '{name}' needs an identified model: `tf-mpc identify`, then --model")
     if isinstance(model, str):
-        from controllers.mpc.no_model import NoModelController
+        from controllers.mpc.acting import NoModelController
 
         return NoModelController(model, config, testcase.layout, testcase.step_s, name=name)
     of = f"test case '{testcase.name}'"
@@ -75,11 +72,7 @@ class _Named:
 
 
 def named(controller: Controller, name: str) -> Controller:
-    """`controller` by `name`.
-
-    Raises:
-        ControllerConfigError: it is no controller; says what it lacks.
-    """
+    """`controller` by `name`; raises `ControllerConfigError` where it is none, and says what it lacks."""
     lacking = [member for member in ("plan", "step_s", "horizon_s") if not hasattr(controller, member)]
     if lacking:
         raise ControllerConfigError(

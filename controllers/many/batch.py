@@ -35,9 +35,8 @@ Buildings = Mapping[str, tuple[ThermalModel, MPCConfig]]
 def buildings_of(models: Mapping[str, ThermalModel], config: MPCConfig | Mapping[str, MPCConfig] | None) -> Buildings:
     """Model and options of each building, the default options where `config` names none.
 
-    Raises:
-        ControllerConfigError: `config` names a building without a model, or what is given for a building is no model or
-            no options.
+    Raises `ControllerConfigError` where that names a building without a model, or what is given is no model or no
+    options.
     """
     configs = config if isinstance(config, Mapping) else {} if config is None else dict.fromkeys(models, config)
     if unknown := sorted(configs.keys() - models.keys()):
@@ -56,13 +55,10 @@ def buildings_of(models: Mapping[str, ThermalModel], config: MPCConfig | Mapping
 class Planned:
     """What one building is to do. Times are those of the observation's clock, s.
 
-    Attributes:
-        plan: the plan; its blocks hold one after another from `begins_s` on, the last one until `expires_s`.
-        begins_s: the instant of the observation.
-        expires_s: from then on the building's own controller acts.
-        state: to be given with the building's next observation; None: a run begins.
-        reason: why it is no plan of a solve that was checked and optimal; empty where it is.
-        seconds: what it cost, s: `estimate`, `forecast` (its share of the common pass), `solve`, and `all`.
+    The blocks of `plan` hold one after another from `begins_s` on, the instant of the observation, the last one until
+    `expires_s`; then the building's own controller acts. `state`: to be given with its next observation; None: a run
+    begins. `reason`: why it is no plan of a solve that was checked and optimal; empty where it is. `seconds` that it
+    cost: `estimate`, `forecast` (its share of the common pass), `solve`, and `all`.
     """
 
     plan: Plan
@@ -85,12 +81,7 @@ class Planned:
 
 
 class BatchPlanner:
-    """Plans buildings together, in this process.
-
-    Args:
-        known: model and options of each building.
-        grace_s: how long a plan stays valid after its step, s.
-    """
+    """Plans buildings together, in this process; a plan stays valid for `grace_s` after its step, s."""
 
     def __init__(self, buildings: Buildings, grace_s: float) -> None:
         self._buildings, self._grace_s = buildings, grace_s

@@ -32,16 +32,14 @@ def plan_many(
 ) -> dict[str, Planned]:
     """Plan for many buildings at one instant; to do it again, keep a `Portfolio` (this builds all controllers anew).
 
+    Bad data, a failed solve or a model that is not competent cost the building itself its plan, with the reason.
+
     Args:
         models: the identified model of each building, by name.
         observations: record and forecast of each building to plan for, by name.
         states: `Planned.state` of each building's last plan; a building that is not named begins a run.
         config: options of all controllers, or of each building by name.
         workers: processes to plan in; 1: this one.
-
-    Returns:
-        What each building of `observations` is to do. Bad data, a failed solve or a model that is not competent cost
-        the building itself its plan, with the reason.
 
     Raises:
         ControllerConfigError: `workers` is no number of processes, `config` names a building without a model, or what
@@ -69,17 +67,9 @@ class Portfolio:
     ) -> None:
         """Name the buildings. Controllers are built, and processes started, when they are first needed.
 
-        Args:
-            models: the identified model of each building, by name.
-            config: options of all controllers, or of each building by name (default options where not named).
-            workers: processes to plan in; 1: this one.
-            grace_s: how long a plan stays valid after its step while the next one is late, s.
-            deadline_s: longest time of `plan`, s; a process that has not answered by then is ended, and its buildings
-                are left to their own controllers. Without processes of its own there is no such limit.
-
-        Raises:
-            ControllerConfigError: a number makes no sense, `config` names a building without a model, or what is given
-                for a building is no model or no options.
+        Arguments and errors are those of `plan_many`. `grace_s`: how long a plan stays valid after its step while the
+        next one is late, s. `deadline_s`: longest time of `plan`, s; a process that has not answered by then is ended,
+        and its buildings are left to their own controllers. Without processes of its own there is no such limit.
         """
         is_integer = isinstance(workers, int) and not isinstance(workers, bool)
         if not is_integer or workers < 1 or not 0.0 <= grace_s < math.inf or not deadline_s > 0.0:
@@ -109,11 +99,7 @@ class Portfolio:
     def plan(
         self, observations: Mapping[str, Observation], states: Mapping[str, object] | None = None
     ) -> dict[str, Planned]:
-        """See `plan_many`.
-
-        Raises:
-            DataError: what is given is no observation.
-        """
+        """See `plan_many`; raises `DataError` where what is given is no observation."""
         for name, observation in observations.items():
             if not isinstance(observation, Observation):
                 raise DataError(f"building '{name}': a {type(observation).__name__} is no Observation")
@@ -170,7 +156,6 @@ class Portfolio:
         return [plan for batch in _halves(requests) for plan in self._retry(worker, batch, until_s)]
 
     def _without_plan(self, requests: list[PlanRequest], reason: str) -> Plans:
-        """Buildings without a plan; their runs go on from where they were."""
         return [
             (name, self._here.without_plan(name, observation, reason, state)) for name, observation, state in requests
         ]
@@ -187,6 +172,5 @@ def _submit(worker: PlanningProcess, requests: list[PlanRequest]) -> Future[Answ
 
 
 def _halves(requests: list[PlanRequest]) -> list[list[PlanRequest]]:
-    """Two parts of some buildings; one alone is a part."""
     middle = (len(requests) + 1) // 2
     return [half for half in (requests[:middle], requests[middle:]) if half]

@@ -103,7 +103,6 @@ class PlanningProcess:
         )
 
     def _name_of_kept(self, name: str, state: object) -> object:
-        """The name of a state that the process keeps, the state itself where it does not."""
         kept_name = self._kept_names.pop(
             name, None
         )  # whatever comes of this plan, the process may then keep another one
@@ -186,7 +185,6 @@ def _plans_of(packed_requests: SharedFile) -> Answer:
 
 
 def _unpack(requests: Sequence[PlanRequest]) -> Iterator[PlanRequest]:
-    """What is wanted, with the states that stand behind names."""
     for name, observation, state in requests:
         if isinstance(state, _StateName):
             kept_name, state_itself = _last_states[name]
@@ -197,7 +195,6 @@ def _unpack(requests: Sequence[PlanRequest]) -> Iterator[PlanRequest]:
 
 
 def _pack(name: str, planned: Planned, file: IO[bytes]) -> Planned:
-    """A plan whose state is kept, and written to `file`."""
     state = planned.state
     if state is None:
         _last_states.pop(name, None)

@@ -80,13 +80,8 @@ class MeterFindings:
 class Meters:
     """Validates the readings of weather sensors and meters of a building; it holds no state.
 
-    Args:
-        layout: what acts where.
-        common: options of all points.
-        single: options of single points, by the name of the signal (`solar_W_m2`) or of its row (`power_W[boiler]`).
-
-    Raises:
-        ControllerConfigError: `single` names a point that is not there.
+    `common`: options of all points; `single`: of single ones, by the name of the signal (`solar_W_m2`) or of its row
+    (`power_W[boiler]`). Raises `ControllerConfigError` where that names a point that is not there.
     """
 
     layout: Layout
@@ -148,7 +143,6 @@ class Meters:
         return name if name in _WEATHER else self.layout.names.label(name, row)
 
     def _update(self, state: MeterState, name: str, row: int, history: Record, boundary: Boundary) -> MeterState:
-        """The state with the latest reading and what it follows."""
         values = _values(history, name, row)
         value = float(values[-1]) if values.size else math.nan
         at_s, reference = float(history.time_s[values.size - 1]), self._reference(name, row, history, boundary)
@@ -158,7 +152,6 @@ class Meters:
         return replace(state, low=_lesser(state.low, reference), high=-_lesser(-state.high, -reference))
 
     def _reference(self, name: str, row: int, history: Record, boundary: Boundary) -> float:
-        """What a reading follows now: its forecast, or the levels of the last step."""
         if name in _WEATHER:
             return float(getattr(boundary, name)[0])
         levels = history.u[:, -1] if history.n_steps else np.full(len(self.layout.home), np.nan)
@@ -169,7 +162,6 @@ class Meters:
         return float(np.minimum(np.sum(self.layout.weights[fed] * levels[fed]), 1.0))
 
     def _validated(self, state: MeterState, config: MeterConfig, name: str, row: int, history: Record) -> MeterState:
-        """The state, with its readings rejected where they are stuck."""
         values = _values(history, name, row)
         at_s = history.time_s[: values.size]
         if not values.size or not math.isfinite(state.value):
@@ -197,5 +189,4 @@ def _values(history: Record, name: str, row: int) -> Array:
 
 
 def _lesser(a: float, b: float) -> float:
-    """The lesser of two, or the one that is known."""
     return b if math.isnan(a) else a if math.isnan(b) else min(a, b)

@@ -48,11 +48,9 @@ class SunState:
 
 
 class SunOnSensors:
-    """Looks for sun on the sensors of the zones of `model`; it holds no state.
+    """Looks for sun on the sensors of the zones of `model`, at the control step; it holds no state.
 
-    Args:
-        model: the building, at the control step.
-        validated: of each zone (Z,) whether the readings of its sensor are validated.
+    `validated` (Z,): whether the readings of each zone's sensor are validated.
     """
 
     def __init__(self, model: ThermalModel, validated: Sequence[bool]) -> None:

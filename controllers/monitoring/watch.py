@@ -15,7 +15,7 @@ Rinaldo 2022). Under the promise M minus the number of predictions is a supermar
 predictions with probability n / A at most, whatever the dependence between the detectors; A follows from `false_alarm`
 by summing over all of them.
 
-Half of `false_alarm` is for these detectors, half for the check of `watch_effect` on the size of the effect of acting.
+Half of `false_alarm` is for these detectors, half for the check of `effect_fault` on the size of the effect of acting.
 Two direct checks are faster: levels measured against levels requested, and heat or power against the machine's model.
 """
 
@@ -28,13 +28,24 @@ from functools import cache, partial
 
 import numpy as np
 
-from controllers.monitoring import watch_effect
-from controllers.monitoring.scaled_model import GAIN_BOUNDS, ScaledModel, scaled
 from controllers.monitoring.single_actuator import SingleActuatorContext
-from controllers.monitoring.watch_state import IN_USE, Issued, Judged, Track, WatchConfig, WatchState
+from controllers.monitoring.watch_state import (
+    GAIN_BOUNDS,
+    IN_USE,
+    Issued,
+    Judged,
+    ScaledModel,
+    Track,
+    WatchConfig,
+    WatchState,
+    scaled,
+)
 from controllers.monitoring.watch_tests import (
+    EVERY_H,
     LEVELS_H,
+    WINDOW_H,
     applied_levels,
+    effect_fault,
     heat_ratio,
     level_fault,
     machine_ratio,
@@ -71,9 +82,8 @@ _ADAPTED = "the model adapted since"
 
 
 class Watch:
-    """Compares predictions with what came and decides when control is handed back and returns; it holds no state.
-
-    All state is in `WatchState`.
+    """Compares predictions with what came and decides when control is handed back and returns; all state is
+    `WatchState`.
     """
 
     def __init__(
@@ -87,10 +97,8 @@ class Watch:
     ) -> None:
         """Watch predictions of `n_steps` steps at the step of `model`.
 
-        Args:
-            power: electric power (n,) W expected for the levels of a record (n steps).
-            shared: the machine feeds other actuators too: how warm its water is goes by them, and so the heat of a
-                level; `machine_factor` counts twice.
+        `power`: electric power (n,) W expected for the levels of a record (n steps). `shared`: the machine feeds other
+        actuators too: how warm its water is goes by them, and so the heat of a level; `machine_factor` counts twice.
         """
         self.config, self._model, self._power = config, model, power
         self._machine_factor = config.machine_factor ** (2 if shared else 1)
@@ -131,10 +139,8 @@ class Watch:
     ) -> WatchState:
         """The state after the predictions that came due; `alarm` is empty where the model may be used in this step.
 
-        Args:
-            state: state after the last step; None at the start of a run.
-            history: record until now.
-            adaptation, predictor: the model in use, where it is not the identified one, and the state of its predictor.
+        `state`: after the last step, None at the start of a run; `adaptation`, `predictor`: the model in use, where it
+        is not the identified one, and the state of its predictor.
         """
         if not self.config.enabled:
             return WatchState()
@@ -233,7 +239,6 @@ class Watch:
         return min(share, _MOST_UNKNOWN)
 
     def _broken_promise(self, track: Track) -> str:
-        """What the evidence says against the model; empty below the threshold."""
         against, lead, side = track.worst
         if against < self.threshold:
             return ""
@@ -247,18 +252,17 @@ class Watch:
 
     def _less_effect(self, state: WatchState, now: float) -> str:
         """What the shortest predictions of the last day, all since the last return, say of the effect of acting."""
-        every = max(1, round(watch_effect.EVERY_H * HOUR_S / self.step_s))
+        every = max(1, round(EVERY_H * HOUR_S / self.step_s))
         if round(now / self.step_s) % every:
             return ""
-        since = max(now - watch_effect.WINDOW_H * HOUR_S, state.returned_s) + 1.0
+        since = max(now - WINDOW_H * HOUR_S, state.returned_s) + 1.0
         rows = state.tracks[0].judged
         last = Judged.of(rows[(rows[:, 1] == 0) & (rows[:, 0] > since)])
-        if last.error_K.size < _JUDGED * watch_effect.WINDOW_H * HOUR_S / (self.every * self.step_s):
+        if last.error_K.size < _JUDGED * WINDOW_H * HOUR_S / (self.every * self.step_s):
             return ""
-        return watch_effect.effect_fault(last.error_K, last.effect_K, last.promise_K, self._share)
+        return effect_fault(last.error_K, last.effect_K, last.promise_K, self._share)
 
     def _machine_fault(self, state: WatchState, history: Record) -> tuple[str, WatchState]:
-        """What meters say against the machine, and the state with the ratio of this hour."""
         now = float(history.time_s[-1])
         if not self.due(now):
             return "", state
@@ -366,12 +370,10 @@ class Watch:
         return Judged.of(track.judged[now - track.judged[:, 0] < self.config.return_h * HOUR_S - 1.0])
 
     def _mean_error_ratio(self, track: Track, now: float) -> float:
-        """Mean error over promise of the last hours."""
         recent = self._recent(track, now)
         return float(np.mean(np.abs(recent.error_K) / recent.promise_K))
 
     def _holds(self, track: Track, now: float) -> bool:
-        """Whether the predictions of the last `return_h` hours were as promised, at every lead."""
         expected = self.config.return_h * HOUR_S / (self.every * self.step_s)
         for lead in range(len(self.leads)):
             recent = self._recent(track, now)
@@ -389,7 +391,6 @@ def _with_blocked_hours(state: WatchState, history: Record, sign: int) -> WatchS
 
 
 def _not_following(state: WatchState, history: Record) -> str:
-    """See `level_fault`; outside blocked hours."""
     return level_fault(state.blocked.outside(state.asked), history)
 
 

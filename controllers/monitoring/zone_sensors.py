@@ -1,16 +1,241 @@
-"""The zone sensors inside an MPC: which readings are planned from, and which zones are not known."""
+"""Which readings of a zone sensor are used, and the model's temperature where none is.
+
+A reading is rejected where it is missing, outside its range, further from its prediction than the record ever
+changed within a step (jump), or the same for longer than the record ever showed while the model says that the zone
+moved (frozen; a sensor of 0.1 or 0.5 K repeats itself by its resolution). The prediction is that of the last plan
+from an accepted reading: its free forecast, plus the forced state of the levels that were applied since.
+
+For `bridge_h` the model stands in for the readings: plans go on, marked. Then the zone counts as unknown, and its
+actuators are left to the plant's own control, or to the on/off rule on the model's temperature. Readings are accepted
+again when they are near the prediction; after a jump also when they go on moving away, as a zone does whose window was
+opened and a sensor that was moved does not, or when they were steady for `return_h`.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import groupby
 
 import numpy as np
 
-from controllers.monitoring.zone_sensor import Sensor
-from controllers.monitoring.zone_sensor_state import Sensed, SensorState
-from thermoforce_mpc.data import Array, Record
+from controllers.monitoring.zone_sensor_state import Anchor, Sensed, SensorConfig, SensorState
+from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.predictor import PredictionContext
+from thermoforce_mpc.model.screening import implausible_zone
+
+# A jump is more than this many times the largest change of the record within a step, or half-widths of the 80 % band.
+_TIMES_RECORD, _BANDS = 2.0, 3.0
+# A reading that repeats itself is frozen where the model is off by its resolution and this many half-widths of the 80 %
+# band, at least this, K; whatever the record showed, where it is off by the second pair.
+_FROZEN_BANDS, _FROZEN_K, _SURELY_BANDS, _SURELY_K = 2.0, 0.1, 4.0, 0.5
+# After `bridge_h` a sensor that had been silent or frozen is accepted within this of the prediction, K.
+_AFTER_SILENCE_K = 5.0
+# A zone that really changed goes on: within this time, h, by this share of its first change, in two steps or more.
+_GOES_ON_H, _GOES_ON_SHARE = 2.0, 0.25
+
+
+@dataclass(frozen=True)
+class _ZoneRecord:
+    """The record of one zone for one validation: accepted readings `T_C` (n + 1,), NaN where not, and the rest."""
+
+    time_s: Array
+    T_C: Array
+    raw_C: Array
+    forced_K: Array | None
+    step_s: float
+    anchor: Anchor | None
+
+    def predicted(self, i: int) -> tuple[float, float]:
+        """The model's temperature at boundary `i`, °C, and the half-width of its 80 % band, K; NaN without one."""
+        if self.anchor is None or self.forced_K is None:
+            return math.nan, math.nan
+        free_C, half_K = self.anchor.at(float(self.time_s[i]), self.step_s)
+        return float(compose(free_C, self.forced_K[i])), half_K
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Validates the readings of one zone; `name`: of the zone in messages, empty where there is one."""
+
+    config: SensorConfig = field(default_factory=SensorConfig)
+    name: str = ""
+
+    def mask_rejected(self, state: SensorState, history: Record, z: int) -> Array:
+        """The readings (n + 1,) of zone `z` in `history`, NaN where they were rejected."""
+        T = history.T_zone_C[z]
+        if not state.refused_s:
+            return T
+        return np.where(np.isin(history.time_s, np.array(state.refused_s)), np.nan, T)
+
+    def validate(
+        self, state: SensorState, history: Record, z: int, forced_K: Array | None
+    ) -> tuple[SensorState, Sensed]:
+        """Validate what was measured of zone `z` since the last call.
+
+        `history`: the record until now, as measured; `forced_K` (n + 1,): forced response of the zone at its
+        boundaries, K; None where unknown.
+        """
+        now_s, raw = float(history.time_s[-1]), history.T_zone_C[z]
+        if self.config.enabled:
+            implausible = implausible_zone(raw, history.time_s, (self.config.lowest_C, self.config.highest_C))
+            new = history.time_s > state.seen_s
+            # The first record is validated by its limits alone.
+            if math.isinf(state.seen_s):
+                state = _reject(state, history.time_s[implausible & new])
+            else:
+                outside = (raw < self.config.lowest_C) | (raw > self.config.highest_C) | np.isinf(raw)
+                state = _reject(state, history.time_s[outside & new])
+        record = _ZoneRecord(
+            history.time_s, self.mask_rejected(state, history, z), raw, forced_K, history.step_s, state.anchor
+        )
+        before = state.distrust
+        state = self._validated_now(state, record) if self.config.enabled else state
+        state = replace(state, seen_s=now_s)
+        T = self.mask_rejected(state, history, z)
+        if math.isfinite(T[-1]):
+            news = f"{self._prefix}readings are believed again ({before})" if before and not state.distrust else ""
+            return state, Sensed(float(T[-1]), news=news)
+        valid = np.flatnonzero(np.isfinite(T))
+        if not valid.size:
+            return state, Sensed(math.nan, f"the temperature of {self.name or 'the zone'} was never measured", True)
+        age_h = (now_s - float(history.time_s[valid[-1]])) / HOUR_S
+        reason = state.distrust or "was not measured"
+        why = f"{self._prefix}zone temperature {reason}, the last reading believed is {age_h:.3g} h old"
+        return state, Sensed(record.predicted(T.size - 1)[0], why, age_h > self.config.bridge_h + 1e-6)
+
+    def anchored(self, state: SensorState, history: Record, z: int, context: PredictionContext) -> SensorState:
+        """The state with the free forecast of a plan, where its reading was accepted and new."""
+        time_s, T = float(history.time_s[-1]), self.mask_rejected(state, history, z)
+        if not math.isfinite(T[-1]):
+            return state
+        repeated = T.size > 1 and T[-1] == T[-2]
+        if repeated and state.anchor is not None and math.isfinite(state.anchor.at(time_s, history.step_s)[0]):
+            return state
+        half_K = 0.5 * (context.free.quantile_C(0.9)[z] - context.free.quantile_C(0.1)[z])
+        return replace(state, anchor=Anchor(time_s, context.free.median_C[z], half_K))
+
+    @property
+    def _prefix(self) -> str:
+        return f"{self.name}: " if self.name else ""
+
+    def _validated_now(self, state: SensorState, record: _ZoneRecord) -> SensorState:
+        now_s, y = float(record.time_s[-1]), float(record.raw_C[-1])
+        if math.isnan(y):
+            if not state.distrust or state.kind == "frozen":  # a frozen sensor that fell silent is no longer frozen
+                return replace(state, distrust="was not measured", kind="silent", since=())
+            return state
+        if now_s in state.refused_s:
+            return replace(state, distrust=f"reads {y:.4g} °C, out of range", kind="silent", since=())
+        if state.distrust:
+            return self._after_rejection(state, record, y)
+        jump = self._jump_reason(record, y)
+        if jump:
+            off = y - record.predicted(record.time_s.size - 1)[0]
+            state = replace(state, distrust=jump, kind="jump", since=((now_s, y, off),))
+            return _reject(state, record.time_s[-1:])
+        repeated, frozen = self._frozen_reason(record, y)
+        if frozen:
+            state = replace(state, distrust=frozen, kind="frozen", since=())
+            return _reject(state, record.time_s[-repeated:])
+        return state
+
+    def _limit_K(self, record: _ZoneRecord, half_K: float = 0.0) -> float:
+        """Largest distance from the prediction, or change within a step, that is accepted, K."""
+        changes = np.abs(np.diff(record.T_C[:-1]))
+        largest = float(np.nanmax(changes)) if np.isfinite(changes).any() else math.inf
+        return max(self.config.jump_K, _TIMES_RECORD * largest, _BANDS * half_K if math.isfinite(half_K) else 0.0)
+
+    def _jump_reason(self, record: _ZoneRecord, y: float) -> str:
+        predicted_C, half_K = record.predicted(record.time_s.size - 1)
+        valid = np.flatnonzero(np.isfinite(record.T_C[:-1]))
+        if not valid.size or not math.isfinite(predicted_C):
+            return ""
+        limit_K, off_K = self._limit_K(record, half_K), y - predicted_C
+        if abs(off_K) <= limit_K:
+            return ""
+        # A model that drifts away while the sensor moves on is the model's fault.
+        if valid[-1] == record.T_C.size - 2 and abs(y - record.T_C[-2]) <= self._limit_K(record):
+            return ""
+        return f"jumped to {y:.2f} °C, {abs(off_K):.2f} K from its prediction ({limit_K:.2f} K are believed)"
+
+    def _frozen_reason(self, record: _ZoneRecord, y: float) -> tuple[int, str]:
+        """How many readings repeat the one before, and why the sensor is frozen; empty where it may not be."""
+        same = np.equal(record.T_C, y)
+        repeated = int(same.size if same.all() else np.argmin(same[::-1])) - 1
+        if repeated * record.step_s < self.config.frozen_h * HOUR_S - 1.0:
+            return repeated, ""
+        before = record.T_C[: same.size - repeated]
+        changes = np.abs(np.diff(before))
+        moved = changes[changes > 0]
+        if not moved.size:
+            return repeated, ""
+        plausible = repeated <= _longest_run(np.diff(before) == 0)
+        bands, least_K = (_SURELY_BANDS, _SURELY_K) if plausible else (_FROZEN_BANDS, _FROZEN_K)
+        courses = np.array([record.predicted(i) for i in range(same.size - repeated, same.size)])
+        beyond_K = np.abs(courses[:, 0] - y) - bands * courses[:, 1] - moved.min() - least_K
+        if not (beyond_K > 0.0).any():
+            return repeated, ""
+        hours = repeated * record.step_s / HOUR_S
+        return repeated, f"has been {y:.2f} °C for {hours:.3g} h, in which the model moved away"
+
+    def _after_rejection(self, state: SensorState, record: _ZoneRecord, y: float) -> SensorState:
+        """The state where readings had been rejected: they are accepted again, or this one is rejected too."""
+        now_s = float(record.time_s[-1])
+        predicted_C, half_K = record.predicted(record.time_s.size - 1)
+        off_K = y - predicted_C
+        before = record.raw_C[-2] if record.raw_C.size > 1 else math.nan
+        since = (*state.since, (now_s, y, off_K))
+        accepted = replace(state, distrust="", kind="", since=())
+        if state.kind == "frozen" and y == before:
+            return _reject(state, record.time_s[-1:])
+        valid = np.flatnonzero(np.isfinite(record.T_C[:-1]))
+        bridged_h = (now_s - float(record.time_s[valid[-1]])) / HOUR_S if valid.size else math.inf
+        limit_K = self._limit_K(record, half_K)
+        if state.kind != "jump" and bridged_h > self.config.bridge_h:
+            limit_K = max(limit_K, _AFTER_SILENCE_K)
+        if abs(off_K) <= limit_K or (math.isnan(off_K) and state.kind != "jump"):
+            return accepted
+        if state.kind == "jump" and _keeps_moving(since):
+            refused_before = tuple(time_s for time_s in state.refused_s if time_s < since[0][0])
+            return replace(accepted, refused_s=refused_before)
+        if self._steady(since, limit_K):
+            return accepted
+        jump = state.distrust
+        if state.kind != "jump":
+            jump = f"came back at {y:.2f} °C, {abs(off_K):.2f} K from its prediction"
+            since = since[-1:]
+        longest = round(self.config.return_h * HOUR_S / record.step_s) + 2
+        return _reject(replace(state, distrust=jump, kind="jump", since=since[-longest:]), record.time_s[-1:])
+
+    def _steady(self, since: tuple[tuple[float, float, float], ...], limit_K: float) -> bool:
+        """Whether consecutive readings of `return_h` moved as those of a sensor do: neither in jumps nor not at all."""
+        if since[-1][0] - since[0][0] < self.config.return_h * HOUR_S - 1.0:
+            return False
+        readings = np.array([T for _, T, _ in since])
+        steps = np.abs(np.diff(readings))
+        return bool(steps.max() <= limit_K and np.ptp(readings) > 0.0)
+
+
+def _reject(state: SensorState, time_s: Array) -> SensorState:
+    new = tuple(float(t) for t in time_s if float(t) not in state.refused_s)
+    return replace(state, refused_s=(*state.refused_s, *new)) if new else state
+
+
+def _keeps_moving(since: tuple[tuple[float, float, float], ...]) -> bool:
+    """Whether readings after a jump went on the same way, as those of a zone do and of a moved sensor do not."""
+    times = np.array([t for t, _, _ in since])
+    off = np.array([off_K for _, _, off_K in since])
+    if off.size < 3 or times[-1] - times[0] > _GOES_ON_H * HOUR_S + 1.0 or not np.isfinite(off).all():
+        return False
+    first, steps = abs(off[0]), np.diff(off) * np.sign(off[0])
+    return bool((steps > 0).all() and steps.max() <= first and steps.sum() >= _GOES_ON_SHARE * first)
+
+
+def _longest_run(flags: Array) -> int:
+    return max((len(list(run)) for is_set, run in groupby(flags) if is_set), default=0)
 
 
 @dataclass(frozen=True)
@@ -36,11 +261,7 @@ class Zones:
 
 
 class ZoneSensors:
-    """Validates the readings of all zones; it holds no state.
-
-    Args:
-        sensors: of each zone (Z,).
-    """
+    """Validates the readings of all zones (Z,); it holds no state."""
 
     def __init__(self, sensors: Sequence[Sensor]) -> None:
         self._sensors = tuple(sensors)
@@ -55,15 +276,10 @@ class ZoneSensors:
     def validate(
         self, states: Sequence[SensorState], history: Record, forced_K: Array | None
     ) -> tuple[tuple[SensorState, ...], Record, Zones]:
-        """Validate the readings since the last call.
+        """The states (Z,) now, the record with rejected readings taken as not measured, and the zones now.
 
-        Args:
-            states: after the last call (Z,).
-            history: as measured.
-            forced_K: forced states until now (Z, A, n + 1, r), K; None where unknown.
-
-        Returns:
-            The states, the record with rejected readings taken as not measured, and the zones now.
+        `states`: after the last call; `history`: as measured; `forced_K` (Z, A, n + 1, r): forced states until now, K;
+        None where unknown.
         """
         after, zones = [], []
         for z, (sensor, state) in enumerate(self._each(states)):

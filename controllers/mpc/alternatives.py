@@ -13,7 +13,7 @@ import numpy as np
 
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.mpc.margins import Margins
-from controllers.optimisation.evaluation import Evaluation
+from controllers.optimisation.plan_model import Evaluation
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, FreeForecast, Observation, Plan
 from thermoforce_mpc.data.superposition import compose
@@ -42,17 +42,12 @@ _PARTS = {
 
 @dataclass(frozen=True)
 class Course:
-    """Levels over a horizon of N steps, and what the model predicts under them.
+    """Levels `u` (A, N) over a horizon of N steps, and what the model predicts under them.
 
-    Attributes:
-        name: what it is.
-        u: levels (A, N).
-        T_zone_C: temperatures at the end of each step (Z, N), °C.
-        parts: what the controller minimises the sum of, by name (`problem_statement.PARTS`), currency.
-        energy_kWh: of all machines over the horizon.
-        discomfort_Kh: distance from the comfort bounds over the horizon, all zones together, K·h; the part `discomfort`
-            is counted from the bounds with the plan's margins inside.
-        broken: which limit it leaves, or ''.
+    `T_zone_C` (Z, N), at the end of each step; `parts`: what the controller minimises the sum of, by name
+    (`problem_statement.PARTS`), currency; `energy_kWh`: of all machines; `discomfort_Kh`: distance from the comfort
+    bounds, all zones together (the part `discomfort` counts from those with margins inside); `broken`: which limit it
+    leaves, or ''.
     """
 
     name: str
@@ -105,11 +100,9 @@ def alternatives(
 ) -> Alternatives:
     """The courses off, full, as in the step before, thermostat rule and loops at the bounds, beside the plan.
 
-    Args:
-        controller: as it was built for the run.
-        observation: what the plan was made on; the boundary without gaps.
-        planned: the plan; None where nothing was planned, then the free response of the controller's own predictor.
-        peak_W: highest mean power of the building over a step of the run until then, W.
+    `controller`: as it was built for the run; `observation`: what the plan was made on, the boundary without gaps;
+    `planned`: None where nothing was planned, then the free response is that of the controller's own predictor;
+    `peak_W`: highest mean power of the building over a step of the run until then, W.
 
     Raises:
         DataError: a bound or price is missing, or the record cannot be split into free and forced response.
@@ -149,7 +142,6 @@ def alternatives(
 
 
 def _context(controller: ThermoForceMPC, observation: Observation, planned: Plan) -> PredictionContext:
-    """The prediction that a plan was made on, from what is known of it."""
     boundary, operator = observation.boundary, controller.model.operator
     free = np.stack([planned.T_free_low_C, planned.T_free_C, planned.T_free_high_C])
     starts = np.concatenate([planned.T_free_now_C[:, None], planned.T_free_C[:, :-1]], axis=1)
@@ -164,8 +156,6 @@ def _context(controller: ThermoForceMPC, observation: Observation, planned: Plan
 
 
 class _Model:
-    """Temperatures, costs and laws of one horizon."""
-
     def __init__(
         self,
         controller: ThermoForceMPC,

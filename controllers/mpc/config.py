@@ -127,10 +127,7 @@ class MPCConfig(StrictModel):
         "this quantile of the free forecast; 0.5: for the median",
     )
     backoff_level_other: float = Field(
-        0.3,
-        gt=0,
-        le=0.5,
-        description="chance level of the other bound (heating: the upper, exceeded by solar gains)",
+        0.3, gt=0, le=0.5, description="chance level of the other bound (heating: the upper, exceeded by solar gains)"
     )
     backoff_violation_K: float | None = Field(
         0.0135,

@@ -3,30 +3,37 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from controllers.actuation.choice import ActuationChoice, choose_actuation
-from controllers.checks import ControllerConfigError, check_names, message_of
+from controllers.checks import check_names, message_of
 from controllers.monitoring.watch import Watch
-from controllers.mpc.config import FreeResponseConfig, MPCConfig
+from controllers.mpc.acting import ActuatedController
+from controllers.mpc.config import MPCConfig
 from controllers.mpc.formulation import Formulation, Instance
 from controllers.mpc.margins import Margins
-from controllers.mpc.model_watch import WatchedPredictions
-from controllers.mpc.planner import Planners, build_solver, plan_shape
-from controllers.mpc.prediction import Failure, Forecast, Prediction
+from controllers.mpc.planner import (
+    Planners,
+    SolverBuilder,
+    actuations_of,
+    at_step,
+    build_solver,
+    check_power,
+    free_responses_of,
+    plan_shape,
+)
+from controllers.mpc.prediction import Failure, Forecast, Prediction, WatchedPredictions
 from controllers.mpc.readings import Readings, ReadingsFilter
 from controllers.mpc.realisation import Realisation
 from controllers.mpc.solved import Solved, first_demands, power_limit, solved_plan
 from controllers.mpc.state import MPCState
-from controllers.optimisation.evaluation import Evaluation, Evaluator
-from controllers.optimisation.problem import MPCProblem, ProblemShape
-from controllers.optimisation.solution import Solution, Solve, Solver
+from controllers.optimisation.plan_model import Evaluator
+from controllers.optimisation.problem import MPCProblem
+from controllers.optimisation.solution import Solve, Solver
 from controllers.optimisation.statement.terms import Terms, load_terms, of_controller
-from controllers.safety.base import ActuatedController
 from controllers.safety.deadline import BoundedCalls, Overdue
 from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan
 from controllers.safety.overrides import (
@@ -39,22 +46,15 @@ from controllers.safety.overrides import (
     WatchAlarm,
     decide,
 )
-from thermoforce_mpc.data import HOUR_S, Array, Layout, Observation, Plan, Record
+from thermoforce_mpc.data import Array, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
-from thermoforce_mpc.model.free_response.substitute import WithSubstitutes
-from thermoforce_mpc.model.machine.part_load import level_costs
 from thermoforce_mpc.model.operator.building import BuildingOperator
-from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
 # Solvers that did not return and were replaced, before no more are started; besides a forecaster of each zone.
 _SOLVERS_ABANDONED = 3
-
-
-SolverBuilder = Callable[[BuildingOperator, ProblemShape], Solver]
-"""Builds the solver of an operator, which is adjusted to the actuation, and of what all its problems have in common."""
 
 
 class ThermoForceMPC(ActuatedController):
@@ -81,17 +81,13 @@ class ThermoForceMPC(ActuatedController):
     ) -> None:
         """Build what the stations of a step need.
 
-        Args:
-            model: identified thermal model, at any step.
-            config: options.
-            free_response: replaces the free response named in `config`; one for all zones, or one per zone (Z,).
-            solver: builds the solver in the place of the one named in `config`.
-            name: name in reports.
+        `free_response` (one for all zones, or one per zone (Z,)) and `solver` replace those that `config` names;
+        `name`: in reports.
 
         Raises:
             ControllerConfigError: the horizon is shorter than a step, the model is not certified at that step and
-                horizon, the actuation does not fit the step, an option names a zone, an actuator or a meter that there
-                is not, or a term of the user cannot be stated.
+                horizon, the actuation does not fit the step, an option names what there is not, or a term of the user
+                cannot be stated.
             BackboneError, ConfigError: the free response cannot be built.
         """
         self.config = c = config or MPCConfig()
@@ -99,14 +95,14 @@ class ThermoForceMPC(ActuatedController):
         layout, zones = model.layout, model.names.zones
         check_names("actuations", c.actuations, "actuator", layout.names.actuators)
         check_names("sensors", c.sensors, "zone", zones)
-        _check_power(model)
+        check_power(model)
         zone_models = [model.actuator(a) for a in range(len(layout.names.actuators))]
-        choices = _actuations(c, model, layout)
+        choices = actuations_of(c, model, layout)
         super().__init__(
             name, model.operator.step_s, n_steps, layout, [choice.actuation for choice in choices], c.fallback
         )
         reasons = (layout.names.of_actuator(a, choice.why) for a, choice in enumerate(choices))
-        self._actuation_why = "; ".join(dict.fromkeys(reasons))
+        self.actuation_in_words = "; ".join(dict.fromkeys(reasons))
         self._handler = DirectHandler(BoundedCalls(len(zones) + _SOLVERS_ABANDONED))
         powers = [choices[layout.fed_by(m)[0]].power for m in range(len(layout.names.machines))]
         self._formulation = Formulation(c, model, self._actuators, powers)
@@ -117,22 +113,17 @@ class ThermoForceMPC(ActuatedController):
             curved=self._formulation.bent,
             terms=of_controller(self.terms()),
         )
-        solver_of = solver or partial(build_solver, c)
         self._planners = Planners(
             model,
             self._actuators,
-            _free_responses(c.free_response, model, free_response),
-            lambda operator: solver_of(operator, shape_of(operator)),
+            free_responses_of(c.free_response, model, free_response),
+            solver or partial(build_solver, c),
             shape_of,
         )
         expected_power = self._formulation.expected_power_W
         watches = [
             Watch(
-                c.watch,
-                zone,
-                n_steps,
-                partial(expected_power, a),
-                shared=len(layout.fed_by(layout.machine_of[a])) > 1,
+                c.watch, zone, n_steps, partial(expected_power, a), shared=len(layout.fed_by(layout.machine_of[a])) > 1
             )
             for a, zone in enumerate(zone_models)
         ]
@@ -187,20 +178,13 @@ class ThermoForceMPC(ActuatedController):
         """What any levels cost and bring, step by step, by `planning_operator`."""
         return self._planners.base.evaluator
 
-    @property
-    def actuation_in_words(self) -> str:
-        """How each actuator is run, and what decided it."""
-        return self._actuation_why
-
     def instance(
         self, context: PredictionContext, history: Record, margins: Margins | None = None, peak_W: float = 0.0
     ) -> MPCProblem:
         """The optimisation problem of a step for the model as identified.
 
-        `margins` and `peak_W` (W) are what a run has learned; by default nothing.
-
-        Raises:
-            DataError: a bound or price of the boundary is missing.
+        `margins` and `peak_W` (W) are what a run has learned; by default nothing. Raises `DataError` where a bound or
+        price of the boundary is missing.
         """
         names = self._layout.names
         margins = margins or Margins.nothing(len(names.zones), len(names.machines))
@@ -209,9 +193,9 @@ class ThermoForceMPC(ActuatedController):
     def plan(self, observation: Observation, state: object = None) -> Plan:
         """Plan for the next step.
 
-        An exception of forecast or solver is not raised: the fallback policy decides, and `Plan.why` holds
-        the reason. An actuator whose model is not competent or does not hold, or whose zone is not known any more, is
-        left to native control or the rule alone; the others follow the plan.
+        An exception of forecast or solver is not raised: the fallback policy decides, and `Plan.why` holds the reason.
+        An actuator whose model or zone is not trusted is left to native control or the rule alone; the others follow
+        the plan.
 
         Raises:
             DataError: error of the caller: the observation is of another building, the boundary forecast does not begin
@@ -297,7 +281,6 @@ class ThermoForceMPC(ActuatedController):
     def _solve(
         self, instance: Instance | Failure, forecast: Forecast | Failure, readings: Readings
     ) -> Computation[Solved | Failure]:
-        """The plan of a checked solution, without blocks."""
         if isinstance(forecast, Failure):
             return forecast
         if isinstance(instance, Failure):
@@ -310,7 +293,11 @@ class ThermoForceMPC(ActuatedController):
             solution, solve_s = yield from timed(perform(request))
             refused = solution.problem if not solution.ok else instance.problem.unfit(solution.u)
             began = time.perf_counter()
-            brought = None if refused else self._brought(planner.evaluator, instance.problem, solution)
+            brought = None
+            if not refused:
+                brought = planner.evaluator.brings(instance.problem, solution.u, solution.own_values)
+                if planner.evaluator.structure.chosen:  # which of them acts is seen to when levels become blocks
+                    brought = replace(brought, broken="")
             seconds = {**seconds, "solve": solve_s, "check": time.perf_counter() - began}
         except Exception as error:  # whatever a solver raises, there is another way to act
             if isinstance(error, Overdue):
@@ -322,22 +309,9 @@ class ThermoForceMPC(ActuatedController):
         limit = power_limit(instance, solution, brought, planner.evaluator)
         return Solved(solved_plan(instance, solution, brought, seconds, forecast, readings), limit)
 
-    def _brought(self, evaluator: Evaluator, problem: MPCProblem, solution: Solution) -> Evaluation:
-        """What levels bring, whatever solver they are from, with the limit that they leave.
-
-        Where actuators exclude one another none is told: which of them acts is seen to when levels become blocks.
-        """
-        brought = evaluator.brings(problem, solution.u, solution.own_values)
-        return replace(brought, broken="") if evaluator.structure.chosen else brought
-
     def _realise(
-        self,
-        result: Solved | Failure,
-        readings: Readings,
-        overrides: Mapping[int, Override],
-        situation: Situation,
+        self, result: Solved | Failure, readings: Readings, overrides: Mapping[int, Override], situation: Situation
     ) -> Plan:
-        """Blocks of the plan, or of the fallback policy where there is none."""
         if isinstance(result, Failure):
             doubtful = [self._watched.doubtful(result.state, a) for a in range(len(self._fallbacks))]
             return self._realisation.fall_back(result, overrides, doubtful, readings.doubts, situation)
@@ -350,72 +324,3 @@ class ThermoForceMPC(ActuatedController):
         if good is None or good.age(time_s, self.step_s) != 1:
             return None
         return np.concatenate([good.u[:, 1:], good.u[:, -1:]], axis=1)
-
-
-def at_step(model: ThermalModel, config: MPCConfig) -> tuple[ThermalModel, int]:
-    """The model at the control step, and the number of steps of the horizon.
-
-    Raises:
-        ControllerConfigError: the horizon is shorter than a step, or the effect is not certified at that step over it.
-    """
-    step_s = config.step_s or model.operator.step_s
-    n_steps = config.n_steps(step_s)
-    if n_steps < 1:
-        raise ControllerConfigError(
-            f"controller.options.horizon_h: {config.horizon_h:g} h is shorter than one control step"
-            f" ({step_s:g} s); give at least {step_s / HOUR_S:g}"
-        )
-    operator = model.operator.resampled(step_s)
-    if operator.of_actuator(0).feedback_active:  # otherwise certified at any
-        proof = certificate(operator.of_actuator(0), n_steps)
-        if not proof.certified:
-            raise ControllerConfigError(
-                "the model's gain sees the predicted temperature, and its effect is not certified at "
-                f"controller.options.step_s {step_s:g} over horizon_h {config.horizon_h:g}: {'; '.join(proof.reasons)}"
-            )
-    return replace(model, operator=operator), n_steps
-
-
-def _check_power(model: ThermalModel) -> None:
-    """Raise `ControllerConfigError` where the power of a machine is not known."""
-    for machine, power in zip(model.machines, model.power, strict=True):
-        if power is None:
-            of = "" if len(model.machines) == 1 else f" of {machine}"
-            raise ControllerConfigError(
-                f"the model was identified without measured power{of}: energy cost cannot be computed;"
-                " identify it anew from measurements with power (without a meter: the level times full power)"
-            )
-
-
-def _actuations(config: MPCConfig, model: ThermalModel, layout: Layout) -> list[ActuationChoice]:
-    """How each actuator is run (A,)."""
-    choices = []
-    for a, (actuator, lowest) in enumerate(zip(layout.names.actuators, layout.lowest, strict=True)):
-        zone = model.actuator(a)
-        assert zone.power is not None  # `_check_power`
-        choice = choose_actuation(
-            config.actuation_of(actuator),
-            zone.power,
-            zone.operator.heat_input,
-            level_costs(zone.card.uncertainty),
-            shared=len(layout.fed_by(layout.machine_of[a])) > 1,
-        )
-        if choice.actuation.by_rooms != (lowest < 0.0):
-            raise ControllerConfigError(
-                "controller.options.actuation.mode: room_setpoints and a model of heating and cooling belong together"
-            )
-        choices.append(choice)
-    return choices
-
-
-def _free_responses(
-    config: FreeResponseConfig, model: ThermalModel, given: FreeResponse | Sequence[FreeResponse] | None
-) -> list[FreeResponse]:
-    """The free response of each zone (Z,): those given, or those that `config` names, each with its substitutes."""
-    from thermoforce_mpc.model.free_response.registry import build_free_response  # may load torch
-
-    methods = given or [build_free_response(config.name, rc=free, **config.options) for free in model.free]
-    each = methods if isinstance(methods, Sequence) else [methods] * len(model.names.zones)
-    if config.substitutes:
-        return [WithSubstitutes(method) for method in each]
-    return [WithSubstitutes(method, substitutes=()) for method in each]

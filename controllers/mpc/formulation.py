@@ -41,11 +41,7 @@ class Instance(NamedTuple):
 class Formulation:
     """Formulates the instances of one controller.
 
-    Args:
-        config: options of the controller.
-        model: the building, with the power of every machine.
-        actuators: how its actuators are run.
-        powers: power of each machine as plans count with it (M,).
+    `model`: with the power of every machine; `powers` (M,): power of each machine as plans count with it.
     """
 
     def __init__(
@@ -60,7 +56,8 @@ class Formulation:
                 power.at_lowest_level(each[fed[0]].lowest_level) if len(fed) == 1 else power
                 for power, fed in zip(of, fed_by, strict=True)
             )
-            for of in (powers, [_measured(power) for power in model.power])
+            # The controller was refused where one is not known.
+            for of in (powers, [power for power in model.power if power is not None])
         )
         self.machinery = EquipmentLayout(
             layout.names.actuators,
@@ -89,14 +86,10 @@ class Formulation:
     ) -> Instance:
         """Return the instance of one step.
 
-        Args:
-            operator: the operator of the building, adjusted to the actuation.
-            context: free response, forced state and boundary conditions of the N steps.
-            history: the record until now, for the return water.
-            margins: what was learned of bounds, predictions and capacities.
-            peak_W: highest mean power of the building over a step so far, W.
-            blocked: hours in which nothing comes from each actuator (A,); by default none.
-            overridden: numbers of the actuators that will not follow the plan.
+        `operator`: adjusted to the actuation; `context`: of the N steps; `history`: for the return water; `margins`,
+        `peak_W`: what was learned, and the highest mean power of the building over a step so far, W; `blocked` (A,):
+        hours in which nothing comes from an actuator; `overridden`: numbers of the actuators that will not follow the
+        plan.
 
         Raises:
             DataError: a bound or price of the boundary is missing.
@@ -289,8 +282,3 @@ class Formulation:
             stored = pair.gains[slowest] * drive
             value[z, a, slowest] = self._config.objective.terminal_value * cost[a] / stored if stored else 0.0
         return value
-
-
-def _measured(power: PowerModel | None) -> PowerModel:
-    assert power is not None  # checked when the controller is built
-    return power

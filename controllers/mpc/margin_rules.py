@@ -1,9 +1,7 @@
 """The size of each margin (`margins`): back-off, reserve, and what a run learns.
 
-Back-off is a chance and an integrated chance constraint. With a fixed chance level the frequency of violations is
-constant, but their size grows with the forecast uncertainty; an integrated one (Klein Haneveld 1986) bounds the
-expected violation in K. The chance level is active where forecasts are good; elsewhere it is lowered until
-the bound holds.
+Back-off is a chance and an integrated chance constraint (Klein Haneveld 1986), which bounds the expected violation in
+K: the chance level holds where forecasts are good, and is lowered elsewhere until the bound on the violation holds.
 
 The reserve is for what a plan, which knows the zone at the ends of its steps, cannot see in a fast one: swing under
 on/off blocks, error of the next hour. What is missed all the same is learned, and what was not needed is given back. So
@@ -44,12 +42,8 @@ def steps_soon(step_s: float) -> int:
 def backoff_K(forecast: FreeForecast, step_s: float, level: float, violation_K: float | None, *, below: bool) -> Array:
     """Back-off from the lower (`below`) or upper bound at the end of each step, (N,) or (Z, N), K, nonnegative.
 
-    Args:
-        forecast: free response with calibrated quantiles.
-        step_s: length of its steps, s.
-        level: allowed probability of violating the bound, in (0, 0.5].
-        violation_K: allowed expected violation, mean over the next 6 h, K; None for the chance level alone.
-        below: True for the lower bound, False for the upper.
+    `level`: allowed probability of violating the bound, in (0, 0.5]; `violation_K`: allowed expected violation, mean
+    over the next 6 h, K; None for the chance level alone.
     """
     T_C = forecast.median_C
     sign, quantile, spread_at = (1.0, level, _SPREAD_LEVEL) if below else (-1.0, 1.0 - level, 1.0 - _SPREAD_LEVEL)
@@ -103,7 +97,6 @@ def _hour_K(operator: OperatorParameters) -> float:
 
 
 def _first_K(operator: OperatorParameters, steps: int) -> float:
-    """Effect of the first steps at full level, K."""
     return float(_rise_K(operator, steps)[-1])
 
 
@@ -139,11 +132,9 @@ def _swing_K(operator: OperatorParameters, actuation: Actuation) -> float:
 class Learning:
     """How a reserve is learned.
 
-    Attributes:
-        growth_1_h: growth, K per hour and K of mean violation above the allowed one; in a step at most the violation.
-        most_K: the most that is learned, and that one reading counts, K.
-        allowed_K: mean violation that a plan may expect, K.
-        fades: whether a reading within the bound takes back what such a violation is allowed.
+    `growth_1_h`: K per hour and K of mean violation above the allowed one, in a step at most the violation. `most_K`:
+    the most that is learned, and that one reading counts. `allowed_K`: mean violation that a plan may expect. `fades`:
+    whether a reading within the bound takes back what such a violation is allowed.
     """
 
     growth_1_h: float
@@ -170,16 +161,12 @@ _MOST_RECOVERY_K = 1.0
 
 @dataclass(frozen=True)
 class LearnedMargin:
-    """What a run has learned of its bounds.
+    """What a run has learned of its bounds; of the lower and the upper bound of each zone (2, Z):
 
-    Attributes:
-        reserve_K: reserve inside the lower and the upper bound of each zone (2, Z), K.
-            Below 0: so much less than what is kept beforehand.
-        tightest_C: the highest lower and the lowest upper bound of each zone that it has met (2, Z), °C.
-        nearest_K: how near readings were to each bound, from inside, while there was more to give, since `since_s`, s.
-        recovery_K: reserve inside each bound at the instant at which it begins, after a setback (2, Z), K, besides
-            what the uncertainty of the effect asks for.
-        now_C: the bounds at the last step (2, Z), °C, NaN where they are not known.
+    `reserve_K`: reserve inside it; below 0: so much less than what is kept beforehand. `tightest_C`: the highest lower
+    and the lowest upper one that was met. `nearest_K`: how near readings were, from inside, while there was more to
+    give, since `since_s`, s. `recovery_K`: reserve where it begins, after a setback, besides what the uncertainty of
+    the effect asks for. `now_C`: the bounds at the last step, NaN where they are not known.
     """
 
     reserve_K: Array
@@ -244,12 +231,8 @@ class LearnedMargin:
         What was kept and never used in a day in which the zone came near the bound is halved: down to nothing, since
         the margins that a plan was made with are the most that is given back.
 
-        Args:
-            inside_K: how far the reading is inside the bounds (2, Z), K; NaN: not known.
-            spare: whether there was more to give (2, Z).
-            planned_K: margins in all that the plan of the step was made with (2, Z), K.
-            left_K: the most of them that may be given back (2, Z), K.
-            time_s: time of the reading, s.
+        Of each bound (2, Z): `inside_K`: how far the reading is inside, NaN: not known; `spare`: whether there was more
+        to give; `planned_K`: margins in all of the step's plan; `left_K`: the most of them that may be given back.
         """
         nearest_K = np.fmin(self.nearest_K, np.where(spare, inside_K, np.inf))
         since_s = time_s if self.since_s is None else self.since_s
@@ -275,15 +258,10 @@ class LearnedMargin:
 
 
 def learned_K(before_K: Array, beyond_K: Array, spare: NDArray[np.bool_], step_s: float, learning: Learning) -> Array:
-    """The reserve inside each bound after a step, K, from that before it, any shape.
+    """The reserve inside each bound after a step of `step_s` seconds, K, from that before it, any shape.
 
-    Args:
-        before_K: reserve so far, K.
-        beyond_K: how far the reading at the end of the step was beyond the bound, K, negative inside; NaN: not known.
-        spare: whether the actuators that protect the bound were less than fully used in the step; where they were, or
-            where there are none, nothing is learned.
-        step_s: length of the step, s.
-        learning: rate and limits.
+    `beyond_K`: how far the reading at its end was beyond the bound, negative inside; NaN: not known. `spare`: whether
+    the actuators that protect the bound were less than fully used; otherwise nothing is learned.
     """
     violation_K = np.clip(beyond_K, 0.0, learning.most_K)
     change_K = min(learning.growth_1_h * step_s / HOUR_S, 1.0) * (violation_K - learning.allowed_K)
@@ -310,14 +288,8 @@ def learned_share(
 ) -> float:
     """The share kept of one machine's capacity after a step.
 
-    Args:
-        before: share kept so far.
-        load: what the actuators asked for in the step, as a share of the capacity.
-        most_W: the capacity, W.
-        heat_W: what each got, (A,), W; NaN: not metered.
-        expected_W: what their levels stand for, (A,), W.
-        u: their mean levels in the step, (A,).
-        step_s: length of the step, s.
+    `load`: what the actuators asked for, as a share of the capacity `most_W`. Of each (A,): `heat_W` that it got (NaN:
+    not metered), `expected_W` that its level stands for, and its mean level `u`.
     """
     if not (np.isfinite(heat_W).all() and np.isfinite(u).all()) or load < _ALL_ASKED * (1.0 - before):
         return before

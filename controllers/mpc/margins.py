@@ -71,10 +71,10 @@ class Margins:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Comfort bounds with all margins inside, (Z, N) each, °C, and the margins of the first step by name.
+    """Comfort bounds with all margins inside, (Z, N) each, °C.
 
-    `first_step`: `comfort`, `backoff`, `reserve` and `learned` inside the lower and the upper bound (2, Z), K.
-    `whole_K`: all of them together, mean over the next 6 h (2, Z), K.
+    `first_step`: `comfort`, `backoff`, `reserve` and `learned` inside the lower and the upper bound of the first step
+    (2, Z), K. `whole_K`: all of them together, mean over the next 6 h (2, Z), K.
     """
 
     lower_C: Array
@@ -84,13 +84,7 @@ class Bounds:
 
 
 class MarginRules:
-    """Learns margins and adds them up.
-
-    Args:
-        config: options of the controller.
-        model: the building at the control step.
-        actuators: how its actuators are run.
-    """
+    """Learns margins and adds them up; `model` is at the control step."""
 
     def __init__(self, config: MPCConfig, model: ThermalModel, actuators: Actuators) -> None:
         self._config, self._actuators, self._layout = config, actuators, model.layout
@@ -114,12 +108,9 @@ class MarginRules:
     ) -> Margins:
         """The margins after the last step.
 
-        Args:
-            operator: of the model as identified, adjusted to the actuation.
-            before: those it was planned with.
-            good: the last solved plan.
-            observation: what is believed now.
-            forecast: boundary conditions as they were given, for the bounds.
+        `operator`: of the model as identified, adjusted to the actuation; `before`: margins of the last step, `good`
+        its solved plan; `observation`: what is believed now; `forecast`: boundary conditions as they were given, for
+        the bounds.
         """
         if good is None or good.age(observation.time_s, self._step_s) != 1:  # no plan decided the last step
             return replace(before, learned=before.learned.meeting(forecast.lower_C, forecast.upper_C))
@@ -128,10 +119,7 @@ class MarginRules:
         inside_C = np.clip(planned_C, T_C - self._half_K, T_C + self._half_K)
         seen_C = np.where(np.isfinite(planned_C), inside_C, T_C)
         learned = before.learned.after_setback(
-            seen_C,
-            forecast.lower_C[:, 0],
-            forecast.upper_C[:, 0],
-            self.could_begin_earlier(observation.history),
+            seen_C, forecast.lower_C[:, 0], forecast.upper_C[:, 0], self.could_begin_earlier(observation.history)
         ).meeting(forecast.lower_C, forecast.upper_C)
         return Margins(
             self._learned_offset_K(before.offset_K, seen_C - planned_C),
@@ -144,12 +132,8 @@ class MarginRules:
     ) -> Bounds:
         """Comfort bounds at the end of each step with all margins inside: the only place where they are added.
 
-        Args:
-            operator: the operator of the building, adjusted to the actuation.
-            free: the free forecast of all zones.
-            boundary: the bounds, N steps.
-            learned: what was learned of them.
-            T_C: temperatures of the zones now (Z,), °C.
+        `operator`: adjusted to the actuation; `boundary`: the bounds, N steps; `T_C` (Z,): temperatures of the zones
+        now, °C.
         """
         c, rows, soon = self._config, [], steps_soon(self._step_s)
         for z in range(len(operator.zones)):
@@ -272,7 +256,6 @@ class MarginRules:
         return after if by_loops else after.after_reading(-beyond_K, spare, planned_K, left_K, observation.time_s)
 
     def _learned_unused(self, operator: BuildingOperator, before: Array, history: Record) -> Array:
-        """Share of each machine's capacity to be left unused (M,) after the last step of `history`."""
         unused = before.copy()
         for m, fed, full, reference_W in self._metered(operator, history.T_out_C[-2:-1]):
             u, heat_W = history.u[fed, -1], history.heat_W[fed, -1]

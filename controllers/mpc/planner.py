@@ -1,4 +1,4 @@
-"""Planners of the models of a building, as identified and as adapted to how its actuators behave, and their solvers."""
+"""What a controller is built from: its model and actuation, and planners of the model as identified and as adapted."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 from controllers.actuation.actuators import Actuators
-from controllers.monitoring.scaled_model import ScaledModel
-from controllers.mpc.config import MPCConfig
-from controllers.optimisation.evaluation import Evaluator
+from controllers.actuation.choice import ActuationChoice, choose_actuation
+from controllers.checks import ControllerConfigError
+from controllers.monitoring.watch_state import ScaledModel
+from controllers.mpc.config import FreeResponseConfig, MPCConfig
 from controllers.optimisation.machines import EquipmentLayout
-from controllers.optimisation.plan_model import PlanModel
+from controllers.optimisation.plan_model import Evaluator, PlanModel
 from controllers.optimisation.problem import ProblemShape, blocked_moves, every_step
 from controllers.optimisation.solution import Solver
 from controllers.optimisation.solvers.ipopt import IpoptSolver
@@ -20,12 +21,18 @@ from controllers.optimisation.solvers.milp import MilpSolver
 from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.sqp import SQPSolver
 from controllers.optimisation.statement.terms import Terms
+from thermoforce_mpc.data import HOUR_S, Layout
+from thermoforce_mpc.model.free_response.substitute import WithSubstitutes
+from thermoforce_mpc.model.machine.part_load import level_costs
 from thermoforce_mpc.model.operator.building import BuildingOperator
+from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.protocols import FreeResponse
 
 _LOG = logging.getLogger(__name__)
+SolverBuilder = Callable[[BuildingOperator, ProblemShape], Solver]
+"""Builds the solver of an operator, which is adjusted to the actuation, and of what all its problems have in common."""
 # Zones up to which Ipopt solves a step well within 50 ms.
 _ZONES_FOR_IPOPT = 2
 
@@ -56,8 +63,7 @@ def plan_shape(
 def build_solver(config: MPCConfig, operator: BuildingOperator, shape: ProblemShape) -> Solver:
     """The solver named in `config`, or for `auto` the one that fits the problem.
 
-    Raises:
-        ControllerConfigError: the solver named does not fit the problem.
+    Raises `ControllerConfigError` where the solver named does not fit the problem.
     """
     ipopt = cache(lambda: IpoptSolver(operator, shape, config.ipopt))
     build: dict[str, Callable[[], Solver]] = {
@@ -85,6 +91,74 @@ def chosen_solver(config: MPCConfig, operator: BuildingOperator, shape: ProblemS
     return "qp" if convex else "sqp"
 
 
+def at_step(model: ThermalModel, config: MPCConfig) -> tuple[ThermalModel, int]:
+    """The model at the control step, and the number of steps of the horizon.
+
+    Raises `ControllerConfigError` where that is none, or the effect is not certified at that step over it.
+    """
+    step_s = config.step_s or model.operator.step_s
+    n_steps = config.n_steps(step_s)
+    if n_steps < 1:
+        raise ControllerConfigError(
+            f"controller.options.horizon_h: {config.horizon_h:g} h is shorter than one control step"
+            f" ({step_s:g} s); give at least {step_s / HOUR_S:g}"
+        )
+    operator = model.operator.resampled(step_s)
+    if operator.of_actuator(0).feedback_active:  # otherwise certified at any
+        proof = certificate(operator.of_actuator(0), n_steps)
+        if not proof.certified:
+            raise ControllerConfigError(
+                "the model's gain sees the predicted temperature, and its effect is not certified at "
+                f"controller.options.step_s {step_s:g} over horizon_h {config.horizon_h:g}: {'; '.join(proof.reasons)}"
+            )
+    return replace(model, operator=operator), n_steps
+
+
+def check_power(model: ThermalModel) -> None:
+    """Raise `ControllerConfigError` where the power of a machine is not known."""
+    for machine, power in zip(model.machines, model.power, strict=True):
+        if power is None:
+            of = "" if len(model.machines) == 1 else f" of {machine}"
+            raise ControllerConfigError(
+                f"the model was identified without measured power{of}: energy cost cannot be computed;"
+                " identify it anew from measurements with power (without a meter: the level times full power)"
+            )
+
+
+def actuations_of(config: MPCConfig, model: ThermalModel, layout: Layout) -> list[ActuationChoice]:
+    """How each actuator is run (A,)."""
+    choices = []
+    for a, (actuator, lowest) in enumerate(zip(layout.names.actuators, layout.lowest, strict=True)):
+        zone = model.actuator(a)
+        assert zone.power is not None  # `check_power`
+        choice = choose_actuation(
+            config.actuation_of(actuator),
+            zone.power,
+            zone.operator.heat_input,
+            level_costs(zone.card.uncertainty),
+            shared=len(layout.fed_by(layout.machine_of[a])) > 1,
+        )
+        if choice.actuation.by_rooms != (lowest < 0.0):
+            raise ControllerConfigError(
+                "controller.options.actuation.mode: room_setpoints and a model of heating and cooling belong together"
+            )
+        choices.append(choice)
+    return choices
+
+
+def free_responses_of(
+    config: FreeResponseConfig, model: ThermalModel, given: FreeResponse | Sequence[FreeResponse] | None
+) -> list[FreeResponse]:
+    """The free response of each zone (Z,): those given, or those that `config` names, each with its substitutes."""
+    from thermoforce_mpc.model.free_response.registry import build_free_response  # may load torch
+
+    methods = given or [build_free_response(config.name, rc=free, **config.options) for free in model.free]
+    each = methods if isinstance(methods, Sequence) else [methods] * len(model.names.zones)
+    if config.substitutes:
+        return [WithSubstitutes(method) for method in each]
+    return [WithSubstitutes(method, substitutes=()) for method in each]
+
+
 # Number of cached planners for adapted models; others are rebuilt when needed.
 _KEPT = 4
 
@@ -95,12 +169,8 @@ _Factors = tuple[tuple[float, float] | None, ...]
 class Planners:
     """Builds and keeps planners.
 
-    Args:
-        model: the building as identified, at the control step.
-        actuators: how its actuators are run.
-        free_responses: the free response of each zone (Z,).
-        solver: builds the solver of an operator, which is adjusted to the actuation.
-        shape: what the problems of an operator have in common.
+    `model`: as identified, at the control step; `free_responses` (Z,); `solver` and `shape` are those of an operator,
+    which is adjusted to the actuation.
     """
 
     def __init__(
@@ -108,7 +178,7 @@ class Planners:
         model: ThermalModel,
         actuators: Actuators,
         free_responses: Sequence[FreeResponse],
-        solver: Callable[[BuildingOperator], Solver],
+        solver: SolverBuilder,
         shape: Callable[[BuildingOperator], ProblemShape],
     ) -> None:
         self._actuators, self._free_responses = actuators, tuple(free_responses)
@@ -132,7 +202,7 @@ class Planners:
 
     def renew_solver(self, planner: Planner) -> None:
         """Give a planner whose solver has not returned another one; the old one must not be called meanwhile."""
-        renewed = replace(planner, solver=self._solver(planner.operator))
+        renewed = replace(planner, solver=self._solver(planner.operator, self._shape(planner.operator)))
         if planner is self.base:
             self.base = renewed
         self._adapted = [(factors, renewed if cached is planner else cached) for factors, cached in self._adapted]
@@ -144,10 +214,8 @@ class Planners:
                 pair, heat_input=pair.heat_input.at_lowest_level(self._actuators.each[a].lowest_level)
             )
         )
-        predictor = Predictor(model.operator, self._free_responses)
-        return Planner(
-            model, predictor, operator, self._solver(operator), Evaluator(operator, self._shape(operator)).by_steps
-        )
+        predictor, shape = Predictor(model.operator, self._free_responses), self._shape(operator)
+        return Planner(model, predictor, operator, self._solver(operator, shape), Evaluator(operator, shape).by_steps)
 
 
 @dataclass(frozen=True)

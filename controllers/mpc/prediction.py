@@ -1,19 +1,139 @@
-"""What will be: the free forecast with its band, by the model as it is adapted now, and what was learned on the way."""
+"""What will be: the free forecast with its band, by the model as it is adapted now, and whether predictions come true.
+
+Each actuator is watched on its home zone (`single_actuator_records`), so that control of one may be handed back alone.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 from controllers.checks import message_of
+from controllers.monitoring.single_actuator import single_actuator_context, single_actuator_records
+from controllers.monitoring.watch import Watch
+from controllers.monitoring.watch_state import ScaledModel, Track, WatchState
 from controllers.monitoring.zone_sensors import ZoneSensors
-from controllers.mpc.model_watch import WatchedPredictions
 from controllers.mpc.planner import Planner, Planners
 from controllers.mpc.readings import Readings
 from controllers.mpc.state import MPCState
-from thermoforce_mpc.data import Observation
-from thermoforce_mpc.execution.cooperative import Computation, within
-from thermoforce_mpc.model.predictor import PredictionContext
+from thermoforce_mpc.data import Array, Observation, Plan, Record
+from thermoforce_mpc.execution.cooperative import Computation, gather, within
+from thermoforce_mpc.model.predictor import PredictionContext, PredictorState
+from thermoforce_mpc.model.thermal_model import ThermalModel
+
+Item = TypeVar("Item")
+
+
+class WatchedPredictions:
+    """Moves what the watches (A,) need in and out of the state of an MPC; it holds no state.
+
+    `planner` gives that of a model with the adaptations of all actuators; `model`: as identified; `enabled`: whether
+    predictions are compared.
+    """
+
+    def __init__(
+        self,
+        watches: Sequence[Watch],
+        planner: Callable[[Sequence[ScaledModel | None]], Planner],
+        model: ThermalModel,
+        *,
+        enabled: bool,
+    ) -> None:
+        self._watches, self._planner, self._model = tuple(watches), planner, model
+        self.enabled = enabled
+
+    def begin(self, time_s: float) -> tuple[WatchState, ...]:
+        """The state of each watch at the begin of a run (A,)."""
+        return tuple(watch.begin(time_s) for watch in self._watches)
+
+    def validate(self, now: MPCState, history: Record, forced_K: Array | None) -> MPCState:
+        """The state with the predictions that came due compared; where control returns, with the model that held.
+
+        `forced_K` (Z, A, n + 1, r): forced states until now, see `single_actuator_records`.
+        """
+        records = single_actuator_records(self._model, history, forced_K)
+        for a, (watch, record) in enumerate(zip(self._watches, records, strict=True)):
+            before = now.watch[a]
+            try:
+                after = watch.validate(before, record, now.adaptation[a], now.predictor)
+            except Exception as error:  # what watches must not stop what it watches
+                news = f"predictions could not be judged ({message_of(error)})"
+                now = replace(now, watch=_with(now.watch, a, replace(before, news=news)))
+                continue
+            if before.alarm and not after.alarm:
+                used = after.tracks[0]
+                predictor = later_state(now.predictor, used.predictor)
+                now = replace(now, adaptation=_with(now.adaptation, a, used.adaptation), predictor=predictor)
+            now = replace(now, watch=_with(now.watch, a, after))
+        return now
+
+    def record_prediction(self, now: MPCState, context: PredictionContext, planner: Planner) -> MPCState:
+        """The state with the predictions of a plan recorded for all actuators in use, where one is due."""
+        states = list(now.watch)
+        for a, watch in enumerate(self._watches):
+            if not watch.due(float(context.boundary.time_s[0])) or states[a].alarm:
+                continue
+            if context.operator.home[a] in context.unmeasured:
+                continue  # what stands in for a temperature is no prediction
+            issued = watch.issued(
+                states[a].tracks[0], single_actuator_context(context, a), planner.operator.of_actuator(a)
+            )
+            states[a] = replace(states[a], tracks=(issued,))
+        return replace(now, watch=tuple(states))
+
+    def predict_in_background(self, observation: Observation, now: MPCState) -> Computation[MPCState]:
+        """The state with new predictions of the models that are watched while another controller acts."""
+        states = list(now.watch)
+        for a, watch in enumerate(self._watches):
+            if not states[a].alarm or not watch.due(observation.time_s):
+                continue
+            tracks = yield from gather([self._predicted(observation, now, a, track) for track in states[a].tracks])
+            states[a] = replace(states[a], tracks=tuple(tracks))
+        return replace(now, watch=tuple(states))
+
+    def _predicted(self, observation: Observation, now: MPCState, a: int, track: Track) -> Computation[Track]:
+        planner = self._planner(_with(now.adaptation, a, track.adaptation))
+        try:
+            context = yield from planner.predictor.contexting(observation, track.predictor)
+        except Exception:  # as in planning; without predictions a model does not get control back
+            return track
+        if context.operator.home[a] in context.unmeasured:
+            return track
+        issued = self._watches[a].issued(track, single_actuator_context(context, a), planner.operator.of_actuator(a))
+        return replace(issued, predictor=context.state)
+
+    def record_request(self, observation: Observation, plan: Plan) -> Plan:
+        """The plan, its state with the levels asked for."""
+        assert isinstance(plan.state, MPCState)
+        if not self.enabled:
+            return plan
+        states, news = list(plan.state.watch), []
+        for a, watch in enumerate(self._watches):
+            # What room set-points ask for is a temperature; its level is expected, not asked.
+            levels = [
+                float("nan") if (u := block.u[a]) is None or block.band_C[a] else u * block.duration_s
+                for block in plan.blocks
+            ]
+            states[a] = watch.record_request(states[a], observation.time_s, sum(levels) / watch.step_s)
+            if states[a].news:
+                news.append(self._model.names.of_actuator(a, f"watch: {states[a].news}"))
+        return replace(plan.with_news(*news), state=replace(plan.state, watch=tuple(states)))
+
+    def doubtful(self, now: MPCState, a: int) -> bool:
+        """See `Watch.doubtful`."""
+        return self._watches[a].doubtful(now.watch[a])
+
+
+def later_state(kept: PredictorState | None, used: PredictorState | None) -> PredictorState | None:
+    """The state of a predictor that returns to use, or the one `kept` meanwhile where others went on planning."""
+    if not (kept and kept.forced and used and used.forced) or used.forced.time_s[-1] >= kept.forced.time_s[-1]:
+        return used
+    return replace(kept, forced=None)  # it was computed with the operator of another model
+
+
+def _with(values: tuple[Item, ...], at: int, value: Item) -> tuple[Item, ...]:
+    return (*values[:at], value, *values[at + 1 :])
 
 
 @dataclass(frozen=True)
@@ -36,23 +156,13 @@ class Failure:
 
 
 class Prediction:
-    """Predicts for the steps of a plan; it holds no state.
+    """Predicts for the steps of a plan, within `seconds` of wall time; it holds no state.
 
-    Args:
-        planners: of the building's models.
-        sensors: zone sensors, which are validated by what is forecast now.
-        watched: records what is predicted, to be compared with what comes.
-        n_steps: steps ahead.
-        seconds: longest wall time, s.
+    What is forecast now will validate the zone sensors, and is compared with what comes by `watched`.
     """
 
     def __init__(
-        self,
-        planners: Planners,
-        sensors: ZoneSensors,
-        watched: WatchedPredictions,
-        n_steps: int,
-        seconds: float,
+        self, planners: Planners, sensors: ZoneSensors, watched: WatchedPredictions, n_steps: int, seconds: float
     ) -> None:
         self._planners, self._sensors = planners, sensors
         self._watched, self._n_steps, self._seconds = watched, n_steps, seconds

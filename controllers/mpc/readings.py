@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 from controllers.monitoring.meters import Meters
 from controllers.monitoring.sun_on_sensors import SunOnSensors
-from controllers.monitoring.zone_sensor import Sensor
-from controllers.monitoring.zone_sensors import Zones, ZoneSensors
+from controllers.monitoring.zone_sensors import Sensor, Zones, ZoneSensors
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import Array, Boundary, Observation, Record
@@ -24,15 +23,10 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 class Readings:
     """What is believed now.
 
-    Attributes:
-        observation: the record of the rooms with rejected readings taken as not measured, and the boundary forecast
-            with its gaps filled.
-        forecast: the boundary forecast as it was given.
-        zones: what is known of each zone.
-        forced_K: forced state of the model as identified at each boundary of the record (Z, A, n + 1, r), K; None
-            where it is not known.
-        doubts: what stands in for what, in words.
-        news: what is believed again or no longer, in words.
+    `observation`: the record with rejected readings as not measured, and the boundary forecast with its gaps filled;
+    `forecast`: that forecast as given. `forced_K` (Z, A, n + 1, r): forced state of the model as identified at each
+    boundary of the record; None where not known. `doubts`: what stands in for what; `news`: what is believed again or
+    not.
     """
 
     observation: Observation
@@ -56,13 +50,7 @@ class Readings:
 class ReadingsFilter:
     """Takes an observation and what a run knows, and gives what is believed; it holds no state.
 
-    Args:
-        config: options of the controller: those of sensors and meters, and `fallback.cold_after`.
-        model: the building at the control step.
-        predictor: of that model, for the forced state.
-
-    Attributes:
-        sensors, meters: the checks of zone sensors, and of weather sensors and meters.
+    `sensors`, `meters`: the checks of zone sensors, and of weather sensors and meters.
     """
 
     def __init__(self, config: MPCConfig, model: ThermalModel, predictor: Predictor) -> None:
@@ -77,11 +65,8 @@ class ReadingsFilter:
     ) -> tuple[Readings, MPCState]:
         """What is believed of `observation`, and the state with what was learned of sensors, meters, sun and forecast.
 
-        Args:
-            observation: as measured and forecast.
-            state: after the last step.
-            with_model: whether the model may say anything of the readings; without, they are validated by range only.
-            as_identified: whether the model in use is the one as identified, so that its forced state can be kept.
+        `with_model`: whether the model may say anything of the readings; without, they are validated by range only.
+        `as_identified`: whether the model in use is the one as identified, so that its forced state can be kept.
         """
         if state.failures >= self._cold_after:  # what it kept may be what fails
             state = replace(state, predictor=None)
@@ -99,10 +84,7 @@ class ReadingsFilter:
         if forced and as_identified and validated is before and gapless(validated) and state.predictor:
             state = replace(state, predictor=replace(state.predictor, forced=forced))  # not estimated again
         state = replace(
-            state,
-            sensors=sensors,
-            meters=meters,
-            boundary=boundary if whole(observation.boundary) else state.boundary,
+            state, sensors=sensors, meters=meters, boundary=boundary if whole(observation.boundary) else state.boundary
         )
         seen = Observation(validated, boundary)
         doubts = tuple(filter(None, (zones.bridged, metered.why, filled)))

@@ -35,14 +35,7 @@ _FIRST_NAMED = (PlanStatus.WATCH, PlanStatus.GATE, PlanStatus.NATIVE, PlanStatus
 
 
 class Realisation:
-    """Turns what is decided into a plan with blocks; it holds no state.
-
-    Args:
-        actuators: all actuators of the building.
-        fallbacks: the fallback policy of each (A,).
-        guard: what overrules a level far outside the comfort band.
-        step_s: control step, s.
-    """
+    """Turns what is decided into a plan with blocks; it holds no state. `fallbacks` (A,): of each actuator."""
 
     def __init__(
         self, actuators: Actuators, fallbacks: Sequence[FallbackPolicy], guard: ComfortGuard, step_s: float
@@ -60,12 +53,8 @@ class Realisation:
     ) -> Plan:
         """The plan with its blocks.
 
-        Args:
-            plan: with its status and reason, and the state to be kept (`MPCState`).
-            demands: what it asks of each actuator (A,).
-            overrides: what takes its place, by number of the actuator.
-            situation: what the guard decides from.
-            limit: power that the plan allows in its first step; what takes the plan's place is not held to it.
+        `demands` (A,): what it asks of each actuator; `overrides`: what takes its place; `situation`: what the guard
+        decides from; `limit`: power that the plan allows in its first step, to which what takes its place is not held.
         """
         begun = self._with_blocks(plan, demands, overrides, limit and limit.without(overrides))
         planned = {
@@ -129,13 +118,8 @@ class Realisation:
         return Override(u, unplanned_status(u), why)
 
     def _with_blocks(
-        self,
-        plan: Plan,
-        demands: Sequence[Demand],
-        overrides: Mapping[int, Override],
-        limit: PowerLimit | None = None,
+        self, plan: Plan, demands: Sequence[Demand], overrides: Mapping[int, Override], limit: PowerLimit | None = None
     ) -> Plan:
-        """The plan with the blocks of `demands` (A,), of actuators with an override those of its level."""
         assert isinstance(plan.state, MPCState)
         levels = [overrides[a].level if a in overrides else demand for a, demand in enumerate(demands)]
         acting = [overrides[a].status if a in overrides else status for a, status in enumerate(plan.acting)]

@@ -18,7 +18,7 @@ from controllers.mpc.formulation import Instance
 from controllers.mpc.prediction import Forecast
 from controllers.mpc.readings import Readings, joined
 from controllers.mpc.state import MPCState
-from controllers.optimisation.evaluation import Evaluation, Evaluator
+from controllers.optimisation.plan_model import Evaluation, Evaluator
 from controllers.optimisation.problem import MPCProblem
 from controllers.optimisation.solution import Solution
 from controllers.safety.fallback_policy import GoodPlan
@@ -46,11 +46,7 @@ class Solved(NamedTuple):
 def power_limit(instance: Instance, solution: Solution, brought: Evaluation, evaluator: Evaluator) -> PowerLimit | None:
     """The limit of power in the first step; None without a cap and a price of peaks.
 
-    Args:
-        instance: what was solved.
-        solution: its levels.
-        brought: what they bring.
-        evaluator: what other levels of the first step would take.
+    `brought`: what the levels of `solution` bring; `evaluator` says what others would take.
     """
     problem = instance.problem
     if math.isinf(instance.cap_W) and not problem.weights.peak:
@@ -79,13 +75,7 @@ def solved_plan(
 ) -> Plan:
     """The plan of a checked solution, without blocks; its state remembers it as the last good one.
 
-    Args:
-        instance: what was solved.
-        solution: its levels.
-        brought: what they bring.
-        seconds: what its parts cost, s.
-        forecast: what it was made on.
-        readings: what was believed.
+    `brought`: what its levels bring; `seconds`: what its parts cost, s.
     """
     problem, context, free = instance.problem, forecast.context, forecast.context.free
     u, names = solution.u, readings.observation.names
@@ -176,22 +166,11 @@ def end_of_move_C(u: Array, T_zone_C: Array, lowest: float) -> float:
 
 
 def reason_of(
-    problem: MPCProblem,
-    operator: BuildingOperator,
-    u: Array,
-    T_zone_C: Array,
-    slack_K: Array,
-    forecast: FreeForecast,
+    problem: MPCProblem, operator: BuildingOperator, u: Array, T_zone_C: Array, slack_K: Array, forecast: FreeForecast
 ) -> str:
     """Which bound is binding, where and when, and the width of the forecast's 80 % band there.
 
-    Args:
-        problem: the instance, Z zones over N steps.
-        operator: what acts on them.
-        u: planned levels (A, N).
-        T_zone_C: planned temperatures (Z, N), °C.
-        slack_K: planned violations (Z, N), K.
-        forecast: free response of all zones.
+    Of an instance of Z zones over N steps: levels `u` (A, N), temperatures (Z, N), °C, and violations (Z, N), K.
     """
     band = forecast.quantile_C(0.9) - forecast.quantile_C(0.1)
     lower_C, upper_C, zones = problem.lower_C, problem.upper_C, operator.zones

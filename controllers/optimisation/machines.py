@@ -14,23 +14,17 @@ from thermoforce_mpc.data import Array
 
 @dataclass(frozen=True, eq=False)
 class EquipmentLayout:
-    """A actuators and M machines.
+    """A actuators and M machines. Names, machines and groups are those of a `Layout`, which checks them.
 
-    Attributes:
-        actuators: names of the actuators (A,).
-        machines: names of the machines (M,).
-        u_max: highest level of each actuator (A,).
-        lowest_level: level of each actuator below which it switches, on at that level (A,); `u_max` or more: it always
-            does, or power and heat are proportional to the level.
-        u_min: lowest level (A,); below 0 where one signed level heats and cools (room set-points).
-        machine_of: number of the machine that feeds each actuator (A,).
-        share: share of its machine's capacity that an actuator takes at level 1, (A,); 0: not limited. The sum over
-            the actuators of a machine of share · u is at most 1 (`MPCProblem.capacity`: another limit by step).
-        cycles_below: load below which each machine that feeds several cycles, as a share of its capacity, (M,); 0, the
-            default: it runs in full as long as the longest of them acts (`model.machine.running`).
-        exclusive: groups of actuators (their numbers) of which at most one may act in a step.
+    Of each actuator (A,): `u_max`, highest level; `u_min`, lowest, below 0 where one signed level heats and cools;
+    `lowest_level`, below which it switches, on at that level (`u_max` or more: always, or power and heat are
+    proportional to the level); `machine_of`; `share` of its machine's capacity that it takes at level 1 (0: not
+    limited): the sum over the actuators of a machine of share · u is at most 1 (`MPCProblem.capacity`: another limit by
+    step).
 
-    Names, machines and groups are those of a `Layout`, which checks them.
+    `cycles_below` (M,): load below which a machine that feeds several cycles, as a share of its capacity; 0: it runs in
+    full as long as the longest of them acts (`model.machine.running`). `exclusive`: groups of actuators (their numbers)
+    of which at most one may act in a step.
 
     Raises:
         ControllerConfigError: levels do not fit together; names the actuator.

@@ -9,8 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from controllers.optimisation.evaluation import Evaluation
-from controllers.optimisation.plan_model import PlanModel
+from controllers.optimisation.plan_model import Evaluation, PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -55,12 +54,11 @@ class Solve:
 class Solution:
     """Result of a solver; `ok` only if status, finiteness, bounds and objective passed the checks.
 
-    `optimal` is False for levels that passed them without being the solver's optimum.
-
-    `u` (A, N): levels, empty when not ok; `status`: solver and its own status; `problem`: reason of a failure; `gap`:
-    how much of its cost the solution may at most be above the optimum of what was solved, relative; 0 where it is
-    convex. `evaluation`: what the levels bring, as they are held; None when not ok. `export_calls`: calls of the
-    exported operator that it took, see `casadi_export.export_calls`. `own`: the user's own variables (n,), by name.
+    `optimal` is False for levels that passed them without being the solver's optimum. `u` (A, N): levels, empty when
+    not ok; `status`: solver and its own status; `problem`: reason of a failure; `gap`: how much of its cost the
+    solution may at most be above the optimum of what was solved, relative; 0 where it is convex. `evaluation`: what the
+    levels bring, as they are held; None when not ok. `export_calls`: calls of the exported operator that it took.
+    `own`: the user's own variables (n,), by name.
     """
 
     ok: bool
@@ -108,10 +106,7 @@ class Answer:
 class StatementSolver(ABC):
     """Solves the statement of one operator and shape; a subclass says how.
 
-    Args:
-        operator: the operator of the building.
-        shape: what all its problems have in common.
-        fallback: builds the solver that is asked where this one finds no optimum.
+    `fallback` builds the solver that is asked where this one finds no optimum.
 
     Raises:
         ControllerConfigError: the problem does not fit the method, or the operator is not of these actuators.
@@ -125,10 +120,9 @@ class StatementSolver(ABC):
         self.model, self._fallback = PlanModel(operator, shape), fallback
 
     def solve(self, problem: MPCProblem, guess: Array | None = None) -> Solution:
-        """Solve one instance, from `guess` (A, N) where the method starts somewhere.
+        """Solve one instance, from `guess` (A, N) where the method starts somewhere; `Solver.solve`.
 
-        On failure `ok` is False and `problem` has the reason. Levels that are not the optimum must not cost more than
-        `guess`.
+        Levels that are not the optimum must not cost more than `guess`.
         """
         p = self.model.numbers(problem)
         if not np.isfinite(p).all():
@@ -192,7 +186,6 @@ def checked(model: PlanModel, problem: MPCProblem, p: Array, answer: Answer, gue
 
 
 def _dearer(model: PlanModel, problem: MPCProblem, p: Array, cost: float, own: Array, guess: Array | None) -> str:
-    """Why levels of a cost are not to be acted on without an optimum, or ''."""
     m = problem.machinery
     low, high = (np.repeat(bound[:, None], problem.n_steps, axis=1) for bound in (m.u_min, m.u_max))
     others = [np.zeros_like(high), high]

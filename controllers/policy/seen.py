@@ -88,17 +88,14 @@ class PolicySpec(StrictModel):
     def values(self, time_s: float, past: Array, weather: Sequence[float], coming: Array) -> Array:
         """The observation, unclipped (n,); NaN where something was not measured.
 
-        Args:
-            time_s: now, s since 1 January.
-            past: zone temperatures, °C, and mean levels of the step before, now and at earlier steps, latest first
-                (n_behind + 1, Z + A).
-            weather: outdoor temperature, °C, and irradiance, W/m², now.
-            coming: forecasts (`FORECAST`, rows of each) at `offsets` (rows, n).
+        At `time_s`, s since 1 January: `past` (n_behind + 1, Z + A), zone temperatures, °C, and mean levels of the step
+        before, now and at earlier steps, latest first; `weather`: outdoor temperature, °C, and irradiance, W/m², now;
+        `coming` (rows, n): forecasts (`FORECAST`, rows of each) at `offsets`.
         """
         angle, Z = 2.0 * np.pi * (time_s % DAY_S) / DAY_S, len(self.zones)
         now = past[0]
         parts = [[np.sin(angle), np.cos(angle)], now[:Z], weather, now[Z:], past[1:].ravel(), coming.ravel()]
-        return np.concatenate(parts)[self._chosen]
+        return np.concatenate(parts)[[signal in self.observations for signal, *_ in self._all]]
 
     def past(self, record: Record, now_C: Array) -> Array:
         """Temperatures and mean levels of the steps of a record, latest first (n_behind + 1, Z + A).
@@ -112,10 +109,8 @@ class PolicySpec(StrictModel):
         return np.vstack([before, *[before[-1:]] * (self.n_behind + 1 - len(before))])
 
     def of(self, observation: Observation) -> Array:
-        """`values` of what a controller sees.
-
-        Raises:
-            DataError: it is of another building, or its step is another.
+        """`values` of what a controller sees; raises `DataError` where it is of another building, or its step is
+        another.
         """
         record, ahead = observation.history, observation.boundary
         check_same_building("the policy", self.names, "the building", record.names, error=DataError)
@@ -130,11 +125,7 @@ class PolicySpec(StrictModel):
         return self.values(observation.time_s, past, (record.T_out_C[-1], record.solar_W_m2[-1]), coming)
 
     def observe(self, observation: Observation) -> Seen:
-        """The environment's observation of what a controller sees; what was not measured is mid-bounds.
-
-        Raises:
-            DataError: as `of`.
-        """
+        """The environment's observation of what a controller sees (see `of`); what was not measured is mid-bounds."""
         low, high = np.array([bounds for _, bounds in self.entries]).T
         values = self.of(observation)
         seen = inside(np.where(np.isnan(values), (low + high) / 2.0, values), low, high)
@@ -146,10 +137,6 @@ class PolicySpec(StrictModel):
         ends = (-np.ones_like(low), high) if self.scaled_actions else (low, high)
         values = of_bins(int(action), self.bins, *ends) if self.bins else np.asarray(action, dtype=np.float64)
         return np.clip(unscaled(values, low, high) if self.scaled_actions else values, low, high)
-
-    @cached_property
-    def _chosen(self) -> NDArray[np.bool_]:
-        return np.array([signal in self.observations for signal, *_ in self._all])
 
     @cached_property
     def _all(self) -> list[tuple[str, str, tuple[float, float]]]:

@@ -41,16 +41,8 @@ class PolicyController:
     def __init__(self, spec: PolicySpec, agent: Agent, layout: Layout, *, name: str) -> None:
         check_same_building("the policy", spec.names, "the test case", layout.names, error=ControllerConfigError)
         self.name, self._spec, self.agent, self._layout = name, spec, agent, layout
-
-    @property
-    def step_s(self) -> float:
-        """Control step, s: that of the training."""
-        return self._spec.step_s
-
-    @property
-    def horizon_s(self) -> float:
-        """Length of the forecast, s: that of the training, at least one step."""
-        return max(self._spec.ahead_s, self._spec.step_s)
+        # Those of the training.
+        self.step_s, self.horizon_s = spec.step_s, max(spec.ahead_s, spec.step_s)
 
     def plan(self, observation: Observation, state: object = None) -> Plan:
         """One block of the levels that the policy prefers."""

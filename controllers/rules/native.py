@@ -21,16 +21,7 @@ class NativeController:
 
     def __init__(self, config: NativeConfig | None = None) -> None:
         self.config = config or NativeConfig()
-
-    @property
-    def step_s(self) -> float:
-        """Control step, s."""
-        return self.config.step_s
-
-    @property
-    def horizon_s(self) -> float:
-        """One step, s: no forecast is used."""
-        return self.config.step_s
+        self.step_s = self.horizon_s = self.config.step_s  # no forecast is used
 
     def plan(self, observation: Observation, state: object = None) -> Plan:
         """One block of native control; stateless."""

@@ -65,11 +65,7 @@ def check_layout(layout: Layout) -> None:
 
 
 class PIController:
-    """PI controller of each zone on its comfort bound.
-
-    Args:
-        config: options.
-        layout: what acts where; by default one zone with one actuator of the option `mode`.
+    """PI controller of each zone on its comfort bound; by default one zone with one actuator of the option `mode`.
 
     Raises:
         ControllerConfigError: the actuation does not fit the step, or an actuator heats and cools.
@@ -79,28 +75,19 @@ class PIController:
 
     def __init__(self, config: PIConfig | None = None, layout: Layout | None = None) -> None:
         self.config = config or PIConfig()
+        self.step_s = self.config.step_s
+        # Lead time rounded up to whole steps, at least one.
+        self.horizon_s = max(1, math.ceil(self.config.lead_h * HOUR_S / self.step_s)) * self.step_s
         self.layout = layout or Layout.single(self.config.mode)
         check_layout(self.layout)
         self._actuators = Actuators(self.layout, [Actuation(self.config.actuation) for _ in self.layout.home])
         self._actuators.check_step(self.config.step_s)
 
-    @property
-    def step_s(self) -> float:
-        """Control step, s."""
-        return self.config.step_s
-
-    @property
-    def horizon_s(self) -> float:
-        """Lead time rounded up to whole steps, at least one, s."""
-        steps = max(1, math.ceil(self.config.lead_h * HOUR_S / self.step_s))
-        return steps * self.step_s
-
     def plan(self, observation: Observation, state: object = None) -> Plan:
         """One step of the PI law; native control while the zone temperature or the bounds are missing.
 
-        Raises:
-            DataError: `state` is not from a plan of a PI controller, or from a later one; or the boundary forecast does
-                not begin now.
+        Raises `DataError` where `state` is not from a plan of a PI controller, or from a later one, or the boundary
+        forecast does not begin now.
         """
         observation.check_begin()
         names = self.layout.names
@@ -111,11 +98,11 @@ class PIController:
         elapsed_s = 0.0 if last.time_s is None else min(observation.time_s - last.time_s, 2 * self.step_s)
         demands: list[float | None] = []
         integrals, reasons = [], []
-        for a, actuator in enumerate(names.actuators):
+        for a in range(len(names.actuators)):
             share, integral, why = self._apply_law(a, observation, last.integral[a], elapsed_s)
             demands.append(None if share is None else share * self._actuators.each[a].highest)
             integrals.append(integral)
-            reasons.append(why if len(names.actuators) == 1 else f"{actuator}: {why}")
+            reasons.append(names.of_actuator(a, why))
         realised = self._actuators.realise(demands, self.step_s, machines)
         reasons += [f"{names.actuators[a]}: excluded by {names.actuators[by]}" for a, by in realised.excluded.items()]
         # Under native control of all, the law has not been applied.

@@ -67,38 +67,23 @@ class ThermostatState:
 class Thermostat:
     """On/off control of each zone's temperature with hysteresis, at one level while on.
 
-    Args:
-        config: options.
-        layout: what acts where; by default one zone with one actuator of the option `mode`.
-
-    Raises:
-        ControllerConfigError: a set-point is of an actuator that there is not.
+    By default one zone with one actuator of the option `mode`. Raises `ControllerConfigError` where a set-point is of
+    an actuator that there is not.
     """
 
     name = "thermostat"
 
     def __init__(self, config: ThermostatConfig | None = None, layout: Layout | None = None) -> None:
         self.config = config or ThermostatConfig()
+        self.step_s = self.horizon_s = self.config.step_s  # no forecast is used
         self.layout = layout or Layout.single(self.config.mode)
         check_names("setpoints_C", self.config.setpoints_C, "actuator", self.layout.names.actuators)
-
-    @property
-    def step_s(self) -> float:
-        """Control step, s."""
-        return self.config.step_s
-
-    @property
-    def horizon_s(self) -> float:
-        """One step, s: no forecast is used."""
-        return self.config.step_s
 
     def plan(self, observation: Observation, state: object = None) -> Plan:
         """On below the dead band, off above it (cooling: reversed), unchanged inside; native control if T is missing.
 
-        Where the plant's own loops heat and cool a zone, they keep the two set-points.
-
-        Raises:
-            DataError: `state` is not from a plan of a thermostat.
+        Where the plant's own loops heat and cool a zone, they keep the two set-points. Raises `DataError` where `state`
+        is not from a plan of a thermostat.
         """
         names = self.layout.names
         last = checked_state(state, ThermostatState, names) or ThermostatState((False,) * len(names.actuators))
@@ -116,7 +101,7 @@ class Thermostat:
             is_on, why = self._switch(a, T_zone_C, observation.time_s, last.on[a])
             levels.append(None if is_on is None else self.config.level * is_on)
             on.append(last.on[a] if is_on is None else is_on)
-            reasons.append(why if len(names.actuators) == 1 else f"{actuator}: {why}")
+            reasons.append(names.of_actuator(a, why))
         wanted = [None if level is None else level * (1 + was) for level, was in zip(levels, last.on, strict=True)]
         for a, by in self.layout.excluded(wanted).items():
             levels[a] = None if levels[by] is None else 0.0
@@ -126,7 +111,6 @@ class Thermostat:
         return Plan((block,), PlanStatus.RULE, "; ".join(reasons), names=names, state=ThermostatState(tuple(on)))
 
     def _switch(self, a: int, T_zone_C: float, time_s: float, was_on: bool) -> tuple[bool | None, str]:
-        """Whether actuator `a` is on, and why; None for native control."""
         c = self.config
         if not math.isfinite(T_zone_C):
             return None, "zone temperature missing: native control"

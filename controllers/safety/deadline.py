@@ -47,11 +47,7 @@ class _AbandonedCall:
 
 
 class BoundedCalls:
-    """Makes calls one at a time, each within a time where one is given.
-
-    Args:
-        most_abandoned: calls that may be left behind at a time.
-    """
+    """Makes calls one at a time, each within a time where one is given; `most_abandoned` may be left behind."""
 
     def __init__(self, most_abandoned: int) -> None:
         self._most = most_abandoned
@@ -62,14 +58,12 @@ class BoundedCalls:
     def __call__(self, owner: object, call: Callable[[], Result], seconds: float | None = None) -> Result:
         """Return what `call` returns, or raise what it raises.
 
-        Args:
-            owner: the object whose method is called; it is not called again while a call on it is left behind.
-            call: what is called, without arguments.
-            seconds: how long to wait for its answer, s; None: for ever.
+        `owner`: the object whose method is called, not again while a call on it is left behind; `seconds`: how long to
+        wait, s; None: for ever.
 
         Raises:
-            Overdue: there was no answer in time, an earlier call of `owner` has not returned yet, or too many calls
-                have not.
+            Overdue: there was no answer in time, an earlier call of `owner` has not returned, or too many calls have
+                not.
             Crashed: the call raised what is no `Exception`.
         """
         self._abandoned = [abandoned for abandoned in self._abandoned if not abandoned.job.done.is_set()]
@@ -108,7 +102,6 @@ class BoundedCalls:
         return self._jobs
 
     def _dismiss(self) -> None:
-        """Leave the worker behind; its thread ends when its call returns."""
         if self._jobs is not None:
             self._jobs.put(None)
         self._jobs = self._thread = None

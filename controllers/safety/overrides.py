@@ -91,10 +91,7 @@ class WatchAlarm:
 class CompetenceGate:
     """A model that is not competent, or was identified but not judged, does not act.
 
-    Args:
-        config: options.
-        cards: that of each actuator's model (A,).
-        fallbacks: what acts instead (A,).
+    `cards` (A,): of each actuator's model; `fallbacks` (A,) act instead.
     """
 
     def __init__(self, config: GateConfig, cards: Sequence[ModelCard], fallbacks: Sequence[FallbackPolicy]) -> None:
@@ -132,10 +129,7 @@ class LostZone:
 class ComfortGuard:
     """Full level or off where a zone is far outside the comfort band, whatever the plan says.
 
-    Args:
-        config: options.
-        layout: what acts where.
-        highest: highest level that may be planned, of each actuator (A,).
+    `highest` (A,): highest level that may be planned.
     """
 
     def __init__(self, config: GuardConfig, layout: Layout, highest: Sequence[float]) -> None:

@@ -70,7 +70,6 @@ class IpoptSolver(StatementSolver):
     def _ipopt(
         self, p: Array, x: Array, low: Array, high: Array, options: Mapping[str, Any]
     ) -> tuple[Array, float, str, int]:
-        """Variables, objective, status and iterations of one call."""
         n_rows, n_equal = self.model.functions.rows.size1_out(1), self.model.functions.n_equal
         upper = np.full(n_rows, np.inf)
         upper[:n_equal] = 0.0

@@ -1,25 +1,91 @@
-"""Functions of the statement, built once for each structure: kept in the process, and on disk for the next one."""
+"""Functions of the statement, built once for each structure: kept in the process, and on disk for the next one.
+
+A file in the user's cache folder is text with its hash, and built anew where anything differs.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
+import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+import thermoforce_mpc.model.operator.casadi_export as export
 from controllers.optimisation.statement.algebra import Algebra
-from controllers.optimisation.statement.function_store import stored
 from controllers.optimisation.statement.problem_statement import Stated, parameter_sizes, state
 from controllers.optimisation.statement.structure import Structure
+from thermoforce_mpc.data.cache_folder import cache_folder
+
+# Files kept.
+_MOST_FILES = 120
+
+
+@cache
+def _sources() -> str:
+    """What decides how a structure is built: the text of this room and of the operator, and the version of CasADi."""
+    files = [*sorted(Path(__file__).parent.glob("*.py")), Path(export.__file__)]
+    return "".join(file.read_text() for file in files) + version("casadi")
+
+
+def stored(
+    s: Structure, name: str, build: Callable[[], tuple[dict[str, Any], list[ca.Function]]]
+) -> tuple[dict[str, Any], list[ca.Function]]:
+    """Facts and functions of a structure as they were saved, or else built and saved.
+
+    Functions of the user (`terms`) may have changed: with them nothing is saved.
+    """
+    if s.terms:
+        return build()
+    key = hashlib.sha256(f"{_sources()}{s}".encode()).hexdigest()
+    try:
+        file = cache_folder() / "plans" / f"{key[:32]}.{name}"
+    except RuntimeError:  # who runs this has no home
+        return build()
+    found = _load(file)
+    if found is None:
+        found = build()
+        _save(file, *found)
+    return found
+
+
+def _load(file: Path) -> tuple[dict[str, Any], list[ca.Function]] | None:
+    try:
+        sha256, text = file.read_text().split("\n", 1)
+        if hashlib.sha256(text.encode()).hexdigest() != sha256:
+            return None
+        facts, texts = json.loads(text)
+        facts = {name: tuple(value) if isinstance(value, list) else value for name, value in facts.items()}
+        return facts, [ca.Function.deserialize(function) for function in texts]
+    except (OSError, ValueError, RuntimeError):
+        return None
+
+
+def _save(file: Path, facts: Mapping[str, Any], functions: Sequence[ca.Function]) -> None:
+    """Save them; without a word where the folder cannot be written."""
+    text = json.dumps([dict(facts), [function.serialize() for function in functions]])
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=file.parent, delete=False) as temporary:
+            temporary.write(f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
+        Path(temporary.name).replace(file)
+        for path in sorted(file.parent.iterdir(), key=lambda path: path.stat().st_mtime)[:-_MOST_FILES]:
+            path.unlink(missing_ok=True)
+    except OSError:
+        pass
+
 
 # Structures kept in the process.
-_MOST = 64
+_MOST_STRUCTURES = 64
 
 
 @dataclass(frozen=True)
@@ -73,14 +139,14 @@ class Functions:
         return self.solvers[key]
 
 
-@lru_cache(_MOST)
+@lru_cache(_MOST_STRUCTURES)
 def check_of(s: Structure) -> Check:
     """The check of a structure: from disk, or built."""
     facts, (function,) = stored(s, "check", lambda: _build_check(s))
     return Check(function, **facts)
 
 
-@lru_cache(_MOST)
+@lru_cache(_MOST_STRUCTURES)
 def functions_of(s: Structure) -> Functions:
     """The programme of a structure: from disk, or built."""
     facts, (bounds, local, rows) = stored(s, "programme", lambda: _build_programme(s))
@@ -104,18 +170,13 @@ def _build_programme(s: Structure) -> tuple[dict[str, Any], list[ca.Function]]:
     A, G = ca.jacobian(equal, x), ca.jacobian(above, x)
     linear = not ca.depends_on(ca.veccat(A, G), x)
     H, gradient = ca.hessian(f if linear else f + ca.dot(m, rows), x)
-    facts = {
-        "names": tuple(alg.names),
-        "n_equal": equal.numel(),
-        "convex": linear and not ca.depends_on(ca.vec(H), x),
-    }
+    facts = {"names": tuple(alg.names), "n_equal": equal.numel(), "convex": linear and not ca.depends_on(ca.vec(H), x)}
     outputs = [f, gradient if linear else ca.gradient(f, x), H, equal, A, above, G]
     bounds = ca.Function("bounds", [p], [ca.densify(ca.veccat(*each)) for each in (alg.low, alg.high)])
     return facts, [bounds, ca.Function("local", [x, p, m], outputs), ca.Function("rows", [x, p], [f, rows])]
 
 
 def _stated(s: Structure) -> tuple[Stated, Algebra, ca.SX]:
-    """The statement, its variables and its parameters."""
     q = {name: ca.SX.sym(name, *size) for name, size in parameter_sizes(s).items()}
     alg = Algebra(ca.SX.sym("u", s.A, s.N))
     return state(alg, q, s), alg, ca.veccat(*q.values())

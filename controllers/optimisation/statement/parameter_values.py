@@ -7,9 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from controllers.optimisation.problem import MPCProblem, ProblemShape
-from controllers.optimisation.statement.difference_equations import Group, difference_equation
 from controllers.optimisation.statement.problem_statement import parameter_sizes
-from controllers.optimisation.statement.structure import Structure
+from controllers.optimisation.statement.structure import Group, Structure, difference_equation
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -71,8 +70,7 @@ class Numbers:
     def of(self, p: MPCProblem) -> Array:
         """The parameters of an instance.
 
-        Raises:
-            DataError: the instance has a part in u² in its peak power or cap, but not its shape.
+        Raises `DataError` where it does not fit the shape: in its steps, or by a part in u² in its peak power or cap.
         """
         s, machine_of = self._s, self._shape.machinery.machine_of
         if p.power_per_u2_W is not None and (s.peak or s.capped or s.terms) and not s.curved:
@@ -170,10 +168,7 @@ class Numbers:
         return per_u_W, fixed_W, fixed_cost
 
     def _drive(self, p: MPCProblem) -> tuple[Array, Array]:
-        """Drive of the modes per level, and what of it each level above the lowest lacks, (A, control steps).
-
-        With a known gain.
-        """
+        """Drive per level with a known gain, and what of it each level above the lowest lacks, (A, control steps)."""
         s, machinery = self._s, self._shape.machinery
         n = p.n_steps
         drive, sag = np.zeros((s.A, n)), np.zeros((s.A, n))

@@ -24,13 +24,9 @@ _COMPARISONS = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca
 class PlanExpressions:
     """What a term may use, as CasADi expressions (SX) over N steps, and what it adds.
 
-    Attributes:
-        u: levels (A, N), in [0, 1]; below 0 where they cool.
-        T_zone_C: temperatures at the end of each step (Z, N), °C.
-        power_W: mean electric power of each machine over each step (M, N), W.
-        slack_K: violation of the comfort bounds at the end of each step (Z, N), K.
-        last_u: measured levels of the step before the first (A,); 0 where they are not known.
-        step_s: length of a step, s.
+    `u`: levels (A, N), in [0, 1], below 0 where they cool; at the end of each step `T_zone_C` (Z, N), °C, and `slack_K`
+    (Z, N), violation of the comfort bounds; `power_W` (M, N): mean electric power of each machine; `last_u` (A,):
+    measured levels of the step before the first, 0 where not known; `step_s`: length of a step, s.
     """
 
     algebra: Algebra
@@ -79,7 +75,6 @@ class PlanExpressions:
         return row
 
     def _foreign(self, row: ca.SX) -> list[str]:
-        """Names of symbols that are not of the plan."""
         of_plan = ca.veccat(self.u, self.T_zone_C, self.power_W, self.slack_K, self.last_u, *self.algebra.x)
         known = {symbol.element_hash() for symbol in ca.symvar(of_plan)}
         return sorted({str(symbol) for symbol in ca.symvar(row) if symbol.element_hash() not in known})
@@ -90,16 +85,14 @@ Terms = tuple[Callable[[PlanExpressions], None], ...]
 
 @dataclass(frozen=True)
 class Term:
-    """A function of the user; an error in it is told with where it stands. `where`: key, file and name."""
+    """A function of the user; an error in it is told with `where` it stands: key, file and name."""
 
     function: Callable[[PlanExpressions], object]
     where: str
 
     def __call__(self, plan: PlanExpressions) -> None:
-        """Let the function add what it adds.
-
-        Raises:
-            ControllerConfigError: it raised, returned something, or added nothing.
+        """Let the function add what it adds; raises `ControllerConfigError` where it raised, returned something or
+        added nothing.
         """
         before, code = plan.n_added, getattr(self.function, "__code__", None)
         try:
@@ -118,8 +111,7 @@ class Term:
 def load_terms(where: str | None) -> Terms:
     """The function of the user at `file.py:function`, relative to the working directory; nothing for None.
 
-    Raises:
-        ControllerConfigError: the file cannot be read, or holds no such function; says why.
+    Raises `ControllerConfigError` where the file cannot be read, or holds no such function; says why.
     """
     if where is None:
         return ()

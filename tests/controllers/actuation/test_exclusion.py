@@ -13,8 +13,8 @@ from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, simple_mode
 
 from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
 from controllers.actuation.actuators import Actuators
+from controllers.mpc.acting import NoModelController
 from controllers.mpc.controller import ThermoForceMPC
-from controllers.mpc.no_model import NoModelController
 from controllers.optimisation.solution import Solution
 from controllers.registry import build_controller
 from controllers.rules.pi import PIController

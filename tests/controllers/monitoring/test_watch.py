@@ -12,9 +12,8 @@ from simple_house import FIXED_W, GAIN_K, PER_U_W, POLE, OutdoorResponse, Simple
 
 from controllers import ThermoForceMPC
 from controllers.monitoring.watch import Watch, e_value
-from controllers.monitoring.watch_effect import effect_fault, missing_effect
 from controllers.monitoring.watch_state import Issued, Judged, Track, WatchConfig, WatchState
-from controllers.monitoring.watch_tests import applied_levels, level_fault, machine_ratio
+from controllers.monitoring.watch_tests import applied_levels, effect_fault, level_fault, machine_ratio, missing_effect
 from controllers.mpc.config import MPCConfig
 from controllers.registry import controller_config
 from controllers.safety.fallback_policy import FallbackConfig, FallbackPolicy, GoodPlan

@@ -11,9 +11,9 @@ from faults import FAILED, ChangedSolver
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers.actuation.actuator import Actuation, ActuationConfig, ActuationState
+from controllers.mpc.acting import NoModelController
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
-from controllers.mpc.no_model import NoModelController
 from controllers.rules.native import NativeController
 from controllers.rules.pi import PIConfig, PIController
 from controllers.rules.thermostat import Thermostat, ThermostatState

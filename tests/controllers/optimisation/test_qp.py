@@ -24,7 +24,7 @@ from controllers.optimisation.solution import Answer, checked
 from controllers.optimisation.solvers.ipopt import IpoptConfig, IpoptSolver
 from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, SolverResult
-from controllers.optimisation.statement.difference_equations import difference_equation
+from controllers.optimisation.statement.structure import difference_equation
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import driven_rollout, single
 from thermoforce_mpc.model.operator.heat_input import HeatInput

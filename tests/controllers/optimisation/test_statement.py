@@ -11,8 +11,7 @@ import numpy_problem
 import pytest
 from structures import CASES, Case, instance, random_levels
 
-from controllers.optimisation.evaluation import Evaluation
-from controllers.optimisation.plan_model import PlanModel
+from controllers.optimisation.plan_model import Evaluation, PlanModel
 from controllers.optimisation.problem import MPCProblem, ProblemShape
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator

@@ -5,8 +5,8 @@ import pytest
 from simple_house import SimpleHouse
 
 from controllers.checks import ControllerConfigError
+from controllers.mpc.acting import NoModelController
 from controllers.mpc.config import MPCConfig
-from controllers.mpc.no_model import NoModelController
 from controllers.rules.native import NativeController
 from controllers.rules.thermostat import Setback, Thermostat, ThermostatConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Names, Observation, Record
