@@ -34,9 +34,7 @@ from thermoforce_mpc.simulation.composition import (
     run_in_scenario,
     scored_period,
 )
-from thermoforce_mpc.simulation.ended_early import ended_early
-from thermoforce_mpc.simulation.folder.results import write_results
-from thermoforce_mpc.simulation.folder.run_book import RunBook, is_real
+from thermoforce_mpc.simulation.folder.run_book import RunBook, ended_early, is_real
 from thermoforce_mpc.simulation.folder.run_folder import (
     clear_partial,
     create_run_folder,
@@ -46,7 +44,7 @@ from thermoforce_mpc.simulation.folder.run_folder import (
     sole_use,
 )
 from thermoforce_mpc.simulation.folder.run_log import log_step, logging_to
-from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
+from thermoforce_mpc.simulation.journal.recorded_plant import JournaledPlant
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
 from thermoforce_mpc.simulation.models.identifying import IdentifiedModel
 from thermoforce_mpc.simulation.models.run_models import (
@@ -58,10 +56,9 @@ from thermoforce_mpc.simulation.models.run_models import (
 )
 from thermoforce_mpc.simulation.outside import note_given, with_given
 from thermoforce_mpc.simulation.own_kpis import OwnKpi, own_kpis, with_own_kpis
-from thermoforce_mpc.simulation.scenario_result import ScenarioResult
+from thermoforce_mpc.simulation.scenario_result import ScenarioResult, headline, print_summary, write_results
 from thermoforce_mpc.simulation.views.display import RunDisplay
 from thermoforce_mpc.simulation.views.explaining import seconds_of
-from thermoforce_mpc.simulation.views.summary import headline, print_summary
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
     import pandas as pd

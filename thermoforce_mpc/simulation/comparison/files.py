@@ -1,4 +1,4 @@
-"""Output files of a comparison: table (Markdown, CSV), JSON and HTML page."""
+"""Output of a comparison: tables (Markdown, CSV, LaTeX), JSON, and one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -9,20 +9,28 @@ from typing import Any
 import pandas as pd
 
 from thermoforce_mpc.simulation.comparison.outcome import (
+    CONFIDENCE,
+    COST,
+    DISCOMFORT,
     KPIS,
+    Difference,
     Row,
     cost_targets,
     failures,
     group_title,
     grouped,
+    in_words,
     outcome_rows,
+    pairs,
     ranked,
+    reference_of,
     verdicts,
 )
-from thermoforce_mpc.simulation.comparison.paired import in_words, pairs, reference_of
 from thermoforce_mpc.simulation.comparison.results_json import results_json
+from thermoforce_mpc.simulation.comparison.store import DONE
 from thermoforce_mpc.simulation.folder.plain_files import write_plain
 from thermoforce_mpc.simulation.folder.run_folder import write_json
+from thermoforce_mpc.simulation.report.page import rendered
 
 HEADINGS = {
     "cost_tot": "cost, {currency}/m²",
@@ -60,8 +68,6 @@ def write_outcome(
     Returns:
         The content of `results.json`, in the format of `results_json`.
     """
-    from thermoforce_mpc.simulation.comparison.page import comparison_page
-
     rows = outcome_rows(records)
     if swept is None:  # a sweep is read in the order of its values
         rows = [row for group in grouped(rows).values() for row in ranked(group)]
@@ -230,3 +236,92 @@ def _variants(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
             },
         )
     return list(variants.values())
+
+
+SCRIPTS = (
+    "base.js",
+    "tip.js",
+    "looks.js",
+    "marks.js",
+    "pareto_panel.js",
+    "pareto.js",
+    "paired.js",
+    "comparison_page.js",
+)
+
+# Of each point of a plot, by the name that the script has for it.
+_POINT = {
+    "name": "controller", "cost": COST, "discomfort": DISCOMFORT, "energy": "ener_tot", "fallbacks": "fallbacks",
+    "pareto": "pareto",
+}  # fmt: skip
+
+
+def comparison_page(rows: Sequence[Row], currency: str, swept: Mapping[str, str] | None = None, **values: Any) -> str:
+    """The page of the rows of a comparison.
+
+    Args:
+        rows: result of `outcome_rows`.
+        currency: currency of the costs.
+        swept: labels, by variant, of the points that a line connects.
+        values: what the template says beside the plots.
+    """
+    data = comparison_data(rows, currency, swept or {})
+    return rendered(
+        "comparison.html.j2", SCRIPTS, data, paired=bool(data["references"]), confidence=CONFIDENCE, **values
+    )
+
+
+def comparison_data(rows: Sequence[Row], currency: str, swept: Mapping[str, str]) -> dict[str, Any]:
+    """What the scripts of the page read, see `assets/pareto.js` and `assets/paired.js`."""
+    finished = [row for row in rows if row["status"] == DONE]
+    names = dict.fromkeys(row["controller"] for row in finished)
+    compared = [pair for name in names for pair in pairs(rows, name)]
+    return {
+        "currency": currency,
+        # Swept values in the order of the sweep: the line joins them in it.
+        "controllers": [
+            {"name": name, "swept": swept.get(name)}
+            for name in [*(name for name in swept if name in names), *(name for name in names if name not in swept)]
+        ],
+        "groups": [
+            {
+                "title": group_title(group),
+                "points": [
+                    {name: row[key] for name, key in _POINT.items()} for row in members if row["status"] == DONE
+                ],
+            }
+            for group, members in grouped(rows).items()
+        ],
+        "references": list(names) if compared else [],
+        "reference": reference_of(rows),
+        "paired": [
+            {
+                "title": _set_title(price, uncertainty),
+                "windows": list(
+                    dict.fromkeys(
+                        r["window"] for r in finished if (r["price"], r["uncertainty"]) == (price, uncertainty)
+                    )
+                ),
+                "differences": [
+                    {
+                        "controller": pair.controller,
+                        "reference": pair.reference,
+                        "windows": pair.windows,
+                        "cost": _difference(pair.cost_percent),
+                        "discomfort": _difference(pair.discomfort_Kh),
+                    }
+                    for pair in compared
+                    if (pair.price, pair.uncertainty) == (price, uncertainty)
+                ],
+            }
+            for price, uncertainty in dict.fromkeys((r["price"], r["uncertainty"]) for r in finished)
+        ],
+    }
+
+
+def _set_title(price: str, uncertainty: str) -> str:
+    return f"{price} tariff" + ("" if uncertainty == "none" else f", {uncertainty} forecast error")
+
+
+def _difference(difference: Difference) -> dict[str, Any]:
+    return {"values": difference.values.tolist(), "mean": difference.mean, "half": difference.half}

@@ -1,19 +1,21 @@
-"""Folder and journal of one run: what is written as it goes on, and what a resumed run finds there."""
+"""Folder and journal of one run: what is written as it goes on, what a resumed run finds, what an ended one leaves."""
 
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from thermoforce_mpc.errors import PlantError
+from thermoforce_mpc.errors import PlantError, StorageError, ThermoForceError, out_of_memory
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
-from thermoforce_mpc.simulation.folder.run_folder import plain_json
+from thermoforce_mpc.simulation.closed_loop import StepRecord
+from thermoforce_mpc.simulation.folder.run_folder import plain_json, write_partial
 from thermoforce_mpc.simulation.journal.journal import (
     FORMAT,
     NAME,
@@ -27,7 +29,8 @@ from thermoforce_mpc.simulation.journal.journal import (
     read_run,
     set_aside,
 )
-from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
+from thermoforce_mpc.simulation.journal.recorded_plant import JournaledPlant
+from thermoforce_mpc.simulation.views.report_again import report_again
 from thermoforce_mpc.version import VERSION
 
 # It becomes a part of addresses.
@@ -179,3 +182,39 @@ def _with_its_loop(path: Path, text: JournalText) -> JournalText:
 def is_real(scenario: Scenario) -> bool:
     """Whether the plant goes on while we are down, so that the journal must outlast a power failure."""
     return scenario.plant.kind == "boptest"
+
+
+def ended_early(book: RunBook, records: Mapping[str, Sequence[StepRecord]], error: BaseException) -> BaseException:
+    """Keep what there is of a run that `error` ended, or remove a folder that says nothing; the error to raise."""
+    lacks_memory = out_of_memory(error)
+    if not (book.has_begun or lacks_memory):
+        with suppress(StorageError, OSError):  # the error that ended the run is the one to tell
+            book.discard()
+        return error
+    kept = _keep(
+        book, records, "out of memory" if lacks_memory else _in_words(error), fault=isinstance(error, Exception)
+    )
+    again = f"tf-mpc resume {shlex.quote(str(book.folder))}"
+    there = f"{kept}; `{again}` goes on from there"
+    if is_real(book.scenario):
+        there += f", `{again} --stop` gives its test back to the service"
+    if lacks_memory:
+        return StorageError(f"out of memory: close other programs, or give the machine more\n{there}")
+    return PlantError(f"{error}\n{there}") if isinstance(error, PlantError) else error
+
+
+def _keep(book: RunBook, records: Mapping[str, Sequence[StepRecord]], reason: str, *, fault: bool) -> str:
+    """Write it, as far as that can be; where it is, in words."""
+    kept = f"What was recorded until then is in {book.folder}"
+    with suppress(StorageError, OSError, MemoryError, JournalError):
+        write_partial(book.folder, records, reason)
+        if fault:
+            report_again(book.folder)
+            kept += ", with a report: report.html"
+    return kept
+
+
+def _in_words(error: BaseException) -> str:
+    if not isinstance(error, Exception):
+        return "interrupted"
+    return str(error) if isinstance(error, ThermoForceError) else f"{type(error).__name__}: {error}"

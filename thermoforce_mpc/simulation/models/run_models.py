@@ -16,7 +16,7 @@ from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.composition import controller_options
 from thermoforce_mpc.simulation.folder.run_folder import file_stem, kept_model, plain_json
 from thermoforce_mpc.simulation.journal.journal_values import Json
-from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
+from thermoforce_mpc.simulation.journal.recorded_plant import JournaledPlant
 from thermoforce_mpc.simulation.models.identifying import (
     IdentificationTask,
     IdentifiedModel,

@@ -12,7 +12,7 @@ from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Layout
 from thermoforce_mpc.plants.kpis import excess
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, in_force
 from thermoforce_mpc.simulation.forecasts import price_paid
-from thermoforce_mpc.simulation.report.packing import Json, exactly, packed, rows_packed
+from thermoforce_mpc.simulation.report.page import Json, exactly, packed, rows_packed
 
 # Bytes of the courses of all runs of a page, before base64 adds a third; of more, consecutive blocks are averaged.
 MOST_BYTES = 800_000

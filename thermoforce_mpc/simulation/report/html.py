@@ -12,20 +12,20 @@ import numpy as np
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.closed_loop import RunResult
-from thermoforce_mpc.simulation.folder.capped import Capped
+from thermoforce_mpc.simulation.findings import Capped, gates_held, planning_of, verdict, watch_spells
 from thermoforce_mpc.simulation.folder.plain_files import write_plain
-from thermoforce_mpc.simulation.folder.planning import planning_of
-from thermoforce_mpc.simulation.report.answers import answers_json
 from thermoforce_mpc.simulation.report.courses import Course, course_of, most_blocks
-from thermoforce_mpc.simulation.report.decisions import decisions_json
-from thermoforce_mpc.simulation.report.forecast_check import forecast_errors, free_forecast_scores
-from thermoforce_mpc.simulation.report.other_levels import other_levels_json
-from thermoforce_mpc.simulation.report.packing import Json
-from thermoforce_mpc.simulation.report.page import UPLOT, rendered
-from thermoforce_mpc.simulation.report.plans import FINEST_K, TEMPERATURES, plans_json
-from thermoforce_mpc.simulation.report.tables import advice, apart, events, kpi_rows
-from thermoforce_mpc.simulation.views.verdict import verdict
-from thermoforce_mpc.simulation.views.watching import gates_held, watch_spells
+from thermoforce_mpc.simulation.report.model_panels import answers_json, other_levels_json
+from thermoforce_mpc.simulation.report.page import UPLOT, Json, rendered
+from thermoforce_mpc.simulation.report.plans import FINEST_K, TEMPERATURES, decisions_json, plans_json
+from thermoforce_mpc.simulation.report.tables import (
+    advice,
+    apart,
+    events,
+    forecast_errors,
+    free_forecast_scores,
+    kpi_rows,
+)
 
 if TYPE_CHECKING:
     from thermoforce_mpc.model.thermal_model import ThermalModel

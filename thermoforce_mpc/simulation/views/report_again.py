@@ -17,10 +17,10 @@ from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.closed_loop import RunResult
 from thermoforce_mpc.simulation.folder.plain_files import check_plain
-from thermoforce_mpc.simulation.folder.results import figures_of
 from thermoforce_mpc.simulation.folder.run_folder import is_complete, kept_model, write_json
-from thermoforce_mpc.simulation.journal.told_results import ToldRun, told_run
+from thermoforce_mpc.simulation.journal.told_steps import ToldRun, told_run
 from thermoforce_mpc.simulation.own_kpis import own_of
+from thermoforce_mpc.simulation.scenario_result import figures_of
 from thermoforce_mpc.simulation.views.explaining import words_of
 
 if TYPE_CHECKING:
