@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import J_PER_KWH, Array, Boundary, Layout, PlanStatus
+from thermoforce_mpc.data import J_PER_KWH, Array, Layout, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.simulation.forecasts import price_paid
 from thermoforce_mpc.simulation.report.courses import RESOLUTION
@@ -21,44 +21,22 @@ LADDER = tuple(PlanStatus)
 _FIRST = ("T_free_C", "T_free_low_C", "T_free_high_C", "T_forced_K")
 
 
-@dataclass(frozen=True)
-class _Decision:
-    """What the page shows of a step: a step itself, with its plan and forecast, is many times larger.
-
-    `first`: values of `_FIRST` at the end of the step (4, Z), NaN where nothing was planned.
-    """
-
-    time_s: float
-    step_s: float
-    T_zone_C: Array
-    T_free_now_C: Array
-    first: Array
-    status: int
-    acting: tuple[int, ...]
-    texts: tuple[str, str, str, str]
-    iterations: int
-    seconds: float
-    parts_s: Mapping[str, float]
-
-    @classmethod
-    def of(cls, step: StepRecord) -> _Decision:
-        plan, names = step.plan, step.boundary.names
-        planned = plan.u.size > 0
-        first = [getattr(plan, name)[:, 0] if planned else np.full(len(names.zones), np.nan) for name in _FIRST]
-        acting = plan.acting if len(plan.acting) == len(names.actuators) else (plan.status,) * len(names.actuators)
-        return cls(
-            step.time_s,
-            step.boundary.step_s,
-            step.T_zone_C,
-            plan.T_free_now_C,
-            np.array(first),
-            LADDER.index(plan.status),
-            tuple(LADDER.index(status) for status in acting),
-            (plan.why, step.refused, "; ".join(step.notes), plan.solver_status),
-            plan.iterations,
-            step.plan_seconds,
-            plan.seconds,
-        )
+def _shown(step: StepRecord) -> dict[str, Any]:
+    """What the page shows of a step: a step itself, with its plan and forecast, is many times larger."""
+    plan, nothing = step.plan, np.full(len(step.boundary.names.zones), np.nan)
+    return {
+        "time_s": step.time_s,
+        "step_s": step.boundary.step_s,
+        "T_zone_C": step.T_zone_C,
+        "T_free_now_C": plan.T_free_now_C,
+        **{name: getattr(plan, name)[:, 0] if plan.u.size else nothing for name in _FIRST},
+        "status": LADDER.index(plan.status),
+        "acting": [LADDER.index(status) for status in step.acting],
+        "texts": (plan.why, step.refused, "; ".join(step.notes), plan.solver_status),
+        "iterations": plan.iterations,
+        "plan_ms": 1e3 * step.plan_seconds,
+        "parts_s": plan.seconds,
+    }
 
 
 def thinning(result: RunResult, most: int = MOST_STEPS) -> int:
@@ -72,39 +50,33 @@ def thinning(result: RunResult, most: int = MOST_STEPS) -> int:
 def decisions_json(result: RunResult, most: int = MOST_STEPS) -> Json:
     """Status, reason, solver and first predicted step of each decision, one of a kind after the other."""
     every = thinning(result, most)
-    decisions = [_Decision.of(step) for step in islice(result.steps, 0, None, every)]
-    parts = dict.fromkeys(part for decision in decisions for part in decision.parts_s)
-    texts, (why, refused, notes, solver) = _numbered([decision.texts for decision in decisions])
-    first = np.array([decision.first for decision in decisions]).transpose(1, 2, 0)
+    shown = [_shown(step) for step in islice(result.steps, 0, None, every)]
+    columns = {name: [row[name] for row in shown] for name in shown[0]}
+    number_of: dict[str, int] = {}
+    numbers = [[number_of.setdefault(text, len(number_of)) for text in texts] for texts in columns["texts"]]
+    why, refused, notes, solver = (list(column) for column in zip(*numbers, strict=True))
+    parts = dict.fromkeys(part for seconds in columns["parts_s"] for part in seconds)
+    parts_ms = {part: [1e3 * seconds.get(part, np.nan) for seconds in columns["parts_s"]] for part in parts}
     return {
         "every": every,
-        "time_s": exactly(np.array([decision.time_s for decision in decisions])),
-        "step_s": exactly(np.array([decision.step_s for decision in decisions])),
-        "T_zone_C": rows_packed(np.array([decision.T_zone_C for decision in decisions]).T, RESOLUTION["T"]),
-        "T_free_now_C": rows_packed(np.array([decision.T_free_now_C for decision in decisions]).T, RESOLUTION["T"]),
-        **{name: rows_packed(rows, RESOLUTION["T"]) for name, rows in zip(_FIRST, first, strict=True)},
+        "time_s": exactly(np.array(columns["time_s"])),
+        "step_s": exactly(np.array(columns["step_s"])),
+        **{
+            name: rows_packed(np.array(columns[name]).T, RESOLUTION["T"])
+            for name in ("T_zone_C", "T_free_now_C", *_FIRST)
+        },
         "statuses": [status.value for status in LADDER],
-        "status": [decision.status for decision in decisions],
-        "acting": list(zip(*(decision.acting for decision in decisions), strict=True)),
+        "status": columns["status"],
+        "acting": list(zip(*columns["acting"], strict=True)),
         "why": why,
         "refused": refused,
         "notes": notes,
         "solver": solver,
-        "iterations": [decision.iterations for decision in decisions],
-        "plan_ms": packed(np.array([1e3 * decision.seconds for decision in decisions]), 0.1),
-        "parts_ms": {
-            part: packed(np.array([1e3 * decision.parts_s.get(part, np.nan) for decision in decisions]), 0.1)
-            for part in parts
-        },
-        "texts": texts,
+        "iterations": columns["iterations"],
+        "plan_ms": packed(np.array(columns["plan_ms"]), 0.1),
+        "parts_ms": {part: packed(np.array(ms), 0.1) for part, ms in parts_ms.items()},
+        "texts": list(number_of),
     }
-
-
-def _numbered(rows: Iterable[Sequence[str]]) -> tuple[list[str], list[list[int]]]:
-    """The different texts of rows (n, k), and k columns of n numbers among them."""
-    number_of: dict[str, int] = {}
-    numbers = [[number_of.setdefault(text, len(number_of)) for text in row] for row in rows]
-    return list(number_of), [list(column) for column in zip(*numbers, strict=True)]
 
 
 # Bytes of all plans in the page, before base64 adds a third; more are thinned to every other step, every fourth, ….
@@ -124,16 +96,17 @@ def plans_json(result: RunResult, layout: Layout, area_m2: float) -> Json | None
     n = max((step.plan.u.shape[-1] for step in result.steps), default=0)
     if not n:
         return None
-    every = _thinning(result, n)
-    times, lengths, plans = [], [], []
-    last_boundary: Boundary | None = None
+    Z, A = len(layout.names.zones), len(layout.names.actuators)
+    # A byte of each temperature and level, two of the cost. All plans are of instants whose decisions are shown.
+    every = thinning(result)
+    while len(result.steps) / every * (4 * Z + A + 2) * n > MOST_BYTES:
+        every *= 2
+    times, lengths, plans, last_boundary = [], [], [], result.steps[-1].boundary
     for step in islice(result.steps, 0, None, every):
         times.append(step.time_s)
         lengths.append(step.boundary.step_s)
-        plans.append(_rows(step, layout, area_m2))
+        plans.append(_courses(step, layout, area_m2))
         last_boundary = step.boundary
-    assert last_boundary is not None  # n > 0: there is a step
-    Z, A = len(layout.names.zones), len(layout.names.actuators)
 
     def over(name: str, rows: int) -> Array:
         """Rows of each kept plan (rows, P, n)."""
@@ -152,41 +125,25 @@ def plans_json(result: RunResult, layout: Layout, area_m2: float) -> Json | None
         **{name: [smooth(row, FINEST_K, _COARSEST_K) for row in over(name, Z)] for name in TEMPERATURES},
         "u": rows_packed(over("u", A), _LEVEL, bits=8),
         "cost": packed(over("cost", 1)[0], RESOLUTION["cost"]),
-        "ahead": _bounds_ahead(last_boundary, n),
+        # The comfort bounds that the last plan looks ahead to: what was measured ends where it begins.
+        "ahead": {
+            "time_s": exactly(last_boundary.time_s[:n]),
+            "lower_C": rows_packed(last_boundary.lower_C[:, :n], RESOLUTION["T"]),
+            "upper_C": rows_packed(last_boundary.upper_C[:, :n], RESOLUTION["T"]),
+        },
     }
 
 
-def _thinning(result: RunResult, n: int) -> int:
-    """Of how many plans one is kept, 1, 2, 4, …: all of them are of instants whose decisions are shown."""
-    # A byte of each temperature and level, two of the cost.
-    per_plan = (4 * len(result.names.zones) + len(result.names.actuators) + 2) * n
-    every = thinning(result)
-    while len(result.steps) / every * per_plan > MOST_BYTES:
-        every *= 2
-    return every
+def _courses(step: StepRecord, layout: Layout, area_m2: float) -> Mapping[str, Array]:
+    """Planned courses of a step by name (rows, N); none where nothing was planned.
 
-
-def _rows(step: StepRecord, layout: Layout, area_m2: float) -> Mapping[str, Array]:
-    """Planned courses of a step by name (rows, N); none where nothing was planned."""
-    plan = step.plan
+    `cost` (1, N): per m² until the end of each step, at the prices the plan was made with; NaN without power.
+    """
+    plan, boundary = step.plan, step.boundary
     if not plan.u.size:
         return {}
-    return {name: getattr(plan, name) for name in (*TEMPERATURES, "u")} | {"cost": _planned_cost(step, layout, area_m2)}
-
-
-def _planned_cost(step: StepRecord, layout: Layout, area_m2: float) -> Array:
-    """Planned cost per m² until the end of each step (1, N), at the prices it was made with; NaN without power."""
-    boundary, u = step.boundary, step.plan.u
-    n = min(step.plan.power_W.shape[-1], boundary.n_steps)
-    price = price_paid(u[:, :n], boundary.price_per_kWh[:, :n], boundary.heating_price_per_kWh[:, :n], layout)
-    spent = (step.plan.power_W[:, :n] * price).sum(axis=0) * boundary.step_s
-    return np.asarray(np.cumsum(spent) / J_PER_KWH / area_m2)[None]
-
-
-def _bounds_ahead(boundary: Boundary, n: int) -> Json:
-    """The comfort bounds that the last plan looks ahead to: what was measured ends where it begins."""
-    return {
-        "time_s": exactly(boundary.time_s[:n]),
-        "lower_C": rows_packed(boundary.lower_C[:, :n], RESOLUTION["T"]),
-        "upper_C": rows_packed(boundary.upper_C[:, :n], RESOLUTION["T"]),
-    }
+    n = min(plan.power_W.shape[-1], boundary.n_steps)
+    prices = boundary.price_per_kWh[:, :n], boundary.heating_price_per_kWh[:, :n]
+    spent = (plan.power_W[:, :n] * price_paid(plan.u[:, :n], *prices, layout)).sum(axis=0) * boundary.step_s
+    cost = np.cumsum(spent)[None] / J_PER_KWH / area_m2
+    return {name: getattr(plan, name) for name in (*TEMPERATURES, "u")} | {"cost": cost}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from typing import Self
@@ -28,6 +29,8 @@ Kpis = Callable[[], Mapping[str, float]]
 _SHORT_S = 5.0
 # Where nothing can be overwritten, the first line of progress comes after this time, s, the next after twice that, ….
 SAID_AFTER_S = 60.0
+# Steps that are counted, in the order in which they are said.
+_ODD = ("bridged", "gate", "watch", "fallbacks")
 # Characters of a message: it may list many things, and quote what comes from elsewhere.
 _MOST_SHOWN = 20_000
 
@@ -69,20 +72,19 @@ class LoopDisplay(_Line):
         self._so_far = ""
         self._days_done = 0
         self._began, self._next_said_s = time.monotonic(), SAID_AFTER_S
-        self._fallbacks, self._bridged, self._gated, self._watched = 0, 0, 0, 0
+        self._odd: Counter[str] = Counter()
 
     def __exit__(self, *exception: object) -> None:
         super().__exit__(*exception)
         if exception[0] is None and not self._quiet:
             days = f"{self._days:g} day{'' if self._days == 1 else 's'}"
-            self._print(f"{self._controller}: {days} in {self._took()}{self._so_far}{self._odd()}")
+            self._print(f"{self._controller}: {days} in {self._took()}{self._so_far}{self._odd_steps()}")
 
     def step(self, record: StepRecord) -> None:
         """Update the display with one control step."""
-        self._fallbacks += record.plan.status.fallen_back or bool(record.refused)
-        self._bridged += record.plan.status is PlanStatus.BRIDGED
-        self._gated += record.plan.status is PlanStatus.GATE
-        self._watched += record.plan.status is PlanStatus.WATCH
+        status = record.plan.status
+        self._odd.update([status.value] * (status in (PlanStatus.BRIDGED, PlanStatus.GATE, PlanStatus.WATCH)))
+        self._odd.update(["fallbacks"] * (status.fallen_back or bool(record.refused)))
         if self._quiet:
             return
         if record.plan.news:
@@ -121,17 +123,11 @@ class LoopDisplay(_Line):
         )
         solve_s = record.plan.seconds.get("solve")
         line += f"  solve {1e3 * solve_s:.0f} ms" if solve_s is not None else ""
-        return line + self._left(day) + self._odd()
+        return line + self._left(day) + self._odd_steps()
 
-    def _odd(self) -> str:
+    def _odd_steps(self) -> str:
         """How many steps were not as planned, by what held them."""
-        counts = {
-            "bridged": self._bridged,
-            "gate": self._gated,
-            "watch": self._watched,
-            "fallbacks": self._fallbacks,
-        }
-        return "".join(f"  {name} {n}" for name, n in counts.items() if n)
+        return "".join(f"  {name} {self._odd[name]}" for name in _ODD if self._odd[name])
 
     def _left(self, day: float) -> str:
         """How long the rest of the loop takes if it goes on as until now; nothing where that is seconds."""
