@@ -143,59 +143,52 @@ def _model(scenario: Scenario, testcase: TestCase, plant: Plant, model: Identifi
             raise DataError(model.refused)
         return model.refused
     with tempfile.TemporaryDirectory() as folder:
-        saved = Path(folder) / "model"
-        write_folder(saved, model.files)
+        write_folder(saved := Path(folder) / "model", model.files)
         spec = scenario.identification.model_copy(update={"model": str(saved)})
         return model_for(scenario.model_copy(update={"identification": spec}), testcase, plant)
 
 
 def _head(cell: Cell) -> dict[str, Any]:
+    scenario = cell.scenario
     return {
         "format": FORMAT,
         "key": cell.key,
         "version": VERSION,
         "source": source_fingerprint(),
         "variant": cell.variant,
-        "controller": cell.scenario.controller.name,
-        "needs_model": find_entry(cell.scenario.controller.name).needs_model,
+        "controller": scenario.controller.name,
+        "needs_model": find_entry(scenario.controller.name).needs_model,
         "window": cell.window,
         "price": cell.price,
         "uncertainty": cell.uncertainty,
-        "model": cell.identification_key or cell.scenario.identification.model,
-        "scenario": cell.scenario.model_dump(mode="json"),
+        "model": cell.identification_key or scenario.identification.model,
+        "scenario": scenario.model_dump(mode="json"),
     }
 
 
 def _record(cell: Cell, result: RunResult, plant: PlantInfo) -> dict[str, Any]:
-    """Record of a finished cell: what it is, its KPIs, plans by status and computing times."""
-    kpis = {name: value for name, value in result.kpis.items() if name != "time_rat"}
+    """Record of a finished cell: what it is, its KPIs, plans by status and computing times, s."""
+    steps, plans = result.steps, [step.plan_seconds for step in result.steps]
+    parts = {name for step in steps for name in step.plan.seconds}
     return _head(cell) | {
         "status": DONE,
         "reason": "",
         "start_day": result.period.start_s / DAY_S,
         "scored_days": result.period.scored_s / DAY_S,
         "plant": asdict(plant),
-        "kpis": kpis,
+        "kpis": {name: value for name, value in result.kpis.items() if name != "time_rat"},
         "fallback_levels": result.fallback_levels(),
-        "seconds": _seconds(result.steps, result.seconds),
-    }
-
-
-def _seconds(steps: Sequence[StepRecord], total: float) -> dict[str, float]:
-    """Computing times, s: totals over the run, and medians per step of the plan and its parts."""
-    plans = [step.plan_seconds for step in steps]
-    parts = {name for step in steps for name in step.plan.seconds}
-    medians = {
-        f"{name}_median": statistics.median(step.plan.seconds.get(name, 0.0) for step in steps)
-        for name in sorted(parts)
-    }
-    return {
-        "total": total,
-        "controller": sum(plans),
-        "plant": sum(step.plant_seconds for step in steps),
-        "plan_median": statistics.median(plans),
-        "plan_longest": max(plans),
-        **medians,
+        "seconds": {
+            "total": result.seconds,
+            "controller": sum(plans),
+            "plant": sum(step.plant_seconds for step in steps),
+            "plan_median": statistics.median(plans),
+            "plan_longest": max(plans),
+        }
+        | {
+            f"{name}_median": statistics.median(step.plan.seconds.get(name, 0.0) for step in steps)
+            for name in sorted(parts)
+        },
     }
 
 
@@ -214,26 +207,23 @@ class EqualComfort:
     def beside(self, cells: Sequence[Cell], records: Sequence[Record]) -> list[dict[str, Any]]:
         """The records (of `cells`), those of controllers with a model with the thermostat that is as comfortable.
 
-        It is searched from the first thermostat of the same window, tariff and forecast error.
+        It is searched from the first thermostat of the same window, tariff and forecast error, by runs that are cells
+        of the comparison too: stored, found again.
 
         Raises:
             PlantError: the plant failed.
         """
-        thermostats: dict[tuple[str, str, str], tuple[Cell, Record]] = {}
-        for cell, record in zip(cells, records, strict=True):
-            if record["status"] == DONE and record["controller"] == THERMOSTAT:
-                thermostats.setdefault(cell.group, (cell, record))
-        found = []
-        for cell, record in zip(cells, records, strict=True):
-            own = dict(record)
-            if record["status"] == DONE and record["needs_model"] and cell.group in thermostats:
+        pairs = list(zip(cells, map(dict[str, Any], records), strict=True))
+        done = [(cell, record) for cell, record in pairs if record["status"] == DONE]
+        thermostats = {c.group: (c, record) for c, record in reversed(done) if record["controller"] == THERMOSTAT}
+        for cell, record in done:
+            if record["needs_model"] and cell.group in thermostats:
                 thermostat, at_its_own = thermostats[cell.group]
                 run = partial(self._shifted, thermostat)
                 equal = as_comfortable(run, at_its_own["kpis"], record["kpis"][DISCOMFORT])
-                own["equal_comfort"] = equal.to_json(record["kpis"][COST], self.testcase.currency)
-                self.say(f"{cell.title}: {own['equal_comfort']['in_words']}")
-            found.append(own)
-        return found
+                record["equal_comfort"] = equal.to_json(record["kpis"][COST], self.testcase.currency)
+                self.say(f"{cell.title}: {record['equal_comfort']['in_words']}")
+        return [record for _, record in pairs]
 
     def _shifted(self, thermostat: Cell, shift_K: float) -> Mapping[str, float]:
         """KPIs of a thermostat with other set-points, run in this process where they are not stored."""
@@ -241,8 +231,6 @@ class EqualComfort:
         cell = varied(thermostat, f"{THERMOSTAT} {shift_K:+.2f} K", options, self.inputs)
         record = self.store.finished(cell)
         if record is None:
-            ran = follow(cell)
-            self.store.write(cell, ran)
+            self.store.write(cell, ran := follow(cell))
             record = ran.record
-        kpis: Mapping[str, float] = record["kpis"]
-        return kpis
+        return dict(record["kpis"])
