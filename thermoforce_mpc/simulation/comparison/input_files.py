@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, WithJsonSchema
 
@@ -18,8 +18,11 @@ from thermoforce_mpc.execution import Task
 from thermoforce_mpc.execution.keys import digest
 from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.model.free_response.registry import may_be_file
-from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
+from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.models.identifying import IdentificationTask
+
+Change = Callable[[str], str]
+_Inputs = TypeVar("_Inputs", Scenario, IdentificationTask)
 
 
 @dataclass(frozen=True)
@@ -87,60 +90,63 @@ def task_of(files: InputFiles) -> Task:
     return Task(digest({"files": files.hashes}), ", ".join(files.hashes), InputFiles.read, files)
 
 
-def paths_of(scenario: Scenario) -> list[str]:
-    """Paths that a run of `scenario` reads."""
-    testcase_files = [scenario.testcase] if _is_file(scenario.testcase) else []
-    models = [scenario.identification.model] if scenario.identification.model else []
-    of_options = named_files(scenario.controller.name, scenario.controller.options)
-    return [*testcase_files, *scenario.plant.files().values(), *models, *of_options]
+def paths_of(inputs: _Inputs) -> list[str]:
+    """Paths that a run or an identification reads."""
+    found: list[str] = []
+
+    def note(path: str) -> str:
+        found.append(path)
+        return path
+
+    def note_option(text: str) -> str:
+        return note(text) if _is_there(text) else text
+
+    _with_paths(inputs, note, note_option)
+    return found
 
 
 def named_files(controller: str, options: Mapping[str, Any]) -> list[str]:
     """Files and folders named in options of a controller, such as a forecaster's checkpoint."""
-    files = []
+    texts: list[str] = []
 
-    def collect(text: str) -> str:
-        if text and Path(text).expanduser().exists():
-            files.append(text)
+    def note(text: str) -> str:
+        texts.append(text)
         return text
 
-    with_files(controller, options, collect)
-    return files
+    with_files(controller, options, note)
+    return [text for text in texts if _is_there(text)]
 
 
-def _is_file(testcase: str) -> bool:
-    return Path(testcase).suffix in (".yaml", ".yml")
+def moved(inputs: _Inputs, where: Mapping[str, str]) -> _Inputs:
+    """What a run or an identification is made from, with the files of `where`."""
+
+    def move(path: str) -> str:
+        return where.get(path, path)
+
+    return _with_paths(inputs, move, move)
 
 
-def moved_plant(spec: PlantSpec, where: Mapping[str, str]) -> PlantSpec:
-    """`spec` with the files of `where`."""
-    return spec.model_copy(update={field: where.get(path, path) for field, path in spec.files().items()})
-
-
-def paths_of_task(task: IdentificationTask) -> list[str]:
-    """Paths that an identification reads."""
-    return [*task.plant.files().values(), *([task.probed_files] if task.probed_files else [])]
-
-
-def moved_task(task: IdentificationTask, where: Mapping[str, str]) -> IdentificationTask:
-    """`task` with the files of `where`."""
-    probed = where.get(task.probed_files or "", task.probed)
-    return replace(task, plant=moved_plant(task.plant, where), probed=probed)
-
-
-def moved_scenario(scenario: Scenario, where: Mapping[str, str]) -> Scenario:
-    """`scenario` with the files of `where`."""
-    model = scenario.identification.model
-    controller = scenario.controller
-    options = with_files(controller.name, controller.options, lambda path: where.get(path, path))
-    testcase = scenario.testcase
+def _with_paths(inputs: _Inputs, change: Change, in_options: Change) -> _Inputs:
+    """`inputs` with `change` applied to each path, and `in_options` to each text of options that may be one."""
+    spec = inputs.plant
+    plant = spec.model_copy(update={field: change(path) for field, path in spec.files().items()})
+    if isinstance(inputs, IdentificationTask):
+        return replace(inputs, plant=plant, probed=change(inputs.probed_files) if inputs.probed_files else None)
+    testcase, controller, identification = inputs.testcase, inputs.controller, inputs.identification
     update = {
-        "testcase": where.get(testcase, testcase) if _is_file(testcase) else testcase,
-        "plant": moved_plant(scenario.plant, where),
-        "identification": scenario.identification.model_copy(update={"model": where.get(model or "", model)}),
-        "controller": controller.model_copy(update={"options": options}),
+        "testcase": change(testcase) if Path(testcase).suffix in (".yaml", ".yml") else testcase,
+        "plant": plant,
+        "controller": controller.model_copy(
+            update={"options": with_files(controller.name, controller.options, in_options)}
+        ),
     }
-    return scenario.model_copy(update=update)
+    if identification.model:
+        update["identification"] = identification.model_copy(update={"model": change(identification.model)})
+    return inputs.model_copy(update=update)
+
+
+def _is_there(text: str) -> bool:
+    return bool(text) and Path(text).expanduser().exists()
 
 
 def _file_at(path: str, name: str) -> Path:
@@ -155,9 +161,6 @@ def _has_content(path: str, hashes: Mapping[str, str]) -> bool:
         return False
 
 
-Change = Callable[[str], str]
-
-
 def with_files(controller: str, options: Mapping[str, Any], change: Change) -> dict[str, Any]:
     """Options of a controller with `change` applied to each text that may name a file or folder.
 
@@ -168,18 +171,18 @@ def with_files(controller: str, options: Mapping[str, Any], change: Change) -> d
 
 
 def _change_model(model: type[BaseModel], values: Mapping[str, Any], change: Change) -> dict[str, Any]:
-    return {key: _change_field(model, key, values, change) for key in values}
-
-
-def _change_field(model: type[BaseModel], key: str, values: Mapping[str, Any], change: Change) -> Any:
-    field, value = model.model_fields.get(key), values[key]
-    # `one_of` marks a name of a registry.
-    if field is None or value == field.default or any(isinstance(mark, WithJsonSchema) for mark in field.metadata):
-        return value
-    if key == "options" and _is_free_response(model):
-        name = values.get("name") or model.model_fields["name"].default
-        return {option: change(v) if may_be_file(name, option, v) else v for option, v in value.items()}
-    return _change_value(field.annotation, value, change)
+    changed = dict(values)
+    for key, value in values.items():
+        field = model.model_fields.get(key)
+        # `one_of` marks a name of a registry.
+        if field is None or value == field.default or any(isinstance(mark, WithJsonSchema) for mark in field.metadata):
+            continue
+        if key == "options" and _is_free_response(model):
+            name = values.get("name") or model.model_fields["name"].default
+            changed[key] = {option: change(v) if may_be_file(name, option, v) else v for option, v in value.items()}
+        else:
+            changed[key] = _change_value(field.annotation, value, change)
+    return changed
 
 
 def _is_free_response(model: type[BaseModel]) -> bool:

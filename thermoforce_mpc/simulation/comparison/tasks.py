@@ -29,10 +29,8 @@ from thermoforce_mpc.simulation.comparison.input_files import (
     NO_FILES,
     SentFiles,
     input_files,
-    moved_scenario,
-    moved_task,
+    moved,
     paths_of,
-    paths_of_task,
     task_of,
 )
 from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT
@@ -69,7 +67,7 @@ def tasks_of(cells: Iterable[Cell]) -> list[Task]:
     for cell in cells:
         needs = file_tasks(paths_of(cell.scenario))
         if cell.task is not None and cell.identification_key is not None:
-            read = file_tasks(paths_of_task(cell.task))
+            read = file_tasks(paths_of(cell.task))
             needs += (Task(cell.identification_key, cell.identification_title, identified, cell.task, read),)
         tasks.append(Task(cell.key, cell.title, follow, cell, needs))
     return tasks
@@ -88,7 +86,7 @@ def identified(task: IdentificationTask, files: SentFiles = NO_FILES) -> Identif
     """
     try:
         with files.at_hand() as where:
-            task = moved_task(task, where)
+            task = moved(task, where)
             with closing(build_plant(task.plant, task.testcase, task.seed, task.comfort)) as plant:
                 model = run_identification(task, plant, on_progress=lambda p: tell(p.days / p.planned_days))
     except DataError as error:
@@ -107,7 +105,7 @@ def follow(cell: Cell, *needs: SentFiles | Identified) -> Ran:
     files = next((need for need in needs if isinstance(need, SentFiles)), NO_FILES)
     model = next((need for need in needs if isinstance(need, Identified)), None)
     with files.at_hand() as where:
-        scenario = moved_scenario(cell.scenario, where)
+        scenario = moved(cell.scenario, where)
         name, testcase = scenario.controller.name, load_testcase(scenario.testcase)
         with closing(build_plant(scenario.plant, testcase, scenario.seed, scenario.comfort)) as plant:
             period = scored_period(plant, scenario.period, scenario.days)
@@ -208,10 +206,7 @@ class EqualComfort:
         """The records (of `cells`), those of controllers with a model with the thermostat that is as comfortable.
 
         It is searched from the first thermostat of the same window, tariff and forecast error, by runs that are cells
-        of the comparison too: stored, found again.
-
-        Raises:
-            PlantError: the plant failed.
+        of the comparison too: stored, found again. Raises `PlantError`.
         """
         pairs = list(zip(cells, map(dict[str, Any], records), strict=True))
         done = [(cell, record) for cell, record in pairs if record["status"] == DONE]
