@@ -31,13 +31,7 @@ _A_FEW = 3
 # Hours ahead in which accepted discomfort counts.
 _SOON_H = 6.0
 # Solvers by the first word of their status.
-_SOLVERS = {
-    "ipopt": "Ipopt",
-    "piqp": "PIQP",
-    "sqp": "SQP",
-    "highs": "HiGHS",
-    "policy": "a trained policy",
-}
+_SOLVERS = {"ipopt": "Ipopt", "piqp": "PIQP", "sqp": "SQP", "highs": "HiGHS", "policy": "a trained policy"}
 
 
 @dataclass(frozen=True)

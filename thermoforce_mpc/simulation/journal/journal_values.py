@@ -14,18 +14,7 @@ from typing import Any
 import numpy as np
 
 from boptest_client import safe_text
-from thermoforce_mpc.data import (
-    ACTING,
-    CONDITIONS,
-    SIGNALS,
-    Array,
-    Block,
-    Boundary,
-    Measurement,
-    Names,
-    Plan,
-    Record,
-)
+from thermoforce_mpc.data import ACTING, CONDITIONS, SIGNALS, Array, Block, Boundary, Measurement, Names, Plan, Record
 
 Json = dict[str, Any]
 
