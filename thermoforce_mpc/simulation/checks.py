@@ -46,10 +46,8 @@ def check_contestants(scenario: Scenario, testcase: TestCase) -> None:
     With a saved model that is all of them, without one what they forecast with. The probing that is taken is read too.
 
     Raises:
-        ConfigError: options, the model or the forecaster cannot be used.
-        ArtifactError: the saved model cannot be read.
-        JournalError: the probing of an earlier run cannot be used.
-        BackboneError: the forecaster's weights cannot be loaded.
+        ConfigError, ArtifactError, JournalError, BackboneError: options, saved model, probing of an earlier run, or the
+            forecaster's weights cannot be used.
     """
     contestants = [name for name in (scenario.controller.name, *scenario.baselines) if find_entry(name).needs_model]
     model = saved_model(scenario, testcase) if contestants and scenario.identification.model is not None else None

@@ -45,12 +45,7 @@ _PRICE_STEP_S = 900.0
 
 
 def attached_plant(scenario: Scenario, testcase: TestCase, testid: str) -> Plant:
-    """The plant of a scenario at a service that has its test `testid` already.
-
-    Raises:
-        NoSuchTest: the service no longer has it.
-        PlantError: the service does not answer.
-    """
+    """The plant of a scenario at a service that has its test `testid` already; raises `NoSuchTest`, `PlantError`."""
     plant = boptest_plant(scenario.plant, testcase, None, scenario.seed, testid)
     return with_comfort(plant, scenario.comfort, testcase)
 
@@ -116,11 +111,7 @@ def run_in_scenario(
 
 
 def check_prices(scenario: Scenario, period: Period, ahead_s: float = 0.0) -> None:
-    """Refuse a file of prices that ends before the window `period` does, or forecasts of `ahead_s` beyond it, s.
-
-    Raises:
-        ConfigError: the file ends earlier; names it.
-    """
+    """Refuse (`ConfigError`) a file of prices that ends before the window does, or forecasts `ahead_s` beyond it do."""
     if scenario.plant.prices_file is None or scenario.price != "highly_dynamic":
         return
     with warnings.catch_warnings():
@@ -144,11 +135,7 @@ def check_window(name: str, key: str = "period") -> None:
 
 
 def check_windows(names: Iterable[str], spec: PlantSpec, testcase: TestCase) -> None:
-    """Refuse windows that the plant of a scenario does not have, as far as that is known without it.
-
-    Raises:
-        ConfigError: names the window and those there are; also for a start day written in two ways.
-    """
+    """Refuse windows that the plant does not have, as far as that is known without it; raises `ConfigError`."""
     windows_of_plant = cache(partial(windows_of, spec, testcase))  # may open an FMU
     days: dict[float, str] = {}
     for name in names:

@@ -54,11 +54,7 @@ def examine(
 ) -> Iterator[Finding]:
     """Run the checks, one finding after the other; whatever a check raises is its finding.
 
-    Args:
-        testcase: test case to look for at the service.
-        url: address of a BOPTEST service; without it that check is skipped.
-        folder: where runs are written.
-        only: names of the checks to run, by default all.
+    `testcase`: what to look for at the service at `url`, if any; `folder`: where runs are written; `only`: their names.
 
     Raises:
         ConfigError: there is no check of a name in `only`.

@@ -231,14 +231,7 @@ _CALLED = {"native": "the building's own controller", "thermostat": "an on/off t
 
 
 def verdict(controller: str, everyone: Mapping[str, Kpis], currency: str, days: float) -> str:
-    """One sentence on `controller` beside the others of a run.
-
-    Args:
-        controller: name of the controller that it is about.
-        everyone: KPIs by controller; `cost_tot`, currency/m², and `tdis_tot`, K·h.
-        currency: of the costs.
-        days: scored days.
-    """
+    """One sentence on `controller` beside the others of a run, by `cost_tot`, `currency`/m², and `tdis_tot`, K·h."""
     own = everyone[controller]
     if not own.keys() >= {COST, DISCOMFORT}:
         return f"{controller}: the plant gives no cost or no discomfort."

@@ -98,10 +98,7 @@ def run(
 
 
 def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, command: Sequence[str]) -> Path:
-    """Run a scenario and its baselines, print the KPI table, and write the run folder.
-
-    Returns:
-        The run folder.
+    """Run a scenario and its baselines, print the KPI table, and write the run folder, which is returned.
 
     Raises:
         InputError: something given cannot be used, or another run has the folder; nothing is left behind.
@@ -129,11 +126,8 @@ def resume_run(
 ) -> Path:
     """Go on with a run that was ended before its time, from its journal; the result is that of an undisturbed run.
 
-    Args:
-        folder: run folder.
-        display: where it is shown.
-        since: line of the journal, or a time (`seconds_of`), from which on its records are lost.
-        given, code: settings that act outside the folder, by key, and files of Python, see `with_given`.
+    `since`: line of the journal, or a time (`seconds_of`), from which on its records are lost; `given`, `code`: as of
+    `with_given`.
 
     Raises:
         ConfigError: the journal names something outside that is neither known nor given; there is a link in the folder.
@@ -153,12 +147,7 @@ def resume_run(
 
 
 def stop_test(folder: Path, given: Mapping[str, str] | None = None, code: Sequence[str] = ()) -> None:
-    """Stop the test that a run has at a service, which then cannot go on; arguments as of `resume_run`.
-
-    Raises:
-        ConfigError: the run has none.
-        JournalError, NoSuchTest, PlantError: as `resume_run`.
-    """
+    """Stop the test that a run has at a service, which then cannot go on; arguments and errors as of `resume_run`."""
     with sole_use(folder):
         book = _reopened(folder, given, code)
         with closing(book.journal):
@@ -216,9 +205,8 @@ def _execute(
 ) -> ScenarioResult:
     """Build, identify unless there is a `model`, run everyone; `records` keeps the steps if the plant fails.
 
-    `own` are KPIs beside those that the scenario names.
-
-    With a `book`, all that the controllers get is written to its journal, or taken from it.
+    With a `book`, all that the controllers get is written to its journal, or taken from it. `own`: KPIs beside the
+    scenario's.
     """
     testcase = validate_scenario(scenario)
     own = (*own_kpis(scenario.kpis), *own)

@@ -73,11 +73,7 @@ class ScenarioResult:
         return {name: planning_of(result, self.models.get(name)) for name, result in self._results().items()}
 
     def to_dataframe(self, controller: str | None = None) -> pd.DataFrame:
-        """The trajectory of a controller, by default the scenario's own; one row per applied block.
-
-        Raises:
-            ConfigError: no controller of that name was run.
-        """
+        """The trajectory of a controller, by default the scenario's own, a row a block; raises `ConfigError`."""
         results = self._results()
         name = controller or self.result.controller
         if name not in results:
@@ -95,11 +91,7 @@ class ScenarioResult:
 
 
 def write_results(folder: Path, outcome: ScenarioResult, command: Sequence[str], currency: str) -> dict[str, Any]:
-    """Write resolved configuration, trajectories, step log, KPIs and the manifest with hashes of the other files.
-
-    Returns:
-        The content of `kpis.json`.
-    """
+    """Write configuration, trajectories, step log, KPIs, manifest with hashes; returns what `kpis.json` holds."""
     scenario, plant, result, baselines = outcome.scenario, outcome.plant, outcome.result, outcome.baselines
     resolved = yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False)
     write_plain(folder / "scenario.yaml", resolved)

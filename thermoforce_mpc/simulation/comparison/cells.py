@@ -131,8 +131,7 @@ def _cell(name: str, scenario: Scenario, provenance: Mapping[str, Any], hash_of:
     """The cell of a scenario. Its keys are hashes of all inputs of the run and of the identification.
 
     For a controller without a model the identification settings are not part of the key, so that its runs are reused
-    beside any other controller. The key of an identification includes the source hash: models have no result file of
-    their own in which a change of the source code could be reported.
+    beside any other. That of an identification includes the source: models have no result file that reports a change.
     """
     testcase = validate_scenario(scenario)
     controller = scenario.controller.name

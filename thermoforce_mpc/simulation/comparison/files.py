@@ -57,18 +57,9 @@ def write_outcome(
     currency: str,
     swept: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """Write `table.md`, `table.csv`, `results.json` and `comparison.html` into `folder`.
+    """Write `table.md`, `table.csv`, `results.json`, whose content is returned, and `comparison.html` into `folder`.
 
-    Args:
-        folder: folder of the comparison.
-        records: results of its cells.
-        name: 'compare' or 'sweep', for the JSON.
-        title: heading of the page and the table.
-        currency: of the test case.
-        swept: labels, by variant, of the points connected by a line.
-
-    Returns:
-        The content of `results.json`.
+    `records`: results of the cells; `name`: 'compare' or 'sweep'; `swept`: labels, by variant, of points on a line.
     """
     rows = outcome_rows(records)
     if swept is None:  # a sweep is read in the order of its values

@@ -164,8 +164,7 @@ def _has_content(path: str, hashes: Mapping[str, str]) -> bool:
 def with_files(controller: str, options: Mapping[str, Any], change: Change) -> dict[str, Any]:
     """Options of a controller with `change` applied to each text that may name a file or folder.
 
-    Raises:
-        ConfigError: there is no such controller or free response.
+    That is free text, but no name of a registry, choice or default. Raises `ConfigError` for an unknown controller.
     """
     return _change_model(find_entry(controller).config(), options, change)
 

@@ -97,11 +97,7 @@ def _cheaper(row: Row, other: Row) -> bool:
 
 
 def verdicts(rows: Iterable[Row]) -> list[str]:
-    """Findings, one or more sentences per group: best values, and comparisons that a baseline wins.
-
-    A baseline is a controller without a model. It beats a model-based controller where it dominates it; a baseline that
-    is only cheaper or only more comfortable is listed too.
-    """
+    """Findings, one or more sentences per group: best values, and comparisons won by a controller without a model."""
     lines: list[str] = []
     for group, members in grouped(rows).items():
         title = group_title(group)

@@ -42,11 +42,7 @@ from thermoforce_mpc.version import VERSION
 
 
 def tasks_of(cells: Iterable[Cell]) -> list[Task]:
-    """A task for each cell, with the files and the identification it needs, which cells share.
-
-    Raises:
-        ConfigError: an input file cannot be read.
-    """
+    """A task for each cell, with the files and the identification it needs, which cells share; raises `ConfigError`."""
     files: dict[tuple[str, ...], tuple[Task, ...]] = {}
 
     def file_tasks(paths: Iterable[str]) -> tuple[Task, ...]:
@@ -72,11 +68,7 @@ def failure(cell: Cell, reason: str) -> dict[str, Any]:
 
 
 def identified(task: IdentificationTask, files: SentFiles = NO_FILES) -> Identified:
-    """Probe and identify; where the data cannot be fitted, the reason takes the model's place.
-
-    Raises:
-        PlantError: the plant failed.
-    """
+    """Probe and identify; where the data cannot be fitted, the reason takes the model's place. Raises `PlantError`."""
     try:
         with files.at_hand() as where:
             task = moved(task, where)

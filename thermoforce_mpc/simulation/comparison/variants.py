@@ -128,12 +128,9 @@ def numeric_option(controller: str, key: str) -> str:
 
 
 def variant_scenario(base: Scenario, variant: Variant, window: str, price: str, uncertainty: str) -> Scenario:
-    """Scenario of one cell: `base` with this variant, window, tariff and forecast error level.
+    """Scenario of one cell: `base` with this variant, window, tariff and forecast error level; raises `ConfigError`.
 
     The controller's options are those of `base` where it is the same controller, then the variant's.
-
-    Raises:
-        ConfigError: the variant's `identification` has wrong keys.
     """
     data = base.model_dump()
     over: dict[str, Any] = {

@@ -141,11 +141,7 @@ class Building:
 
 
 def buildings_of(file: FleetFile, path: Path) -> list[Building]:
-    """All buildings of the fleet file at `path`.
-
-    Raises:
-        ConfigError: a name twice, an unknown test case, or a table that cannot be used; names file and row.
-    """
+    """All buildings of the fleet file at `path`; raises `ConfigError` naming file and row."""
     buildings: dict[str, Building] = {}
     for number, source in enumerate(file.buildings):
         for building in _from_source(source, path, f"{path}: buildings.{number}"):

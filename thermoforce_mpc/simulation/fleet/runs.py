@@ -66,11 +66,7 @@ def _run(building: Building, cell: Cell) -> Run:
 
 
 def tasks_of(runs: Sequence[Run]) -> list[Task]:
-    """A task for each run, with the files and the identification that it needs, which runs share.
-
-    Raises:
-        ConfigError: an input file cannot be read.
-    """
+    """A task for each run, with the files and the identification that it needs, which runs share."""
     return [_named(task, run) for run, task in zip(runs, cell_tasks([run.cell for run in runs]), strict=True)]
 
 
@@ -163,11 +159,7 @@ def tasks_of_records(buildings: Iterable[Building]) -> dict[str, Task]:
 
 
 def identified_from(measured: Measured, files: SentFiles = NO_FILES) -> Identified:
-    """The model of measurements; where they cannot be used or fitted, the reason takes its place.
-
-    Raises:
-        ConfigError: the map is wrong.
-    """
+    """The model of measurements, or why they cannot be used or fitted; raises `ConfigError` for a wrong map."""
     try:
         with files.at_hand() as where:
             paths = [where.get(path, path) for path in (measured.record, measured.map)]
@@ -202,12 +194,8 @@ def write_models(
 ) -> Path:
     """Write `models.parquet`: a row for each actuator of each identification; raises `StorageError`.
 
-    Args:
-        store: the folder of the fleet, where its models are.
-        runs: runs that were made here, now or before.
-        records: their records by key; they name the model that a run had.
-        measured: identifications from measurements by building.
-        no_model: verdict where one of them gave no model, by building.
+    `records` by key name the model that a run had; `measured`, by building: identifications from measurements;
+    `no_model`: verdicts where one of them gave none.
     """
     rows, written = [], set[str]()
     for name, task in measured.items():

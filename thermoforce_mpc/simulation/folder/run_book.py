@@ -74,12 +74,10 @@ class RunBook:
     def reopen(
         cls, folder: Path, since: float | None = None, settled: Callable[[Scenario], Scenario] = lambda told: told
     ) -> RunBook:
-        """Go on with the journal of a run, at its end, or before line or time `since`: what comes after is set aside.
+        """Go on with the journal of a run, at its end, or before `since`, a line (int) or time (s, float).
 
-        Args:
-            folder: run folder.
-            since: a line (int), or a time, s since 1 January (float).
-            settled: what is made of the scenario; called before anything is written, and may refuse it.
+        What comes after is set aside. `settled`: what is made of the scenario; called before anything is written, and
+        may refuse it.
 
         Raises:
             JournalError: there is none, it is damaged (names the line), of another format, or has nothing at `since`.

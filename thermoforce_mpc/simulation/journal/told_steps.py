@@ -219,11 +219,7 @@ def history_before(steps: Sequence[ToldStep]) -> Record:
 
 
 def forecast_of(steps: Sequence[ToldStep]) -> Boundary:
-    """The forecast of the last of `steps` (all of a loop until then), its gaps filled as in the run.
-
-    Raises:
-        JournalError: as `history_before`.
-    """
+    """The forecast of the last of `steps` (all of a loop until then), its gaps filled as in the run."""
 
     def is_whole(step: ToldStep) -> bool:
         forecast, _, _ = step.forecast()

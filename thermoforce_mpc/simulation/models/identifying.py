@@ -224,10 +224,8 @@ def run_identification(
 ) -> ThermalModel:
     """Identify a model from the probing that `task` names, or from that of `plant`, which must be that of `task`.
 
-    Args:
-        on_progress: called every hour of the probing.
-        keep: journal of the probing; one that is there is gone on with, and where it has ended, nothing is probed.
-        say: told why probing ended.
+    `keep`: journal of the probing; one that is there is gone on with, and where it has ended, nothing is probed. `say`:
+    told why probing ended.
 
     Raises:
         DataError: the record is not sufficient for identification.
@@ -257,9 +255,7 @@ def run_identification(
 def taken_probing(task: IdentificationTask, keep: Path | None = None) -> Probed | None:
     """The probing that need not be made: that which the task names, or one that has ended in the journal `keep`.
 
-    Raises:
-        ConfigError: the task names a place without a probing.
-        JournalError: a journal is damaged, holds no step, or is of another test case; names the file.
+    Raises `ConfigError` and `JournalError` as `find_probing`.
     """
     if task.probed is not None:
         return find_probing(Path(task.probed), task.testcase, task.how_probed)
@@ -271,9 +267,7 @@ def model_for(scenario: Scenario, testcase: TestCase, plant: Plant, controller: 
     """Model of `controller`: the saved one named in the scenario, resampled to its step, or a newly identified one.
 
     Raises:
-        ArtifactError: the saved model cannot be used.
-        DataError: the record is not sufficient for identification.
-        PlantError: the plant failed.
+        ArtifactError, DataError, PlantError: as `saved_model` and `run_identification`.
     """
     if scenario.identification.model is not None:
         return saved_model(scenario, testcase)

@@ -102,10 +102,7 @@ def _read(path: Path) -> JournalText:
 def find_probing(place: Path, testcase: TestCase, how: Json) -> Probed:
     """The probing of an earlier run, as far as it came: that which was probed as `how` says, or the only one.
 
-    Args:
-        place: folder of the run, its folder `probing`, or one of the journals in that.
-        testcase: the test case that must have been probed.
-        how: see `how_probed`.
+    `place`: folder of the run, its folder `probing`, or one of the journals in that; `how`: as of `how_probed`.
 
     Raises:
         ConfigError: there is none, or several and none is as `how` says.
@@ -138,9 +135,7 @@ def place_of_journals(place: Path) -> Path:
 
 @contextmanager
 def keeping_probing(plant: Plant, path: Path | None, testcase: TestCase, how: Json) -> Iterator[Plant]:
-    """`plant`, whose answers are written to the journal at `path` as they come, after those that are there.
-
-    Without a path nothing is kept.
+    """`plant`, whose answers are written to the journal at `path`, if any, as they come, after those that are there.
 
     Raises:
         JournalError: the journal is damaged (names the line), or another one.

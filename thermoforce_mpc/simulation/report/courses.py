@@ -27,9 +27,8 @@ class Course:
     `start_s`, `duration_s`, `T_out_C`, `solar_W_m2` (n,); `T_zone_C`, `lower_C`, `upper_C` (Z, n), `u` (A, n) and
     `power_W`, `price_per_kWh` (M, n) as in `Sample`. `cost` (n,) per m² and `discomfort_Kh` (Z, n) are those until the
     end of each block. `band_C` (2, A, n): heating and cooling set-point given to the plant's own loops, °C, NaN where
-    levels were.
-    `averaged`: number of blocks taken together. `scaled`: what the cost by the meters was multiplied by so that it ends
-    at the plant's own bill, where a machine is billed in two carriers; else 1.
+    levels were. `averaged`: number of blocks taken together. `scaled`: what the cost by the meters was multiplied by so
+    that it ends at the plant's own bill, where a machine is billed in two carriers; else 1.
     """
 
     start_s: Array

@@ -111,11 +111,7 @@ def _instants(record: Record, levels: int) -> list[float]:
 
 
 def record_of_run(result: RunResult) -> Record:
-    """The record of a run's whole steps: temperatures at their ends, means of what acted in between.
-
-    Raises:
-        DataError: the steps are not of equal length.
-    """
+    """The record of a run's whole steps: temperatures at their ends, means in between; raises `DataError`."""
     start, step_s = result.start, 0.0
     ends: list[Sample] = []
     means: dict[str, list[Array]] = {"u_measured": [], "power_W": [], "heat_W": []}

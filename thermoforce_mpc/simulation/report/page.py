@@ -23,17 +23,10 @@ UPLOT = "../vendor/uplot/uPlot.iife.min.js"
 
 
 def rendered(template: str, scripts: Sequence[str], data: Mapping[str, Any], **values: Any) -> str:
-    """The page of a template.
+    """The page of a template (under `templates`), with scripts (under `assets`, in order) that read `data`.
 
     The browser may run only the page's own scripts, known by their hashes, and load nothing: a name or reason with
-    markup in it cannot become a script, whatever becomes of the escaping.
-
-    Args:
-        template: file under `templates`; it extends `page.html.j2`.
-        scripts: files under `assets`, in the order in which they are run once the data are unpacked; `UPLOT` where it
-            is used.
-        data: what the scripts read; numbers that are not finite become null.
-        values: what the template reads.
+    markup in it cannot become a script, whatever becomes of the escaping. `values`: what the template reads.
     """
     library = UPLOT in scripts
     first, *others, last = sources = [_text(f"assets/{name}") for name in ("theme.js", *scripts, "unpack.js")]

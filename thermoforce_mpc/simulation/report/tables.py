@@ -113,14 +113,10 @@ def events(result: RunResult) -> list[dict[str, Any]]:
 
 
 def forecast_errors(result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0, 12.0, 24.0)) -> list[dict[str, Any]]:
-    """Error of the planned zone temperature at several lead times.
+    """Error of the planned zone temperature: `zone`, `hours`, `bias_K` (planned − measured), `rmse_K`, `n` plans.
 
     The error at the first step is a pure prediction error. Beyond it, the error also includes the difference between
     the scored plan and the later plans that were applied.
-
-    Returns:
-        One row per zone and lead time with `zone`, `hours`, `bias_K` (planned − measured), `rmse_K`, and the number `n`
-        of plans scored.
     """
     measured = {round(step.time_s): step.T_zone_C for step in result.steps}
 
@@ -137,14 +133,10 @@ def forecast_errors(result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0
 def free_forecast_scores(
     result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0, 24.0), settle_h: float = 48.0
 ) -> list[dict[str, Any]]:
-    """Error of the free forecasts and coverage of their 80 % intervals.
+    """Error of free forecasts and coverage of their 80 % intervals: `zone`, `hours`, `mae_K`, `coverage`, `n`.
 
     The reference is the free temperature `T_free_now_C` of the plan made at the forecast's target time, so later
     actions do not affect the score. Plans of the first `settle_h` hours are left out, while corrections adapt.
-
-    Returns:
-        One row per zone and lead time with `zone`, `hours`, `mae_K`, `coverage` (share) and the number `n` of forecasts
-        scored.
     """
     came = {round(step.time_s): step.plan.T_free_now_C for step in result.steps if step.plan.u.size}
     start_s = result.steps[0].time_s if result.steps else 0.0

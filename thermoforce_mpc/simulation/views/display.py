@@ -207,8 +207,7 @@ class RunDisplay:
         currency: str,
         held: Mapping[str, str] | None = None,
     ) -> None:
-        """Print one row of KPIs per controller; an asterisk marks the best of each column, of cost and the
-        like among those as comfortable.
+        """Print one row of KPIs per controller; an asterisk marks the best of each column (`best_values`).
 
         `held` says by controller that the competence gate held, and why: such a row is marked `gate`.
         """

@@ -196,11 +196,7 @@ _FREE_RESPONSE = {"name": "linear_weather", "options": {}}
 
 
 def alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
-    """What else could have been done, or why that cannot be said.
-
-    Raises:
-        JournalError: the journal is damaged.
-    """
+    """What else could have been done, or why that cannot be said; raises `JournalError`."""
     with making_sense(folder / NAME):
         entries = read_run(folder / NAME).entries
         scenario = validate(Scenario, dict(entries[0].content["scenario"]), f"{folder / NAME}, line 1")

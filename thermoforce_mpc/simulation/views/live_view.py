@@ -95,9 +95,7 @@ class View:
 class LiveRun:
     """Follows the journal of a run in its folder; it writes nothing there.
 
-    Args:
-        folder: run folder.
-        controller: whose loop, by default the latest; of a run that has finished the first, the baselines come later.
+    `controller`: whose loop, by default the latest; of a run that has finished the first, the baselines come later.
 
     Raises:
         JournalError: there is no journal, it is damaged, or of another format.
@@ -128,8 +126,7 @@ class LiveRun:
         """What is known now.
 
         Raises:
-            JournalError: the journal is damaged, or has no step yet.
-            InputError: the controller that was asked for did not run.
+            JournalError, InputError: the journal is damaged, or has no step yet, or not of the controller asked for.
         """
         with making_sense(self._folder / NAME):
             for entry in self._tail.more():
