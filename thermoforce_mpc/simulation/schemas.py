@@ -43,7 +43,7 @@ _OF_CONTROLLER: dict[type[BaseModel], str] = {ControllerSpec: "name", Variant: "
 
 
 def schema_of(kind: str) -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of a file of one of `KINDS`, our controllers' options in it; raises `ConfigError`."""
+    """The JSON Schema (draft 2020-12) of a file of one of `KINDS`, with controllers' options; raises `ConfigError`."""
     if kind not in KINDS:
         raise ConfigError(f"no schema '{kind}'{suggestion(kind, KINDS)}; there are {', '.join(KINDS)}")
     root = KINDS[kind]

@@ -54,7 +54,7 @@ class Entry:
 
     @property
     def content(self) -> Mapping[str, Any]:
-        """What it says; read anew each time from a file: a long journal does not fit in memory. Raises `JournalError`."""
+        """What it says, read anew each time: a long journal does not fit in memory. Raises `JournalError`."""
         if isinstance(self.told, Mapping):
             return self.told
         try:
@@ -97,7 +97,10 @@ class Journal:
     """Appends records to a journal."""
 
     def __init__(self, path: Path, after: JournalText | None = None, *, durable: bool = False) -> None:
-        """??"""
+        """Begin a journal at `path`, or go on `after` what was read from it; a torn end is cut off. Raises `StorageError`.
+
+        `durable`: wait for the disk after every record, so that a power failure loses none either.
+        """
         self.path, self._durable = path, durable
         after = after or JournalText((), 0, 0, False)
         self._n, self._size, self._crc = len(after.entries), after.size, after.crc

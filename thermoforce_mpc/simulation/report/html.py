@@ -54,8 +54,8 @@ def write_report(
 ) -> Path:
     """Write `report.html` into a run folder, or the report to `path`.
 
-    `kpis` and `manifest` are the contents of the files of that name, the latter by default that in the folder; `model` is
-    that of the controller, for step responses and other levels; `said` is shown at the top.
+    `kpis` and `manifest` are the contents of the files of that name, the latter by default that in the folder; `model`
+    is that of the controller, for step responses and other levels; `said` is shown at the top.
     """
     if manifest is None:
         manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
