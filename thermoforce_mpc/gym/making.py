@@ -14,9 +14,9 @@ from thermoforce_mpc.gym.env import BuildingEnv
 from thermoforce_mpc.gym.episodes import Episodes
 from thermoforce_mpc.gym.levels import LevelsView
 from thermoforce_mpc.plants.boptest.token import allow_token
+from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
-from thermoforce_mpc.simulation.composition import build_plant
 
 CONVENTIONS = ("levels", "boptest")
 

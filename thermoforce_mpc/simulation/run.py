@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, nullcontext
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from controllers.registry import build_controller, find_entry, lent
-from thermoforce_mpc.data import Period
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.plants.boptest.token import allow_token
+from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -26,14 +26,7 @@ from thermoforce_mpc.simulation.comparison.equal_comfort import (
     shifted_options,
 )
 from thermoforce_mpc.simulation.comparison.outcome import DISCOMFORT
-from thermoforce_mpc.simulation.composition import (
-    attached_plant,
-    build_plant,
-    check_prices,
-    controller_options,
-    run_in_scenario,
-    scored_period,
-)
+from thermoforce_mpc.simulation.composition import Setting, attached_plant, controller_options
 from thermoforce_mpc.simulation.folder.run_book import RunBook, ended_early, is_real
 from thermoforce_mpc.simulation.folder.run_folder import (
     clear_partial,
@@ -215,14 +208,13 @@ def _execute(
     name = scenario.controller.name
 
     def build(testid: str | None = None) -> Plant:
-        if testid is not None:
-            return attached_plant(scenario, testcase, testid)
-        return build_plant(scenario.plant, testcase, scenario.seed, scenario.comfort)
+        if testid is None:
+            return build_plant(scenario.plant, testcase, scenario.seed, scenario.comfort)
+        return attached_plant(scenario, testcase, testid)
 
     with book.released(book.connect(build)) if book else closing(build()) as plant:
-        period = scored_period(plant, scenario.period, scenario.days)
-        display.say(headline(plant, period, scenario))
-        check_prices(scenario, period)
+        setting = Setting.of(plant, scenario, testcase)
+        display.say(headline(plant, setting.period, scenario))
         if model is None:
             identified = _identified(scenario, testcase, plant, display, book)
             models: dict[str, ThermalModel | str] = {who: identified[who].acts_on for who in identified}
@@ -232,24 +224,26 @@ def _execute(
 
         def follow(controller: Controller) -> RunResult:
             steps = records.setdefault(controller.name, KeptSteps(book.folder if book else None))
-            return with_own_kpis(_follow(plant, controller, period, scenario, testcase, display, steps), own)
+            return with_own_kpis(_follow(setting, controller, display, steps), own)
 
-        def contestant(who: str) -> Controller:
-            return build_controller(who, controller_options(scenario, who), testcase, models.get(who))
-
-        controller = contestant(name)
+        controller = setting.controller(name, models.get(name))
         actuation = getattr(controller, "actuation_in_words", None)
         if actuation:
             display.say(f"Actuation: {actuation}")
         hash_before = weight_hash(controller)
         result = follow(controller)
         forecaster = frozen_proof(controller, hash_before)
-        baselines = {other: follow(contestant(other)) for other in scenario.baselines if other != name}
+        others = [other for other in scenario.baselines if other != name]
+        baselines = {other: follow(setting.controller(other, models.get(other))) for other in others}
         equal = None
         if THERMOSTAT in baselines and find_entry(name).needs_model and searches_equal_comfort(scenario):
             # Not part of the run that a journal tells: it is searched again where that is resumed.
-            inside = plant.inside if isinstance(plant, JournaledPlant) else plant
-            run_at = partial(_shifted_thermostat, inside, period, scenario, testcase)
+            inside = replace(setting, plant=plant.inside) if isinstance(plant, JournaledPlant) else setting
+
+            def run_at(shift_K: float) -> Mapping[str, float]:
+                options = shifted_options(controller_options(scenario, THERMOSTAT), testcase, shift_K)
+                return inside.run(build_controller(THERMOSTAT, options, testcase)).kpis
+
             with display.working("Searching the thermostat that is as comfortable"):
                 equal = as_comfortable(run_at, baselines[THERMOSTAT].kpis, result.kpis[DISCOMFORT])
         usable = {who: model for who, model in models.items() if not isinstance(model, str)}
@@ -259,15 +253,6 @@ def _execute(
         if isinstance(plant, JournaledPlant) and plant.differing:
             display.say(f"{counted(plant.differing, 'step')} planned otherwise than then; what acted then counts")
         return ScenarioResult(scenario, plant.info, result, baselines, usable, origins, forecaster, equal)
-
-
-def _shifted_thermostat(
-    plant: Plant, period: Period, scenario: Scenario, testcase: TestCase, shift_K: float
-) -> Mapping[str, float]:
-    """KPIs of the scenario's thermostat with other set-points."""
-    options = shifted_options(controller_options(scenario, THERMOSTAT), testcase, shift_K)
-    thermostat = build_controller(THERMOSTAT, options, testcase)
-    return run_in_scenario(plant, thermostat, period, scenario, testcase).kpis
 
 
 def _identified(
@@ -281,26 +266,18 @@ def _identified(
     return kept_models(plant, folder, lambda: identify_all(scenario, testcase, plant.inside, display, folder))
 
 
-def _follow(
-    plant: Plant,
-    controller: Controller,
-    period: Period,
-    scenario: Scenario,
-    testcase: TestCase,
-    display: RunDisplay,
-    steps: KeptSteps[StepRecord],
-) -> RunResult:
+def _follow(setting: Setting, controller: Controller, display: RunDisplay, steps: KeptSteps[StepRecord]) -> RunResult:
     """One closed loop, shown and recorded step by step so that a failure half way loses nothing."""
+    plant = setting.plant
     keeper = plant if isinstance(plant, JournaledPlant) else None
     if keeper:
         keeper.noted("loop", lambda: {"controller": controller.name})
-    with display.loop(
-        controller.name, period, keeper.kpis_so_far if keeper else plant.kpis, testcase.currency
-    ) as progress:
+    kpis = keeper.kpis_so_far if keeper else plant.kpis
+    with display.loop(controller.name, setting.period, kpis, setting.testcase.currency) as progress:
 
         def on_step(record: StepRecord) -> None:
             progress.step(record)
             if not (keeper and keeper.catching_up):
                 log_step(controller.name, record)
 
-        return run_in_scenario(plant, controller, period, scenario, testcase, on_step, keeper, steps)
+        return setting.run(controller, on_step, keeper, steps)

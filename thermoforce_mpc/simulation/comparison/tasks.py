@@ -12,12 +12,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from controllers.registry import build_controller, find_entry, has_gate
+from controllers.registry import find_entry, has_gate
 from thermoforce_mpc.data import DAY_S, PlantInfo
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Task, source_fingerprint, tell
 from thermoforce_mpc.files import write_folder
 from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -28,13 +29,7 @@ from thermoforce_mpc.simulation.comparison.equal_comfort import THERMOSTAT, as_c
 from thermoforce_mpc.simulation.comparison.input_files import NO_FILES, SentFiles, input_files, moved, paths_of, task_of
 from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT
 from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Identified, Ran, Store
-from thermoforce_mpc.simulation.composition import (
-    build_plant,
-    check_prices,
-    controller_options,
-    run_in_scenario,
-    scored_period,
-)
+from thermoforce_mpc.simulation.composition import Setting, controller_options
 from thermoforce_mpc.simulation.folder.run_folder import trajectory_frame
 from thermoforce_mpc.simulation.models.identifying import IdentificationTask, model_for, run_identification
 from thermoforce_mpc.simulation.own_kpis import own_kpis, with_own_kpis
@@ -93,15 +88,13 @@ def follow(cell: Cell, *needs: SentFiles | Identified) -> Ran:
         scenario = moved(cell.scenario, where)
         name, testcase = scenario.controller.name, load_testcase(scenario.testcase)
         with closing(build_plant(scenario.plant, testcase, scenario.seed, scenario.comfort)) as plant:
-            period = scored_period(plant, scenario.period, scenario.days)
-            check_prices(scenario, period)
+            setting = Setting.of(plant, scenario, testcase)
             acts_on = _model(scenario, testcase, plant, model) if find_entry(name).needs_model else None
-            controller = build_controller(name, controller_options(scenario, name), testcase, acts_on)
 
             def on_step(record: StepRecord) -> None:
-                tell((record.time_s - period.start_s) / period.scored_s)
+                tell((record.time_s - setting.period.start_s) / setting.period.scored_s)
 
-            result = run_in_scenario(plant, controller, period, scenario, testcase, on_step)
+            result = setting.run(setting.controller(name, acts_on), on_step)
             record = _record(cell, with_own_kpis(result, own_kpis(scenario.kpis)), plant.info)
             return Ran(record, _parquet(cell, result.steps) if cell.trajectory else b"")
 

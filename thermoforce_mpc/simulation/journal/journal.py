@@ -97,7 +97,7 @@ class Journal:
     """Appends records to a journal."""
 
     def __init__(self, path: Path, after: JournalText | None = None, *, durable: bool = False) -> None:
-        """Begin a journal at `path`, or go on `after` what was read from it; a torn end is cut off. Raises `StorageError`.
+        """Begin a journal at `path`, or go on `after` what was read from it; a torn end is cut off.
 
         `durable`: wait for the disk after every record, so that a power failure loses none either.
         """
