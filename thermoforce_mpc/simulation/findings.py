@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, PlanStatus
+from thermoforce_mpc.data import DAY_S, HOUR_S, PlanStatus
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL, UNDECIDED
 from thermoforce_mpc.errors import counted
 from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, window_means
@@ -147,23 +147,17 @@ def capped_figures(
     if cap_kW is None or not result.steps:
         return {}
     step_s = sum(sample.duration_s for sample in result.steps[0].samples)
-    runs = {result.controller: result, **baselines}
-    return {name: asdict(_capped(1000.0 * cap_kW, step_s, _means_W(run, step_s))) for name, run in runs.items()}
+    return {run.controller: asdict(_capped(cap_kW, step_s, run)) for run in (result, *baselines.values())}
 
 
-def _capped(cap_W: float, step_s: float, means_W: Array) -> Capped:
-    known_W = means_W[np.isfinite(means_W)]
-    highest_W = float(known_W.max()) if known_W.size else float("nan")
-    return Capped(cap_W / 1000.0, step_s, int((known_W > cap_W).sum()), known_W.size, highest_W / 1000.0)
-
-
-def _means_W(run: RunResult, step_s: float) -> Array:
-    """Metered mean power of all machines over windows of `step_s` seconds, NaN where it was not metered."""
+def _capped(cap_kW: float, step_s: float, run: RunResult) -> Capped:
     samples = (sample for step in run.steps for sample in step.samples)
     starts_s, lengths_s, power_W = np.array([(s.start_s, s.duration_s, s.power_W.sum()) for s in samples]).T
     ends_s = np.append(starts_s[0], starts_s + lengths_s)
     unknown = window_means(ends_s, np.isnan(power_W), step_s) > 0.0
-    return np.where(unknown, np.nan, window_means(ends_s, np.nan_to_num(power_W), step_s))
+    known_W = window_means(ends_s, np.nan_to_num(power_W), step_s)[~unknown]
+    highest_kW = float(known_W.max()) / 1000.0 if known_W.size else float("nan")
+    return Capped(cap_kW, step_s, int((known_W > 1000.0 * cap_kW).sum()), known_W.size, highest_kW)
 
 
 @dataclass(frozen=True)

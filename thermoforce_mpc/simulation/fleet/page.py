@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -102,23 +102,13 @@ def causes(rows: pd.DataFrame) -> list[tuple[str, int]]:
 
 
 def _group(by: str, value: str, rows: pd.DataFrame) -> Group:
-    savings = rows["saving"].dropna().to_numpy()
-    return Group(
-        by,
-        value,
-        len(rows),
-        savings.size,
-        _percentiles(savings),
-        float((savings > 0).mean()) if savings.size else float("nan"),
-        _percentiles(rows["more_Kh"].to_numpy()),
-        float((rows["more_Kh"] > MORE_DISCOMFORT_KH).mean()) if len(rows) else float("nan"),
-    )
+    savings, more_Kh = rows["saving"].dropna(), rows["more_Kh"]
+    cheaper, colder = float((savings > 0).mean()), float((more_Kh > MORE_DISCOMFORT_KH).mean())
+    return Group(by, value, len(rows), savings.size, _percentiles(savings), cheaper, _percentiles(more_Kh), colder)
 
 
-def _percentiles(values: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
-    if not len(values):
-        return float("nan"), float("nan"), float("nan")
-    low, middle, high = np.percentile(values, [10.0, 50.0, 90.0])
+def _percentiles(values: pd.Series) -> tuple[float, float, float]:
+    low, middle, high = np.percentile(values, [10.0, 50.0, 90.0]) if len(values) else [float("nan")] * 3
     return float(low), float(middle), float(high)
 
 

@@ -15,6 +15,7 @@ from controllers.registry import find_entry
 from thermoforce_mpc.errors import ArtifactError, ConfigError, DataError
 from thermoforce_mpc.execution import Task, content_key
 from thermoforce_mpc.files import pyarrow_for, storage_errors
+from thermoforce_mpc.model.competence import Competence
 from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge, validate
@@ -116,20 +117,22 @@ NAME = "models.parquet"
 _LEAD_H = (1, 6, 24)
 
 
+_FIGURES = ("effect_K", "effect_sd_K", "sign_probability", "log_odds")
+_FORECASTS = ("model", "persistence", "weather")
+
+
 def _schema(pa: Any) -> Any:
     """Columns and types of the verdicts; `pa` is pyarrow."""
     places = ("building", "window", "from", "actuator", "key")
-    errors = [f"{what}_{h}h_K" for h in _LEAD_H for what in ("model", "persistence", "weather")]
-    numbers = ["effect_K", "effect_sd_K", "sign_probability", "log_odds", *errors]
-    return pa.schema(
-        [
-            *(pa.field(name, pa.string(), nullable=False) for name in places),
-            pa.field("seed", pa.int64()),
-            pa.field("competent", pa.bool_()),
-            pa.field("verdict", pa.string(), nullable=False),
-            *(pa.field(name, pa.float64()) for name in numbers),
-        ]
-    )
+    numbers = [*_FIGURES, *(f"{what}_{h}h_K" for h in _LEAD_H for what in _FORECASTS)]
+    columns = [
+        *(pa.field(name, pa.string(), nullable=False) for name in places),
+        pa.field("seed", pa.int64()),
+        pa.field("competent", pa.bool_()),
+        pa.field("verdict", pa.string(), nullable=False),
+        *(pa.field(name, pa.float64()) for name in numbers),
+    ]
+    return pa.schema(columns)
 
 
 @dataclass(frozen=True)
@@ -197,24 +200,19 @@ def write_models(
     `records` by key name the model that a run had; `measured`, by building: identifications from measurements;
     `no_model`: verdicts where one of them gave none.
     """
-    rows, written = [], set[str]()
+    rows = []
     for name, task in measured.items():
         place = {"building": name, "window": "", "from": "record", "key": task.key}
         if name in no_model:
             rows.append({**place, "actuator": "", "competent": False, "verdict": no_model[name]})
         else:
             rows += _rows(store.model_path(task.key), place)
-    for run in runs:
-        if run.cell.identification_key is None:
-            continue
-        key = records[run.cell.key]["model"]
-        if key not in written:
-            written.add(key)
-            rows += _rows(
-                store.model_path(key),
-                {"building": run.building.name, "window": run.cell.window, "from": "probing", "key": key}
-                | {"seed": run.cell.scenario.seed},
-            )
+    first: dict[str, Run] = {}
+    for run in (run for run in runs if run.cell.identification_key is not None):
+        first.setdefault(records[run.cell.key]["model"], run)
+    for key, run in first.items():
+        place = {"building": run.building.name, "window": run.cell.window, "from": "probing", "key": key}
+        rows += _rows(store.model_path(key), {**place, "seed": run.cell.scenario.seed})
     content, path = io.BytesIO(), store.folder / NAME
     pa = pyarrow_for(path, ConfigError)
     pa.parquet.write_table(pa.Table.from_pylist(rows, schema=_schema(pa)), content)
@@ -223,28 +221,23 @@ def write_models(
 
 
 def _rows(path: Path, place: Mapping[str, Any]) -> list[dict[str, Any]]:
-    none = {**place, "actuator": "", "competent": False}
+    """The verdicts on the model at `path`, an actuator a row; one row where there is none."""
     try:
-        if path.is_file():
-            return [{**none, "verdict": f"refused: {path.read_text(encoding='utf-8')}"}]
-        if not path.is_dir():
-            return [{**none, "verdict": "failed"}]
-        model = load_model(path)
+        if path.is_dir():
+            model = load_model(path)
+            cards = zip(model.names.actuators, model.cards, strict=True)
+            return [{**place, "actuator": name, **_judged(card.competence)} for name, card in cards]
+        verdict = f"refused: {path.read_text(encoding='utf-8')}" if path.is_file() else "failed"
     except (OSError, UnicodeDecodeError, ArtifactError) as error:
-        # Of other source code, or it would have been identified again.
-        return [{**none, "verdict": f"cannot be read: {error}"}]
-    rows = []
-    for actuator, card in zip(model.names.actuators, model.cards, strict=True):
-        competence = card.competence
-        row = {**place, "actuator": actuator, "competent": None, "verdict": "not judged"}
-        if competence is not None:
-            row |= {"competent": competence.competent, "verdict": competence.in_words()}
-            figures = ("effect_K", "effect_sd_K", "sign_probability", "log_odds")
-            row |= {name: getattr(competence, name) for name in figures}
-            for score in competence.horizons:
-                row |= {
-                    f"{what}_{score.hours:g}h_K": getattr(score, f"{what}_K")
-                    for what in ("model", "persistence", "weather")
-                }
-        rows.append(row)
-    return rows
+        verdict = f"cannot be read: {error}"  # of other source code, or it would have been identified again
+    return [{**place, "actuator": "", "competent": False, "verdict": verdict}]
+
+
+def _judged(competence: Competence | None) -> dict[str, Any]:
+    if competence is None:
+        return {"competent": None, "verdict": "not judged"}
+    row: dict[str, Any] = {"competent": competence.competent, "verdict": competence.in_words()}
+    row |= {name: getattr(competence, name) for name in _FIGURES}
+    for score in competence.horizons:
+        row |= {f"{what}_{score.hours:g}h_K": getattr(score, f"{what}_K") for what in _FORECASTS}
+    return row
