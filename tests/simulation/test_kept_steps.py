@@ -21,7 +21,7 @@ from thermoforce_mpc.simulation.findings import gates_held, watch_spells
 from thermoforce_mpc.simulation.folder.run_folder import steps_frame, trajectory_frame
 from thermoforce_mpc.simulation.journal.journal import Journal, JournalError, read_journal
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
-from thermoforce_mpc.simulation.report.tables import forecast_errors
+from thermoforce_mpc.simulation.report.html import forecast_errors
 
 
 def test_steps_come_back_in_order(tmp_path):

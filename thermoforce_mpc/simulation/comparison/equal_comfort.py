@@ -45,12 +45,12 @@ class AsComfortable:
 
     def in_words(self, cost: float, currency: str) -> str:
         """What it is beside a controller of this `cost`."""
-        kpis = self.kpis
         at = f"{self.shift_K:+.2f} K from" if self.shift_K else "at"
-        what = f"a thermostat {at} its set-point ({kpis[COST]:.4f} {currency}/m², "
-        what += f"{kpis[DISCOMFORT]:.2f} K·h)"
+        figures = f"{self.kpis[COST]:.4f} {currency}/m², {self.kpis[DISCOMFORT]:.2f} K·h"
         saving = self.saving(cost)
-        less = f"{abs(saving):.1%} {'less' if saving >= 0.0 else 'more'} than {what}"
+        less = (
+            f"{abs(saving):.1%} {'less' if saving >= 0.0 else 'more'} than a thermostat {at} its set-point ({figures})"
+        )
         return f"{less} at equal comfort" if self.comparable else f"{less}; no set-point is as comfortable"
 
     def to_json(self, cost: float, currency: str) -> dict[str, Any]:

@@ -31,6 +31,12 @@ LEAST_HEATING_KWH_M2 = 0.05
 MORE_DISCOMFORT_KH = 0.5
 # Share of the plans from which a status is named as the cause.
 _OFTEN = 0.05
+_CAUSES = (
+    (("gate",), "the model was not competent, the building's own control stayed"),
+    (("watch",), "the model did not hold, the building's own control took over"),
+    (("guard",), "the guard acted instead of the plan"),
+    (("acceptable", "shifted", "thermostat", "native"), "plans failed and the fallback acted"),
+)
 _BY = ("emitter", "machine", "mass", "source", "window", "price")
 _SAME = ["building", "window", "price", "seed"]
 
@@ -123,14 +129,9 @@ def _why(row: pd.Series) -> str:
     what = "less comfortable" if colder else "dearer"
     if plans["rule"] == total:
         return what
-    if plans["gate"] / total > _OFTEN:
-        return f"{what}: the model was not competent, the building's own control stayed"
-    if plans["watch"] / total > _OFTEN:
-        return f"{what}: the model did not hold, the building's own control took over"
-    if plans["guard"] / total > _OFTEN:
-        return f"{what}: the guard acted instead of the plan"
-    if sum(plans[name] for name in ("acceptable", "shifted", "thermostat", "native")) / total > _OFTEN:
-        return f"{what}: plans failed and the fallback acted"
+    for statuses, cause in _CAUSES:
+        if sum(plans[status] for status in statuses) / total > _OFTEN:
+            return f"{what}: {cause}"
     if dearer and not colder and row["more_Kh"] < -MORE_DISCOMFORT_KH:
         return "dearer: but more comfortable than the reference"
     return f"{what}: the plans acted on their model"

@@ -26,17 +26,11 @@ def answers_json(model: ThermalModel | None) -> list[list[Json | None]] | None:
     for z, a, pair in model.operator.each():
         hours, answer = step_answer(pair)
         every = max(1, hours.size // 200)
-        cell: Json = {
-            "hours": _rounded(hours[::every]), "K": _rounded(answer[::every]), "full": full_level_of(pair),
-        }  # fmt: skip
+        cell: Json = {"hours": _rounded(hours[::every]), "K": _rounded(answer[::every]), "full": full_level_of(pair)}
         mean, sd = step_response_of(model, z, a)
         if mean.size:
-            cell |= {
-                "at": [0, *STEP_RESPONSE_H],
-                "mean": _rounded(mean),
-                "low": _rounded(mean - BAND * sd),
-                "high": _rounded(mean + BAND * sd),
-            }
+            band = {"mean": mean, "low": mean - BAND * sd, "high": mean + BAND * sd}
+            cell |= {"at": [0, *STEP_RESPONSE_H], **{name: _rounded(values) for name, values in band.items()}}
         matrix[z][a] = cell
     return matrix
 
@@ -64,10 +58,20 @@ def other_levels_json(result: RunResult, model: ThermalModel | None, layout: Lay
     if model is None or model.names != result.names:
         return None
     levels = {"off": 0.0} if layout.exclusive else LEVELS
+
+    def at(level: float, time_s: float) -> Counterfactual:
+        start = round((time_s - record.time_s[0]) / record.step_s)
+        stop = start + round(LENGTH_H * HOUR_S / record.step_s)
+        recent = record.slice(max(0, start - round(MOST_PAST_DAYS * DAY_S / record.step_s)), stop)
+        return counterfactual(model, recent, level, start=time_s, hours=LENGTH_H)
+
+    def packed_rows(of_instants: list[Array]) -> list[Json]:
+        return rows_packed(np.concatenate(of_instants, axis=-1), RESOLUTION["T"])
+
     try:
         record = record_of_run(result)
         instants = _instants(record, len(levels))
-        days = [[_counterfactual_at(model, record, level, t) for t in instants] for level in levels.values()]
+        days = [[at(level, time_s) for time_s in instants] for level in levels.values()]
     except DataError:  # a zone that was never measured, or a clock with gaps: there is nothing to compare with
         return None
     if not instants:
@@ -77,23 +81,11 @@ def other_levels_json(result: RunResult, model: ThermalModel | None, layout: Lay
         "time_s": exactly(np.array(instants)),
         "step_s": record.step_s,
         "n": days[0][0].effect_K.shape[-1],
-        "T_other_C": [rows_packed(_rows([day.other_C for day in row]), RESOLUTION["T"]) for row in days],
-        "sd_K": [rows_packed(_rows([day.sd_K for day in row]), RESOLUTION["T"]) for row in days],
+        "T_other_C": [packed_rows([day.other_C for day in row]) for row in days],
+        "sd_K": [packed_rows([day.sd_K for day in row]) for row in days],
         "energy_kWh": [[float(day.energy_other_kWh.sum()) for day in row] for row in days],
         "energy_applied_kWh": [float(day.energy_kWh.sum()) for day in days[0]],
     }
-
-
-def _counterfactual_at(model: ThermalModel, record: Record, level: float, time_s: float) -> Counterfactual:
-    at = round((time_s - record.time_s[0]) / record.step_s)
-    stop = at + round(LENGTH_H * HOUR_S / record.step_s)
-    recent = record.slice(max(0, at - round(MOST_PAST_DAYS * DAY_S / record.step_s)), stop)
-    return counterfactual(model, recent, level, start=time_s, hours=LENGTH_H)
-
-
-def _rows(of_instants: list[Array]) -> Array:
-    """Arrays (Z, N) of P instants as rows (Z, P · N)."""
-    return np.concatenate(of_instants, axis=-1)
 
 
 def _instants(record: Record, levels: int) -> list[float]:
