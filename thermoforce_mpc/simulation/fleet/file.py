@@ -152,21 +152,15 @@ def buildings_of(file: FleetFile, path: Path) -> list[Building]:
 
 
 def _from_source(source: Source, path: Path, where: str) -> Iterator[Building]:
-    if source.generated is not None:
-        for index in range(source.generated.first, source.generated.first + source.generated.count):
-            house = draw_house(source.generated.seed, index)
-            yield Building(
-                f"generated:{house.seed}:{index}",
-                "generated",
-                {"testcase": f"generated:{house.seed}:{index}"},
-                house.emitter,
-                house.machine,
-                house.mass,
-                house.floor_area_m2,
-                house.words,
-            )
-    elif source.rooms is not None:
-        yield from _rooms(source.rooms)
+    if (drawn := source.generated) is not None:
+        for index in range(drawn.first, drawn.first + drawn.count):
+            house = draw_house(drawn.seed, index)
+            name, of = f"generated:{house.seed}:{index}", (house.emitter, house.machine, house.mass)
+            yield Building(name, "generated", {"testcase": name}, *of, house.floor_area_m2, house.words)
+    elif (rooms := source.rooms) is not None:
+        for seed in range(rooms.first_seed, rooms.first_seed + rooms.count):
+            name = f"house:{rooms.rooms}rooms:{seed}"
+            yield _from_testcase(name, "rooms", {"testcase": name})
     elif source.testcase is not None:
         try:
             yield _from_testcase(source.testcase, "testcase", {"testcase": source.testcase})
@@ -174,12 +168,6 @@ def _from_source(source: Source, path: Path, where: str) -> Iterator[Building]:
             raise ConfigError(f"{where}.testcase: {error}") from error
     elif source.table is not None:
         yield from _from_table(path.parent / Path(source.table).expanduser())
-
-
-def _rooms(rooms: Rooms) -> Iterator[Building]:
-    for seed in range(rooms.first_seed, rooms.first_seed + rooms.count):
-        name = f"house:{rooms.rooms}rooms:{seed}"
-        yield _from_testcase(name, "rooms", {"testcase": name})
 
 
 def _from_testcase(name: str, source: str, scenario: Mapping[str, Any]) -> Building:
@@ -190,16 +178,12 @@ def _from_testcase(name: str, source: str, scenario: Mapping[str, Any]) -> Build
 def _from_table(table: Path) -> Iterator[Building]:
     try:
         text = read_bounded(table, _MOST_BYTES, ConfigError).decode("utf-8-sig")
+        reader = csv.DictReader(io.StringIO(text))
+        columns, rows = reader.fieldnames or [], [(reader.line_num, row) for row in reader]
     except UnicodeDecodeError as error:
         raise ConfigError(f"{table}: is not UTF-8 ({error})") from error
-    try:
-        yield from _from_lines(csv.DictReader(io.StringIO(text)), table)
     except csv.Error as error:
         raise ConfigError(f"{table}: is not CSV ({error})") from error
-
-
-def _from_lines(reader: csv.DictReader[str], table: Path) -> Iterator[Building]:
-    columns = reader.fieldnames or []
     if len(set(columns)) < len(columns):
         raise ConfigError(f"{table}: a column is given twice; found {', '.join(columns)}")
     for column in columns:
@@ -209,47 +193,37 @@ def _from_lines(reader: csv.DictReader[str], table: Path) -> Iterator[Building]:
             )
     if "name" not in columns or not {"testcase", "record"} & set(columns):
         raise ConfigError(f"{table}: needs the columns name and testcase, or name, record and map")
-    empty = True
-    for row in reader:
-        empty = False
-        where = f"{table}: line {reader.line_num}"
+    if not rows:
+        raise ConfigError(f"{table}: has no buildings")
+    for line, row in rows:
         cells = {key: (value or "").strip() for key, value in row.items() if key is not None}
         if None in row or not cells["name"] or not (cells.get("testcase") or cells.get("record")):
-            raise ConfigError(f"{where}: needs a name, a test case or record, and no more values than columns")
+            problem = "needs a name, a test case or record, and no more values than columns"
+            raise ConfigError(f"{table}: line {line}: {problem}")
         try:
             yield _from_row(cells, table.parent)
         except (ConfigError, DataError) as error:
-            raise ConfigError(f"{where}: {error}") from error
-    if empty:
-        raise ConfigError(f"{table}: has no buildings")
+            raise ConfigError(f"{table}: line {line}: {error}") from error
 
 
 def _from_row(cells: Mapping[str, str], folder: Path) -> Building:
-    record = None
-    if cells.get("record") or cells.get("map"):
-        if not (cells.get("record") and cells.get("map")) or cells.get("model"):
-            raise ConfigError("record and map go together, and without model")
-        record = (str(folder / Path(cells["record"]).expanduser()), str(folder / Path(cells["map"]).expanduser()))
-        for file in record:
-            if not Path(file).is_file():
-                raise ConfigError(f"{file}: not a file")
-    if record is not None:
-        testcase = cells.get("testcase")
-        check_measurements(*record, load_testcase(_testcase(testcase, folder)) if testcase else None)
-    if not cells.get("testcase"):
-        return Building(cells["name"], "record", {}, record=record)
-    return replace(_from_testcase(cells["name"], "table", _scenario(cells, folder)), record=record)
-
-
-def _testcase(name: str, folder: Path) -> str:
-    return str(folder / Path(name).expanduser()) if name.endswith((".yaml", ".yml")) else name
-
-
-def _scenario(cells: Mapping[str, str], folder: Path) -> dict[str, Any]:
     def path(text: str) -> str:
         return str(folder / Path(text).expanduser())
 
-    scenario: dict[str, Any] = {"testcase": _testcase(cells["testcase"], folder)}
+    record, testcase = None, cells.get("testcase", "")
+    if testcase.endswith((".yaml", ".yml")):
+        testcase = path(testcase)
+    if cells.get("record") or cells.get("map"):
+        if not (cells.get("record") and cells.get("map")) or cells.get("model"):
+            raise ConfigError("record and map go together, and without model")
+        record = path(cells["record"]), path(cells["map"])
+        for file in record:
+            if not Path(file).is_file():
+                raise ConfigError(f"{file}: not a file")
+        check_measurements(*record, load_testcase(testcase) if testcase else None)
+    if not testcase:
+        return Building(cells["name"], "record", {}, record=record)
+    scenario: dict[str, Any] = {"testcase": testcase}
     if cells.get("model"):
         scenario["identification"] = {"model": path(cells["model"])}
     plant: dict[str, Any] = {}
@@ -261,4 +235,6 @@ def _scenario(cells: Mapping[str, str], folder: Path) -> dict[str, Any]:
         plant = {"kind": "fmu", "path": path(cells["fmu"])}
     if cells.get("weather"):
         plant["weather"] = cells["weather"] if cells["weather"] == "synthetic" else path(cells["weather"])
-    return scenario | ({"plant": plant} if plant else {})
+    if plant:
+        scenario["plant"] = plant
+    return replace(_from_testcase(cells["name"], "table", scenario), record=record)

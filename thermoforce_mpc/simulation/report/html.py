@@ -105,21 +105,17 @@ def advice(identification: Mapping[str, Any]) -> list[str]:
 def events(result: RunResult) -> list[dict[str, Any]]:
     """Stretches of steps in which not a plan as wanted acted, a reading was doubtful, or there was news."""
 
-    def kind(step: StepRecord) -> tuple[str, str, str, str]:
-        return step.plan.status.value, step.refused, "; ".join(step.notes), step.plan.news
-
     stretches: list[dict[str, Any]] = []
     previous = None
     for step in result.steps:
-        present = status, refused, notes, news = kind(step)
+        plan, refused, notes = step.plan, step.refused, "; ".join(step.notes)
+        present = status, _, _, news = plan.status.value, refused, notes, plan.news
         notable = status in _NOTABLE or bool(refused or notes or news)
         if notable and present == previous:
             stretches[-1]["steps"] += 1
         elif notable:
-            why = step.plan.why
-            stretches.append(
-                {"time_s": step.time_s, "steps": 1, "status": status, "refused": refused, "why": why, "notes": notes}
-            )
+            what = {"status": status, "refused": refused, "why": plan.why, "notes": notes}
+            stretches.append({"time_s": step.time_s, "steps": 1, **what})
         previous = present
     return stretches
 
@@ -226,6 +222,8 @@ def write_report(
     courses = {name: course_of(run, layout, area_m2, most) for name, run in runs.items()}
     data = report_data(result, courses, currency, layout, area_m2, model)
     everyone = {name: run.kpis for name, run in runs.items()}
+    last = result.steps[-1].samples[-1]  # of a run that was cut off before its window ends
+    days = round((last.start_s + last.duration_s - result.period.start_s) / DAY_S, 2)
     names, others, stretches = layout.names, data["other_levels"], events(result)
     page = rendered(
         "report.html.j2",
@@ -234,7 +232,7 @@ def write_report(
         kpis=kpis,
         manifest=manifest,
         said=said,
-        verdict=verdict(result.controller, everyone, currency, _days(result)),
+        verdict=verdict(result.controller, everyone, currency, days),
         table=kpi_rows(everyone, currency),
         controllers=list(everyone),
         gates={name: gate.in_words() for name, gate in gates_held(result, baselines).items()},
@@ -289,12 +287,6 @@ def report_data(
         "other_levels": other_levels_json(result, model, layout),
         "answers": answers_json(model),
     }
-
-
-def _days(result: RunResult) -> float:
-    """Days until the last sample: of a run that was cut off fewer than its window has."""
-    last = result.steps[-1].samples[-1]
-    return round((last.start_s + last.duration_s - result.period.start_s) / DAY_S, 2)
 
 
 def _different_prices(course: Course) -> list[int]:
