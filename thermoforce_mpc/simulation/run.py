@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -215,12 +216,17 @@ def _execute(
     with book.released(book.connect(build)) if book else closing(build()) as plant:
         setting = Setting.of(plant, scenario, testcase)
         display.say(headline(plant, setting.period, scenario))
-        if model is None:
-            identified = _identified(scenario, testcase, plant, display, book)
-            models: dict[str, ThermalModel | str] = {who: identified[who].acts_on for who in identified}
+        identified: Mapping[str, IdentifiedModel] = {}
+        models: dict[str, ThermalModel | str] = {}
+        if model is not None:
+            models |= {who: model for who in (name, *scenario.baselines) if find_entry(who).needs_model}
+        elif book and isinstance(plant, JournaledPlant):
+            # Probing has journals of its own: the journal of the run has the models, which are what comes of it.
+            find = partial(identify_all, scenario, testcase, plant.inside, display, book.folder)
+            identified = kept_models(plant, book.folder, find)
         else:
-            identified = {}
-            models = {who: model for who in (name, *scenario.baselines) if find_entry(who).needs_model}
+            identified = identify_all(scenario, testcase, plant, display)
+        models |= {who: found.acts_on for who, found in identified.items()}
 
         def follow(controller: Controller) -> RunResult:
             steps = records.setdefault(controller.name, KeptSteps(book.folder if book else None))
@@ -238,11 +244,11 @@ def _execute(
         equal = None
         if THERMOSTAT in baselines and find_entry(name).needs_model and searches_equal_comfort(scenario):
             # Not part of the run that a journal tells: it is searched again where that is resumed.
-            inside = replace(setting, plant=plant.inside) if isinstance(plant, JournaledPlant) else setting
+            again = replace(setting, plant=plant.inside) if isinstance(plant, JournaledPlant) else setting
 
             def run_at(shift_K: float) -> Mapping[str, float]:
                 options = shifted_options(controller_options(scenario, THERMOSTAT), testcase, shift_K)
-                return inside.run(build_controller(THERMOSTAT, options, testcase)).kpis
+                return again.run(build_controller(THERMOSTAT, options, testcase)).kpis
 
             with display.working("Searching the thermostat that is as comfortable"):
                 equal = as_comfortable(run_at, baselines[THERMOSTAT].kpis, result.kpis[DISCOMFORT])
@@ -253,17 +259,6 @@ def _execute(
         if isinstance(plant, JournaledPlant) and plant.differing:
             display.say(f"{counted(plant.differing, 'step')} planned otherwise than then; what acted then counts")
         return ScenarioResult(scenario, plant.info, result, baselines, usable, origins, forecaster, equal)
-
-
-def _identified(
-    scenario: Scenario, testcase: TestCase, plant: Plant, display: RunDisplay, book: RunBook | None
-) -> dict[str, IdentifiedModel]:
-    """The models of all contestants; kept in the run folder where there is one."""
-    if not (book and isinstance(plant, JournaledPlant)):
-        return identify_all(scenario, testcase, plant, display)
-    # Probing has journals of its own: the journal of the run has the models, which are what comes of it.
-    folder = book.folder
-    return kept_models(plant, folder, lambda: identify_all(scenario, testcase, plant.inside, display, folder))
 
 
 def _follow(setting: Setting, controller: Controller, display: RunDisplay, steps: KeptSteps[StepRecord]) -> RunResult:

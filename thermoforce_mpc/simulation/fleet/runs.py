@@ -54,16 +54,14 @@ def runs_of(file: FleetFile, buildings: Iterable[Building], path: Path) -> list[
                 )
             except ConfigError as error:
                 raise ConfigError(f"{path}: building '{building.name}': {error}") from error
-            runs += [_run(building, replace(cell, trajectory=file.trajectories)) for cell in cells]
+            for cell in cells:
+                if building.no_model and find_entry(cell.scenario.controller.name).needs_model:
+                    # As a cell without a model it would be probed; its key may be that of another building's run.
+                    without = replace(cell, trajectory=file.trajectories, key="", task=None, identification_key=None)
+                    runs.append(Run(building, without, f"no model from its measurements: {building.no_model}"))
+                else:
+                    runs.append(Run(building, replace(cell, trajectory=file.trajectories)))
     return runs
-
-
-def _run(building: Building, cell: Cell) -> Run:
-    if not (building.no_model and find_entry(cell.scenario.controller.name).needs_model):
-        return Run(building, cell)
-    # As a cell without a model it would be probed; its key may be that of another building's run.
-    without = replace(cell, key="", task=None, identification_key=None)
-    return Run(building, without, f"no model from its measurements: {building.no_model}")
 
 
 def tasks_of(runs: Sequence[Run]) -> list[Task]:

@@ -189,30 +189,22 @@ def ended_early(book: RunBook, records: Mapping[str, Sequence[StepRecord]], erro
         with suppress(StorageError, OSError):  # the error that ended the run is the one to tell
             book.discard()
         return error
-    kept = _keep(
-        book, records, "out of memory" if lacks_memory else _in_words(error), fault=isinstance(error, Exception)
-    )
+    fault = isinstance(error, Exception)
+    reason = "interrupted"
+    if lacks_memory:
+        reason = "out of memory"
+    elif fault:
+        reason = str(error) if isinstance(error, ThermoForceError) else f"{type(error).__name__}: {error}"
+    there = f"What was recorded until then is in {book.folder}"
+    with suppress(StorageError, OSError, MemoryError, JournalError):  # as far as that can be
+        write_partial(book.folder, records, reason)
+        if fault:
+            report_again(book.folder)
+            there += ", with a report: report.html"
     again = f"tf-mpc resume {shlex.quote(str(book.folder))}"
-    there = f"{kept}; `{again}` goes on from there"
+    there += f"; `{again}` goes on from there"
     if is_real(book.scenario):
         there += f", `{again} --stop` gives its test back to the service"
     if lacks_memory:
         return StorageError(f"out of memory: close other programs, or give the machine more\n{there}")
     return PlantError(f"{error}\n{there}") if isinstance(error, PlantError) else error
-
-
-def _keep(book: RunBook, records: Mapping[str, Sequence[StepRecord]], reason: str, *, fault: bool) -> str:
-    """Write it, as far as that can be; where it is, in words."""
-    kept = f"What was recorded until then is in {book.folder}"
-    with suppress(StorageError, OSError, MemoryError, JournalError):
-        write_partial(book.folder, records, reason)
-        if fault:
-            report_again(book.folder)
-            kept += ", with a report: report.html"
-    return kept
-
-
-def _in_words(error: BaseException) -> str:
-    if not isinstance(error, Exception):
-        return "interrupted"
-    return str(error) if isinstance(error, ThermoForceError) else f"{type(error).__name__}: {error}"

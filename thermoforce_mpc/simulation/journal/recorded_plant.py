@@ -25,8 +25,8 @@ from thermoforce_mpc.data import (
     Record,
 )
 from thermoforce_mpc.errors import NoForecast
-from thermoforce_mpc.protocols import OutlivingPlant, Plant, RestartingPlant, RoomSetpointPlant
-from thermoforce_mpc.simulation.closed_loop import StepRecord
+from thermoforce_mpc.protocols import OutlivingPlant, Plant, RestartingPlant
+from thermoforce_mpc.simulation.closed_loop import StepRecord, advanced
 from thermoforce_mpc.simulation.folder.run_folder import plain_json
 from thermoforce_mpc.simulation.journal import journal_values as values
 from thermoforce_mpc.simulation.journal.journal import Entry, Journal, JournalError, making_sense
@@ -90,7 +90,7 @@ class RecordedPlant:
     def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
         """See `Plant.advance` and `RoomSetpointPlant.advance`."""
         block = Block(u, duration_s, band_C)
-        answer = self._advanced(block_json(block), lambda: self._told(self._advance(u, duration_s, band_C)))
+        answer = self._advanced(block_json(block), lambda: self._told(advanced(self.inside, block)))
         self._last = measurement_of(answer, self._names)
         return self._last
 
@@ -132,11 +132,6 @@ class RecordedPlant:
         content = make()
         self._journal.write(kind, content)
         return content
-
-    def _advance(self, u: Levels, duration_s: float, band_C: Bands) -> Measurement:
-        if band_C is None:
-            return self.inside.advance(u, duration_s)
-        return cast(RoomSetpointPlant, self.inside).advance(u, duration_s, band_C)
 
     def _advanced(self, request: Json, call: Callable[[], Json]) -> Mapping[str, Any]:
         return self._answer("advance", request, call, dict)

@@ -31,6 +31,10 @@ def rendered(template: str, scripts: Sequence[str], data: Mapping[str, Any], **v
     library = UPLOT in scripts
     first, *others, last = sources = [_text(f"assets/{name}") for name in ("theme.js", *scripts, "unpack.js")]
     styles = [_text("assets/style.css"), *([_text("vendor/uplot/uPlot.min.css")] if library else [])]
+    hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii") for text in sources]
+    # What `assets/unpack.js` reads: JSON, deflated, in base64.
+    text = json.dumps(plain_json(data), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    deflated = gzip.compress(text.encode("utf-8", "backslashreplace"), mtime=0)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_HERE / "templates"), autoescape=True, undefined=jinja2.StrictUndefined
     )
@@ -39,21 +43,11 @@ def rendered(template: str, scripts: Sequence[str], data: Mapping[str, Any], **v
         first_script=Markup(first),
         scripts=[Markup(text) for text in others],
         last_script=Markup(last),
-        script_hashes=" ".join(f"'sha256-{_sha256(text)}'" for text in sources),
-        data=_packed(data),
+        script_hashes=" ".join(f"'sha256-{one}'" for one in hashes),
+        data=base64.b64encode(deflated).decode("ascii"),
         licence=_text("vendor/uplot/LICENSE") if library else "",
         **values,
     )
-
-
-def _packed(data: Mapping[str, Any]) -> str:
-    """JSON, deflated, in base64: what `assets/unpack.js` reads."""
-    text = json.dumps(plain_json(data), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    return base64.b64encode(gzip.compress(text.encode("utf-8", "backslashreplace"), mtime=0)).decode("ascii")
-
-
-def _sha256(text: str) -> str:
-    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
 
 
 def _text(name: str) -> str:

@@ -78,7 +78,8 @@ class LoopDisplay(_Line):
         super().__exit__(*exception)
         if exception[0] is None and not self._quiet:
             days = f"{self._days:g} day{'' if self._days == 1 else 's'}"
-            self._print(f"{self._controller}: {days} in {self._took()}{self._so_far}{self._odd_steps()}")
+            took = duration(time.monotonic() - self._began)
+            self._print(f"{self._controller}: {days} in {took}{self._so_far}{self._odd_steps()}")
 
     def step(self, record: StepRecord) -> None:
         """Update the display with one control step."""
@@ -90,8 +91,8 @@ class LoopDisplay(_Line):
         if record.plan.news:
             news = f"{self._controller}: day {record.time_s / DAY_S:.2f}: {record.plan.news}"
             self._console.print(safe_text(news, _MOST_SHOWN), highlight=False, markup=False, soft_wrap=True)
-        last_sample = record.samples[-1]
-        day = (last_sample.start_s + last_sample.duration_s - self._period.start_s) / DAY_S
+        last = record.samples[-1]
+        day = (last.start_s + last.duration_s - self._period.start_s) / DAY_S
         days_done = int(day + 1e-9)
         day_is_over = days_done > self._days_done or day >= self._days - 1e-9
         if day_is_over:
@@ -110,19 +111,14 @@ class LoopDisplay(_Line):
     def _print(self, line: str) -> None:
         self._console.print(line, highlight=False, soft_wrap=True)
 
-    def _took(self) -> str:
-        return duration(time.monotonic() - self._began)
-
     def _line(self, record: StepRecord, day: float) -> str:
         last = record.samples[-1]
         weights = [sample.duration_s for sample in record.samples]
         mean_u = np.average([sample.u_measured for sample in record.samples], weights=weights, axis=0)
-        line = (
-            f"{self._controller}: day {day:5.2f}/{self._days:g}"
-            f"  T {_temperatures(last)}  u {' '.join(f'{u:4.2f}' for u in mean_u)}{self._so_far}"
-        )
-        solve_s = record.plan.seconds.get("solve")
-        line += f"  solve {1e3 * solve_s:.0f} ms" if solve_s is not None else ""
+        line = f"{self._controller}: day {day:5.2f}/{self._days:g}  T {_temperatures(last)}"
+        line += f"  u {' '.join(f'{u:4.2f}' for u in mean_u)}{self._so_far}"
+        if (solve_s := record.plan.seconds.get("solve")) is not None:
+            line += f"  solve {1e3 * solve_s:.0f} ms"
         return line + self._left(day) + self._odd_steps()
 
     def _odd_steps(self) -> str:

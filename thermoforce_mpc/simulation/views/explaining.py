@@ -221,16 +221,13 @@ def alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
             controller = build_controller(name, options, validate_scenario(scenario), model)
             assert isinstance(controller, ThermoForceMPC)
             planned = decision.step.plan if decision.plan else None
-            return alternatives(controller, decision.observation, planned, _peak_W(decision))
+            observation, begin_s = decision.observation, decision.steps[0].time_s
+            since = observation.history.time_s[:-1] >= begin_s
+            # Highest mean power of the building over a step of the run before the decision.
+            peak_W = float(np.nanmax(observation.history.power_W[:, since].sum(axis=0), initial=0.0))
+            return alternatives(controller, observation, planned, peak_W)
         except (ArtifactError, DataError) as error:
             return str(error)
-
-
-def _peak_W(decision: Decision) -> float:
-    """Highest mean power of the building over a step of the run before the decision, W."""
-    history = decision.observation.history
-    since = history.power_W[:, history.time_s[:-1] >= decision.steps[0].time_s].sum(axis=0)
-    return float(np.nanmax(since, initial=0.0))
 
 
 def alternatives_json(alternatives: Alternatives | str) -> dict[str, Any]:
