@@ -147,7 +147,8 @@ def capped_figures(
     if cap_kW is None or not result.steps:
         return {}
     step_s = sum(sample.duration_s for sample in result.steps[0].samples)
-    return {run.controller: asdict(_capped(cap_kW, step_s, run)) for run in (result, *baselines.values())}
+    runs = {result.controller: result, **baselines}
+    return {name: asdict(_capped(cap_kW, step_s, run)) for name, run in runs.items()}
 
 
 def _capped(cap_kW: float, step_s: float, run: RunResult) -> Capped:

@@ -145,22 +145,17 @@ def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
 
 def environment() -> dict[str, str]:
     """Versions of this package, Python, the platform and the packages that affect results."""
-    versions = {"thermoforce-mpc": VERSION, "python": platform.python_version(), "platform": platform.platform()}
-    return (
-        versions
-        | installed(_PACKAGES)
-        | {f"plugin {name}": plugin_version for name, plugin_version in plugins().items()}
-    )
+    own = {"thermoforce-mpc": VERSION, "python": platform.python_version(), "platform": platform.platform()}
+    return own | installed(_PACKAGES) | {f"plugin {name}": version for name, version in plugins().items()}
 
 
 def write_partial(folder: Path, records: Mapping[str, Sequence[StepRecord]], reason: str) -> None:
     """Write the steps recorded before a run failed, and `INCOMPLETE.txt` with the reason."""
     for name, steps in records.items():
         if steps:
-            write_plain(
-                folder / f"incomplete_trajectory_{file_stem(name)}.csv", trajectory_frame(steps).to_csv(index=False)
-            )
-            write_plain(folder / f"incomplete_steps_{file_stem(name)}.csv", steps_frame(steps).to_csv(index=False))
+            stem = file_stem(name)
+            write_plain(folder / f"incomplete_trajectory_{stem}.csv", trajectory_frame(steps).to_csv(index=False))
+            write_plain(folder / f"incomplete_steps_{stem}.csv", steps_frame(steps).to_csv(index=False))
     write_plain(folder / "INCOMPLETE.txt", f"This run did not finish: {reason}\n")
 
 

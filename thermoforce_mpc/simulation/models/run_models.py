@@ -49,14 +49,14 @@ def identify_all(
         if not find_entry(name).needs_model:
             continue
         task = None if scenario.identification.model else identification_task(scenario, testcase, name)
-        shared = [identified for other, identified in by_task if other == task]
-        if not shared:
+        found = next((identified for other, identified in by_task if other == task), None)
+        if found is None:
             if by_task:
                 display.say(f"For {name}, which runs the machine another way:")
             keep = folder / PROBING / f"{file_stem(name)}.jsonl" if folder else None
-            shared = [_identify(scenario, testcase, plant, name, display, keep)]
-            by_task.append((task, shared[0]))
-        models[name] = shared[0]
+            found = _identify(scenario, testcase, plant, name, display, keep)
+            by_task.append((task, found))
+        models[name] = found
     return models
 
 
@@ -84,12 +84,10 @@ def _identify(
         return IdentifiedModel(None, {"model": None, "refused": str(error)}, str(error))
     for a, name in enumerate(model.operator.actuators):
         zone, of = model.actuator(a), "" if model.names.single else f" of {name}"
-        hours = ", ".join(f"{tau:.2g} h" for tau in zone.operator.time_constants_h)
-        found = (
-            f"Model{of}: order {zone.operator.order} ({hours}), {zone.operator.parameters_in_words}, "
-            f"steady gain {zone.operator.steady_gains_K.sum():.1f} K"
-        )
-        verdict = zone.card.competence
+        operator, verdict = zone.operator, zone.card.competence
+        hours = ", ".join(f"{tau:.2g} h" for tau in operator.time_constants_h)
+        found = f"Model{of}: order {operator.order} ({hours}), {operator.parameters_in_words}, "
+        found += f"steady gain {operator.steady_gains_K.sum():.1f} K"
         display.say(found if verdict is None else f"{found}. {verdict.sentence()}")
         if zone.card.sun_on_sensor is not None:
             display.say(f"Sun on the sensor{of}: {zone.card.sun_on_sensor.in_words()}")
