@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from controllers.registry import controller_config
-from thermoforce_mpc.data import Period
+from thermoforce_mpc.data import Period, Record
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.comfort import Comfort
@@ -217,6 +217,7 @@ def identification_task(scenario: Scenario, testcase: TestCase, controller: str 
 def run_identification(
     task: IdentificationTask,
     plant: Plant,
+    on_record: Callable[[Record], None] | None = None,
     on_progress: Callable[[ProbingProgress], None] | None = None,
     *,
     keep: Path | None = None,
@@ -224,8 +225,8 @@ def run_identification(
 ) -> ThermalModel:
     """Identify a model from the probing that `task` names, or from that of `plant`, which must be that of `task`.
 
-    `keep`: journal of the probing; one that is there is gone on with, and where it has ended, nothing is probed. `say`:
-    told why probing ended.
+    `on_record` gets the record that was identified from; `keep`: journal of the probing; one that is there is gone on
+    with, and where it has ended, nothing is probed; `say`: told why probing ended.
 
     Raises:
         DataError: the record is not sufficient for identification.
@@ -249,6 +250,8 @@ def run_identification(
                 on_progress=on_progress,
             )
             note_end(kept, probed.why)
+    if on_record:
+        on_record(probed.record)
     return identifying.conclude(probed, look)
 
 
