@@ -26,13 +26,14 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
+from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
-from thermoforce_mpc.simulation.composition import build_plant, scored_period
+from thermoforce_mpc.simulation.composition import scored_period
 from thermoforce_mpc.simulation.models.identifying import model_for
 
 HEAT_PUMP = "bestest_hydronic_heat_pump"

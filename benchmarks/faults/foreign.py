@@ -22,7 +22,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, House, draw_house
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.views.watching import watch_spells
+from thermoforce_mpc.simulation.findings import watch_spells
 
 Shown = TypeVar("Shown", Record, Measurement)
 PROBED_DAYS, WEEK = 3.0, "cold_week"

@@ -27,12 +27,13 @@ from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.rooms.plant import HouseOfRooms
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
-from thermoforce_mpc.simulation.composition import build_plant, controller_options, scored_period
+from thermoforce_mpc.simulation.composition import controller_options, scored_period
 from thermoforce_mpc.simulation.models.identifying import identification_task, run_identification
 from thermoforce_mpc.simulation.run import run
 

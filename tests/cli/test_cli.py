@@ -20,7 +20,7 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification.validation import competence
-from thermoforce_mpc.simulation import composition
+from thermoforce_mpc.plants import registry as plants_registry
 from thermoforce_mpc.simulation import run as simulation_run
 
 TESTCASE = "bestest_hydronic_heat_pump"
@@ -201,7 +201,7 @@ def test_a_run_leaves_a_complete_folder_and_prints_the_comparison(simple, tmp_pa
 def test_a_model_that_is_not_competent_is_saved_with_exit_code_4_and_not_acted_on(simple, tmp_path, monkeypatch):
     """A day of probing does not tell this house's effect as well as is asked for here."""
     monkeypatch.setattr(competence, "MOST_RELATIVE_SD", 0.02)
-    monkeypatch.setattr(composition, "build_plant", lambda *_: SimpleHouse())
+    monkeypatch.setattr(plants_registry, "build_plant", lambda *_: SimpleHouse())
     quick = ("--set", "identification.most_days=1", "--set", "identification.probing.design=random")
     words = ["identify", "--testcase", TESTCASE, "--probe-days", "1", "--out", "m", *quick]
     done = CliRunner().invoke(cli, [*words, *WEAK_PRIORS])

@@ -19,8 +19,7 @@ from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.folder.run_book import RunBook
 from thermoforce_mpc.simulation.journal.journal import NAME, JournalError, read_journal
-from thermoforce_mpc.simulation.views.explaining import decision_at
-from thermoforce_mpc.simulation.views.other_courses import alternatives_of
+from thermoforce_mpc.simulation.views.explaining import alternatives_of, decision_at
 
 
 def run(book: RunBook) -> None:

@@ -17,11 +17,11 @@ from thermoforce_mpc.data import DAY_S, Period, PlanStatus
 from thermoforce_mpc.errors import StorageError
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+from thermoforce_mpc.simulation.findings import gates_held, watch_spells
 from thermoforce_mpc.simulation.folder.run_folder import steps_frame, trajectory_frame
 from thermoforce_mpc.simulation.journal.journal import Journal, JournalError, read_journal
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
-from thermoforce_mpc.simulation.report.forecast_check import forecast_errors
-from thermoforce_mpc.simulation.views.watching import gates_held, watch_spells
+from thermoforce_mpc.simulation.report.html import forecast_errors
 
 
 def test_steps_come_back_in_order(tmp_path):

@@ -21,7 +21,7 @@ from thermoforce_mpc.errors import NoForecast
 from thermoforce_mpc.simulation import composition, report
 from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.journal.told_results import told_run
+from thermoforce_mpc.simulation.journal.told_steps import told_run
 from thermoforce_mpc.simulation.views.explaining import decision_at
 
 START_S = 10 * DAY_S

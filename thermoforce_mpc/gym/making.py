@@ -13,9 +13,9 @@ from thermoforce_mpc.gym.boptest import BoptestGymEnv, EmbeddedBoptestGymEnv, ch
 from thermoforce_mpc.gym.env import BuildingEnv, Episodes
 from thermoforce_mpc.gym.levels import LevelsView
 from thermoforce_mpc.plants.boptest.token import allow_token
+from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.simulation.checks import validate_scenario
-from thermoforce_mpc.simulation.composition import build_plant
 
 CONVENTIONS = ("levels", "boptest")
 

@@ -8,7 +8,6 @@ from thermoforce_mpc.model.free_response.registry import build_free_response, ne
 from thermoforce_mpc.plants.registry import check_plant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.composition import check_window, controller_options
 from thermoforce_mpc.simulation.models.identifying import (
@@ -46,10 +45,8 @@ def check_contestants(scenario: Scenario, testcase: TestCase) -> None:
     With a saved model that is all of them, without one what they forecast with. The probing that is taken is read too.
 
     Raises:
-        ConfigError: options, the model or the forecaster cannot be used.
-        ArtifactError: the saved model cannot be read.
-        JournalError: the probing of an earlier run cannot be used.
-        BackboneError: the forecaster's weights cannot be loaded.
+        ConfigError, ArtifactError, JournalError, BackboneError: options, saved model, probing of an earlier run, or the
+            forecaster's weights cannot be used.
     """
     contestants = [name for name in (scenario.controller.name, *scenario.baselines) if find_entry(name).needs_model]
     model = saved_model(scenario, testcase) if contestants and scenario.identification.model is not None else None
@@ -58,19 +55,13 @@ def check_contestants(scenario: Scenario, testcase: TestCase) -> None:
             taken_probing(identification_task(scenario, testcase, name))
         options = controller_options(scenario, name)
         config = controller_config(name, options, testcase)
-        _check_terms(config)
+        if (terms := getattr(config, "terms", None)) is not None:
+            from controllers.optimisation.statement.terms import load_terms  # loads CasADi
+
+            load_terms(terms)
         if model is not None:
             build_controller(name, options, testcase, model)
             continue
         method = getattr(config, "free_response", None)
         if method is not None and not needs_identified(method.name):
             build_free_response(method.name, **method.options)
-
-
-def _check_terms(config: StrictModel) -> None:
-    """Read the file of terms that a controller's options name; raises `ConfigError`."""
-    where = getattr(config, "terms", None)
-    if where is not None:
-        from controllers.optimisation.statement.terms import load_terms  # loads CasADi
-
-        load_terms(where)

@@ -98,6 +98,12 @@ class StepRecord:
     samples: tuple[Sample, ...]
     notes: tuple[str, ...] = ()
 
+    @property
+    def acting(self) -> tuple[PlanStatus, ...]:
+        """What acted at each actuator (A,)."""
+        n = len(self.boundary.names.actuators)
+        return self.plan.acting if len(self.plan.acting) == n else (self.plan.status,) * n
+
 
 @dataclass(frozen=True)
 class RunResult:

@@ -1,23 +1,23 @@
-"""The composition root: builds the plant of a scenario and the options of its controllers, and runs them."""
+"""The composition root: joins the plant of a scenario, its controllers, and the loop that runs them."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from controllers.registry import find_entry
+from controllers.registry import build_controller, find_entry
 from thermoforce_mpc.boundary.tariffs import tariff_from_file
 from thermoforce_mpc.data import DAY_S, Layout, Period
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import DoubtfulInput
 from thermoforce_mpc.model.screening import limits_of
-from thermoforce_mpc.plants.registry import boptest_plant, build_plant, windows_of, with_comfort
+from thermoforce_mpc.plants.registry import boptest_plant, windows_of, with_comfort
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.scenario.comfort import Comfort
@@ -28,10 +28,8 @@ from thermoforce_mpc.simulation.closed_loop import RunResult, StepKeeper, StepRe
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
 from thermoforce_mpc.simulation.unit_doubts import UnitDoubts
 
-__all__ = [
-    "attached_plant", "build_plant", "check_prices", "check_window", "check_windows", "controller_options",
-    "run_in_scenario", "scored_period",
-]  # fmt: skip
+if TYPE_CHECKING:  # loaded only when a controller needs a model
+    from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # BOPTEST's names and those of plants of our own; the plant knows which of them it has.
 _NAMED_PERIODS = (
@@ -45,12 +43,7 @@ _PRICE_STEP_S = 900.0
 
 
 def attached_plant(scenario: Scenario, testcase: TestCase, testid: str) -> Plant:
-    """The plant of a scenario at a service that has its test `testid` already.
-
-    Raises:
-        NoSuchTest: the service no longer has it.
-        PlantError: the service does not answer.
-    """
+    """The plant of a scenario at a service that has its test `testid` already; raises `NoSuchTest`, `PlantError`."""
     plant = boptest_plant(scenario.plant, testcase, None, scenario.seed, testid)
     return with_comfort(plant, scenario.comfort, testcase)
 
@@ -84,43 +77,56 @@ def scored_period(plant: Plant, name: str, days: float) -> Period:
     return replace(plant.period(name), scored_s=days * DAY_S)
 
 
-def run_in_scenario(
-    plant: Plant,
-    controller: Controller,
-    period: Period,
-    scenario: Scenario,
-    testcase: TestCase,
-    on_step: Callable[[StepRecord], None] | None = None,
-    keeper: StepKeeper | None = None,
-    steps: KeptSteps[StepRecord] | None = None,
-) -> RunResult:
-    """The closed loop of a controller in a scenario, readings judged by size and layout of its building.
+@dataclass(frozen=True)
+class Setting:
+    """A plant in a scenario, on which controllers are run over the window `period`."""
 
-    Arguments and errors as of `run_closed_loop`; raises `ConfigError` too where prices end before the forecasts do.
-    """
-    check_prices(scenario, period, max(controller.horizon_s - controller.step_s, 0.0))
-    lowest = testcase.layout.lowest
-    return run_closed_loop(
-        plant,
-        controller,
-        period,
-        scenario.price,
-        on_step,
-        limits_of(controller, testcase.area_m2, min(lowest)),
-        lowest,
-        keeper,
-        steps,
-        outage_h=scenario.plant.forecast_outage_h,
-        units=UnitDoubts(testcase.layout, getattr(controller, "model", None), testcase.currency),
-    )
+    plant: Plant
+    scenario: Scenario
+    testcase: TestCase
+    period: Period
+
+    @classmethod
+    def of(cls, plant: Plant, scenario: Scenario, testcase: TestCase) -> Setting:
+        """That of a scenario; raises `ConfigError` for a window that is none, or prices that end before it does."""
+        period = scored_period(plant, scenario.period, scenario.days)
+        check_prices(scenario, period)
+        return cls(plant, scenario, testcase, period)
+
+    def controller(self, name: str, model: ThermalModel | str | None = None) -> Controller:
+        """The controller `name` of the scenario; `model`: as `build_controller` takes it."""
+        return build_controller(name, controller_options(self.scenario, name), self.testcase, model)
+
+    def run(
+        self,
+        controller: Controller,
+        on_step: Callable[[StepRecord], None] | None = None,
+        keeper: StepKeeper | None = None,
+        steps: KeptSteps[StepRecord] | None = None,
+    ) -> RunResult:
+        """The closed loop of a controller, readings judged by size and layout of the building.
+
+        Arguments and errors as of `run_closed_loop`; raises `ConfigError` too where prices end before the forecasts do.
+        """
+        testcase, scenario, lowest = self.testcase, self.scenario, self.testcase.layout.lowest
+        check_prices(scenario, self.period, max(controller.horizon_s - controller.step_s, 0.0))
+        return run_closed_loop(
+            self.plant,
+            controller,
+            self.period,
+            scenario.price,
+            on_step,
+            limits_of(controller, testcase.area_m2, min(lowest)),
+            lowest,
+            keeper,
+            steps,
+            outage_h=scenario.plant.forecast_outage_h,
+            units=UnitDoubts(testcase.layout, getattr(controller, "model", None), testcase.currency),
+        )
 
 
 def check_prices(scenario: Scenario, period: Period, ahead_s: float = 0.0) -> None:
-    """Refuse a file of prices that ends before the window `period` does, or forecasts of `ahead_s` beyond it, s.
-
-    Raises:
-        ConfigError: the file ends earlier; names it.
-    """
+    """Refuse (`ConfigError`) a file of prices that ends before the window does, or forecasts `ahead_s` beyond it do."""
     if scenario.plant.prices_file is None or scenario.price != "highly_dynamic":
         return
     with warnings.catch_warnings():
@@ -144,11 +150,7 @@ def check_window(name: str, key: str = "period") -> None:
 
 
 def check_windows(names: Iterable[str], spec: PlantSpec, testcase: TestCase) -> None:
-    """Refuse windows that the plant of a scenario does not have, as far as that is known without it.
-
-    Raises:
-        ConfigError: names the window and those there are; also for a start day written in two ways.
-    """
+    """Refuse windows that the plant does not have, as far as that is known without it; raises `ConfigError`."""
     windows_of_plant = cache(partial(windows_of, spec, testcase))  # may open an FMU
     days: dict[float, str] = {}
     for name in names:

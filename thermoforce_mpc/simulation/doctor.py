@@ -30,6 +30,7 @@ from thermoforce_mpc.scenario.settings import suggestion
 from thermoforce_mpc.version import VERSION
 
 State = Literal["ok", "warning", "failed", "skipped"]
+_Found = tuple[State, str] | tuple[State, str, str]  # as the fields of `Finding`
 
 _PACKAGE = "thermoforce-mpc"
 # A season of one controller leaves a journal of some 200 MB, a comparison several.
@@ -54,16 +55,12 @@ def examine(
 ) -> Iterator[Finding]:
     """Run the checks, one finding after the other; whatever a check raises is its finding.
 
-    Args:
-        testcase: test case to look for at the service.
-        url: address of a BOPTEST service; without it that check is skipped.
-        folder: where runs are written.
-        only: names of the checks to run, by default all.
+    `testcase`: what to look for at the service at `url`, if any; `folder`: where runs are written; `only`: their names.
 
     Raises:
         ConfigError: there is no check of a name in `only`.
     """
-    checks: dict[str, Callable[[], Finding]] = {
+    checks: dict[str, Callable[[], _Found]] = {
         "Python": _python,
         "packages": _packages,
         "plugins": _plugins,
@@ -82,27 +79,27 @@ def examine(
         if only and name not in only:
             continue
         began = time.perf_counter()
+        found: _Found
         try:
-            finding = check()
+            found = check()
         except ModuleNotFoundError as error:
-            finding = Finding(name, "failed", f"{error.name} is not installed", "pip install --upgrade thermoforce-mpc")
+            found = "failed", f"{error.name} is not installed", "pip install --upgrade thermoforce-mpc"
         except ThermoForceError as error:
-            finding = Finding(name, "failed", str(error), "see the message")
+            found = "failed", str(error), "see the message"
         except Exception as error:  # a broken installation may raise anything
-            problem = f"{type(error).__name__}: {error}"
             todo = "install into a fresh virtual environment; if it stays, report it"
-            finding = Finding(name, "failed", problem, todo)
-        yield replace(finding, name=name, seconds=time.perf_counter() - began)
+            found = "failed", f"{type(error).__name__}: {error}", todo
+        yield replace(Finding(name, *found), seconds=time.perf_counter() - began)
 
 
-def _python() -> Finding:
+def _python() -> _Found:
     summary = f"{sys.version.split()[0]} at {sys.executable}, {_PACKAGE} {VERSION}"
     if sys.prefix == sys.base_prefix:
-        return Finding("", "warning", f"{summary}, no virtual environment", "python3 -m venv .venv, and install there")
-    return Finding("", "ok", summary)
+        return "warning", f"{summary}, no virtual environment", "python3 -m venv .venv, and install there"
+    return "ok", summary
 
 
-def _packages() -> Finding:
+def _packages() -> _Found:
     """Versions of what the package requires, as its metadata say."""
     problems, n = [], 0
     for line in requires(_PACKAGE) or ():
@@ -118,11 +115,11 @@ def _packages() -> Finding:
         if not requirement.specifier.contains(installed, prereleases=True):
             problems.append(f"{requirement.name} {installed} is installed, {requirement.specifier} is required")
     if problems:
-        return Finding("", "failed", "; ".join(problems), "pip install --upgrade thermoforce-mpc")
-    return Finding("", "ok", f"{n} required packages")
+        return "failed", "; ".join(problems), "pip install --upgrade thermoforce-mpc"
+    return "ok", f"{n} required packages"
 
 
-def _plugins() -> Finding:
+def _plugins() -> _Found:
     """Everything that other distributions announce, imported."""
     from controllers.registry import REGISTRY as controllers
     from thermoforce_mpc.connections.registry import REGISTRY as connections
@@ -135,12 +132,11 @@ def _plugins() -> Finding:
     plugins = [(registry.kind, entry) for registry in registries for entry in registry.listing() if entry.origin != OWN]
     problems = [f"{kind} '{entry.name}' of {entry.origin}: {entry.problem}" for kind, entry in plugins if entry.problem]
     if problems:
-        todo = "mend or uninstall these; everything else works without them"
-        return Finding("", "warning", "; ".join(problems), todo)
-    return Finding("", "ok", ", ".join(f"{kind} {entry.name}" for kind, entry in plugins) or "none installed")
+        return "warning", "; ".join(problems), "mend or uninstall these; everything else works without them"
+    return "ok", ", ".join(f"{kind} {entry.name}" for kind, entry in plugins) or "none installed"
 
 
-def _plant() -> Finding:
+def _plant() -> _Found:
     """Two hours of the embedded plant."""
     from thermoforce_mpc.boundary.weather import synthetic_weather
     from thermoforce_mpc.plants.embedded import EmbeddedPlant
@@ -150,11 +146,11 @@ def _plant() -> Finding:
     end = plant.advance(1.0, 2 * HOUR_S)
     off = plant.advance(0.0, 2 * HOUR_S)
     if not (np.isfinite(end.T_zone_C).all() and end.power_W[0] > off.power_W[0]):
-        return Finding("", "failed", "the embedded plant computes nonsense", "reinstall numba and numpy")
-    return Finding("", "ok", f"embedded: {start.T_zone_C[0]:.2f} °C, {end.T_zone_C[0]:.2f} °C after 2 h at full level")
+        return "failed", "the embedded plant computes nonsense", "reinstall numba and numpy"
+    return "ok", f"embedded: {start.T_zone_C[0]:.2f} °C, {end.T_zone_C[0]:.2f} °C after 2 h at full level"
 
 
-def _solver(name: str) -> Finding:
+def _solver(name: str) -> _Found:
     """A cold house of the solver's kind: it must plan to heat."""
     from controllers import ThermoForceMPC
     from controllers.mpc.config import MPCConfig
@@ -169,49 +165,46 @@ def _solver(name: str) -> Finding:
     config = MPCConfig.model_validate(settings | {"gate": {"enabled": False}, "guard": {"enabled": False}})
     plan = ThermoForceMPC(model, config).plan(_cold_house())
     if plan.status is not PlanStatus.SOLVED or not plan.u.size or plan.u.max() < 0.1:
-        return Finding("", "failed", f"no plan: {plan.why}", "pip install --force-reinstall casadi piqp")
-    return Finding("", "ok", f"{plan.solver_status}, {plan.iterations} iterations")
+        return "failed", f"no plan: {plan.why}", "pip install --force-reinstall casadi piqp"
+    return "ok", f"{plan.solver_status}, {plan.iterations} iterations"
 
 
 def _cold_house() -> Observation:
     """Two days at 20.5 °C without heating, and a band from 21 °C on."""
-    at_s = HOUR_S * np.arange(49, dtype=np.float64)
-    ones = np.ones(at_s.size)
-    zeros = np.zeros((1, at_s.size - 1))
+    at_s, ones, zeros = HOUR_S * np.arange(49, dtype=np.float64), np.ones(49), np.zeros((1, 48))
     record = Record(at_s, 20.5 * ones[None], 0.0 * ones, 0.0 * ones, zeros, zeros, zeros)
-    ahead = at_s[-1] + np.arange(14) * HOUR_S
-    ones = np.ones(ahead.size)
-    boundary = Boundary(ahead, 0 * ones, 0 * ones, 0 * ones, 21 * ones, 24 * ones, 0.25 * ones, 0.2 * ones)
+    ahead, one = at_s[-1] + np.arange(14) * HOUR_S, np.ones(14)
+    boundary = Boundary(ahead, 0 * one, 0 * one, 0 * one, 21 * one, 24 * one, 0.25 * one, 0.2 * one)
     return Observation(record, boundary)
 
 
-def _backbone() -> Finding:
+def _backbone() -> _Found:
     from thermoforce_mpc.model.free_response.registry import build_free_response
 
     try:
         method = build_free_response("chronos")
     except ModuleNotFoundError as error:
-        return Finding("", "failed", f"{error.name} is not installed", f"pip install {error.name}")
+        return "failed", f"{error.name} is not installed", f"pip install {error.name}"
     observation = _cold_house()
     free_C = 20.0 + np.sin(np.arange(49) * 2 * np.pi / 24)
     forecast = method.forecast(free_C, observation.history, observation.boundary)
     if not np.isfinite(forecast.quantiles_C).all():
-        return Finding("", "failed", "the shipped forecaster returns no numbers", "pip install --force-reinstall torch")
-    return Finding("", "ok", f"shipped forecaster: {forecast.note}")
+        return "failed", "the shipped forecaster returns no numbers", "pip install --force-reinstall torch"
+    return "ok", f"shipped forecaster: {forecast.note}"
 
 
-def _serving() -> Finding:
+def _serving() -> _Found:
     missing = [name for name in ("flask", "waitress") if importlib.util.find_spec(name) is None]
     if missing:
         summary = f"{', '.join(missing)} not installed: `tf-mpc serve` and `chaos` are not available"
-        return Finding("", "warning", summary, "pip install 'thermoforce-mpc[serve]'")
-    return Finding("", "ok", "flask and waitress: `tf-mpc serve`")
+        return "warning", summary, "pip install 'thermoforce-mpc[serve]'"
+    return "ok", "flask and waitress: `tf-mpc serve`"
 
 
-def _service(testcase: str, url: str | None) -> Finding:
+def _service(testcase: str, url: str | None) -> _Found:
     """Select the test case, check its points, and stop it."""
     if url is None:
-        return Finding("", "skipped", "no --url given")
+        return "skipped", "no --url given"
     from boptest_client import TransportConfig
     from thermoforce_mpc.plants.boptest.plant import BoptestPlant
 
@@ -220,19 +213,19 @@ def _service(testcase: str, url: str | None) -> Finding:
         with BoptestPlant(url, load_testcase(testcase), config=TransportConfig(read_timeout_s=30.0)) as plant:
             summary = f"version {plant.info.version}, {testcase} selected, its points checked, stopped"
     except ConfigError as error:
-        return Finding("", "failed", str(error), "`--testcase` takes another test case, `tf-mpc testcases` lists them")
+        return "failed", str(error), "`--testcase` takes another test case, `tf-mpc testcases` lists them"
     except ThermoForceError as error:
-        return Finding("", "failed", str(error), "is it running? `curl URL/version`")
-    return Finding("", "ok", f"{summary} in {time.perf_counter() - began:.1f} s")
+        return "failed", str(error), "is it running? `curl URL/version`"
+    return "ok", f"{summary} in {time.perf_counter() - began:.1f} s"
 
 
-def _clock(url: str | None) -> Finding:
+def _clock(url: str | None) -> _Found:
     """Against the service's clock, the system's own verdict, and the time the package was installed."""
     now = datetime.now(UTC)
     summary = f"{now:%Y-%m-%d %H:%M:%S} UTC"
     todo = "set the clock: timedatectl set-ntp true"
     if now.timestamp() < Path(__file__).stat().st_mtime - DAY_S:
-        return Finding("", "failed", f"{summary}: before this package was installed", todo)
+        return "failed", f"{summary}: before this package was installed", todo
     if url is not None:
         try:
             at = parsedate_to_datetime(requests.head(url, timeout=5, allow_redirects=False).headers["Date"])
@@ -241,18 +234,17 @@ def _clock(url: str | None) -> Finding:
         else:
             off_s = (now - at).total_seconds()
             if abs(off_s) > _CLOCK_OFF_S:
-                return Finding("", "warning", f"{summary}: {off_s:+.0f} s from the service's", todo)
+                return "warning", f"{summary}: {off_s:+.0f} s from the service's", todo
             summary += ", as the service's"
     synchronised = _synchronised()
     if synchronised is False:
-        return Finding("", "warning", f"{summary}, not synchronised", todo)
-    return Finding("", "ok", summary + (", synchronised" if synchronised else ""))
+        return "warning", f"{summary}, not synchronised", todo
+    return "ok", summary + (", synchronised" if synchronised else "")
 
 
 def _synchronised() -> bool | None:
     """Whether the system says its clock is synchronised; None where it does not say."""
-    command = shutil.which("timedatectl")
-    if command is None:
+    if (command := shutil.which("timedatectl")) is None:
         return None
     call = [command, "show", "--property=NTPSynchronized", "--value"]
     try:
@@ -262,12 +254,12 @@ def _synchronised() -> bool | None:
     return {"yes": True, "no": False}.get(output)
 
 
-def _disk(folder: Path) -> Finding:
+def _disk(folder: Path) -> _Found:
     """Room and permission where runs are written, and how long the disk takes to confirm."""
     where = next(path for path in (folder.resolve(), *folder.resolve().parents) if path.is_dir())
     todo = f"make room at {where}, or start runs elsewhere (--out)"
     if not os.access(where, os.W_OK):
-        return Finding("", "failed", f"{where} cannot be written", todo)
+        return "failed", f"{where} cannot be written", todo
     free_GB = shutil.disk_usage(where).free / 1e9
     with tempfile.TemporaryDirectory(prefix=".tf-mpc-doctor-", dir=where) as scratch:
         began = time.perf_counter()
@@ -275,9 +267,9 @@ def _disk(folder: Path) -> Finding:
         sync_s = time.perf_counter() - began
     summary = f"{where}: {free_GB:.1f} GB free, a record is safe after {1e3 * sync_s:.0f} ms"
     if free_GB < _NO_SPACE_GB:
-        return Finding("", "failed", summary, todo)
+        return "failed", summary, todo
     if free_GB < _LITTLE_SPACE_GB:
-        return Finding("", "warning", summary, todo)
+        return "warning", summary, todo
     if sync_s > _SLOW_SYNC_S:
-        return Finding("", "warning", f"{summary}, which is slow", "use a local disk for runs on a service")
-    return Finding("", "ok", summary)
+        return "warning", f"{summary}, which is slow", "use a local disk for runs on a service"
+    return "ok", summary

@@ -29,12 +29,7 @@ class Forecasts:
     """Gets the forecast of each step from the plant.
 
     Where it gives none, the step has an empty one (NaN), which controllers fill as they fill holes. That is said once
-    in the log, and in the notes of every step.
-
-    Args:
-        plant: the plant.
-        horizon_s, step_s: length and step of the forecast, s.
-        outage_h: time without a forecast after which `NoForecast` ends the run, h.
+    in the log, and in the notes of every step. After `outage_h` hours without one, `NoForecast` ends the run.
     """
 
     def __init__(self, plant: Forecaster, horizon_s: float, step_s: float, outage_h: float = OUTAGE_H) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 import tempfile
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
@@ -25,12 +25,12 @@ class KeptSteps(Sequence[_Step]):
     The file has no name and is written and read by this object alone.
     """
 
-    def __init__(self, folder: Path | None = None, in_memory: int = _IN_MEMORY) -> None:
-        """Keep none yet; `folder` is where the file is made if there are more than `in_memory`, by default the
+    def __init__(self, folder: Path | None = None, in_memory: int = _IN_MEMORY, steps: Iterable[_Step] = ()) -> None:
+        """Keep `steps`; `folder` is where the file is made if there are more than `in_memory`, by default the
         system's for temporary files.
         """
         self._folder, self._most = folder, in_memory
-        self._recent: list[_Step] = []
+        self._recent: list[_Step] = [*steps]
         self._places: list[int] = []
         self._file: Any = None
 
@@ -67,7 +67,7 @@ class KeptSteps(Sequence[_Step]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """To another process all of them go in memory."""
-        return _in_memory, (tuple(self),)
+        return KeptSteps, (None, len(self), tuple(self))
 
     def _write_step(self, step: _Step) -> None:
         with storage_errors((self._folder or Path(tempfile.gettempdir())) / "steps of this run"):
@@ -88,10 +88,3 @@ class KeptSteps(Sequence[_Step]):
 def _closed(file: Any) -> None:
     with suppress(OSError):  # what a full disk did not take is lost with the run
         file.close()
-
-
-def _in_memory(steps: tuple[_Step, ...]) -> KeptSteps[_Step]:
-    kept: KeptSteps[_Step] = KeptSteps(in_memory=len(steps))
-    for step in steps:
-        kept.append(step)
-    return kept

@@ -3,11 +3,8 @@
 The folder of a run may come from anybody. Its journal names a service, to which requests and BOPTEST_TOKEN would go, an
 FMU, which is native code, files of Python (`file.py:name`), trained policies, which are unpickled, or a plugin's plant,
 which may be a real one. From a journal such a setting is used only if the user gives it again, or gave it before:
-`tf-mpc run` and `resume` note what they were given in the user's cache folder, an address as it is and a file by the
-SHA-256 of its content. No folder of a run can forge that. Who owns the folder says nothing: what one unpacks is one's
-own.
-
-All else that a journal names is read as data: weather, prices, test cases, models and weights (safetensors).
+`tf-mpc run` and `resume` note in the user's cache folder what they were given, a file by the SHA-256 of its content. No
+folder of a run can forge that, whoever owns it. All else that a journal names is read as data.
 """
 
 from __future__ import annotations

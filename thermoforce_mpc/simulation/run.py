@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from controllers.registry import build_controller, find_entry, lent
-from thermoforce_mpc.data import Period
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.plants.boptest.token import allow_token
+from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.protocols import Controller, Plant
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -26,17 +27,8 @@ from thermoforce_mpc.simulation.comparison.equal_comfort import (
     shifted_options,
 )
 from thermoforce_mpc.simulation.comparison.outcome import DISCOMFORT
-from thermoforce_mpc.simulation.composition import (
-    attached_plant,
-    build_plant,
-    check_prices,
-    controller_options,
-    run_in_scenario,
-    scored_period,
-)
-from thermoforce_mpc.simulation.ended_early import ended_early
-from thermoforce_mpc.simulation.folder.results import write_results
-from thermoforce_mpc.simulation.folder.run_book import RunBook, is_real
+from thermoforce_mpc.simulation.composition import Setting, attached_plant, controller_options
+from thermoforce_mpc.simulation.folder.run_book import RunBook, ended_early, is_real
 from thermoforce_mpc.simulation.folder.run_folder import (
     clear_partial,
     create_run_folder,
@@ -46,7 +38,7 @@ from thermoforce_mpc.simulation.folder.run_folder import (
     sole_use,
 )
 from thermoforce_mpc.simulation.folder.run_log import log_step, logging_to
-from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
+from thermoforce_mpc.simulation.journal.recorded_plant import JournaledPlant
 from thermoforce_mpc.simulation.kept_steps import KeptSteps
 from thermoforce_mpc.simulation.models.identifying import IdentifiedModel
 from thermoforce_mpc.simulation.models.run_models import (
@@ -58,10 +50,9 @@ from thermoforce_mpc.simulation.models.run_models import (
 )
 from thermoforce_mpc.simulation.outside import note_given, with_given
 from thermoforce_mpc.simulation.own_kpis import OwnKpi, own_kpis, with_own_kpis
-from thermoforce_mpc.simulation.scenario_result import ScenarioResult
+from thermoforce_mpc.simulation.scenario_result import ScenarioResult, headline, print_summary, write_results
 from thermoforce_mpc.simulation.views.display import RunDisplay
 from thermoforce_mpc.simulation.views.explaining import seconds_of
-from thermoforce_mpc.simulation.views.summary import headline, print_summary
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
     import pandas as pd
@@ -101,10 +92,7 @@ def run(
 
 
 def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, command: Sequence[str]) -> Path:
-    """Run a scenario and its baselines, print the KPI table, and write the run folder.
-
-    Returns:
-        The run folder.
+    """Run a scenario and its baselines, print the KPI table, and write the run folder, which is returned.
 
     Raises:
         InputError: something given cannot be used, or another run has the folder; nothing is left behind.
@@ -132,11 +120,8 @@ def resume_run(
 ) -> Path:
     """Go on with a run that was ended before its time, from its journal; the result is that of an undisturbed run.
 
-    Args:
-        folder: run folder.
-        display: where it is shown.
-        since: line of the journal, or a time (`seconds_of`), from which on its records are lost.
-        given, code: settings that act outside the folder, by key, and files of Python, see `with_given`.
+    `since`: line of the journal, or a time (`seconds_of`), from which on its records are lost; `given`, `code`: as of
+    `with_given`.
 
     Raises:
         ConfigError: the journal names something outside that is neither known nor given; there is a link in the folder.
@@ -156,12 +141,7 @@ def resume_run(
 
 
 def stop_test(folder: Path, given: Mapping[str, str] | None = None, code: Sequence[str] = ()) -> None:
-    """Stop the test that a run has at a service, which then cannot go on; arguments as of `resume_run`.
-
-    Raises:
-        ConfigError: the run has none.
-        JournalError, NoSuchTest, PlantError: as `resume_run`.
-    """
+    """Stop the test that a run has at a service, which then cannot go on; arguments and errors as of `resume_run`."""
     with sole_use(folder):
         book = _reopened(folder, given, code)
         with closing(book.journal):
@@ -219,9 +199,8 @@ def _execute(
 ) -> ScenarioResult:
     """Build, identify unless there is a `model`, run everyone; `records` keeps the steps if the plant fails.
 
-    `own` are KPIs beside those that the scenario names.
-
-    With a `book`, all that the controllers get is written to its journal, or taken from it.
+    With a `book`, all that the controllers get is written to its journal, or taken from it. `own`: KPIs beside the
+    scenario's.
     """
     testcase = validate_scenario(scenario)
     own = (*own_kpis(scenario.kpis), *own)
@@ -230,41 +209,47 @@ def _execute(
     name = scenario.controller.name
 
     def build(testid: str | None = None) -> Plant:
-        if testid is not None:
-            return attached_plant(scenario, testcase, testid)
-        return build_plant(scenario.plant, testcase, scenario.seed, scenario.comfort)
+        if testid is None:
+            return build_plant(scenario.plant, testcase, scenario.seed, scenario.comfort)
+        return attached_plant(scenario, testcase, testid)
 
     with book.released(book.connect(build)) if book else closing(build()) as plant:
-        period = scored_period(plant, scenario.period, scenario.days)
-        display.say(headline(plant, period, scenario))
-        check_prices(scenario, period)
-        if model is None:
-            identified = _identified(scenario, testcase, plant, display, book)
-            models: dict[str, ThermalModel | str] = {who: identified[who].acts_on for who in identified}
+        setting = Setting.of(plant, scenario, testcase)
+        display.say(headline(plant, setting.period, scenario))
+        identified: Mapping[str, IdentifiedModel] = {}
+        models: dict[str, ThermalModel | str] = {}
+        if model is not None:
+            models |= {who: model for who in (name, *scenario.baselines) if find_entry(who).needs_model}
+        elif book and isinstance(plant, JournaledPlant):
+            # Probing has journals of its own: the journal of the run has the models, which are what comes of it.
+            find = partial(identify_all, scenario, testcase, plant.inside, display, book.folder)
+            identified = kept_models(plant, book.folder, find)
         else:
-            identified = {}
-            models = {who: model for who in (name, *scenario.baselines) if find_entry(who).needs_model}
+            identified = identify_all(scenario, testcase, plant, display)
+        models |= {who: found.acts_on for who, found in identified.items()}
 
         def follow(controller: Controller) -> RunResult:
             steps = records.setdefault(controller.name, KeptSteps(book.folder if book else None))
-            return with_own_kpis(_follow(plant, controller, period, scenario, testcase, display, steps), own)
+            return with_own_kpis(_follow(setting, controller, display, steps), own)
 
-        def contestant(who: str) -> Controller:
-            return build_controller(who, controller_options(scenario, who), testcase, models.get(who))
-
-        controller = contestant(name)
+        controller = setting.controller(name, models.get(name))
         actuation = getattr(controller, "actuation_in_words", None)
         if actuation:
             display.say(f"Actuation: {actuation}")
         hash_before = weight_hash(controller)
         result = follow(controller)
         forecaster = frozen_proof(controller, hash_before)
-        baselines = {other: follow(contestant(other)) for other in scenario.baselines if other != name}
+        others = [other for other in scenario.baselines if other != name]
+        baselines = {other: follow(setting.controller(other, models.get(other))) for other in others}
         equal = None
         if THERMOSTAT in baselines and find_entry(name).needs_model and searches_equal_comfort(scenario):
             # Not part of the run that a journal tells: it is searched again where that is resumed.
-            inside = plant.inside if isinstance(plant, JournaledPlant) else plant
-            run_at = partial(_shifted_thermostat, inside, period, scenario, testcase)
+            again = replace(setting, plant=plant.inside) if isinstance(plant, JournaledPlant) else setting
+
+            def run_at(shift_K: float) -> Mapping[str, float]:
+                options = shifted_options(controller_options(scenario, THERMOSTAT), testcase, shift_K)
+                return again.run(build_controller(THERMOSTAT, options, testcase)).kpis
+
             with display.working("Searching the thermostat that is as comfortable"):
                 equal = as_comfortable(run_at, baselines[THERMOSTAT].kpis, result.kpis[DISCOMFORT])
         usable = {who: model for who, model in models.items() if not isinstance(model, str)}
@@ -276,46 +261,18 @@ def _execute(
         return ScenarioResult(scenario, plant.info, result, baselines, usable, origins, forecaster, equal)
 
 
-def _shifted_thermostat(
-    plant: Plant, period: Period, scenario: Scenario, testcase: TestCase, shift_K: float
-) -> Mapping[str, float]:
-    """KPIs of the scenario's thermostat with other set-points."""
-    options = shifted_options(controller_options(scenario, THERMOSTAT), testcase, shift_K)
-    thermostat = build_controller(THERMOSTAT, options, testcase)
-    return run_in_scenario(plant, thermostat, period, scenario, testcase).kpis
-
-
-def _identified(
-    scenario: Scenario, testcase: TestCase, plant: Plant, display: RunDisplay, book: RunBook | None
-) -> dict[str, IdentifiedModel]:
-    """The models of all contestants; kept in the run folder where there is one."""
-    if not (book and isinstance(plant, JournaledPlant)):
-        return identify_all(scenario, testcase, plant, display)
-    # Probing has journals of its own: the journal of the run has the models, which are what comes of it.
-    folder = book.folder
-    return kept_models(plant, folder, lambda: identify_all(scenario, testcase, plant.inside, display, folder))
-
-
-def _follow(
-    plant: Plant,
-    controller: Controller,
-    period: Period,
-    scenario: Scenario,
-    testcase: TestCase,
-    display: RunDisplay,
-    steps: KeptSteps[StepRecord],
-) -> RunResult:
+def _follow(setting: Setting, controller: Controller, display: RunDisplay, steps: KeptSteps[StepRecord]) -> RunResult:
     """One closed loop, shown and recorded step by step so that a failure half way loses nothing."""
+    plant = setting.plant
     keeper = plant if isinstance(plant, JournaledPlant) else None
     if keeper:
         keeper.noted("loop", lambda: {"controller": controller.name})
-    with display.loop(
-        controller.name, period, keeper.kpis_so_far if keeper else plant.kpis, testcase.currency
-    ) as progress:
+    kpis = keeper.kpis_so_far if keeper else plant.kpis
+    with display.loop(controller.name, setting.period, kpis, setting.testcase.currency) as progress:
 
         def on_step(record: StepRecord) -> None:
             progress.step(record)
             if not (keeper and keeper.catching_up):
                 log_step(controller.name, record)
 
-        return run_in_scenario(plant, controller, period, scenario, testcase, on_step, keeper, steps)
+        return setting.run(controller, on_step, keeper, steps)

@@ -1,24 +1,47 @@
-"""What a scenario gives that was run."""
+"""A scenario that was run: its results, as they are written and said."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
+import yaml
 
-from thermoforce_mpc.data import PlantInfo
+from controllers.registry import find_entry
+from thermoforce_mpc.data import DAY_S, Period, PlantInfo
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.files import file_sha256
+from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import suggestion
 from thermoforce_mpc.simulation.closed_loop import RunResult
 from thermoforce_mpc.simulation.comparison.equal_comfort import AsComfortable
 from thermoforce_mpc.simulation.comparison.outcome import COST
-from thermoforce_mpc.simulation.folder.planning import Planning, planning_of
-from thermoforce_mpc.simulation.folder.run_folder import trajectory_frame
+from thermoforce_mpc.simulation.findings import (
+    Capped,
+    Planning,
+    capped_figures,
+    gates_held,
+    planning_of,
+    verdict,
+    watch_spells,
+)
+from thermoforce_mpc.simulation.folder.plain_files import write_plain
+from thermoforce_mpc.simulation.folder.run_folder import (
+    LOCK,
+    environment,
+    file_stem,
+    steps_frame,
+    trajectory_frame,
+    write_json,
+)
+from thermoforce_mpc.simulation.views.display import RunDisplay
 
-if TYPE_CHECKING:  # loaded only when a controller needs a model
+if TYPE_CHECKING:
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
@@ -50,11 +73,7 @@ class ScenarioResult:
         return {name: planning_of(result, self.models.get(name)) for name, result in self._results().items()}
 
     def to_dataframe(self, controller: str | None = None) -> pd.DataFrame:
-        """The trajectory of a controller, by default the scenario's own; one row per applied block.
-
-        Raises:
-            ConfigError: no controller of that name was run.
-        """
+        """The trajectory of a controller, by default the scenario's own, a row a block; raises `ConfigError`."""
         results = self._results()
         name = controller or self.result.controller
         if name not in results:
@@ -69,3 +88,96 @@ class ScenarioResult:
 
     def _results(self) -> dict[str, RunResult]:
         return {self.result.controller: self.result, **self.baselines}
+
+
+def write_results(folder: Path, outcome: ScenarioResult, command: Sequence[str], currency: str) -> dict[str, Any]:
+    """Write configuration, trajectories, step log, KPIs, manifest with hashes; returns what `kpis.json` holds."""
+    scenario, plant, result, baselines = outcome.scenario, outcome.plant, outcome.result, outcome.baselines
+    resolved = yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False)
+    write_plain(folder / "scenario.yaml", resolved)
+    write_plain(folder / "trajectory.csv", trajectory_frame(result.steps).to_csv(index=False))
+    write_plain(folder / "steps.csv", steps_frame(result.steps).to_csv(index=False))
+    for name, baseline in baselines.items():
+        write_plain(folder / f"trajectory_{file_stem(name)}.csv", trajectory_frame(baseline.steps).to_csv(index=False))
+    kpis = figures_of(scenario, asdict(plant), result, baselines, outcome.equal_in_words(currency))
+    write_json(folder / "kpis.json", kpis)
+    table = pd.DataFrame.from_dict(outcome.kpis, orient="index")
+    write_plain(folder / "kpis.csv", table.to_csv(index_label="controller"))
+    manifest = {
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": list(command),
+        "seed": scenario.seed,
+        "environment": environment(),
+        "plant": asdict(plant),
+        "identification": dict(outcome.identification),
+        "planning": {name: counts.to_json() for name, counts in outcome.planning.items()},
+        "forecaster": dict(outcome.forecaster),
+        "fallbacks": {"controller": result.fallback_levels()}
+        | {name: baseline.fallback_levels() for name, baseline in baselines.items()},
+        "seconds": {run.controller: run.seconds for run in (result, *baselines.values())},
+        "sha256": {
+            path.name: file_sha256(path) for path in sorted(folder.iterdir()) if path.is_file() and path.name != LOCK
+        },
+    }
+    write_json(folder / "manifest.json", manifest)
+    return kpis
+
+
+def figures_of(
+    scenario: Scenario, plant: Mapping[str, Any], result: RunResult, baselines: Mapping[str, RunResult], equal: str
+) -> dict[str, Any]:
+    """The content of `kpis.json`; `plant` is a `PlantInfo` in JSON, `equal` what is as comfortable, in words."""
+    return {
+        "testcase": plant.get("testcase", ""),
+        "plant": f"{plant.get('kind')}: {plant.get('description')}",
+        "weather": plant.get("weather", ""),
+        "period": scenario.period,
+        "start_day": result.period.start_s / DAY_S,
+        "scored_days": result.period.scored_s / DAY_S,
+        "price": scenario.price,
+        "controller": result.controller,
+        "kpis": result.kpis,
+        "baselines": {name: baseline.kpis for name, baseline in baselines.items()},
+        "equal_comfort": equal,
+        "gate": {name: asdict(gate) for name, gate in gates_held(result, baselines).items()},
+        "power_cap": capped_figures(scenario, result, baselines),
+    }
+
+
+def headline(plant: Plant, period: Period, scenario: Scenario) -> str:
+    """What is run, in three lines."""
+    info = plant.info
+    return (
+        f"Plant: {info.kind} {info.testcase} ({info.description})\n"
+        f"Weather: {info.weather}\n"
+        f"Window: {_window(period)}, {scenario.price} tariff; controller {scenario.controller.name}"
+    )
+
+
+def _window(period: Period) -> str:
+    first = period.start_s / DAY_S
+    return f"{period.name}, days {first:g} to {first + period.scored_s / DAY_S:g}"
+
+
+def print_summary(
+    outcome: ScenarioResult, folder: Path, currency: str, power_cap: Mapping[str, Any], display: RunDisplay
+) -> None:
+    """Print the KPI table and what was out of the ordinary."""
+    plant, period = outcome.plant, outcome.result.period
+    said = verdict(outcome.result.controller, outcome.kpis, currency, period.scored_s / DAY_S)
+    display.console.print(f"\n{said}\n", soft_wrap=True, markup=False)
+    title = f"{plant.kind} plant, {plant.weather}\n{_window(period)}, {outcome.scenario.price} tariff"
+    gates = {name: gate.in_words() for name, gate in gates_held(outcome.result, outcome.baselines).items()}
+    display.kpi_table(outcome.kpis, title, currency, gates)
+    if equal := outcome.equal_in_words(currency):
+        display.say(equal)
+    for name, figures in power_cap.items():
+        display.say(f"{name}: {Capped(**figures).in_words()}")
+    if find_entry(outcome.scenario.controller.name).needs_model:
+        display.say(f"{outcome.result.controller}: {outcome.planning[outcome.result.controller].in_words()}")
+    levels = outcome.result.fallback_levels()
+    fallbacks = {level: n for level, n in levels.items() if n and level not in ("solved", "rule", "gate")}
+    if fallbacks:
+        display.say(f"Fallbacks: {fallbacks}; reasons in {folder / 'steps.csv'}")
+    for spell in watch_spells(outcome.result):
+        display.say(f"Watch: {spell.in_words()}")

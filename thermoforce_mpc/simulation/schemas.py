@@ -43,16 +43,13 @@ _OF_CONTROLLER: dict[type[BaseModel], str] = {ControllerSpec: "name", Variant: "
 
 
 def schema_of(kind: str) -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of a file of one of `KINDS`, with the options of the controllers of this package.
-
-    Raises:
-        ConfigError: there is no such kind.
-    """
+    """The JSON Schema (draft 2020-12) of a file of one of `KINDS`, with controllers' options; raises `ConfigError`."""
     if kind not in KINDS:
         raise ConfigError(f"no schema '{kind}'{suggestion(kind, KINDS)}; there are {', '.join(KINDS)}")
     root = KINDS[kind]
     of_controllers = {name: entry.config() for name, entry in REGISTRY.own.items()}
-    models = list(dict.fromkeys([root, *_inside(root), *of_controllers.values(), *_all_options()]))
+    options_of_others = [options for keys in _OPTIONS.values() for options in keys.values()]
+    models = list(dict.fromkeys([root, *_inside(root), *of_controllers.values(), *options_of_others]))
     refs, combined = models_json_schema([(model, _MODE) for model in models], schema_generator=_Untitled)
     definitions = combined["$defs"]
 
@@ -89,11 +86,6 @@ class _Untitled(GenerateJsonSchema):
 
     def field_title_should_be_set(self, schema: Any) -> bool:
         return False
-
-
-def _all_options() -> Iterator[type[BaseModel]]:
-    for keys in _OPTIONS.values():
-        yield from keys.values()
 
 
 def _inside(model: type[BaseModel]) -> Iterator[type[BaseModel]]:

@@ -26,10 +26,7 @@ _NEAR, _LONGEST_H = 1.2, 0.5
 class UnitDoubts:
     """Looks at the begin of a loop and once a day; each doubt is said once, as a warning of the log too.
 
-    Args:
-        layout: what acts where.
-        model: what the controller plans with, if anything.
-        currency: of the prices; '' where that is not known.
+    `model`: what the controller plans with, if anything; `currency`: of the prices, '' where that is not known.
     """
 
     def __init__(self, layout: Layout, model: object = None, currency: str = "") -> None:

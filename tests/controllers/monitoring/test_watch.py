@@ -25,8 +25,8 @@ from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
+from thermoforce_mpc.simulation.findings import watch_spells
 from thermoforce_mpc.simulation.views.display import RunDisplay
-from thermoforce_mpc.simulation.views.watching import watch_spells
 
 FROM_S, TO_S = 13 * DAY_S, 15 * DAY_S
 

@@ -18,7 +18,7 @@ from thermoforce_mpc.identification.validation import competence
 from thermoforce_mpc.identification.validation.competence import SETTLED_SD
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.simulation.models.identifying import identify_on
+from thermoforce_mpc.simulation.models.probing import Identifying, probe_until_known
 
 pytestmark = pytest.mark.slow
 
@@ -53,13 +53,13 @@ class Watched(SimpleHouse):
         return measurement
 
 
-def _identified(house, days, **options):
-    records, progress = [], []
-    model = identify_on(
-        house, before=house.period("x"), days=days, probing=SHORT, config=LINEAR, testcase=TESTCASE,
-        on_record=records.append, on_progress=progress.append, **options,
+def _identified(house, days, most_days=None, end_early=False):
+    progress, identifying = [], Identifying(TESTCASE, LINEAR)
+    probed, look = probe_until_known(
+        house, identifying, before=house.period("x"), days=days, most_days=most_days or days, end_early=end_early,
+        seed=1, probing=SHORT, on_progress=progress.append,
     )  # fmt: skip
-    return model, records[0], progress
+    return identifying.conclude(probed, look), probed.record, progress
 
 
 def test_probing_goes_on_day_by_day_until_the_bar_is_reached(monkeypatch):

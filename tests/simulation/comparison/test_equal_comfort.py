@@ -13,7 +13,7 @@ from controllers.registry import controller_config
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.simulation.comparison import searching
+from thermoforce_mpc.simulation.comparison import tasks as comparison_tasks
 from thermoforce_mpc.simulation.comparison.cells import Inputs, expand
 from thermoforce_mpc.simulation.comparison.equal_comfort import (
     AsComfortable,
@@ -22,9 +22,8 @@ from thermoforce_mpc.simulation.comparison.equal_comfort import (
     shifted_options,
 )
 from thermoforce_mpc.simulation.comparison.outcome import outcome_rows, verdicts
-from thermoforce_mpc.simulation.comparison.searching import EqualComfort
 from thermoforce_mpc.simulation.comparison.store import Store
-from thermoforce_mpc.simulation.comparison.tasks import follow
+from thermoforce_mpc.simulation.comparison.tasks import EqualComfort, follow
 from thermoforce_mpc.simulation.comparison.variants import Variant
 
 TESTCASE = "bestest_hydronic_heat_pump"
@@ -128,7 +127,7 @@ def test_cells_beside_thermostats_are_searched_once(tmp_path, monkeypatch):
     rows = outcome_rows([thermostat, mine])
     assert [row["saving"] for row in rows] == [None, pytest.approx(100.0 * found["saving"])]
     assert any(found["in_words"] in line for line in verdicts(rows))
-    monkeypatch.setattr(searching, "follow", lambda cell: pytest.fail("it is stored"))
+    monkeypatch.setattr(comparison_tasks, "follow", lambda cell: pytest.fail("it is stored"))
     assert search.beside(cells, records)[1]["equal_comfort"] == found
 
 

@@ -12,10 +12,8 @@ from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.comparison.cells import expand
 from thermoforce_mpc.simulation.comparison.input_files import (
     input_files,
-    moved_scenario,
-    moved_task,
+    moved,
     paths_of,
-    paths_of_task,
 )
 from thermoforce_mpc.simulation.comparison.variants import Variant
 from thermoforce_mpc.simulation.models.identifying import identification_task
@@ -45,14 +43,14 @@ def test_all_files_are_sent_and_found_under_their_names(scenario, tmp_path, monk
     monkeypatch.chdir(elsewhere)
     Path("mine.yaml").write_text("name: another", encoding="utf-8")
     with sent.at_hand() as where:
-        moved = moved_scenario(scenario, where)
-        assert Path(moved.plant.weather).read_bytes() == b"weather"
-        assert Path(moved.plant.weather).name == "Brussels.mos"
-        assert Path(moved.testcase).read_text(encoding="utf-8") == "name: mine", "not the worker's own of that name"
-        assert (Path(moved.identification.model) / "below" / "arrays.safetensors").is_file()
-        assert moved.controller.options["free_response"]["options"]["backbone"] == moved.identification.model
-        assert moved.controller.options["horizon_h"] == 3
-    assert not Path(moved.plant.weather).exists()
+        there = moved(scenario, where)
+        assert Path(there.plant.weather).read_bytes() == b"weather"
+        assert Path(there.plant.weather).name == "Brussels.mos"
+        assert Path(there.testcase).read_text(encoding="utf-8") == "name: mine", "not the worker's own of that name"
+        assert (Path(there.identification.model) / "below" / "arrays.safetensors").is_file()
+        assert there.controller.options["free_response"]["options"]["backbone"] == there.identification.model
+        assert there.controller.options["horizon_h"] == 3
+    assert not Path(there.plant.weather).exists()
 
 
 def test_the_probing_of_a_run_is_sent_without_the_rest_of_its_folder(tmp_path, monkeypatch):
@@ -62,10 +60,10 @@ def test_the_probing_of_a_run_is_sent_without_the_rest_of_its_folder(tmp_path, m
     Path("run/report.html").write_text("report", encoding="utf-8")
     scenario = Scenario(testcase="bestest_hydronic_heat_pump", identification={"probed": "run"})
     task = identification_task(scenario, load_testcase(scenario.testcase))
-    sent = input_files(paths_of_task(task)).read()
+    sent = input_files(paths_of(task)).read()
     Path("run/probing/rc_mpc.jsonl").unlink()
     with sent.at_hand() as where:
-        copy = Path(moved_task(task, where).probed_files)
+        copy = Path(moved(task, where).probed_files)
         assert [path.name for path in copy.iterdir()] == ["rc_mpc.jsonl"]
         assert copy.name == "probing"
 
@@ -86,12 +84,12 @@ def test_what_is_chosen_by_name_is_no_file(tmp_path, monkeypatch):
         Path(name, "file").write_text(name, encoding="utf-8")
     assert [cell.key for cell in expand(base, variants, ["44"], ["constant"])] == before
     assert paths_of(base) == []
-    assert moved_scenario(base, {name: f"copy of {name}" for name in (*names, base.testcase)}) == base
+    assert moved(base, {name: f"copy of {name}" for name in (*names, base.testcase)}) == base
 
 
 def test_the_same_file_is_used_where_it_is(scenario):
     with input_files(paths_of(scenario)).read().at_hand() as where:
-        assert moved_scenario(scenario, where) == scenario
+        assert moved(scenario, where) == scenario
 
 
 def test_a_missing_file_is_named_and_no_file_is_no_need():

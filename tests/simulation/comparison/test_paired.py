@@ -9,8 +9,7 @@ from report_page import data_of
 from scipy import stats
 
 from thermoforce_mpc.simulation.comparison.files import write_outcome
-from thermoforce_mpc.simulation.comparison.outcome import outcome_rows
-from thermoforce_mpc.simulation.comparison.paired import in_words, pairs, reference_of
+from thermoforce_mpc.simulation.comparison.outcome import in_words, outcome_rows, pairs, reference_of
 
 COSTS = {"16": (0.55, 0.65), "44": (0.50, 0.58), "108": (0.27, 0.30)}
 

@@ -35,13 +35,11 @@ from thermoforce_mpc.simulation.comparison import cells
 from thermoforce_mpc.simulation.comparison import tasks as comparison_tasks
 from thermoforce_mpc.simulation.comparison.store import Identified, Ran, Store
 from thermoforce_mpc.simulation.comparison.tasks import failure
-from thermoforce_mpc.simulation.fleet import models as fleet_models
-from thermoforce_mpc.simulation.fleet.buildings import buildings_of
+from thermoforce_mpc.simulation.fleet import runs as fleet_runs
 from thermoforce_mpc.simulation.fleet.dataset import FORMAT, read_dataset, schema
-from thermoforce_mpc.simulation.fleet.file import load_fleet
-from thermoforce_mpc.simulation.fleet.page import fleet_page, headline, run_command
+from thermoforce_mpc.simulation.fleet.file import buildings_of, load_fleet
+from thermoforce_mpc.simulation.fleet.page import causes, fleet_page, groups, headline, lost, paired, run_command
 from thermoforce_mpc.simulation.fleet.runs import runs_of, tasks_of
-from thermoforce_mpc.simulation.fleet.summary import causes, groups, lost, paired
 
 RULES = {"thermostat": {"controller": "thermostat", "options": {"step_s": 300}}, "native": {"controller": "native"}}
 
@@ -515,7 +513,7 @@ def test_an_identification_that_fails_is_listed_and_told(tmp_path: Path, monkeyp
     (tmp_path / "good.csv").write_text("when,room,out,sun,level,power\n")
     (tmp_path / "few.csv").write_text("name,record,map\nnorth,good.csv,map.yaml\n")
     # A function that a worker finds, and that fails there.
-    monkeypatch.setattr(fleet_models, "identified_from", os.abort)
+    monkeypatch.setattr(fleet_runs, "identified_from", os.abort)
     code, said = _fleet(_file(tmp_path, buildings=[{"table": "few.csv"}]))
     assert (code, "north: no model from its measurements: TypeError" in said) == (3, True)
     (row,) = pd.read_parquet(tmp_path / "out" / "models.parquet").to_dict("records")

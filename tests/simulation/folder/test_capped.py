@@ -11,7 +11,7 @@ from simple_house import FIXED_W, PER_U_W, SimpleHouse
 from controllers.rules.thermostat import Thermostat
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
-from thermoforce_mpc.simulation.folder.capped import Capped, capped_figures
+from thermoforce_mpc.simulation.findings import Capped, capped_figures
 
 FULL_KW = (FIXED_W + PER_U_W) / 1000.0
 CAPPED = Scenario(

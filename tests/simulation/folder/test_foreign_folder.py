@@ -24,8 +24,7 @@ from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.folder.plain_files import open_plain
 from thermoforce_mpc.simulation.folder.run_book import RunBook
 from thermoforce_mpc.simulation.folder.run_folder import kept_model
-from thermoforce_mpc.simulation.views.explaining import decision_at
-from thermoforce_mpc.simulation.views.other_courses import alternatives_of
+from thermoforce_mpc.simulation.views.explaining import alternatives_of, decision_at
 
 TESTCASE = "bestest_hydronic_heat_pump"
 TOKEN = "kept-in-a-drawer-0123456789"

@@ -17,7 +17,7 @@ from controllers.rules.thermostat import Thermostat
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL
 from thermoforce_mpc.model.operator.building import single
 from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
-from thermoforce_mpc.simulation.folder.planning import planning_of
+from thermoforce_mpc.simulation.findings import planning_of
 
 RNG = np.random.default_rng(2)
 

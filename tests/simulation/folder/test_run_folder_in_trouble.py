@@ -27,6 +27,7 @@ from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import ConfigError, PlantError, StorageError
 from thermoforce_mpc.files import write_whole, written
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
+from thermoforce_mpc.simulation import composition
 from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.folder import run_folder
 from thermoforce_mpc.simulation.folder.run_book import RunBook
@@ -137,11 +138,11 @@ def test_a_run_ended_between_identification_and_the_first_step_can_be_resumed(ca
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    build = simulation_run.build_controller
-    monkeypatch.setattr(simulation_run, "build_controller", interrupted)
+    build = composition.build_controller
+    monkeypatch.setattr(composition, "build_controller", interrupted)
     assert call(SimpleHouse(), *with_model).exit_code != 0
     assert (tmp_path / "run" / "INCOMPLETE.txt").read_text() == "This run did not finish: interrupted\n"
-    monkeypatch.setattr(simulation_run, "build_controller", build)
+    monkeypatch.setattr(composition, "build_controller", build)
     shutil.rmtree(tmp_path / "model")  # the run has its own
     done = call(SimpleHouse(), "resume", tmp_path / "run")
     assert done.exit_code == 0, done.output + str(done.exception)

@@ -10,7 +10,7 @@ from simple_house import SimpleHouse, simple_model
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.report.forecast_check import free_forecast_scores
+from thermoforce_mpc.simulation.report.html import free_forecast_scores
 
 
 @pytest.mark.parametrize(("error_K", "coverage"), [(0.1, 1.0), (0.3, 0.0)])

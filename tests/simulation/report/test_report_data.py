@@ -17,11 +17,10 @@ from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Layout, Names, Period, PlanStatus
 from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.simulation.report.courses import course_of
-from thermoforce_mpc.simulation.report.decisions import decisions_json
-from thermoforce_mpc.simulation.report.other_levels import other_levels_json
-from thermoforce_mpc.simulation.report.packing import packed, smooth
-from thermoforce_mpc.simulation.report.plans import plans_json
-from thermoforce_mpc.simulation.report.tables import kpi_rows
+from thermoforce_mpc.simulation.report.html import kpi_rows
+from thermoforce_mpc.simulation.report.model_panels import other_levels_json
+from thermoforce_mpc.simulation.report.page import packed, smooth
+from thermoforce_mpc.simulation.report.plans import decisions_json, plans_json
 
 AREA_M2 = 100.0
 

@@ -12,7 +12,7 @@ from two_houses import TWO
 
 from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.simulation.folder.run_folder import steps_frame
-from thermoforce_mpc.simulation.report.forecast_check import forecast_errors, free_forecast_scores
+from thermoforce_mpc.simulation.report.html import forecast_errors, free_forecast_scores
 from thermoforce_mpc.simulation.views import display as display_module
 from thermoforce_mpc.simulation.views.display import LoopDisplay, RunDisplay
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from thermoforce_mpc.simulation.views.verdict import verdict
+from thermoforce_mpc.simulation.findings import verdict
 
 
 def kpis(cost: float, discomfort: float) -> dict[str, float]:

@@ -69,10 +69,10 @@ def identify(**options: Any) -> None:
         return
     if options["data_days"] is not None:
         raise click.UsageError("--data-days belongs to --data")
+    from thermoforce_mpc.plants.registry import build_plant
     from thermoforce_mpc.scenario.scenario import Scenario
     from thermoforce_mpc.scenario.settings import merge, validate
     from thermoforce_mpc.simulation.checks import validate_scenario
-    from thermoforce_mpc.simulation.composition import build_plant
     from thermoforce_mpc.simulation.models.identifying import identification_task, run_identification
     from thermoforce_mpc.simulation.views.display import RunDisplay
 

@@ -15,8 +15,14 @@ from thermoforce_mpc.cli.options import PATH, FiniteRange
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.simulation.folder.run_folder import write_json
-from thermoforce_mpc.simulation.views.explaining import Decision, decision_at, hour_ends, words_of
-from thermoforce_mpc.simulation.views.other_courses import alternatives_json, alternatives_of
+from thermoforce_mpc.simulation.views.explaining import (
+    Decision,
+    alternatives_json,
+    alternatives_of,
+    decision_at,
+    hour_ends,
+    words_of,
+)
 from thermoforce_mpc.simulation.views.whole_tables import plain_table, print_whole
 
 if TYPE_CHECKING:

@@ -39,9 +39,8 @@ from thermoforce_mpc.simulation.comparison.files import (
     write_outcome,
 )
 from thermoforce_mpc.simulation.comparison.outcome import group_title, grouped, verdicts
-from thermoforce_mpc.simulation.comparison.searching import EqualComfort
 from thermoforce_mpc.simulation.comparison.store import DONE, Store
-from thermoforce_mpc.simulation.comparison.tasks import tasks_of
+from thermoforce_mpc.simulation.comparison.tasks import EqualComfort, tasks_of
 from thermoforce_mpc.simulation.comparison.variants import (
     ComparisonFile,
     Variant,

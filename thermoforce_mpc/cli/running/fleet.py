@@ -20,7 +20,6 @@ from thermoforce_mpc.execution import Task
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.simulation.comparison.store import DONE, Store
 from thermoforce_mpc.simulation.comparison.tasks import failure
-from thermoforce_mpc.simulation.fleet.buildings import buildings_of
 from thermoforce_mpc.simulation.fleet.dataset import (
     check_dataset,
     finished_rows,
@@ -29,11 +28,19 @@ from thermoforce_mpc.simulation.fleet.dataset import (
     row_of,
     write_dataset,
 )
-from thermoforce_mpc.simulation.fleet.file import load_fleet
-from thermoforce_mpc.simulation.fleet.models import Measured, tasks_of_records, with_models, write_models
-from thermoforce_mpc.simulation.fleet.page import fleet_page, headline
-from thermoforce_mpc.simulation.fleet.runs import Run, models_again, place_trajectories, runs_of, tasks_of
-from thermoforce_mpc.simulation.fleet.summary import Group, causes, groups, lost, paired
+from thermoforce_mpc.simulation.fleet.file import buildings_of, load_fleet
+from thermoforce_mpc.simulation.fleet.page import Group, causes, fleet_page, groups, headline, lost, paired
+from thermoforce_mpc.simulation.fleet.runs import (
+    Measured,
+    Run,
+    models_again,
+    place_trajectories,
+    runs_of,
+    tasks_of,
+    tasks_of_records,
+    with_models,
+    write_models,
+)
 from thermoforce_mpc.simulation.views.whole_tables import plain_table, print_whole
 
 _SHOWN_FAILURES = 10

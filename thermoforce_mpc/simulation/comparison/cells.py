@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 from controllers.registry import controller_config, find_entry
@@ -84,15 +85,12 @@ def expand(
     check_windows(windows, base.plant, load_testcase(base.testcase))
     inputs = inputs or Inputs()
     cells: list[Cell] = []
-    for window in windows:
-        for price in prices:
-            for uncertainty in uncertainties:
-                for name, variant in variants.items():
-                    try:
-                        scenario = variant_scenario(base, variant, window, price, uncertainty)
-                        cells.append(_cell(name, scenario, inputs.made, inputs))
-                    except ConfigError as error:
-                        raise ConfigError(f"variant '{name}': {error}") from error
+    for window, price, uncertainty, (name, variant) in product(windows, prices, uncertainties, variants.items()):
+        try:
+            scenario = variant_scenario(base, variant, window, price, uncertainty)
+            cells.append(_cell(name, scenario, inputs))
+        except ConfigError as error:
+            raise ConfigError(f"variant '{name}': {error}") from error
     return cells
 
 
@@ -101,7 +99,14 @@ class Inputs:
 
     def __init__(self) -> None:
         self._hashes: dict[str, str] = {}
-        self.made = _provenance()
+        self.made: dict[str, Any] = {"format": FORMAT, "version": VERSION}
+        try:
+            plugins = plugin_sources()
+        except OSError as error:
+            problem = f"a plugin's file cannot be read ({error.strerror or error})"
+            raise ConfigError(f"{error.filename}: {problem}") from error
+        if plugins:
+            self.made["plugins"] = plugins
 
     def __call__(self, path: str) -> str:
         """Content hash of a file or folder; raises `ConfigError`."""
@@ -114,25 +119,14 @@ class Inputs:
 def varied(cell: Cell, name: str, options: Mapping[str, Any], inputs: Inputs) -> Cell:
     """The cell of the same controller on the same window with other options; raises `ConfigError`."""
     controller = cell.scenario.controller.model_copy(update={"options": dict(options)})
-    return _cell(name, cell.scenario.model_copy(update={"controller": controller}), inputs.made, inputs)
+    return _cell(name, cell.scenario.model_copy(update={"controller": controller}), inputs)
 
 
-def _provenance() -> dict[str, Any]:
-    """What makes the results: this package, and the plugins with their content."""
-    try:
-        installed = plugin_sources()
-    except OSError as error:
-        raise ConfigError(f"{error.filename}: a plugin's file cannot be read ({error.strerror or error})") from error
-    provenance: dict[str, Any] = {"format": FORMAT, "version": VERSION}
-    return provenance | ({"plugins": installed} if installed else {})
-
-
-def _cell(name: str, scenario: Scenario, provenance: Mapping[str, Any], hash_of: Callable[[str], str]) -> Cell:
+def _cell(name: str, scenario: Scenario, hash_of: Inputs) -> Cell:
     """The cell of a scenario. Its keys are hashes of all inputs of the run and of the identification.
 
     For a controller without a model the identification settings are not part of the key, so that its runs are reused
-    beside any other controller. The key of an identification includes the source hash: models have no result file of
-    their own in which a change of the source code could be reported.
+    beside any other. That of an identification includes the source: models have no result file that reports a change.
     """
     testcase = validate_scenario(scenario)
     controller = scenario.controller.name
@@ -145,7 +139,7 @@ def _cell(name: str, scenario: Scenario, provenance: Mapping[str, Any], hash_of:
             task = identification_task(scenario, testcase)
             probed = hash_of(task.probed_files) if task.probed_files else None
             model = task.to_json() | {"plant": _plant_by_content(task.plant, hash_of), "probed": probed}
-            identification_key = digest({**provenance, "source": source_fingerprint(), "task": model})
+            identification_key = digest({**hash_of.made, "source": source_fingerprint(), "task": model})
     options = controller_config(controller, controller_options(scenario, controller), testcase).model_dump(mode="json")
     named = [file for name in (controller, *scenario.kpis) if (file := code_file(name)) is not None]
     named += [str(policy_settings(file)) for file in named if is_policy(file)]
@@ -157,7 +151,7 @@ def _cell(name: str, scenario: Scenario, provenance: Mapping[str, Any], hash_of:
         "controller": {"name": controller, "options": options, "files": files},
         "identification": model,
     }
-    key = digest({**provenance, "scenario": decides})
+    key = digest({**hash_of.made, "scenario": decides})
     uncertainty = scenario.plant.forecast_uncertainty
     return Cell(name, scenario.period, scenario.price, uncertainty, scenario, key, task, identification_key)
 

@@ -1,8 +1,7 @@
 """A thermostat as comfortable as a controller: the set-point at which its discomfort is the controller's + 0.1 K·h.
 
 A baseline at a set-point of its own is warmer or colder than the controller, so their costs say little of each other.
-Discomfort falls with the set-point until zones get too warm; the least set-point that is comfortable enough is searched
-by doubled steps to where it falls, and bisection.
+Discomfort falls with the set-point until zones get too warm: doubled steps to where it falls, then bisection.
 """
 
 from __future__ import annotations
@@ -46,13 +45,11 @@ class AsComfortable:
 
     def in_words(self, cost: float, currency: str) -> str:
         """What it is beside a controller of this `cost`."""
-        kpis = self.kpis
         at = f"{self.shift_K:+.2f} K from" if self.shift_K else "at"
-        what = f"a thermostat {at} its set-point ({kpis[COST]:.4f} {currency}/m², "
-        what += f"{kpis[DISCOMFORT]:.2f} K·h)"
+        figures = f"{self.kpis[COST]:.4f} {currency}/m², {self.kpis[DISCOMFORT]:.2f} K·h"
         saving = self.saving(cost)
-        less = f"{abs(saving):.1%} {'less' if saving >= 0.0 else 'more'} than {what}"
-        return f"{less} at equal comfort" if self.comparable else f"{less}; no set-point is as comfortable"
+        less = f"{abs(saving):.1%} {'less' if saving >= 0.0 else 'more'} than a thermostat {at} its set-point"
+        return f"{less} ({figures}){' at equal comfort' if self.comparable else '; no set-point is as comfortable'}"
 
     def to_json(self, cost: float, currency: str) -> dict[str, Any]:
         """What a record of a comparison holds of it, for a controller of this `cost`."""
@@ -70,10 +67,7 @@ class AsComfortable:
 def as_comfortable(run: Callable[[float], Kpis], default: Kpis, discomfort_Kh: float) -> AsComfortable:
     """Search the thermostat that is as comfortable as a controller with `discomfort_Kh` K·h.
 
-    Args:
-        run: KPIs of the thermostat with its set-points raised by so many K.
-        default: those without.
-        discomfort_Kh: discomfort of the controller, K·h.
+    `run`: KPIs of the thermostat with its set-points raised by so many K; `default`: those without.
     """
     tried = {0: default}  # by number of steps
 
@@ -113,11 +107,7 @@ def as_comfortable(run: Callable[[float], Kpis], default: Kpis, discomfort_Kh: f
 
 
 def shifted_options(options: Mapping[str, Any], testcase: TestCase, shift_K: float) -> dict[str, Any]:
-    """Options of a thermostat whose zones are kept so much warmer where it heats, and cooler where it cools.
-
-    Raises:
-        ConfigError: wrong options.
-    """
+    """Options of a thermostat whose zones are kept so much warmer where it heats, and cooler where it cools."""
     config, layout = controller_config(THERMOSTAT, options, testcase), testcase.layout
     assert isinstance(config, ThermostatConfig)
     set_points = {

@@ -1,4 +1,4 @@
-"""Output files of a comparison: table (Markdown, CSV), JSON and HTML page."""
+"""Output of a comparison: tables (Markdown, CSV, LaTeX), JSON, and one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -9,20 +9,29 @@ from typing import Any
 import pandas as pd
 
 from thermoforce_mpc.simulation.comparison.outcome import (
+    CONFIDENCE,
+    COST,
+    DISCOMFORT,
     KPIS,
+    Pair,
     Row,
     cost_targets,
     failures,
+    finished,
     group_title,
     grouped,
+    in_words,
     outcome_rows,
+    pairs,
     ranked,
+    reference_of,
+    tariff_title,
     verdicts,
 )
-from thermoforce_mpc.simulation.comparison.paired import in_words, pairs, reference_of
 from thermoforce_mpc.simulation.comparison.results_json import results_json
 from thermoforce_mpc.simulation.folder.plain_files import write_plain
 from thermoforce_mpc.simulation.folder.run_folder import write_json
+from thermoforce_mpc.simulation.report.page import rendered
 
 HEADINGS = {
     "cost_tot": "cost, {currency}/m²",
@@ -35,6 +44,7 @@ HEADINGS = {
     "fallbacks": "fallbacks",
 }
 FORMS = ("csv", "latex", "markdown")
+_DIGITS = {"cost_tot": ".4f", "tdis_tot": ".2f", "saving": ".1f", "plan_ms": ".1f", "fallbacks": "d"}
 _BEST = {"cost_tot": "best_cost", "tdis_tot": "best_discomfort"}
 
 
@@ -47,21 +57,10 @@ def write_outcome(
     currency: str,
     swept: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """Write `table.md`, `table.csv`, `results.json` and `comparison.html` into `folder`.
+    """Write `table.md`, `table.csv`, `results.json`, whose content is returned, and `comparison.html` into `folder`.
 
-    Args:
-        folder: folder of the comparison.
-        records: results of its cells.
-        name: 'compare' or 'sweep', for the JSON.
-        title: heading of the page and the table.
-        currency: currency of the test case.
-        swept: labels, by variant, of the points connected by a line.
-
-    Returns:
-        The content of `results.json`, in the format of `results_json`.
+    `records`: results of the cells; `name`: 'compare' or 'sweep'; `swept`: labels, by variant, of points on a line.
     """
-    from thermoforce_mpc.simulation.comparison.page import comparison_page
-
     rows = outcome_rows(records)
     if swept is None:  # a sweep is read in the order of its values
         rows = [row for group in grouped(rows).values() for row in ranked(group)]
@@ -71,21 +70,25 @@ def write_outcome(
     says = verdicts(rows)
     write_plain(folder / "table.md", markdown(rows, title, currency, says))
     plants = sorted({f"{r['plant']['kind']}: {r['plant']['weather']}" for r in records if "plant" in r})
-    page = comparison_page(
-        rows,
-        currency,
-        swept,
+    first = {record["variant"]: record for record in reversed(records)}
+    data = comparison_data(rows, currency, swept or {})
+    page = rendered(
+        "comparison.html.j2",
+        SCRIPTS,
+        data,
+        paired=bool(data["references"]),
+        confidence=CONFIDENCE,
         title=title,
         emulated=any(plant.startswith("embedded") for plant in plants),
         plants=plants,
         headings=headings(currency, rows),
         groups=[
-            (group_title(group), _table_rows(members, own_columns(rows)), _zones(members))
+            (group_title(group), [_table_row(row, own_columns(rows)) for row in members], _zones(members))
             for group, members in grouped(rows).items()
         ],
         verdicts=says,
         failed=failures(rows),
-        variants=_variants(records),
+        variants=[_variant(first[variant]) for variant in dict.fromkeys(record["variant"] for record in records)],
         command=result["command"],
     )
     write_plain(folder / "comparison.html", page)
@@ -109,14 +112,8 @@ def shown_figures(row: Row, own: Sequence[str] = ()) -> list[str]:
     """
     texts = []
     for key in HEADINGS:
-        value = row[key]
-        if value is None:
-            texts.append("–")
-            continue
-        digits = {"cost_tot": ".4f", "tdis_tot": ".2f", "saving": ".1f", "plan_ms": ".1f", "fallbacks": "d"}.get(
-            key, ".4g"
-        )
-        texts.append(f"{value:{digits}}" + ("*" if row.get(_BEST.get(key, ""), False) else ""))
+        star = "*" if row.get(_BEST.get(key, ""), False) else ""
+        texts.append("–" if row[key] is None else f"{row[key]:{_DIGITS.get(key, '.4g')}}{star}")
     values = [row["own"].get(key) for key in own]
     return texts + ["–" if value is None else f"{value:.4g}" for value in values]
 
@@ -166,9 +163,9 @@ def _paired_lines(rows: Sequence[Row]) -> list[str]:
         return []
     rows_of_pairs = []
     for pair in several:
-        tariff = pair.price + ("" if pair.uncertainty == "none" else f", {pair.uncertainty} forecast error")
-        cost, discomfort = in_words(pair.cost_percent, 1), in_words(pair.discomfort_Kh, 2)
-        rows_of_pairs.append([pair.controller, tariff, str(len(pair.windows)), cost, discomfort])
+        tariff, windows = tariff_title(pair.price, pair.uncertainty), str(len(pair.windows))
+        figures = [in_words(pair.cost_percent, 1), in_words(pair.discomfort_Kh, 2)]
+        rows_of_pairs.append([pair.controller, tariff, windows, *figures])
     columns = ["controller", "tariff", "windows", "cost, %", "discomfort, K·h"]
     heading = f"## Difference to {reference}, mean over windows (95 % interval)"
     return [heading, "", *_table_lines(columns, rows_of_pairs, names=2)]
@@ -181,14 +178,10 @@ def _table_lines(columns: Sequence[str], rows: Sequence[Sequence[str]], names: i
 
 
 def _zone_lines(members: Sequence[Row]) -> list[str]:
-    """Table of the discomfort of each zone in Markdown; nothing for one zone."""
     zones = _zones(members)
-    if not zones:
-        return []
     cells = [[f"{row['zones'][zone]:.2f}" if zone in row["zones"] else "–" for zone in zones] for row in members]
-    return _table_lines(
-        ["discomfort, K·h", *zones], [[row["controller"], *of] for row, of in zip(members, cells, strict=True)]
-    )
+    rows = [[row["controller"], *of] for row, of in zip(members, cells, strict=True)]
+    return _table_lines(["discomfort, K·h", *zones], rows) if zones else []
 
 
 def _csv(rows: Sequence[Row]) -> str:
@@ -207,26 +200,69 @@ def _zones(members: Sequence[Row]) -> list[str]:
     return list(dict.fromkeys(zone for row in members for zone in row["zones"]))
 
 
-def _table_rows(members: Sequence[Row], own: Sequence[str]) -> list[dict[str, Any]]:
-    return [
-        {"name": row["controller"], "front": row["pareto"], "figures": shown_figures(row, own), "zones": row["zones"]}
-        for row in members
-    ]
+def _table_row(row: Row, own: Sequence[str]) -> dict[str, Any]:
+    figures = shown_figures(row, own)
+    return {"name": row["controller"], "front": row["pareto"], "figures": figures, "zones": row["zones"]}
 
 
-def _variants(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """One entry per variant: controller, options, step and, if it uses a model, identification settings."""
-    variants: dict[str, dict[str, Any]] = {}
-    for record in records:
-        scenario = record["scenario"]
-        variants.setdefault(
-            record["variant"],
+def _variant(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Controller, options, step and, if it uses a model, identification settings."""
+    scenario = record["scenario"]
+    return {
+        "name": record["variant"],
+        "controller": record["controller"],
+        "options": scenario["controller"]["options"],
+        "step_s": scenario["step_s"],
+        "identification": scenario["identification"] if record["needs_model"] else None,
+    }
+
+
+SCRIPTS = (
+    "base.js", "tip.js", "looks.js", "marks.js", "pareto_panel.js", "pareto.js", "paired.js", "comparison_page.js",
+)  # fmt: skip
+
+# Of each point of a plot, by the name that the script has for it.
+_POINT = {
+    "name": "controller", "cost": COST, "discomfort": DISCOMFORT, "energy": "ener_tot", "fallbacks": "fallbacks",
+    "pareto": "pareto",
+}  # fmt: skip
+
+
+def comparison_data(rows: Sequence[Row], currency: str, swept: Mapping[str, str]) -> dict[str, Any]:
+    """What the scripts of the page read, see `assets/pareto.js` and `assets/paired.js`."""
+    ran = finished(rows)
+    names = dict.fromkeys(row["controller"] for row in ran)
+    compared = [pair for name in names for pair in pairs(rows, name)]
+    windows: dict[tuple[str, str], dict[str, None]] = {}
+    for row in ran:
+        windows.setdefault((row["price"], row["uncertainty"]), {})[row["window"]] = None
+    # Swept values in the order of the sweep: the line joins them in it.
+    ordered = [*(name for name in swept if name in names), *(name for name in names if name not in swept)]
+    return {
+        "currency": currency,
+        "controllers": [{"name": name, "swept": swept.get(name)} for name in ordered],
+        "groups": [
             {
-                "name": record["variant"],
-                "controller": record["controller"],
-                "options": scenario["controller"]["options"],
-                "step_s": scenario["step_s"],
-                "identification": scenario["identification"] if record["needs_model"] else None,
-            },
-        )
-    return list(variants.values())
+                "title": group_title(group),
+                "points": [{name: row[key] for name, key in _POINT.items()} for row in finished(members)],
+            }
+            for group, members in grouped(rows).items()
+        ],
+        "references": list(names) if compared else [],
+        "reference": reference_of(rows),
+        "paired": [
+            {
+                "title": tariff_title(f"{tariff[0]} tariff", tariff[1]),
+                "windows": list(of),
+                "differences": [_pair(pair) for pair in compared if (pair.price, pair.uncertainty) == tariff],
+            }
+            for tariff, of in windows.items()
+        ],
+    }
+
+
+def _pair(pair: Pair) -> dict[str, Any]:
+    content: dict[str, Any] = {name: getattr(pair, name) for name in ("controller", "reference", "windows")}
+    for name, of in (("cost", pair.cost_percent), ("discomfort", pair.discomfort_Kh)):
+        content[name] = {"values": of.values.tolist(), "mean": of.mean, "half": of.half}
+    return content

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
+from pydantic import BaseModel, WithJsonSchema
+
+from controllers.registry import find_entry
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution import Task
 from thermoforce_mpc.execution.keys import digest
 from thermoforce_mpc.files import file_sha256
-from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
-from thermoforce_mpc.simulation.comparison.option_files import with_files
+from thermoforce_mpc.model.free_response.registry import may_be_file
+from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.models.identifying import IdentificationTask
+
+Change = Callable[[str], str]
+_Inputs = TypeVar("_Inputs", Scenario, IdentificationTask)
 
 
 @dataclass(frozen=True)
@@ -83,60 +90,63 @@ def task_of(files: InputFiles) -> Task:
     return Task(digest({"files": files.hashes}), ", ".join(files.hashes), InputFiles.read, files)
 
 
-def paths_of(scenario: Scenario) -> list[str]:
-    """Paths that a run of `scenario` reads."""
-    testcase_files = [scenario.testcase] if _is_file(scenario.testcase) else []
-    models = [scenario.identification.model] if scenario.identification.model else []
-    of_options = named_files(scenario.controller.name, scenario.controller.options)
-    return [*testcase_files, *scenario.plant.files().values(), *models, *of_options]
+def paths_of(inputs: _Inputs) -> list[str]:
+    """Paths that a run or an identification reads."""
+    found: list[str] = []
+
+    def note(path: str) -> str:
+        found.append(path)
+        return path
+
+    def note_option(text: str) -> str:
+        return note(text) if _is_there(text) else text
+
+    _with_paths(inputs, note, note_option)
+    return found
 
 
 def named_files(controller: str, options: Mapping[str, Any]) -> list[str]:
     """Files and folders named in options of a controller, such as a forecaster's checkpoint."""
-    files = []
+    texts: list[str] = []
 
-    def collect(text: str) -> str:
-        if text and Path(text).expanduser().exists():
-            files.append(text)
+    def note(text: str) -> str:
+        texts.append(text)
         return text
 
-    with_files(controller, options, collect)
-    return files
+    with_files(controller, options, note)
+    return [text for text in texts if _is_there(text)]
 
 
-def _is_file(testcase: str) -> bool:
-    return Path(testcase).suffix in (".yaml", ".yml")
+def moved(inputs: _Inputs, where: Mapping[str, str]) -> _Inputs:
+    """What a run or an identification is made from, with the files of `where`."""
+
+    def move(path: str) -> str:
+        return where.get(path, path)
+
+    return _with_paths(inputs, move, move)
 
 
-def moved_plant(spec: PlantSpec, where: Mapping[str, str]) -> PlantSpec:
-    """`spec` with the files of `where`."""
-    return spec.model_copy(update={field: where.get(path, path) for field, path in spec.files().items()})
-
-
-def paths_of_task(task: IdentificationTask) -> list[str]:
-    """Paths that an identification reads."""
-    return [*task.plant.files().values(), *([task.probed_files] if task.probed_files else [])]
-
-
-def moved_task(task: IdentificationTask, where: Mapping[str, str]) -> IdentificationTask:
-    """`task` with the files of `where`."""
-    probed = where.get(task.probed_files or "", task.probed)
-    return replace(task, plant=moved_plant(task.plant, where), probed=probed)
-
-
-def moved_scenario(scenario: Scenario, where: Mapping[str, str]) -> Scenario:
-    """`scenario` with the files of `where`."""
-    model = scenario.identification.model
-    controller = scenario.controller
-    options = with_files(controller.name, controller.options, lambda path: where.get(path, path))
-    testcase = scenario.testcase
+def _with_paths(inputs: _Inputs, change: Change, in_options: Change) -> _Inputs:
+    """`inputs` with `change` applied to each path, and `in_options` to each text of options that may be one."""
+    spec = inputs.plant
+    plant = spec.model_copy(update={field: change(path) for field, path in spec.files().items()})
+    if isinstance(inputs, IdentificationTask):
+        return replace(inputs, plant=plant, probed=change(inputs.probed_files) if inputs.probed_files else None)
+    testcase, controller, identification = inputs.testcase, inputs.controller, inputs.identification
     update = {
-        "testcase": where.get(testcase, testcase) if _is_file(testcase) else testcase,
-        "plant": moved_plant(scenario.plant, where),
-        "identification": scenario.identification.model_copy(update={"model": where.get(model or "", model)}),
-        "controller": controller.model_copy(update={"options": options}),
+        "testcase": change(testcase) if Path(testcase).suffix in (".yaml", ".yml") else testcase,
+        "plant": plant,
+        "controller": controller.model_copy(
+            update={"options": with_files(controller.name, controller.options, in_options)}
+        ),
     }
-    return scenario.model_copy(update=update)
+    if identification.model:
+        update["identification"] = identification.model_copy(update={"model": change(identification.model)})
+    return inputs.model_copy(update=update)
+
+
+def _is_there(text: str) -> bool:
+    return bool(text) and Path(text).expanduser().exists()
 
 
 def _file_at(path: str, name: str) -> Path:
@@ -149,3 +159,54 @@ def _has_content(path: str, hashes: Mapping[str, str]) -> bool:
         return all(file_sha256(_file_at(path, name)) == expected for name, expected in hashes.items())
     except OSError:
         return False
+
+
+def with_files(controller: str, options: Mapping[str, Any], change: Change) -> dict[str, Any]:
+    """Options of a controller with `change` applied to each text that may name a file or folder.
+
+    That is free text, but no name of a registry, choice or default. Raises `ConfigError` for an unknown controller.
+    """
+    return _change_model(find_entry(controller).config(), options, change)
+
+
+def _change_model(model: type[BaseModel], values: Mapping[str, Any], change: Change) -> dict[str, Any]:
+    changed = dict(values)
+    for key, value in values.items():
+        field = model.model_fields.get(key)
+        # `one_of` marks a name of a registry.
+        if field is None or value == field.default or any(isinstance(mark, WithJsonSchema) for mark in field.metadata):
+            continue
+        if key == "options" and _is_free_response(model):
+            name = values.get("name") or model.model_fields["name"].default
+            changed[key] = {option: change(v) if may_be_file(name, option, v) else v for option, v in value.items()}
+        else:
+            changed[key] = _change_value(field.annotation, value, change)
+    return changed
+
+
+def _is_free_response(model: type[BaseModel]) -> bool:
+    from controllers.mpc.config import FreeResponseConfig  # with what plans need
+
+    return issubclass(model, FreeResponseConfig)
+
+
+def _change_value(kind: Any, value: Any, change: Change) -> Any:
+    """`value` of a field annotated as `kind`; a `Literal` or enum is no text."""
+    inner = get_args(kind)
+    if get_origin(kind) is Annotated:
+        return _change_value(inner[0], value, change)
+    if get_origin(kind) in (Union, UnionType):
+        for member in inner:
+            value = _change_value(member, value, change)
+        return value
+    if kind in (str, Path, Any) and isinstance(value, str):
+        return change(value)
+    if isinstance(value, Mapping):
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            return _change_model(kind, value, change)
+        of = inner[1] if len(inner) == 2 else Any if kind in (Any, dict) else None
+        return {key: _change_value(of, item, change) for key, item in value.items()} if of else value
+    if isinstance(value, list | tuple):
+        of = inner[0] if inner else Any if kind in (Any, list, tuple) else None
+        return [_change_value(of, item, change) for item in value] if of else value
+    return value

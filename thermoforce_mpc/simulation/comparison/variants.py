@@ -128,26 +128,19 @@ def numeric_option(controller: str, key: str) -> str:
 
 
 def variant_scenario(base: Scenario, variant: Variant, window: str, price: str, uncertainty: str) -> Scenario:
-    """Scenario of one cell: `base` with this variant, window, tariff and forecast error level.
+    """Scenario of one cell: `base` with this variant, window, tariff and forecast error level; raises `ConfigError`.
 
     The controller's options are those of `base` where it is the same controller, then the variant's.
-
-    Raises:
-        ConfigError: the variant's `identification` has wrong keys.
     """
-    data = base.model_dump()
     over: dict[str, Any] = {
         "period": window,
         "price": price,
         "plant": {"forecast_uncertainty": uncertainty},
         "identification": variant.identification,
-    }
-    if variant.step_s is not None:
-        over["step_s"] = variant.step_s
-    data = merge(data, over)
+    } | ({} if variant.step_s is None else {"step_s": variant.step_s})
     own = base.controller.options if variant.controller == base.controller.name else {}
-    data["controller"] = {"name": variant.controller, "options": merge(own, variant.options)}
-    data |= {"baselines": (), "equal_comfort": None}
+    controller = {"name": variant.controller, "options": merge(own, variant.options)}
+    data = merge(base.model_dump(), over) | {"controller": controller, "baselines": (), "equal_comfort": None}
     return validate(Scenario, data, f"variant of '{variant.controller}'")
 
 

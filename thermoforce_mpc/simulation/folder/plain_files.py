@@ -11,14 +11,11 @@ from thermoforce_mpc.files import write_whole
 
 
 def check_plain(folder: Path) -> None:
-    """Refuse a folder of a run in which anything is a link, pipe, socket or device, at any depth.
+    """Refuse a folder of a run in which anything is a link, pipe, socket or device, at any depth; raises `ConfigError`.
 
     A link there could have another file read, or written over; a pipe could be waited for without end. The folder
-    itself may be a link: its name is the user's. It is looked at when it is taken up: what somebody exchanges in it
-    later is not seen, but files are opened by `open_plain` and written by `write_plain`.
-
-    Raises:
-        ConfigError: there is such a thing; names it.
+    itself may be a link: its name is the user's. What is exchanged later is not seen here, but files are opened by
+    `open_plain` and written by `write_plain`.
     """
     for where, folders, files in os.walk(folder):
         for name in (*folders, *files):

@@ -1,19 +1,21 @@
-"""Folder and journal of one run: what is written as it goes on, and what a resumed run finds there."""
+"""Folder and journal of one run: what is written as it goes on, what a resumed run finds, what an ended one leaves."""
 
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from thermoforce_mpc.errors import PlantError
+from thermoforce_mpc.errors import PlantError, StorageError, ThermoForceError, out_of_memory
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import validate
-from thermoforce_mpc.simulation.folder.run_folder import plain_json
+from thermoforce_mpc.simulation.closed_loop import StepRecord
+from thermoforce_mpc.simulation.folder.run_folder import plain_json, write_partial
 from thermoforce_mpc.simulation.journal.journal import (
     FORMAT,
     NAME,
@@ -27,7 +29,8 @@ from thermoforce_mpc.simulation.journal.journal import (
     read_run,
     set_aside,
 )
-from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
+from thermoforce_mpc.simulation.journal.recorded_plant import JournaledPlant
+from thermoforce_mpc.simulation.views.report_again import report_again
 from thermoforce_mpc.version import VERSION
 
 # It becomes a part of addresses.
@@ -71,12 +74,10 @@ class RunBook:
     def reopen(
         cls, folder: Path, since: float | None = None, settled: Callable[[Scenario], Scenario] = lambda told: told
     ) -> RunBook:
-        """Go on with the journal of a run, at its end, or before line or time `since`: what comes after is set aside.
+        """Go on with the journal of a run, at its end, or before `since`, a line (int) or time (s, float).
 
-        Args:
-            folder: run folder.
-            since: a line (int), or a time, s since 1 January (float).
-            settled: what is made of the scenario; called before anything is written, and may refuse it.
+        What comes after is set aside. `settled`: what is made of the scenario; called before anything is written, and
+        may refuse it.
 
         Raises:
             JournalError: there is none, it is damaged (names the line), of another format, or has nothing at `since`.
@@ -179,3 +180,31 @@ def _with_its_loop(path: Path, text: JournalText) -> JournalText:
 def is_real(scenario: Scenario) -> bool:
     """Whether the plant goes on while we are down, so that the journal must outlast a power failure."""
     return scenario.plant.kind == "boptest"
+
+
+def ended_early(book: RunBook, records: Mapping[str, Sequence[StepRecord]], error: BaseException) -> BaseException:
+    """Keep what there is of a run that `error` ended, or remove a folder that says nothing; the error to raise."""
+    lacks_memory = out_of_memory(error)
+    if not (book.has_begun or lacks_memory):
+        with suppress(StorageError, OSError):  # the error that ended the run is the one to tell
+            book.discard()
+        return error
+    fault = isinstance(error, Exception)
+    reason = "interrupted"
+    if lacks_memory:
+        reason = "out of memory"
+    elif fault:
+        reason = str(error) if isinstance(error, ThermoForceError) else f"{type(error).__name__}: {error}"
+    there = f"What was recorded until then is in {book.folder}"
+    with suppress(StorageError, OSError, MemoryError, JournalError):  # as far as that can be
+        write_partial(book.folder, records, reason)
+        if fault:
+            report_again(book.folder)
+            there += ", with a report: report.html"
+    again = f"tf-mpc resume {shlex.quote(str(book.folder))}"
+    there += f"; `{again}` goes on from there"
+    if is_real(book.scenario):
+        there += f", `{again} --stop` gives its test back to the service"
+    if lacks_memory:
+        return StorageError(f"out of memory: close other programs, or give the machine more\n{there}")
+    return PlantError(f"{error}\n{there}") if isinstance(error, PlantError) else error

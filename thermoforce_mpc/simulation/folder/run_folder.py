@@ -105,16 +105,14 @@ def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
     rows = []
     for step in steps:
         plan, names = step.plan, step.boundary.names
+        by_actuator = zip(names.actuators, step.acting, strict=True) if len(names.actuators) > 1 else ()
+        acting = {f"status[{name}]": status.value for name, status in by_actuator}
 
         def first(column: str, signal: str, names: Names = names, plan: Plan = plan) -> dict[str, float | None]:
             """The first planned value of a signal, by row; None where nothing was planned."""
             values = getattr(plan, signal)
-            return {
-                column + names.label(signal, row).removeprefix(signal): float(values[row].flat[0])
-                if plan.u.size
-                else None
-                for row in range(names.rows(signal))
-            }
+            labels = [column + names.label(signal, row).removeprefix(signal) for row in range(names.rows(signal))]
+            return {label: float(values[row].flat[0]) if plan.u.size else None for row, label in enumerate(labels)}
 
         rows.append(
             {
@@ -122,7 +120,7 @@ def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
                 "time_s": step.time_s,
                 **{names.label("T_zone_C", z): float(T) for z, T in enumerate(step.T_zone_C)},
                 "status": plan.status.value,
-                **_by_actuator(plan, names),
+                **acting,
                 "solver_status": plan.solver_status,
                 "iterations": plan.iterations,
                 "export_calls": plan.export_calls,
@@ -145,32 +143,19 @@ def steps_frame(steps: Sequence[StepRecord]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _by_actuator(plan: Plan, names: Names) -> dict[str, str]:
-    """What acted at each actuator, where there are several."""
-    if len(names.actuators) == 1:
-        return {}
-    acting = plan.acting if len(plan.acting) == len(names.actuators) else (plan.status,) * len(names.actuators)
-    return {f"status[{name}]": status.value for name, status in zip(names.actuators, acting, strict=True)}
-
-
 def environment() -> dict[str, str]:
     """Versions of this package, Python, the platform and the packages that affect results."""
-    versions = {"thermoforce-mpc": VERSION, "python": platform.python_version(), "platform": platform.platform()}
-    return (
-        versions
-        | installed(_PACKAGES)
-        | {f"plugin {name}": plugin_version for name, plugin_version in plugins().items()}
-    )
+    own = {"thermoforce-mpc": VERSION, "python": platform.python_version(), "platform": platform.platform()}
+    return own | installed(_PACKAGES) | {f"plugin {name}": version for name, version in plugins().items()}
 
 
 def write_partial(folder: Path, records: Mapping[str, Sequence[StepRecord]], reason: str) -> None:
     """Write the steps recorded before a run failed, and `INCOMPLETE.txt` with the reason."""
     for name, steps in records.items():
         if steps:
-            write_plain(
-                folder / f"incomplete_trajectory_{file_stem(name)}.csv", trajectory_frame(steps).to_csv(index=False)
-            )
-            write_plain(folder / f"incomplete_steps_{file_stem(name)}.csv", steps_frame(steps).to_csv(index=False))
+            stem = file_stem(name)
+            write_plain(folder / f"incomplete_trajectory_{stem}.csv", trajectory_frame(steps).to_csv(index=False))
+            write_plain(folder / f"incomplete_steps_{stem}.csv", steps_frame(steps).to_csv(index=False))
     write_plain(folder / "INCOMPLETE.txt", f"This run did not finish: {reason}\n")
 
 

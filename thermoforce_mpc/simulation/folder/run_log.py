@@ -67,11 +67,7 @@ class _Lines(logging.StreamHandler[TextIO]):
 
 @contextmanager
 def logging_to(folder: Path, say: Callable[[str], None] = lambda text: None) -> Iterator[None]:
-    """Append what the package logs to `log.jsonl` in `folder`, and `say` warnings.
-
-    Raises:
-        StorageError: the file cannot be opened.
-    """
+    """Append what the package logs to `log.jsonl` in `folder`, and `say` warnings; raises `StorageError`."""
     with storage_errors(folder / NAME):
         file = open_plain(folder / NAME, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         file_handler = _Lines(os.fdopen(file, "a", encoding="utf-8", errors="backslashreplace"))

@@ -54,11 +54,7 @@ class Entry:
 
     @property
     def content(self) -> Mapping[str, Any]:
-        """What it says; read anew each time from a file, since a long journal does not fit in memory.
-
-        Raises:
-            JournalError: the file cannot be read any more, or was changed.
-        """
+        """What it says, read anew each time: a long journal does not fit in memory. Raises `JournalError`."""
         if isinstance(self.told, Mapping):
             return self.told
         try:
@@ -103,11 +99,7 @@ class Journal:
     def __init__(self, path: Path, after: JournalText | None = None, *, durable: bool = False) -> None:
         """Begin a journal at `path`, or go on `after` what was read from it; a torn end is cut off.
 
-        Args:
-            durable: wait for the disk after every record, so that a power failure loses none either.
-
-        Raises:
-            StorageError: the file cannot be opened.
+        `durable`: wait for the disk after every record, so that a power failure loses none either.
         """
         self.path, self._durable = path, durable
         after = after or JournalText((), 0, 0, False)
@@ -120,11 +112,7 @@ class Journal:
         return self._n
 
     def write(self, kind: str, content: Mapping[str, Any]) -> None:
-        """Append one record.
-
-        Raises:
-            StorageError: the disk is full, or the file was removed; the journal ends with the record before.
-        """
+        """Append one record; the journal ends with the one before where `StorageError` is raised."""
         record = {"n": self._n, "kind": kind, **content}
         text = json.dumps(record, ensure_ascii=False, allow_nan=False, separators=(",", ":"))[:-1]
         body = text.encode(errors="backslashreplace")  # half a surrogate, as in the name of a file: \\udcff is JSON too
@@ -152,11 +140,7 @@ class Journal:
 
 
 def read_run(path: Path, most: int | None = None) -> JournalText:
-    """Read the journal of a run, as `read_journal`, and check that this release can make sense of it.
-
-    Raises:
-        JournalError: as `read_journal`, or it holds no run, or one of another format.
-    """
+    """Read the journal of a run, as `read_journal`, and check that this release can make sense of it."""
     try:
         journal = read_journal(path, most)
     except DamagedJournal as damage:
@@ -210,11 +194,7 @@ def _damaged(path: Path, good: JournalText) -> DamagedJournal:
 
 
 def lines_of(path: Path, at: int = 0) -> Iterator[bytes]:
-    """The lines of a journal from byte `at` on, with their ends, which the last may lack.
-
-    Raises:
-        JournalError: the file cannot be read, or is no text of records.
-    """
+    """The lines of a journal from byte `at` on, with their ends, which the last may lack; raises `JournalError`."""
     try:
         with os.fdopen(open_plain(path, os.O_RDONLY), "rb") as file:
             file.seek(at)
@@ -227,11 +207,7 @@ def lines_of(path: Path, at: int = 0) -> Iterator[bytes]:
 
 
 def set_aside(path: Path, good: JournalText) -> Path:
-    """Move what comes after `good` to a file beside the journal, so that it can go on from there; returns that file.
-
-    Raises:
-        StorageError: it cannot be written.
-    """
+    """Move what comes after `good` to a file beside the journal, and return that file; raises `StorageError`."""
     aside = path.with_name(f"{path.name}.lost")
     with written(aside, follow=False) as there, there.open("wb") as file:
         file.writelines(lines_of(path, good.size))

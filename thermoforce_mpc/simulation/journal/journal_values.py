@@ -14,18 +14,7 @@ from typing import Any
 import numpy as np
 
 from boptest_client import safe_text
-from thermoforce_mpc.data import (
-    ACTING,
-    CONDITIONS,
-    SIGNALS,
-    Array,
-    Block,
-    Boundary,
-    Measurement,
-    Names,
-    Plan,
-    Record,
-)
+from thermoforce_mpc.data import ACTING, CONDITIONS, SIGNALS, Array, Block, Boundary, Measurement, Names, Plan, Record
 
 Json = dict[str, Any]
 
@@ -38,18 +27,28 @@ _NOTHING = -(2**31)
 _READINGS = ("T_out_C", "solar_W_m2", "T_zone_C", *ACTING)
 
 
+def _deflated(content: bytes, effort: int) -> str:
+    return base64.b64encode(zlib.compress(content, effort)).decode()
+
+
+def _inflated(text: str, shapes: Sequence[Sequence[int]], each: int) -> bytes:
+    """The bytes of arrays of `shapes`, `each` a value; raises `ValueError` for more than any record holds."""
+    size = sum(math.prod(shape) for shape in shapes)
+    if not size <= _MOST_VALUES or any(n < 0 for shape in shapes for n in shape):
+        raise ValueError(f"arrays of shapes {shapes}")
+    return zlib.decompressobj().decompress(base64.b64decode(text), each * size + 1)
+
+
 def pack(rows: Array) -> Json:
     """An array as JSON."""
-    content = zlib.compress(np.ascontiguousarray(rows, dtype="<f8").tobytes(), 6)
-    return {"shape": list(rows.shape), "zlib": base64.b64encode(content).decode()}
+    content = np.ascontiguousarray(rows, dtype="<f8").tobytes()
+    return {"shape": list(rows.shape), "zlib": _deflated(content, 6)}
 
 
 def unpack(packed: Mapping[str, Any]) -> Array:
     """The array of `pack`; raises `ValueError` for what it did not make."""
     shape = [int(n) for n in packed["shape"]]
-    if min(shape, default=0) < 0 or not math.prod(shape) <= _MOST_VALUES:
-        raise ValueError(f"an array of shape {shape}")
-    content = zlib.decompressobj().decompress(base64.b64decode(packed["zlib"]), 8 * math.prod(shape) + 1)
+    content = _inflated(packed["zlib"], [shape], 8)
     return np.asarray(np.frombuffer(content, dtype="<f8").reshape(shape), dtype=np.float64)
 
 
@@ -59,8 +58,14 @@ def number(value: float) -> float | str | None:
     return None if math.isnan(value) else value if math.isfinite(value) else str(value)
 
 
-def _number(value: float | str | None) -> float:
-    return math.nan if value is None else float(value)
+def kpis_json(kpis: Mapping[str, float]) -> Json:
+    """KPIs by name."""
+    return {name: number(value) for name, value in kpis.items()}
+
+
+def kpis_of(content: Mapping[str, Any]) -> dict[str, float]:
+    """The KPIs of `kpis_json`."""
+    return {name: math.nan if value is None else float(value) for name, value in content.items()}
 
 
 def names_of(content: Mapping[str, Any]) -> Names:
@@ -106,9 +111,9 @@ def boundary_of(rows: Array, names: Names) -> Boundary:
     """The boundary conditions of `boundary_rows`."""
     signals, at = {}, 0
     for name in CONDITIONS:
-        n = 1 if name in ("time_s", "T_out_C", "solar_W_m2") else names.rows(name)
-        signals[name] = rows[at] if name in ("time_s", "T_out_C", "solar_W_m2") else rows[at : at + n]
-        at += n
+        single = name in ("time_s", "T_out_C", "solar_W_m2")
+        n = 1 if single else names.rows(name)
+        signals[name], at = rows[at] if single else rows[at : at + n], at + n
     return Boundary(**signals, names=names)
 
 
@@ -180,7 +185,7 @@ def _planned_json(plan: Plan) -> Json:
     change = np.concatenate(changes)
     # Small changes of either sign become small numbers without one.
     octets = ((change << 1) ^ (change >> 31)).astype("<u4").view(np.uint8).reshape(-1, 4).T
-    return {"shapes": shapes, "zlib": base64.b64encode(zlib.compress(octets.tobytes(), 9)).decode()}
+    return {"shapes": shapes, "zlib": _deflated(octets.tobytes(), 9)}
 
 
 def planned_of(told: Mapping[str, Any]) -> dict[str, Array]:
@@ -188,11 +193,7 @@ def planned_of(told: Mapping[str, Any]) -> dict[str, Array]:
     if "plan" not in told:
         return {}
     shapes = [[int(n) for n in shape] for shape in told["plan"]["shapes"]]
-    size = sum(math.prod(shape) for shape in shapes)
-    if not size <= _MOST_VALUES or any(min(shape) < 0 for shape in shapes):
-        raise ValueError(f"planned courses of shapes {shapes}")
-    content = zlib.decompressobj().decompress(base64.b64decode(told["plan"]["zlib"]), 4 * size + 1)
-    octets = np.frombuffer(content, np.uint8).reshape(4, size)
+    octets = np.frombuffer(_inflated(told["plan"]["zlib"], shapes, 4), np.uint8).reshape(4, -1)
     z = np.ascontiguousarray(octets.T).view("<u4").ravel().astype(np.uint32)
     change = (z >> 1).astype(np.int32) ^ -(z & 1).astype(np.int32)
     courses, at = {}, 0

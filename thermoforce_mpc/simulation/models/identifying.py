@@ -41,11 +41,9 @@ _TRIAL_SHARES, _UNMETERED_STEPS = (0.5, 0.25), 8
 class IdentificationTask:
     """All inputs of an identification before a window; `run_identification` uses nothing else.
 
-    `period`: scored window, which is not probed; `days`: days of probing, planned to end where its warm-up begins;
-    `most_days`: days after which probing ends in any case, see `identify_on`; `end_early`: whether it may end before
-    `days`; `step_s`: step of the model, s; `seed`: seed of the probing and of the forecast errors in `plant`, which the
-    probing design uses; `probed`: folder of a run whose probing is taken, see `find_probing`; `comfort`: bounds in the
-    place of the plant's.
+    `period`: scored window, which is not probed; `days`, `most_days`, `end_early`: see `identify_on`; `step_s`: step of
+    the model, s; `seed`: of the probing and of the forecast errors in `plant`, which the probing design uses; `probed`:
+    folder of a run whose probing is taken, see `find_probing`; `comfort`: bounds in the place of the plant's.
     """
 
     testcase: TestCase
@@ -83,10 +81,9 @@ class IdentificationTask:
 
     def to_json(self) -> dict[str, Any]:
         """All fields as JSON values, for a hash key or a file."""
-        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        values = ((item.name, getattr(self, item.name)) for item in fields(self))
         return {
-            name: value.model_dump(mode="json") if isinstance(value, BaseModel) else value
-            for name, value in values.items()
+            name: value.model_dump(mode="json") if isinstance(value, BaseModel) else value for name, value in values
         }
 
 
@@ -116,8 +113,6 @@ def identify_on(
     seed: int = 1,
     probing: ProbingConfig | None = None,
     config: IdentificationConfig | None = None,
-    on_record: Callable[[Record], None] | None = None,
-    on_progress: Callable[[ProbingProgress], None] | None = None,
 ) -> ThermalModel:
     """Probe `plant` for `days` that end where the warm-up of `before` begins, and identify a model from them.
 
@@ -130,8 +125,6 @@ def identify_on(
         end_early: end before `days`, not before 1.5 days, once a model is competent and its effect known well.
         testcase: mode, floor area and default step; by default those of `bestest_hydronic_heat_pump`.
         step_s: step of the model; by default the test case's.
-        on_record: called with the record that the model was identified from.
-        on_progress: called every hour of the probing.
 
     Raises:
         DataError: the record is not sufficient for identification; the message has numbers and advice.
@@ -150,10 +143,7 @@ def identify_on(
         end_early=end_early,
         seed=seed,
         probing=probing,
-        on_progress=on_progress,
     )
-    if on_record:
-        on_record(probed.record)
     return identifying.conclude(probed, look)
 
 
@@ -187,8 +177,8 @@ def identification_settings(
             defaults["trial_levels"] = tuple(share * actuation.level for share in _TRIAL_SHARES)
             if not metered:
                 defaults["trial_steps"] = _UNMETERED_STEPS
-    shipped = testcase.defaults
-    probing = validate(ProbingConfig, merge(merge(defaults, shipped.probing), spec.probing), "identification.probing")
+    shipped, given = testcase.defaults, merge(defaults, testcase.defaults.probing)
+    probing = validate(ProbingConfig, merge(given, spec.probing), "identification.probing")
     derived: dict[str, Any] = {"seed": scenario.seed}
     between = [level for level in (*probing.levels, *probing.trial_levels) if 0.0 < level < max(probing.levels)]
     if actuation is not None and actuation.mode == "auto" and between:
@@ -202,16 +192,11 @@ def identification_settings(
     if isinstance(testcase.actuator, Actuator) and testcase.actuator.map == "radiator" and not metered:
         derived["heat_input"] = "identity"  # the level of a radiator map is heat
     options = merge(merge(derived, shipped.identification), spec.options)
-    config = validate(IdentificationConfig, options, "identification.options")
-    return probing, config
+    return probing, validate(IdentificationConfig, options, "identification.options")
 
 
 def identification_task(scenario: Scenario, testcase: TestCase, controller: str | None = None) -> IdentificationTask:
-    """Identification task of `controller`, by default the scenario's own.
-
-    Raises:
-        ConfigError: a setting of the identification is wrong.
-    """
+    """Task of `controller`, by default the scenario's own; raises `ConfigError` for a wrong setting."""
     probing, config = identification_settings(scenario, testcase, controller)
     return IdentificationTask(
         testcase=testcase,
@@ -240,11 +225,8 @@ def run_identification(
 ) -> ThermalModel:
     """Identify a model from the probing that `task` names, or from that of `plant`, which must be that of `task`.
 
-    Args:
-        on_record: called with the record that the model was identified from.
-        on_progress: called every hour of the probing.
-        keep: journal of the probing; one that is there is gone on with, and where it has ended, nothing is probed.
-        say: told why probing ended.
+    `on_record` gets the record that was identified from; `keep`: journal of the probing; one that is there is gone on
+    with, and where it has ended, nothing is probed; `say`: told why probing ended.
 
     Raises:
         DataError: the record is not sufficient for identification.
@@ -276,9 +258,7 @@ def run_identification(
 def taken_probing(task: IdentificationTask, keep: Path | None = None) -> Probed | None:
     """The probing that need not be made: that which the task names, or one that has ended in the journal `keep`.
 
-    Raises:
-        ConfigError: the task names a place without a probing.
-        JournalError: a journal is damaged, holds no step, or is of another test case; names the file.
+    Raises `ConfigError` and `JournalError` as `find_probing`.
     """
     if task.probed is not None:
         return find_probing(Path(task.probed), task.testcase, task.how_probed)
@@ -290,9 +270,7 @@ def model_for(scenario: Scenario, testcase: TestCase, plant: Plant, controller: 
     """Model of `controller`: the saved one named in the scenario, resampled to its step, or a newly identified one.
 
     Raises:
-        ArtifactError: the saved model cannot be used.
-        DataError: the record is not sufficient for identification.
-        PlantError: the plant failed.
+        ArtifactError, DataError, PlantError: as `saved_model` and `run_identification`.
     """
     if scenario.identification.model is not None:
         return saved_model(scenario, testcase)
@@ -305,6 +283,6 @@ def saved_model(scenario: Scenario, testcase: TestCase) -> ThermalModel:
 
     step_s = scenario.step_s or testcase.step_s
     model = load_model(Path(str(scenario.identification.model)))
-    if model.operator.step_s != step_s:
-        model = replace(model, operator=model.operator.resampled(step_s))
-    return model
+    if model.operator.step_s == step_s:
+        return model
+    return replace(model, operator=model.operator.resampled(step_s))

@@ -58,9 +58,11 @@ class ToldProbing:
     def days(self) -> float:
         """Days that were probed."""
         with making_sense(self.path):
-            return (
-                sum(entry.content["asked"]["duration_s"] for entry in self.entries if entry.kind == "advance") / DAY_S
-            )
+            return sum(advance["asked"]["duration_s"] for advance in self._advances) / DAY_S
+
+    @property
+    def _advances(self) -> Iterator[Mapping[str, Any]]:
+        return (entry.content for entry in self.entries if entry.kind == "advance")
 
     @property
     def has_ended(self) -> bool:
@@ -75,18 +77,13 @@ class ToldProbing:
         plant, end = self.head["plant"], self.entries[-1].content
         with making_sense(self.path):
             why = str(end["why"]) if self.has_ended else "its run was ended before its time"
-            asked = [block_of(entry.content["asked"]).as_array() for entry in self.entries if entry.kind == "advance"]
-            return Probed(_record(self.entries), np.stack(asked, axis=1), PlantInfo(**plant), why)
-
-
-def _record(entries: Sequence[Entry]) -> Record:
-    reset = next(entry.content["answer"] for entry in entries if entry.kind == "reset")
-    names = names_of(reset["names"])
-    record = Record.beginning(measurement_of(reset, names))
-    for entry in entries:
-        if entry.kind == "advance":
-            record = record.extended(measurement_of(entry.content["answer"], names))
-    return record
+            reset = next(entry.content["answer"] for entry in self.entries if entry.kind == "reset")
+            names = names_of(reset["names"])
+            record, asked = Record.beginning(measurement_of(reset, names)), []
+            for advance in self._advances:
+                record = record.extended(measurement_of(advance["answer"], names))
+                asked.append(block_of(advance["asked"]).as_array())
+            return Probed(record, np.stack(asked, axis=1), PlantInfo(**plant), why)
 
 
 def told_probing(path: Path) -> ToldProbing | None:
@@ -105,16 +102,17 @@ def _read(path: Path) -> JournalText:
 def find_probing(place: Path, testcase: TestCase, how: Json) -> Probed:
     """The probing of an earlier run, as far as it came: that which was probed as `how` says, or the only one.
 
-    Args:
-        place: folder of the run, its folder `probing`, or one of the journals in that.
-        testcase: the test case that must have been probed.
-        how: see `how_probed`.
+    `place`: folder of the run, its folder `probing`, or one of the journals in that; `how`: as of `how_probed`.
 
     Raises:
         ConfigError: there is none, or several and none is as `how` says.
         JournalError: it is damaged, holds no step, or is of another test case; names the file.
     """
-    found = [told for path in _journals(place) if (told := told_probing(path))]
+    where = place_of_journals(place)
+    if where.is_dir():
+        check_plain(where)
+    journals = [where] if where.is_file() else sorted(where.glob("*.jsonl"))
+    found = [told for path in journals if (told := told_probing(path))]
     alike = [told for told in found if told.head["how"] == how] or found
     if not found:
         raise ConfigError(f"{place}: holds no probing ({FOLDER}/*.jsonl): name the folder of a run that has probed")
@@ -130,15 +128,6 @@ def find_probing(place: Path, testcase: TestCase, how: Json) -> Probed:
     return told.probed
 
 
-def _journals(place: Path) -> list[Path]:
-    """The journals there."""
-    where = place_of_journals(place)
-    if where.is_file():
-        return [where]
-    check_plain(where)
-    return sorted(where.glob("*.jsonl"))
-
-
 def place_of_journals(place: Path) -> Path:
     """What is read of a place: the folder `probing` of a run folder; that folder or a journal in it as it is."""
     return place if place.is_file() or place.name == FOLDER else place / FOLDER
@@ -146,9 +135,7 @@ def place_of_journals(place: Path) -> Path:
 
 @contextmanager
 def keeping_probing(plant: Plant, path: Path | None, testcase: TestCase, how: Json) -> Iterator[Plant]:
-    """`plant`, whose answers are written to the journal at `path` as they come, after those that are there.
-
-    Without a path nothing is kept.
+    """`plant`, whose answers are written to the journal at `path`, if any, as they come, after those that are there.
 
     Raises:
         JournalError: the journal is damaged (names the line), or another one.

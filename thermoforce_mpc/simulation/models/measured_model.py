@@ -21,8 +21,7 @@ from thermoforce_mpc.scenario.testcase import TestCase
 def check_measurements(file: str | Path, map_file: str | Path, testcase: TestCase | None = None) -> None:
     """Refuse a map that is wrong, or a file without its columns, before any of them is read in full.
 
-    With the test case on which the model is to be run, its names and what each actuator does have to be those of the
-    map.
+    The names of a test case on which the model is to be run, and what its actuators do, have to be those of the map.
 
     Raises:
         ConfigError: the map is wrong, or does not fit the test case.
@@ -60,14 +59,9 @@ def model_of_measurements(
     config: IdentificationConfig | None = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> tuple[ThermalModel, Record]:
-    """Identify from measurements; also the part of the record that was used.
+    """Identify from measurements, CSV or Parquet `files` and their map; also the part of the record that was used.
 
-    Args:
-        files: CSV or Parquet files.
-        map_file: their map.
-        days: of longer measurements so many that tell most are used, by default `operating.MOST_DAYS`.
-        config: options of the identification.
-        say: callback for what a user should know.
+    `days`: of longer measurements so many that tell most are used; `say`: told what a user should know.
 
     Raises:
         ConfigError: the map is wrong; names the key.

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array, Layout, Period, PlantInfo, Record
 from thermoforce_mpc.errors import DataError
@@ -17,7 +17,7 @@ from thermoforce_mpc.simulation.unit_doubts import UnitDoubts
 
 if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.identification.config import IdentificationConfig
-    from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig
+    from thermoforce_mpc.identification.probing.probe import ProbingConfig
     from thermoforce_mpc.model.card import ModelCard
     from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
     from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -32,9 +32,7 @@ _PERHAPS, _RATHER = 0.2, 0.5
 
 @dataclass(frozen=True)
 class Probed:
-    """A probing that has ended: its record (n steps), the levels `asked` for in it (A, n), NaN where none was, the
-    `plant` it was made on, and `why` it ended, in words.
-    """
+    """A probing that has ended: its record (n steps), the levels `asked` for (A, n), NaN where none was, and `why`."""
 
     record: Record
     asked: Array
@@ -97,8 +95,7 @@ def _open_sun(card: ModelCard, above: float) -> str:
     return f"the sun may shine on the zone sensor (probability {probability:.2g}, taken off from {LIKELY:g})"
 
 
-@dataclass(frozen=True)
-class ProbingProgress:
+class ProbingProgress(NamedTuple):
     """Where a probing stands: `days` probed of `planned_days`."""
 
     days: float
@@ -144,12 +141,7 @@ class Identifying:
     def conclude(self, probed: Probed, look: Look | None = None) -> ThermalModel:
         """The model of a probing that has ended, with why it ended and what is still lacking on its cards.
 
-        Args:
-            probed: the probing.
-            look: the last look at its record, where there was one.
-
-        Raises:
-            DataError: the record is not sufficient for identification.
+        `look`: the last at its record, where there was one. Raises `DataError` where the record is not sufficient.
         """
         look = look or self.look(probed.record, probed.plant)
         ended = f"probing ended after {look.days:.3g} days: {probed.why}"
@@ -180,18 +172,19 @@ def probe_until_known(
     probing: ProbingConfig | None,
     on_progress: Callable[[ProbingProgress], None] | None = None,
 ) -> tuple[Probed, Look]:
-    """Probe `plant` as `identify_on` says; also the last look at the record.
-
-    Raises:
-        PlantError: the plant failed.
-    """
+    """Probe `plant` as `identify_on` says; also the last look at the record. Raises `PlantError`."""
     from thermoforce_mpc.identification.probing.probe import Probing
 
     start_s, end_s, ahead = before.start_s - before.warmup_s - days * DAY_S, before.start_s, "the scored window"
     if start_s < 0:
         start_s, end_s, ahead = YEAR_S - days * DAY_S, YEAR_S, "the new year"
     run = Probing(plant, start_s, seed=seed, layout=identifying.testcase.layout, config=probing)
-    progress = _Progress(run, days, on_progress)
+    planned_days = days
+
+    def progress(share: float) -> None:
+        hourly = max(1, round(HOUR_S / run.config.step_s))
+        if on_progress and run.record.n_steps % hourly == 0:
+            on_progress(ProbingProgress(run.days, planned_days))
 
     def enough(record: Record) -> bool:
         if run.days < _LEAST_DAYS:
@@ -202,23 +195,9 @@ def probe_until_known(
     look = identifying.look(run.go_on(days, enough=enough if end_early else None, on_step=progress), plant.info)
     latest = min(most_days, (end_s - start_s) / DAY_S)
     while look.lacks and run.days + 1.0 <= latest + 1e-9:
-        progress.planned_days = run.days + 1.0
+        planned_days = run.days + 1.0
         look = identifying.look(run.go_on(1.0, on_step=progress), plant.info)
     why = "enough is known"
     if look.lacks:
         why = "the most days are over" if latest == most_days else f"{ahead} begins"
     return Probed(run.record, run.asked, plant.info, why), look
-
-
-class _Progress:
-    """Tells hourly how far a probing is."""
-
-    def __init__(self, run: Probing, days: float, on_progress: Callable[[ProbingProgress], None] | None) -> None:
-        self.planned_days = days
-        self._run, self._on_progress = run, on_progress
-
-    def __call__(self, share: float) -> None:
-        run = self._run
-        hourly = max(1, round(HOUR_S / run.config.step_s))
-        if self._on_progress and run.record.n_steps % hourly == 0:
-            self._on_progress(ProbingProgress(run.days, self.planned_days))

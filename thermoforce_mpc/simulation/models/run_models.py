@@ -16,7 +16,7 @@ from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.composition import controller_options
 from thermoforce_mpc.simulation.folder.run_folder import file_stem, kept_model, plain_json
 from thermoforce_mpc.simulation.journal.journal_values import Json
-from thermoforce_mpc.simulation.journal.journaled_plant import JournaledPlant
+from thermoforce_mpc.simulation.journal.recorded_plant import JournaledPlant
 from thermoforce_mpc.simulation.models.identifying import (
     IdentificationTask,
     IdentifiedModel,
@@ -48,14 +48,14 @@ def identify_all(
         if not find_entry(name).needs_model:
             continue
         task = None if scenario.identification.model else identification_task(scenario, testcase, name)
-        shared = [identified for other, identified in by_task if other == task]
-        if not shared:
+        found = next((identified for other, identified in by_task if other == task), None)
+        if found is None:
             if by_task:
                 display.say(f"For {name}, which runs the machine another way:")
             keep = folder / PROBING / f"{file_stem(name)}.jsonl" if folder else None
-            shared = [_identify(scenario, testcase, plant, name, display, keep)]
-            by_task.append((task, shared[0]))
-        models[name] = shared[0]
+            found = _identify(scenario, testcase, plant, name, display, keep)
+            by_task.append((task, found))
+        models[name] = found
     return models
 
 
@@ -63,8 +63,6 @@ def _identify(
     scenario: Scenario, testcase: TestCase, plant: Plant, controller: str, display: RunDisplay, keep: Path | None
 ) -> IdentifiedModel:
     """Load the model of the scenario, or probe and identify one for `controller`, and say what came of it.
-
-    `keep`: journal of the probing.
 
     Data that cannot be fitted do not end the run: without a model, the controller stands back. Raises `DataError` where
     it has its gate turned off.
@@ -85,12 +83,10 @@ def _identify(
         return IdentifiedModel(None, {"model": None, "refused": str(error)}, str(error))
     for a, name in enumerate(model.operator.actuators):
         zone, of = model.actuator(a), "" if model.names.single else f" of {name}"
-        hours = ", ".join(f"{tau:.2g} h" for tau in zone.operator.time_constants_h)
-        found = (
-            f"Model{of}: order {zone.operator.order} ({hours}), {zone.operator.parameters_in_words}, "
-            f"steady gain {zone.operator.steady_gains_K.sum():.1f} K"
-        )
-        verdict = zone.card.competence
+        operator, verdict = zone.operator, zone.card.competence
+        hours = ", ".join(f"{tau:.2g} h" for tau in operator.time_constants_h)
+        found = f"Model{of}: order {operator.order} ({hours}), {operator.parameters_in_words}, "
+        found += f"steady gain {operator.steady_gains_K.sum():.1f} K"
         display.say(found if verdict is None else f"{found}. {verdict.sentence()}")
         if zone.card.sun_on_sensor is not None:
             display.say(f"Sun on the sensor{of}: {zone.card.sun_on_sensor.in_words()}")
@@ -114,11 +110,8 @@ def origin(model: ThermalModel) -> dict[str, Any]:
 def _origin_of(zone: ZoneModel) -> dict[str, Any]:
     """What the manifest says of an actuator on its home zone."""
     operator, card = zone.operator, zone.card
-    return {
-        "order": operator.order,
-        "n_trained": operator.n_trained,
-        "n_used": operator.n_used,
-        "n_effective": operator.n_effective,
+    counts = {name: getattr(operator, name) for name in ("order", "n_trained", "n_used", "n_effective")}
+    return counts | {
         "time_constants_h": operator.time_constants_h.tolist(),
         "steady_gains_K": operator.steady_gains_K.tolist(),
         "scores": dict(card.scores),
@@ -145,39 +138,33 @@ def kept_models(
     from thermoforce_mpc.model.thermal_model import load_model
 
     loaded: dict[str, IdentifiedModel] = {}
-    models: dict[str, IdentifiedModel] = {}
-    for who, entry in noted["models"].items():
-        key = str(entry)
-        if key not in loaded and entry["folder"] is None:
+    for key, entry in {str(entry): entry for entry in noted["models"].values()}.items():
+        if entry["folder"] is None:
             loaded[key] = IdentifiedModel(None, entry["origin"], entry["refused"])
-        elif key not in loaded:
-            path = kept_model(folder, entry["folder"])
-            model = load_model(path)
-            if file_sha256(path / JSON_NAME) != entry["sha256"]:
-                raise ArtifactError(f"{path}: is not the model that this run began with; start the run again")
-            loaded[key] = IdentifiedModel(model, entry["origin"])
-        models[who] = loaded[key]
-    return models
+            continue
+        path = kept_model(folder, entry["folder"])
+        model = load_model(path)
+        if file_sha256(path / JSON_NAME) != entry["sha256"]:
+            raise ArtifactError(f"{path}: is not the model that this run began with; start the run again")
+        loaded[key] = IdentifiedModel(model, entry["origin"])
+    return {who: loaded[str(entry)] for who, entry in noted["models"].items()}
 
 
 def _save_models(folder: Path, identified: Mapping[str, IdentifiedModel]) -> Json:
     """Save each different model once; what the journal says of them."""
     from thermoforce_mpc.model.saved import JSON_NAME
 
-    saved: list[tuple[IdentifiedModel, Json]] = []
-    entries: Json = {}
+    noted: dict[int, Json] = {}
     for who, result in identified.items():
-        shared = [noted for other, noted in saved if other is result]
-        if not shared:
-            noted: Json = {"folder": None, "refused": result.refused, "origin": plain_json(result.origin)}
-            if result.model is not None:
-                noted["folder"] = FOLDER if not saved else f"{FOLDER}-{file_stem(who)}"
-                result.model.save(folder / noted["folder"], overwrite=True)
-                noted["sha256"] = file_sha256(folder / noted["folder"] / JSON_NAME)
-            saved.append((result, noted))
-            shared = [noted]
-        entries[who] = shared[0]
-    return {"models": entries}
+        if id(result) in noted:
+            continue
+        entry: Json = {"folder": None, "refused": result.refused, "origin": plain_json(result.origin)}
+        if result.model is not None:
+            entry["folder"] = f"{FOLDER}-{file_stem(who)}" if noted else FOLDER
+            result.model.save(folder / entry["folder"], overwrite=True)
+            entry["sha256"] = file_sha256(folder / entry["folder"] / JSON_NAME)
+        noted[id(result)] = entry
+    return {"models": {who: noted[id(result)] for who, result in identified.items()}}
 
 
 def origins_of(identified: Mapping[str, IdentifiedModel], controller: str) -> dict[str, Any]:

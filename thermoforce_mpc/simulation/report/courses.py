@@ -10,14 +10,18 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, J_PER_KWH, Array, Layout
 from thermoforce_mpc.plants.kpis import excess
-from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, in_force
+from thermoforce_mpc.simulation.closed_loop import RunResult, Sample, StepRecord, in_force
 from thermoforce_mpc.simulation.forecasts import price_paid
-from thermoforce_mpc.simulation.report.packing import Json, exactly, packed, rows_packed
+from thermoforce_mpc.simulation.report.page import Json, exactly, packed, rows_packed
 
 # Bytes of the courses of all runs of a page, before base64 adds a third; of more, consecutive blocks are averaged.
 MOST_BYTES = 800_000
 # Coarsest roundings: K, W, level, W/m², price and cost per kWh and m².
 RESOLUTION = {"T": 0.002, "W": 5.0, "u": 1e-4, "sun": 0.1, "price": 1e-4, "cost": 1e-4, "Kh": 0.002}
+# Of each sample as it is.
+_SAMPLED = (
+    "start_s", "duration_s", "T_out_C", "solar_W_m2", "T_zone_C", "lower_C", "upper_C", "power_W", "price_per_kWh",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -27,9 +31,8 @@ class Course:
     `start_s`, `duration_s`, `T_out_C`, `solar_W_m2` (n,); `T_zone_C`, `lower_C`, `upper_C` (Z, n), `u` (A, n) and
     `power_W`, `price_per_kWh` (M, n) as in `Sample`. `cost` (n,) per m² and `discomfort_Kh` (Z, n) are those until the
     end of each block. `band_C` (2, A, n): heating and cooling set-point given to the plant's own loops, °C, NaN where
-    levels were.
-    `averaged`: number of blocks taken together. `scaled`: what the cost by the meters was multiplied by so that it ends
-    at the plant's own bill, where a machine is billed in two carriers; else 1.
+    levels were. `averaged`: number of blocks taken together. `scaled`: what the cost by the meters was multiplied by so
+    that it ends at the plant's own bill, where a machine is billed in two carriers; else 1.
     """
 
     start_s: Array
@@ -52,8 +55,6 @@ class Course:
         """All of it, packed."""
         of = RESOLUTION
         return {
-            "start_s": exactly(self.start_s),
-            "duration_s": exactly(self.duration_s),
             "T_out_C": packed(self.T_out_C, of["T"]),
             "solar_W_m2": packed(self.solar_W_m2, of["sun"]),
             "lower_C": rows_packed(self.lower_C, of["T"]),
@@ -92,21 +93,17 @@ def course_of(result: RunResult, layout: Layout, area_m2: float, most: int) -> C
     temperatures at the ends of blocks: both are near to the KPIs, which are of samples every 30 s. Where a machine's
     heating has a price of its own, its meter adds gas and the fan's electricity: the cost is then scaled to the KPI.
     """
-    rows: dict[str, list[object]] = {}
+    samples: list[Sample] = []
     heating_price: list[Array] = []
     bands: list[Array] = []
     for step in result.steps:
         for k, sample in enumerate(step.samples):
-            for name in (
-                "start_s", "duration_s", "T_out_C", "solar_W_m2", "T_zone_C", "lower_C", "upper_C", "power_W",
-                "price_per_kWh",
-            ):  # fmt: skip
-                rows.setdefault(name, []).append(getattr(sample, name))
-            rows.setdefault("u", []).append(sample.u_measured)
+            samples.append(sample)
             heating = step.boundary.heating_price_per_kWh
             heating_price.append(heating[:, in_force(step.boundary, sample.start_s)].copy())  # not the whole forecast
             bands.append(_band_C(step, k))
-    columns = {name: np.array(values, dtype=np.float64).T for name, values in rows.items()}
+    columns = {name: np.array([getattr(s, name) for s in samples], dtype=np.float64).T for name in _SAMPLED}
+    columns["u"] = np.array([sample.u_measured for sample in samples], dtype=np.float64).T
     price = price_paid(columns["u"], columns["price_per_kWh"], np.array(heating_price).T, layout)
     # A machine that is not metered counts for nothing, and does not hide the others.
     paid = columns["power_W"] * price

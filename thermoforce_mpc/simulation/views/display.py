@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from typing import Self
@@ -28,6 +29,8 @@ Kpis = Callable[[], Mapping[str, float]]
 _SHORT_S = 5.0
 # Where nothing can be overwritten, the first line of progress comes after this time, s, the next after twice that, ….
 SAID_AFTER_S = 60.0
+# Steps that are counted, in the order in which they are said.
+_ODD = ("bridged", "gate", "watch", "fallbacks")
 # Characters of a message: it may list many things, and quote what comes from elsewhere.
 _MOST_SHOWN = 20_000
 
@@ -69,27 +72,27 @@ class LoopDisplay(_Line):
         self._so_far = ""
         self._days_done = 0
         self._began, self._next_said_s = time.monotonic(), SAID_AFTER_S
-        self._fallbacks, self._bridged, self._gated, self._watched = 0, 0, 0, 0
+        self._odd: Counter[str] = Counter()
 
     def __exit__(self, *exception: object) -> None:
         super().__exit__(*exception)
         if exception[0] is None and not self._quiet:
             days = f"{self._days:g} day{'' if self._days == 1 else 's'}"
-            self._print(f"{self._controller}: {days} in {self._took()}{self._so_far}{self._odd()}")
+            took = duration(time.monotonic() - self._began)
+            self._print(f"{self._controller}: {days} in {took}{self._so_far}{self._odd_steps()}")
 
     def step(self, record: StepRecord) -> None:
         """Update the display with one control step."""
-        self._fallbacks += record.plan.status.fallen_back or bool(record.refused)
-        self._bridged += record.plan.status is PlanStatus.BRIDGED
-        self._gated += record.plan.status is PlanStatus.GATE
-        self._watched += record.plan.status is PlanStatus.WATCH
+        status = record.plan.status
+        self._odd.update([status.value] * (status in (PlanStatus.BRIDGED, PlanStatus.GATE, PlanStatus.WATCH)))
+        self._odd.update(["fallbacks"] * (status.fallen_back or bool(record.refused)))
         if self._quiet:
             return
         if record.plan.news:
             news = f"{self._controller}: day {record.time_s / DAY_S:.2f}: {record.plan.news}"
             self._console.print(safe_text(news, _MOST_SHOWN), highlight=False, markup=False, soft_wrap=True)
-        last_sample = record.samples[-1]
-        day = (last_sample.start_s + last_sample.duration_s - self._period.start_s) / DAY_S
+        last = record.samples[-1]
+        day = (last.start_s + last.duration_s - self._period.start_s) / DAY_S
         days_done = int(day + 1e-9)
         day_is_over = days_done > self._days_done or day >= self._days - 1e-9
         if day_is_over:
@@ -108,30 +111,19 @@ class LoopDisplay(_Line):
     def _print(self, line: str) -> None:
         self._console.print(line, highlight=False, soft_wrap=True)
 
-    def _took(self) -> str:
-        return duration(time.monotonic() - self._began)
-
     def _line(self, record: StepRecord, day: float) -> str:
         last = record.samples[-1]
         weights = [sample.duration_s for sample in record.samples]
         mean_u = np.average([sample.u_measured for sample in record.samples], weights=weights, axis=0)
-        line = (
-            f"{self._controller}: day {day:5.2f}/{self._days:g}"
-            f"  T {_temperatures(last)}  u {' '.join(f'{u:4.2f}' for u in mean_u)}{self._so_far}"
-        )
-        solve_s = record.plan.seconds.get("solve")
-        line += f"  solve {1e3 * solve_s:.0f} ms" if solve_s is not None else ""
-        return line + self._left(day) + self._odd()
+        line = f"{self._controller}: day {day:5.2f}/{self._days:g}  T {_temperatures(last)}"
+        line += f"  u {' '.join(f'{u:4.2f}' for u in mean_u)}{self._so_far}"
+        if (solve_s := record.plan.seconds.get("solve")) is not None:
+            line += f"  solve {1e3 * solve_s:.0f} ms"
+        return line + self._left(day) + self._odd_steps()
 
-    def _odd(self) -> str:
+    def _odd_steps(self) -> str:
         """How many steps were not as planned, by what held them."""
-        counts = {
-            "bridged": self._bridged,
-            "gate": self._gated,
-            "watch": self._watched,
-            "fallbacks": self._fallbacks,
-        }
-        return "".join(f"  {name} {n}" for name, n in counts.items() if n)
+        return "".join(f"  {name} {self._odd[name]}" for name in _ODD if self._odd[name])
 
     def _left(self, day: float) -> str:
         """How long the rest of the loop takes if it goes on as until now; nothing where that is seconds."""
@@ -211,8 +203,7 @@ class RunDisplay:
         currency: str,
         held: Mapping[str, str] | None = None,
     ) -> None:
-        """Print one row of KPIs per controller; an asterisk marks the best of each column, of cost and the
-        like among those as comfortable.
+        """Print one row of KPIs per controller; an asterisk marks the best of each column (`best_values`).
 
         `held` says by controller that the competence gate held, and why: such a row is marked `gate`.
         """

@@ -1,22 +1,34 @@
-"""What a run decided at an instant, and why: read from its journal."""
+"""What a run decided at an instant, why, and what else could have been done: read from its journal."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from controllers.registry import build_controller, find_entry
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Observation
 from thermoforce_mpc.data.superposition import compose
-from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.errors import ArtifactError, DataError, InputError
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.settings import validate
+from thermoforce_mpc.simulation.checks import validate_scenario
+from thermoforce_mpc.simulation.composition import controller_options
 from thermoforce_mpc.simulation.folder.plain_files import check_plain
+from thermoforce_mpc.simulation.folder.run_folder import kept_model
 from thermoforce_mpc.simulation.journal.journal import NAME, JournalError, making_sense, read_run
 from thermoforce_mpc.simulation.journal.journal_values import margins_of, planned_of
 from thermoforce_mpc.simulation.journal.told_steps import ToldStep, forecast_of, history_before, told_loops, told_steps
+from thermoforce_mpc.simulation.outside import CODE, unknown
+
+if TYPE_CHECKING:
+    from controllers.mpc.alternatives import Alternatives
+
 
 # A planned temperature nearer to its bound than this is bound by it, K.
 _BINDING_K = 0.05
@@ -66,19 +78,19 @@ class Decision:
             touched = [
                 (int(np.argmax(gap <= _BINDING_K)), side) for side, gap in near.items() if (gap <= _BINDING_K).any()
             ]
-            if not touched:
+            if touched:
+                at, side = min(touched)
+            else:
                 side, gap = min(near.items(), key=lambda item: float(np.nanmin(item[1])))
-                k = int(np.nanargmin(gap))
-                when_h = (self.boundary.time_s[k + 1] - self.step.time_s) / 3600.0
-                bound_C = float((lower_C if side == "lower" else upper_C)[k])
+                at = int(np.nanargmin(gap))
+            when_h = (self.boundary.time_s[at + 1] - self.step.time_s) / HOUR_S
+            bound_C = float((lower_C if side == "lower" else upper_C)[at])
+            if not touched:
                 sentences.append(
-                    f"{of}nearest is the {side} comfort bound, {bound_C:.1f} °C, {gap[k]:.2f} K away in {when_h:g} h: "
-                    "plans keep a margin"
+                    f"{of}nearest is the {side} comfort bound, {bound_C:.1f} °C, {near[side][at]:.2f} K away in "
+                    f"{when_h:g} h: plans keep a margin"
                 )
                 continue
-            at, side = min(touched)
-            when_h = (self.boundary.time_s[at + 1] - self.step.time_s) / 3600.0
-            bound_C = float((lower_C if side == "lower" else upper_C)[at])
             sentences.append(f"{of}the {side} comfort bound, {bound_C:.1f} °C, binds first, in {when_h:g} h")
             outside = {side: float(-np.nanmin(gap)) for side, gap in near.items()}
             worst = max(outside, key=lambda name: outside[name])
@@ -113,12 +125,9 @@ class Decision:
 
 
 def decision_at(folder: Path, at: str | None = None, controller: str | None = None) -> Decision:
-    """The step of a run in force at an instant.
+    """The step of the run in `folder` in force `at` an instant (`seconds_of`), by default the last.
 
-    Args:
-        folder: run folder.
-        at: see `seconds_of`; by default the last step.
-        controller: whose, by default the first that was run (the scenario's own).
+    `controller`: whose, by default the first that was run (the scenario's own).
 
     Raises:
         JournalError: there is no journal, or it is damaged.
@@ -128,31 +137,24 @@ def decision_at(folder: Path, at: str | None = None, controller: str | None = No
     path = folder / NAME
     check_plain(folder)
     with making_sense(path):
-        return _decision_at(path, at, controller)
-
-
-def _decision_at(path: Path, at: str | None, controller: str | None) -> Decision:
-    loops = told_loops(read_run(path).entries)
-    if not loops:
-        raise JournalError(f"{path}: no step was decided yet")
-    name = controller or next(iter(loops))
-    if name not in loops:
-        raise InputError(f"--controller {name}: did not run; there are {', '.join(loops)}")
-    steps = list(told_steps(loops[name]))
-    if not steps:
-        raise JournalError(f"{path}: {name} has not decided anything yet")
-    if at is not None:
-        seconds = seconds_of(at)
-        first, last = steps[0].time_s, steps[-1].time_s
-        step_s = steps[1].time_s - first if len(steps) > 1 else 3600.0
-        if not first <= seconds < last + step_s:
-            raise InputError(
-                f"--at {at}: {name} ran from {words_of(first)} to {words_of(last + step_s)} ({first:.0f} to "
-                f"{last + step_s:.0f} s)"
-            )
-        steps = [step for step in steps if step.time_s <= seconds]
-    told = steps[-1].told
-    return Decision(name, tuple(steps), forecast_of(steps), planned_of(told), margins_of(told))
+        loops = told_loops(read_run(path).entries)
+        if not loops:
+            raise JournalError(f"{path}: no step was decided yet")
+        name = controller or next(iter(loops))
+        if name not in loops:
+            raise InputError(f"--controller {name}: did not run; there are {', '.join(loops)}")
+        steps = list(told_steps(loops[name]))
+        if not steps:
+            raise JournalError(f"{path}: {name} has not decided anything yet")
+        if at is not None:
+            seconds, first = seconds_of(at), steps[0].time_s
+            end = steps[-1].time_s + (steps[1].time_s - first if len(steps) > 1 else HOUR_S)
+            if not first <= seconds < end:
+                ran = f"{name} ran from {words_of(first)} to {words_of(end)} ({first:.0f} to {end:.0f} s)"
+                raise InputError(f"--at {at}: {ran}")
+            steps = [step for step in steps if step.time_s <= seconds]
+        told = steps[-1].told
+        return Decision(name, tuple(steps), forecast_of(steps), planned_of(told), margins_of(told))
 
 
 def seconds_of(at: str, option: str = "--at") -> float:
@@ -165,7 +167,7 @@ def seconds_of(at: str, option: str = "--at") -> float:
     if match := re.fullmatch(r"(\d+(?:\.\d+)?) ?s", text):
         return float(match[1])
     if match := re.fullmatch(r"(\d+(?:\.\d+)?)(?: ?d)?(?: +(\d{1,2}):(\d{2}))?", text):
-        return float(match[1]) * DAY_S + 3600.0 * int(match[2] or 0) + 60.0 * int(match[3] or 0)
+        return float(match[1]) * DAY_S + HOUR_S * int(match[2] or 0) + 60.0 * int(match[3] or 0)
     for form in ("%m-%d %H:%M", "%m-%dT%H:%M", "%d %b %H:%M"):
         try:
             moment = datetime.strptime(f"2021 {text}", f"%Y {form}")
@@ -187,3 +189,53 @@ def words_of(time_s: float) -> str:
     """A time for people: day from 0 and clock."""
     day, minutes = divmod(round(time_s / 60.0), 24 * 60)
     return f"day {day} {minutes // 60:02d}:{minutes % 60:02d}"
+
+
+# What a plan would have been made on does not matter here, so no weights are loaded.
+_FREE_RESPONSE = {"name": "linear_weather", "options": {}}
+
+
+def alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
+    """What else could have been done, or why that cannot be said; raises `JournalError`."""
+    with making_sense(folder / NAME):
+        entries = read_run(folder / NAME).entries
+        scenario = validate(Scenario, dict(entries[0].content["scenario"]), f"{folder / NAME}, line 1")
+        name = decision.controller
+        code = [one.value for one in unknown(scenario) if one.key == CODE]
+        if code or name not in (scenario.controller.name, *scenario.baselines):
+            unclear = ", ".join(code) or name
+            return f"they need what you have not given here before, or what was changed since: {unclear}"
+        if not find_entry(name).needs_model:
+            return f"{name} acts without a model"
+        models: Mapping[str, Any] = next((entry.content["models"] for entry in entries if entry.kind == "models"), {})
+        entry: Mapping[str, Any] = models.get(name, {})
+        if not entry.get("folder"):
+            return f"there is no model: {entry.get('refused') or 'the run was given one that it did not keep'}"
+        from controllers.mpc.alternatives import alternatives
+        from controllers.mpc.controller import ThermoForceMPC
+        from thermoforce_mpc.model.thermal_model import load_model
+
+        options = controller_options(scenario, name) | {"free_response": _FREE_RESPONSE}
+        try:
+            model = load_model(kept_model(folder, entry["folder"]))
+            controller = build_controller(name, options, validate_scenario(scenario), model)
+            assert isinstance(controller, ThermoForceMPC)
+            planned = decision.step.plan if decision.plan else None
+            observation, begin_s = decision.observation, decision.steps[0].time_s
+            since = observation.history.time_s[:-1] >= begin_s
+            # Highest mean power of the building over a step of the run before the decision.
+            peak_W = float(np.nanmax(observation.history.power_W[:, since].sum(axis=0), initial=0.0))
+            return alternatives(controller, observation, planned, peak_W)
+        except (ArtifactError, DataError) as error:
+            return str(error)
+
+
+def alternatives_json(alternatives: Alternatives | str) -> dict[str, Any]:
+    """All of it, for programs."""
+    if isinstance(alternatives, str):
+        return {"none": alternatives}
+    courses = [
+        asdict(course) | {"u": course.u.tolist(), "T_zone_C": course.T_zone_C.tolist(), "total": course.total}
+        for course in alternatives.courses
+    ]
+    return {"courses": courses, "notes": list(alternatives.notes), "reason": alternatives.reason}

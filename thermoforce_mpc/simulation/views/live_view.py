@@ -40,9 +40,7 @@ class Zone:
     @property
     def outside_K(self) -> float:
         """Distance from the comfort bounds, K; 0 without a reading, NaN without bounds."""
-        if np.isnan(self.T_C):
-            return 0.0
-        return float(np.max([self.lower_C - self.T_C, self.T_C - self.upper_C, 0.0]))
+        return 0.0 if np.isnan(self.T_C) else float(np.max([self.lower_C - self.T_C, self.T_C - self.upper_C, 0.0]))
 
 
 @dataclass(frozen=True)
@@ -91,16 +89,13 @@ class View:
 
     def to_json(self) -> dict[str, Any]:
         """All of it in JSON types; null where a number is not known."""
-        content: dict[str, Any] = plain_json(asdict(self))
-        return content
+        return dict(plain_json(asdict(self)))
 
 
 class LiveRun:
     """Follows the journal of a run in its folder; it writes nothing there.
 
-    Args:
-        folder: run folder.
-        controller: whose loop, by default the latest; of a run that has finished the first, the baselines come later.
+    `controller`: whose loop, by default the latest; of a run that has finished the first, the baselines come later.
 
     Raises:
         JournalError: there is no journal, it is damaged, or of another format.
@@ -118,7 +113,6 @@ class LiveRun:
         self._begin("")
 
     def _begin(self, controller: str) -> None:
-        """Begin with the loop of a controller."""
         self._controller, self._steps = controller, StepReader()
         self._last: ToldStep | None = None
         self._start_s = float("nan")
@@ -132,20 +126,16 @@ class LiveRun:
         """What is known now.
 
         Raises:
-            JournalError: the journal is damaged, or has no step yet.
-            InputError: the controller that was asked for did not run.
+            JournalError, InputError: the journal is damaged, or has no step yet, or not of the controller asked for.
         """
         with making_sense(self._folder / NAME):
             for entry in self._tail.more():
                 self._take(entry)
-            step = self._steps.under_way or self._last
-            if step is None:
-                if self._wanted and self._loops and self._wanted not in self._loops:
-                    raise InputError(
-                        f"--controller {self._wanted}: did not run yet; there are {', '.join(self._loops)}"
-                    )
-                raise JournalError(f"{self._folder / NAME}: no step was decided yet")
-            return self._view(step)
+            if step := self._steps.under_way or self._last:
+                return self._view(step)
+            if self._wanted and self._loops and self._wanted not in self._loops:
+                raise InputError(f"--controller {self._wanted}: did not run yet; there are {', '.join(self._loops)}")
+            raise JournalError(f"{self._folder / NAME}: no step was decided yet")
 
     def _take(self, entry: Entry) -> None:
         if entry.kind == "run":
@@ -185,7 +175,8 @@ class LiveRun:
             start_s = reading.time_s
         if step.after:
             u = np.average([u for _, u in levels], axis=0, weights=[h or 1e-9 for h, _ in levels])
-            self._past.append(_point(start_s, zones, u))
+            T_C, lower_C, upper_C = zip(*((zone.T_C, zone.lower_C, zone.upper_C) for zone in zones), strict=True)
+            self._past.append(Point(start_s, T_C, lower_C, upper_C, tuple(u.tolist())))
 
     def _forecast(self, step: ToldStep) -> Boundary | None:
         """The forecast of a step; prices and bounds that it lacks are filled as in the run."""
@@ -205,15 +196,12 @@ class LiveRun:
         return price_paid(u[:, None], price, heating, self._layout)[:, 0]
 
     def _zones(self, at: Measurement) -> tuple[Zone, ...]:
-        names, b = at.names.zones, self._boundary
-        i = 0 if b is None else in_force(b, at.time_s)
-        bounds = (
-            [(np.nan, np.nan)] * len(names) if b is None else list(zip(b.lower_C[:, i], b.upper_C[:, i], strict=True))
-        )
-        return tuple(
-            Zone(name, float(T), float(low), float(high))
-            for name, T, (low, high) in zip(names, at.T_zone_C, bounds, strict=True)
-        )
+        lower = upper = np.full(len(at.names.zones), np.nan)
+        if (b := self._boundary) is not None:
+            now = in_force(b, at.time_s)
+            lower, upper = b.lower_C[:, now], b.upper_C[:, now]
+        columns = (at.names.zones, at.T_zone_C.tolist(), lower.tolist(), upper.tolist())
+        return tuple(Zone(*row) for row in zip(*columns, strict=True))
 
     def _view(self, step: ToldStep) -> View:
         decision, names = step.told, step.names
@@ -223,7 +211,6 @@ class LiveRun:
         blocks = decision["blocks"]
         u = [[np.nan if level is None else level for level in block["u"]] for block in blocks]
         levels = np.average(u, axis=0, weights=[block["duration_s"] for block in blocks])
-        days_in_all = float(self._scenario.get("days") or np.nan)
         time_s = step.time_s if at is None else at.time_s
         since_s = time_s - _PAST_H * HOUR_S
         return View(
@@ -234,11 +221,11 @@ class LiveRun:
             said=explanation,
             time_s=time_s,
             days=(time_s - self._start_s) / DAY_S,
-            days_in_all=days_in_all,
+            days_in_all=float(self._scenario.get("days") or np.nan),
             outdoor_C=float("nan") if at is None else at.T_out_C,
             zones=() if at is None else self._zones(at),
             actuators=names.actuators,
-            levels=tuple(float(level) for level in levels),
+            levels=tuple(levels.tolist()),
             status=str(decision["status"]),
             acting=tuple(str(status) for status in decision["acting"]),
             why=str(decision["why"]),
@@ -260,16 +247,10 @@ class LiveRun:
         n = min(u.shape[1], b.n_steps)
         # A forecast that stands in for one that was not given began earlier.
         late_s = float(decision["time_s"]) - float(b.time_s[0])
-        return tuple(
-            Point(
-                float(b.time_s[k + 1]) + late_s,
-                tuple(T[:, k].tolist()),
-                tuple(b.lower_C[:, k + 1].tolist()),
-                tuple(b.upper_C[:, k + 1].tolist()),
-                tuple(u[:, k].tolist()),
-            )
-            for k in range(n)
-        )
+        columns = (T[:, :n], b.lower_C[:, 1 : n + 1], b.upper_C[:, 1 : n + 1], u[:, :n])
+        points = zip(*(map(tuple, rows.T.tolist()) for rows in columns), strict=True)
+        ends_s = (b.time_s[1 : n + 1] + late_s).tolist()
+        return tuple(Point(end_s, *of) for end_s, of in zip(ends_s, points, strict=True))
 
     def _state(self) -> tuple[str, str]:
         if is_complete(self._folder):
@@ -281,13 +262,3 @@ class LiveRun:
         if early.is_file() and early.stat().st_mtime >= self._tail.path.stat().st_mtime:
             return "ended early", early.read_text(encoding="utf-8", errors="replace")[:500].strip()
         return "running", ""
-
-
-def _point(time_s: float, zones: tuple[Zone, ...], u: Array) -> Point:
-    return Point(
-        time_s,
-        tuple(zone.T_C for zone in zones),
-        tuple(zone.lower_C for zone in zones),
-        tuple(zone.upper_C for zone in zones),
-        tuple(float(level) for level in u),
-    )

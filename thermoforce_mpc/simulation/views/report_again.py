@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,14 +17,11 @@ from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.closed_loop import RunResult
 from thermoforce_mpc.simulation.folder.plain_files import check_plain
-from thermoforce_mpc.simulation.folder.results import figures_of
 from thermoforce_mpc.simulation.folder.run_folder import is_complete, kept_model, write_json
-from thermoforce_mpc.simulation.journal.told_results import ToldRun, told_run
+from thermoforce_mpc.simulation.journal.told_steps import ToldRun, told_run
 from thermoforce_mpc.simulation.own_kpis import own_of
+from thermoforce_mpc.simulation.scenario_result import figures_of
 from thermoforce_mpc.simulation.views.explaining import words_of
-
-if TYPE_CHECKING:
-    from thermoforce_mpc.model.thermal_model import ThermalModel
 
 _MOST_BYTES = 10_000_000
 
@@ -35,11 +32,11 @@ def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[st
     Of a run that has not ended its figures are written into the folder too, as `incomplete_kpis.json`.
 
     Raises:
-        ConfigError: there is a link in the folder.
+        ConfigError: there is a link in the folder, or its test case is no longer known.
         JournalError: there is no journal, it is damaged, or no step has ended.
-        ConfigError: its test case is no longer known.
         StorageError: the report cannot be written.
     """
+    from thermoforce_mpc.model.thermal_model import load_model
     from thermoforce_mpc.simulation.report import write_report
 
     if not folder.is_dir():
@@ -48,17 +45,23 @@ def report_again(folder: Path, path: Path | None = None) -> tuple[Path, tuple[st
     run = told_run(folder)
     testcase = load_testcase(run.scenario.testcase)
     notes = _cut_off(folder, run)
-    told = _json(folder / "kpis.json") or {}
+    told = _json(folder / "kpis.json")
     results = {name: _so_far(result, testcase, told) for name, result in run.results.items()}
     result, *baselines = results.values()
-    model, why = _model(folder, run, result.controller)
+    entry: Mapping[str, Any] = run.models.get(result.controller, {})
+    model, why = None, str(entry.get("refused") or "")
+    if entry.get("folder"):
+        try:
+            model = load_model(kept_model(folder, entry["folder"]))
+        except ArtifactError as error:
+            why = str(error)
     if why:
         notes.append(f"The model of the run is not shown: {why}")
     manifest = _json(folder / "manifest.json") or {
         "plant": run.plant,
         "command": run.command,
         "environment": {"thermoforce-mpc": run.version},
-        "identification": run.models.get(result.controller, {}).get("origin", {}),
+        "identification": entry.get("origin", {}),
     }
     beside = {baseline.controller: baseline for baseline in baselines}
     kpis = figures_of(run.scenario, manifest["plant"], result, beside, str(told.get("equal_comfort", "")))
@@ -129,21 +132,5 @@ def _so_far(result: RunResult, testcase: TestCase, told: Mapping[str, Any]) -> R
     return replace(result, kpis={**kpis, **result.kpis})
 
 
-def _model(folder: Path, run: ToldRun, controller: str) -> tuple[ThermalModel | None, str]:
-    """The model that the controller planned with, or why there is none to show."""
-    entry: Mapping[str, Any] = run.models.get(controller, {})
-    if not entry.get("folder"):
-        return None, str(entry.get("refused") or "")
-    from thermoforce_mpc.model.thermal_model import load_model
-
-    try:
-        return load_model(kept_model(folder, entry["folder"])), ""
-    except ArtifactError as error:
-        return None, str(error)
-
-
-def _json(path: Path) -> Mapping[str, Any] | None:
-    if not path.is_file():
-        return None
-    content: Mapping[str, Any] = json.loads(read_bounded(path, _MOST_BYTES, InputError))
-    return content
+def _json(path: Path) -> dict[str, Any]:
+    return dict(json.loads(read_bounded(path, _MOST_BYTES, InputError))) if path.is_file() else {}

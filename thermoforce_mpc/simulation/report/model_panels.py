@@ -1,16 +1,43 @@
-"""What other levels would have done, from instant to instant of a run (paper, counterfactual query)."""
+"""What a run's model says: step responses, and what other levels would have done (paper, counterfactual query)."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
+from thermoforce_mpc.identification.validation.report import BAND, full_level_of, step_answer, step_response_of
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.simulation.closed_loop import RunResult, Sample
 from thermoforce_mpc.simulation.report.courses import RESOLUTION
-from thermoforce_mpc.simulation.report.packing import Json, exactly, rows_packed
+from thermoforce_mpc.simulation.report.page import Json, exactly, rows_packed
 from thermoforce_mpc.whatif.counterfactual import Counterfactual, counterfactual
+
+
+def answers_json(model: ThermalModel | None) -> list[list[Json | None]] | None:
+    """Of each zone and actuator the answer to full level, K, and its 90 % band; None where there is no effect."""
+    if model is None:
+        return None
+    zones, actuators, _ = model.operator.shape
+    matrix: list[list[Json | None]] = [[None] * actuators for _ in range(zones)]
+    for z, a, pair in model.operator.each():
+        hours, answer = step_answer(pair)
+        every = max(1, hours.size // 200)
+        cell: Json = {"hours": _rounded(hours[::every]), "K": _rounded(answer[::every]), "full": full_level_of(pair)}
+        mean, sd = step_response_of(model, z, a)
+        if mean.size:
+            band = {"mean": mean, "low": mean - BAND * sd, "high": mean + BAND * sd}
+            cell |= {"at": [0, *STEP_RESPONSE_H], **{name: _rounded(values) for name, values in band.items()}}
+        matrix[z][a] = cell
+    return matrix
+
+
+def _rounded(values: Array) -> Sequence[float]:
+    return [round(float(value), 4) for value in values]
+
 
 # A day is compared every `EVERY_H`, over `LENGTH_H`; the day before the first one is needed for the forced state.
 EVERY_H, LENGTH_H, BEFORE_H = 6.0, 24.0, 24.0
@@ -31,10 +58,20 @@ def other_levels_json(result: RunResult, model: ThermalModel | None, layout: Lay
     if model is None or model.names != result.names:
         return None
     levels = {"off": 0.0} if layout.exclusive else LEVELS
+
+    def at(level: float, time_s: float) -> Counterfactual:
+        start = round((time_s - record.time_s[0]) / record.step_s)
+        stop = start + round(LENGTH_H * HOUR_S / record.step_s)
+        recent = record.slice(max(0, start - round(MOST_PAST_DAYS * DAY_S / record.step_s)), stop)
+        return counterfactual(model, recent, level, start=time_s, hours=LENGTH_H)
+
+    def packed_rows(of_instants: list[Array]) -> list[Json]:
+        return rows_packed(np.concatenate(of_instants, axis=-1), RESOLUTION["T"])
+
     try:
         record = record_of_run(result)
         instants = _instants(record, len(levels))
-        days = [[_counterfactual_at(model, record, level, t) for t in instants] for level in levels.values()]
+        days = [[at(level, time_s) for time_s in instants] for level in levels.values()]
     except DataError:  # a zone that was never measured, or a clock with gaps: there is nothing to compare with
         return None
     if not instants:
@@ -44,23 +81,11 @@ def other_levels_json(result: RunResult, model: ThermalModel | None, layout: Lay
         "time_s": exactly(np.array(instants)),
         "step_s": record.step_s,
         "n": days[0][0].effect_K.shape[-1],
-        "T_other_C": [rows_packed(_rows([day.other_C for day in row]), RESOLUTION["T"]) for row in days],
-        "sd_K": [rows_packed(_rows([day.sd_K for day in row]), RESOLUTION["T"]) for row in days],
+        "T_other_C": [packed_rows([day.other_C for day in row]) for row in days],
+        "sd_K": [packed_rows([day.sd_K for day in row]) for row in days],
         "energy_kWh": [[float(day.energy_other_kWh.sum()) for day in row] for row in days],
         "energy_applied_kWh": [float(day.energy_kWh.sum()) for day in days[0]],
     }
-
-
-def _counterfactual_at(model: ThermalModel, record: Record, level: float, time_s: float) -> Counterfactual:
-    at = round((time_s - record.time_s[0]) / record.step_s)
-    stop = at + round(LENGTH_H * HOUR_S / record.step_s)
-    recent = record.slice(max(0, at - round(MOST_PAST_DAYS * DAY_S / record.step_s)), stop)
-    return counterfactual(model, recent, level, start=time_s, hours=LENGTH_H)
-
-
-def _rows(of_instants: list[Array]) -> Array:
-    """Arrays (Z, N) of P instants as rows (Z, P · N)."""
-    return np.concatenate(of_instants, axis=-1)
 
 
 def _instants(record: Record, levels: int) -> list[float]:
@@ -78,11 +103,7 @@ def _instants(record: Record, levels: int) -> list[float]:
 
 
 def record_of_run(result: RunResult) -> Record:
-    """The record of a run's whole steps: temperatures at their ends, means of what acted in between.
-
-    Raises:
-        DataError: the steps are not of equal length.
-    """
+    """The record of a run's whole steps: temperatures at their ends, means in between; raises `DataError`."""
     start, step_s = result.start, 0.0
     ends: list[Sample] = []
     means: dict[str, list[Array]] = {"u_measured": [], "power_W": [], "heat_W": []}
