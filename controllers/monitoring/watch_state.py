@@ -14,7 +14,7 @@ from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import PredictorState
-from thermoforce_mpc.model.zone_model import ZoneModel
+from thermoforce_mpc.model.thermal_model import ZoneModel
 from thermoforce_mpc.scenario.settings import StrictModel
 
 GAIN_BOUNDS = (0.3, 3.0)

@@ -15,7 +15,7 @@ from controllers.registry import find_entry
 from thermoforce_mpc.errors import ArtifactError, ConfigError, DataError
 from thermoforce_mpc.execution import Task, content_key
 from thermoforce_mpc.files import pyarrow_for, storage_errors
-from thermoforce_mpc.model.competence import Competence
+from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.thermal_model import load_model
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge, validate
