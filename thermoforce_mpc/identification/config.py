@@ -16,8 +16,7 @@ class IdentificationConfig(StrictModel):
     """Options of an identification. The defaults suit a heated house with 1 to 30 days of data."""
 
     method: Literal["joint", "two_stage"] = Field(
-        "joint",
-        description="effects and free part by one network, or the paper's two stages (order 1; pairs train it)",
+        "joint", description="effects and free part by one network, or the paper's two stages (order 1; pairs train it)"
     )
     order: Literal["auto", 1, 2, 3] = Field(
         "auto", description="modes of the operator; auto: 3, with method two_stage 1"

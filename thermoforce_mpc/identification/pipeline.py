@@ -20,7 +20,12 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.confounding import unknown_heat
 from thermoforce_mpc.identification.effects.couplings import assembled, others_of, with_metered_shares
-from thermoforce_mpc.identification.effects.own_meters import ForeignLoads, foreign_loads
+from thermoforce_mpc.identification.effects.meters import (
+    ForeignLoads,
+    foreign_loads,
+    identified_heat_input,
+    power_of_machine,
+)
 from thermoforce_mpc.identification.estimation.records import (
     Pair,
     check_pairs,
@@ -30,7 +35,6 @@ from thermoforce_mpc.identification.estimation.records import (
     prepared_runs,
 )
 from thermoforce_mpc.identification.network.sensor import without_sun
-from thermoforce_mpc.identification.validation.held_out import identified_heat_input, named, power_of_machine
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
 from thermoforce_mpc.identification.zones.model import identify_zone
 from thermoforce_mpc.identification.zones.network_estimate import network_estimates
@@ -161,7 +165,7 @@ def _prepared(runs: Sequence[Record], pairs: Sequence[Pair], layout: Layout) -> 
     Raises:
         DataError: they do not fit the layout, or nothing usable is left of them.
     """
-    given = named(runs, pairs)
+    given = _named(runs, pairs)
     for record in [*runs, *(h for p in pairs for h in (p.a, p.b))]:
         check_same_building("the record", record.names, "the layout", layout.names)
     hashes = {name: data_hash(record) for name, record in given.items()}
@@ -184,6 +188,15 @@ def _prepared(runs: Sequence[Record], pairs: Sequence[Pair], layout: Layout) -> 
     histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
     notes = [*(remark.in_words() for remark in doubts), *gaps, *pair_gaps]
     return _Records(runs, pairs, histories, foreign, doubts, notes, hashes)
+
+
+def _named(runs: Sequence[Record], pairs: Sequence[Pair]) -> dict[str, Record]:
+    """Every record by its name on the model card."""
+    found = {f"run {i}" if len(runs) > 1 else "run": run for i, run in enumerate(runs)}
+    for i, pair in enumerate(pairs):
+        label = pair.label or str(i)
+        found |= {f"pair {label} a": pair.a, f"pair {label} b": pair.b}
+    return found
 
 
 def _estimates(

@@ -12,7 +12,7 @@ from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
-from thermoforce_mpc.identification.estimation.regression import run_regression
+from thermoforce_mpc.identification.estimation.regression import before_held_out, held_out, run_regression, seen_rows
 from thermoforce_mpc.identification.validation.competence import (
     LEAD_TIMES_H,
     MOST_ERROR_K,
@@ -21,7 +21,6 @@ from thermoforce_mpc.identification.validation.competence import (
     missed_criteria,
     most_K,
 )
-from thermoforce_mpc.identification.validation.held_out import before_held_out, held_out, seen_rows
 from thermoforce_mpc.model.card import Competence, HorizonScore
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model

@@ -10,7 +10,7 @@ from houses import House, make_pair, record
 
 from thermoforce_mpc.data import DAY_S, Layout
 from thermoforce_mpc.identification import IdentificationConfig, Pair
-from thermoforce_mpc.identification.validation.held_out import identified_heat_input
+from thermoforce_mpc.identification.effects.meters import identified_heat_input
 from thermoforce_mpc.identification.zones.data import ZoneData
 from thermoforce_mpc.identification.zones.network_estimate import network_estimates
 from thermoforce_mpc.model.operator.heat_input import IDENTITY

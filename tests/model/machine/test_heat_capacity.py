@@ -11,7 +11,7 @@ from machine_history import machine_history
 from benchmarks.operator.data import cut, read_run
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig
-from thermoforce_mpc.identification.validation.held_out import identified_heat_input
+from thermoforce_mpc.identification.effects.meters import identified_heat_input
 from thermoforce_mpc.model.machine.heat_capacity import AIR_CONDITIONER, DIRECT, HEAT_PUMP, OTHER, fit_heat, kinds_for
 
 HEATS = kinds_for(1)

@@ -45,12 +45,7 @@ class Unknown(NamedTuple):
 
 
 def unknown_heat(
-    runs: Sequence[Record],
-    layout: Layout,
-    a: int,
-    heat_input: HeatInput,
-    laws: Estimates,
-    config: IdentificationConfig,
+    runs: Sequence[Record], layout: Layout, a: int, heat_input: HeatInput, laws: Estimates, config: IdentificationConfig
 ) -> Unknown:
     """What is unknown of the heat of actuator `a`: nothing where it was measured, or is the level itself."""
     if not levels_only(heat_input, layout, a, config):

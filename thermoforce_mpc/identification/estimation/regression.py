@@ -10,10 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array, Record
+from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.modes import unit_responses
 from thermoforce_mpc.identification.estimation.records import LEAD_REACH, MOST_ROWS, Pair
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 
+HELD_OUT_SHARE = 0.25
+"""Share of the rows of a run, or of the start times of pairs, that is held out."""
+# Share of the rows before these that is as many.
+_SHARE_BEFORE = HELD_OUT_SHARE / (1.0 - HELD_OUT_SHARE)
 # Share of the heat of its level below which an actuator, one of several, was not given all of it.
 _SERVED = 0.8
 
@@ -64,13 +69,11 @@ class RegressionData:
 
 
 def run_regression(history: Record, heat_input: HeatInput) -> RegressionData:
-    """Return a run of one zone as a regression; missing temperatures are omitted.
+    """A run of one zone as a regression; missing temperatures are omitted.
 
-    The drive is v(u), the heat capacity at the applied level, and not the measured heat that drives the forced history
-    of a controlled run (`forced_history.heat_drive`). A plan knows levels only, so the gain is identified per level and
-    takes up the mean error of the heat capacity; for the past the measured heat is exact, whoever controlled. The two
-    drives differ by the fit error of the heat capacity, which the model card notes (below 1 % of full heat where heat
-    was measured on the embedded plant).
+    The drive is v(u), not the measured heat that drives the forced history of a controlled run
+    (`forced_state.heat_drive`): a plan knows levels only, so the gain is identified per level and takes up the mean
+    error of the heat law, which the model card notes.
     """
     rows = np.arange(0, history.n_steps + 1, _stride(history.n_steps, HOUR_S / history.step_s))
     rows = rows[np.isfinite(history.T_zone_C[0, rows])]
@@ -99,7 +102,7 @@ def _drive(history: Record, i: int, heat_input: HeatInput) -> Array:
 
 
 def pair_regression(pair: Pair, heat_input: HeatInput) -> RegressionData:
-    """Return a pair of one zone as a regression of the difference a − b."""
+    """A pair of one zone as a regression of the difference a − b."""
     difference = pair.a.T_zone_C[0] - pair.b.T_zone_C[0]
     rows = np.flatnonzero(np.isfinite(difference))
     rows = rows[rows > 0]
@@ -121,3 +124,47 @@ def without_others(
             drive = of_run * sign * _drive(history, i, heat_input)
             target -= unit_responses(log_tau, regression.step_s, drive, regression.rows) @ gain
     return replace(regression, target=target)
+
+
+def held_out(regressions: Sequence[RegressionData], config: IdentificationConfig) -> list[RegressionData]:
+    """Hold out the last part of every run, and all pairs of some start times.
+
+    Pairs with the same start share their weather, so they are held out together.
+    """
+    starts = sorted({_start_s(e) for e in regressions if e.is_pair})
+    held: set[float] = set()
+    if len(starts) > 1:
+        rng = np.random.default_rng(config.seed)
+        count = max(1, min(len(starts) - 1, round(HELD_OUT_SHARE * len(starts))))
+        held = {starts[i] for i in rng.permutation(len(starts))[:count]}
+    found = []
+    for e in regressions:
+        if e.is_pair and len(starts) > 1:
+            found.append(replace(e, held=e.rows.size if _start_s(e) in held else 0))
+        else:
+            found.append(_last_held(e, HELD_OUT_SHARE))
+    return found
+
+
+def before_held_out(regressions: Sequence[RegressionData], config: IdentificationConfig) -> list[RegressionData]:
+    """The regressions as they were before their held-out rows, with as many of the last rows held out anew.
+
+    Of runs, those with held-out rows; where there are none, of pairs: those that are not held out are divided as
+    `held_out` divides all. Empty where nothing can be held out anew.
+    """
+    runs = [_last_held(e.first(e.seen), _SHARE_BEFORE) for e in regressions if e.seen and e.held and not e.is_pair]
+    return runs or held_out(seen_rows(regressions), config)
+
+
+def seen_rows(regressions: Sequence[RegressionData]) -> list[RegressionData]:
+    """The rows that are not held out."""
+    return [e.first(e.seen) for e in regressions if e.seen]
+
+
+def _start_s(regression: RegressionData) -> float:
+    return float(regression.histories[0].time_s[0])
+
+
+def _last_held(regression: RegressionData, share: float) -> RegressionData:
+    n = regression.rows.size
+    return replace(regression, held=n - max(1, min(n - 1, round(n * (1.0 - share)))))

@@ -40,11 +40,7 @@ _PLAN_STEP_S, _PLAN_H = 900.0, 48.0
 
 
 def modulate(
-    everything: Fold,
-    last: Fold,
-    before: Fold | None,
-    config: IdentificationConfig,
-    power: PowerModel | None = None,
+    everything: Fold, last: Fold, before: Fold | None, config: IdentificationConfig, power: PowerModel | None = None
 ) -> tuple[OperatorParameters, tuple[Fold, Fold | None], dict[str, float], list[str]]:
     """Train m(x) on the training rows, compare it with m = 1 on the held-out ones, and train it on `everything`.
 

@@ -17,13 +17,7 @@ from pydantic import Field, model_validator
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Boundary, Layout, Record
 from thermoforce_mpc.identification.probing.design import choose
-from thermoforce_mpc.identification.probing.excitation import (
-    EXCURSION_K,
-    Draws,
-    Excitation,
-    LevelTrial,
-    RoomExcitation,
-)
+from thermoforce_mpc.identification.probing.excitation import EXCURSION_K, Draws, Excitation, LevelTrial, RoomExcitation
 from thermoforce_mpc.identification.probing.politeness import Foresight
 from thermoforce_mpc.protocols import Plant, RoomSetpointPlant
 from thermoforce_mpc.scenario.settings import StrictModel
@@ -49,9 +43,7 @@ class ProbingConfig(StrictModel):
     )
     hold_steps: tuple[int, ...] = Field((1, 2, 4, 8, 16), min_length=1, description="holding times to draw from, steps")
     excursion_K: float = Field(
-        EXCURSION_K,
-        gt=0,
-        description="distance from the centre at which the machine is on, or off, K",
+        EXCURSION_K, gt=0, description="distance from the centre at which the machine is on, or off, K"
     )
     margin_K: float = Field(
         1.0,

@@ -12,17 +12,19 @@ from thermoforce_mpc.data import Array, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.effects.level_laws import Estimates
+from thermoforce_mpc.identification.effects.meters import identified_heat_input
 from thermoforce_mpc.identification.estimation.modes import Effect
 from thermoforce_mpc.identification.estimation.records import Pair, resolution_K
-from thermoforce_mpc.identification.estimation.regression import RegressionData, pair_regression, run_regression
-from thermoforce_mpc.identification.estimation.rest import fitted_to_pairs
-from thermoforce_mpc.identification.validation.errors_ahead import Fold
-from thermoforce_mpc.identification.validation.held_out import (
+from thermoforce_mpc.identification.estimation.regression import (
+    RegressionData,
     before_held_out,
     held_out,
-    identified_heat_input,
+    pair_regression,
+    run_regression,
     seen_rows,
 )
+from thermoforce_mpc.identification.estimation.rest import fitted_to_pairs
+from thermoforce_mpc.identification.validation.errors_ahead import Fold
 from thermoforce_mpc.measurements.checks import Remark
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters

@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from thermoforce_mpc.data import HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.effects.confounding import Unknown
 from thermoforce_mpc.identification.effects.level_laws import part_load_costs
 from thermoforce_mpc.identification.modulation.selection import modulate, prove
 from thermoforce_mpc.identification.validation.competence import judge
-from thermoforce_mpc.identification.validation.held_out import ranges
 from thermoforce_mpc.identification.validation.reasons import UNJUDGED
 from thermoforce_mpc.identification.zones.data import Estimate, ZoneData
 from thermoforce_mpc.model.card import Competence
@@ -74,7 +74,7 @@ def identify_zone(
     judged = judge(last, before, operator, certainty, scores["acts_log_odds"], heat_W_m2)
     card = replace(
         data.card,
-        ranges=ranges(histories),
+        ranges=_ranges(histories),
         scores=scores,
         uncertainty=certainty,
         notes=(*said, *uncertain(certainty)),
@@ -126,3 +126,13 @@ def _without_effect(log_odds: float, data: ZoneData) -> str:
         "the actuator reached the zone, and that the zone sensor is in the room that it serves, or probe "
         f"harder{'; the record has no irradiance: name a signal for the sun' if dark else ''}"
     )
+
+
+def _ranges(histories: Sequence[Record]) -> dict[str, tuple[float, float]]:
+    """The smallest and largest value of each signal, and (0, days of data)."""
+    out = {}
+    for name in ("T_zone_C", "T_out_C", "solar_W_m2", "u"):
+        values = np.concatenate([np.atleast_2d(getattr(h, name))[0] for h in histories])
+        out[name] = (float(np.nanmin(values)), float(np.nanmax(values)))
+    out["days"] = (0.0, sum(h.n_steps * h.step_s for h in histories) / (24 * HOUR_S))
+    return out

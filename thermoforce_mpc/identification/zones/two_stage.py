@@ -61,11 +61,7 @@ class TwoStageFit:
     def operator(self) -> OperatorParameters:
         """Return the forced part, order 1 with m = 1."""
         return linear_operator(
-            np.array([self.a]),
-            np.array([self.g]),
-            step_s=self.step_s,
-            sign=self.sign,
-            heat_input=self.heat_input,
+            np.array([self.a]), np.array([self.g]), step_s=self.step_s, sign=self.sign, heat_input=self.heat_input
         )
 
     @property

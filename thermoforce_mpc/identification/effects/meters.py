@@ -1,32 +1,68 @@
-"""Data of an identification: held-out rows, and heat and power models from records."""
+"""What meters say of heat and power: other loads on them, what a level delivers, and what a machine takes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
+from thermoforce_mpc.data import Array, Layout, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.estimation.records import Pair
-from thermoforce_mpc.identification.estimation.regression import RegressionData
+from thermoforce_mpc.model.machine.foreign_load import ForeignLoad, foreign_load, own_W
 from thermoforce_mpc.model.machine.heat_capacity import HeatFit, fit_heat, kinds_for
 from thermoforce_mpc.model.machine.load import LEAST_RUNNING, LEVEL_EDGE, running_share
 from thermoforce_mpc.model.machine.power import PowerModel, fit_both_directions, fit_power
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 
-HELD_OUT_SHARE = 0.25
-"""Share of the rows of a run, or of the start times of pairs, that is held out."""
-# Share of the rows before these that is as many.
-_SHARE_BEFORE = HELD_OUT_SHARE / (1.0 - HELD_OUT_SHARE)
 # Least share of steps with measured heat or power.
 _MEASURED = 0.5
 # Level from which full actuation counts as excited.
 _NEARLY_FULL = 0.9
 # Loads to try below which a shared machine cycles, as shares of its capacity; 1: its power is proportional to the load.
 _CYCLES_BELOW = (0.02, *np.linspace(0.1, 0.6, 11).round(2).tolist(), 1.0)
+
+
+@dataclass(frozen=True)
+class ForeignLoads:
+    """What else is on the power meter of each machine (M,) and the heat meter of each actuator (A,); None: nothing."""
+
+    power: tuple[ForeignLoad | None, ...]
+    heat: tuple[ForeignLoad | None, ...]
+    layout: Layout
+
+    def taken_off(self, record: Record) -> Record:
+        """The record with the machines' own power and heat."""
+        if any(self.power):
+            record = replace(record, power_W=own_W(record.power_W, self.power, record))
+        if any(self.heat):
+            record = replace(record, heat_W=own_W(record.heat_W, self.heat, record, self.layout.signs))
+        return record
+
+    def notes(self, a: int) -> list[str]:
+        """What the card of actuator `a` says of them."""
+        m, names = self.layout.machine_of[a], self.layout.names
+        meters = ((f"power of {names.machines[m]}", self.power[m]), (f"heat of {names.actuators[a]}", self.heat[a]))
+        return [f"{meter}: {other.in_words()}" for meter, other in meters if other is not None]
+
+
+def foreign_loads(histories: Sequence[Record], layout: Layout) -> ForeignLoads:
+    """What else is on the meters; nothing where signed levels never are off."""
+    u, power_W, heat_W = (
+        np.concatenate([getattr(h, name) for h in histories], axis=1) for name in ("u", "power_W", "heat_W")
+    )
+    time_s, T_out_C = (np.concatenate([getattr(h, name)[:-1] for h in histories]) for name in ("time_s", "T_out_C"))
+
+    def found(fed: Sequence[int], meter_W: Array) -> ForeignLoad | None:
+        signed = any(layout.lowest[a] < 0.0 for a in fed)
+        return None if signed else foreign_load(u[list(fed)], time_s, T_out_C, meter_W)
+
+    return ForeignLoads(
+        tuple(found(layout.fed_by(m), meter_W) for m, meter_W in enumerate(power_W)),
+        tuple(found([a], sign * meter_W) for a, (sign, meter_W) in enumerate(zip(layout.signs, heat_W, strict=True))),
+        layout,
+    )
 
 
 def identified_heat_input(
@@ -60,12 +96,7 @@ def identified_heat_input(
         )
     T_out_C = np.concatenate([h.T_out_C[:-1] for h in histories])
     fit = fit_heat(
-        u,
-        T_out_C,
-        heat,
-        kinds=kinds_for(sign),
-        step_s=histories[0].step_s,
-        lowest_level=config.lowest_level,
+        u, T_out_C, heat, kinds=kinds_for(sign), step_s=histories[0].step_s, lowest_level=config.lowest_level
     )
     rmse_W, r2 = fit.quality.rmse_W, fit.quality.r2
     note = f"measured heat: machine of kind '{fit.kind}', RMSE {rmse_W:.0f} W while on, R² {r2:.4f}"
@@ -126,66 +157,3 @@ def machine_record(record: Record, layout: Layout, machine: int) -> Record:
         return part
     level = np.clip(layout.weights[fed] @ record.u[fed], min(0.0, *(layout.lowest[a] for a in fed)), 1.0)
     return replace(part, u=level, heat_W=record.heat_W[fed].sum(axis=0))
-
-
-def held_out(regressions: Sequence[RegressionData], config: IdentificationConfig) -> list[RegressionData]:
-    """Hold out the last part of every run, and all pairs of some start times.
-
-    Pairs with the same start share their weather, so they are held out together.
-    """
-    starts = sorted({_start_s(e) for e in regressions if e.is_pair})
-    held: set[float] = set()
-    if len(starts) > 1:
-        rng = np.random.default_rng(config.seed)
-        count = max(1, min(len(starts) - 1, round(HELD_OUT_SHARE * len(starts))))
-        held = {starts[i] for i in rng.permutation(len(starts))[:count]}
-    found = []
-    for e in regressions:
-        if e.is_pair and len(starts) > 1:
-            found.append(replace(e, held=e.rows.size if _start_s(e) in held else 0))
-        else:
-            found.append(_last_held(e, HELD_OUT_SHARE))
-    return found
-
-
-def before_held_out(regressions: Sequence[RegressionData], config: IdentificationConfig) -> list[RegressionData]:
-    """The regressions as they were before their held-out rows, with as many of the last rows held out anew.
-
-    Of runs, those with held-out rows; where there are none, of pairs: those that are not held out are divided as
-    `held_out` divides all. Empty where nothing can be held out anew.
-    """
-    runs = [_last_held(e.first(e.seen), _SHARE_BEFORE) for e in regressions if e.seen and e.held and not e.is_pair]
-    return runs or held_out(seen_rows(regressions), config)
-
-
-def seen_rows(regressions: Sequence[RegressionData]) -> list[RegressionData]:
-    """The rows that are not held out."""
-    return [e.first(e.seen) for e in regressions if e.seen]
-
-
-def _start_s(regression: RegressionData) -> float:
-    return float(regression.histories[0].time_s[0])
-
-
-def _last_held(regression: RegressionData, share: float) -> RegressionData:
-    n = regression.rows.size
-    return replace(regression, held=n - max(1, min(n - 1, round(n * (1.0 - share)))))
-
-
-def ranges(histories: Sequence[Record]) -> dict[str, tuple[float, float]]:
-    """Return the smallest and largest value of each signal, and (0, days of data)."""
-    out = {}
-    for name in ("T_zone_C", "T_out_C", "solar_W_m2", "u"):
-        values = np.concatenate([np.atleast_2d(getattr(h, name))[0] for h in histories])
-        out[name] = (float(np.nanmin(values)), float(np.nanmax(values)))
-    out["days"] = (0.0, sum(h.n_steps * h.step_s for h in histories) / (24 * HOUR_S))
-    return out
-
-
-def named(runs: Sequence[Record], pairs: Sequence[Pair]) -> dict[str, Record]:
-    """Every record by its name on the model card."""
-    found = {f"run {i}" if len(runs) > 1 else "run": run for i, run in enumerate(runs)}
-    for i, pair in enumerate(pairs):
-        label = pair.label or str(i)
-        found |= {f"pair {label} a": pair.a, f"pair {label} b": pair.b}
-    return found
