@@ -8,8 +8,8 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Array
 from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
-from thermoforce_mpc.identification.validation.report import BAND
 from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.whatif.identified import BAND
 
 STEP_S = 900.0
 # Hours off, then at full level, and hours from the start of the block that are scored.

@@ -19,12 +19,12 @@ from thermoforce_mpc.data.series import WEATHER, bridged, interpolated
 from thermoforce_mpc.data.superposition import control_free
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
-from thermoforce_mpc.identification.validation.report import BAND, step_response_of
 from thermoforce_mpc.model.forced_state import followed
 from thermoforce_mpc.model.free_response.checks import LEVELS
 from thermoforce_mpc.model.operator.features import feature_matrix
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
+from thermoforce_mpc.whatif.identified import BAND, step_response_of
 
 
 @dataclass(frozen=True)

@@ -129,8 +129,8 @@ def _options(options: dict[str, Any]) -> IdentificationConfig:
 def _finish(model: ThermalModel, record: Record, out: Path, display: RunDisplay, *, overwrite: bool) -> None:
     """Save and show a model and the plot of its fit; exit code 4 where it is not competent."""
     from thermoforce_mpc.cli.inside.inspect import show_model
-    from thermoforce_mpc.identification.validation.report import PLOT_NAME, plot_identification
     from thermoforce_mpc.simulation.models.identifying import may_act
+    from thermoforce_mpc.whatif.identified import PLOT_NAME, plot_identification
 
     model.save(out, overwrite=overwrite)
     show_model(str(out), model, display.console)

@@ -1,1 +1,1 @@
-"""Held-out data, the verdict that they give, and the picture of an identification."""
+"""Held-out data and the verdict that they give."""

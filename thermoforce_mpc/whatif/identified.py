@@ -1,4 +1,4 @@
-"""Figure of an identification: rollouts over its record, and the step response to full actuation."""
+"""What a model says of its own record: rollouts over it, the step response to full actuation, and their picture."""
 
 from __future__ import annotations
 
