@@ -13,8 +13,9 @@ from benchmarks.operator.torch_operator import ForcedResponseOperator
 from thermoforce_mpc.data import HOUR_S, Layout, Names
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.identification.effects.confounding import confounding, shared_sd
+from thermoforce_mpc.identification.effects.confounding import confounding, shared_sd, unknown_heat
 from thermoforce_mpc.identification.effects.level_laws import laws_of, levels_only
+from thermoforce_mpc.identification.effects.meters import identified_heat_input
 from thermoforce_mpc.model.exported import step_function
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
@@ -103,6 +104,22 @@ def test_heat_that_would_fall_with_the_level_is_refused():
         HeatInput(reference_C=5.0, per_K=0.05, T_out_range_C=(-20.0, 10.0))
     with pytest.raises(DataError, match="lowest level"):
         HeatInput(lowest=-1.0, per_K=0.01, T_out_range_C=(0.0, 1.0))
+
+
+@pytest.mark.parametrize(("at_first_W", "fewest", "most"), [(10000.0, 0.2, 0.6), (5000.0, 0.0, 0.001)])
+def test_heat_that_falls_while_a_level_is_held_makes_the_effect_less_sure(at_first_W, fewest, most):
+    n = 96 * 3
+    u = (random_levels(n, 1, hold=8) > 0.5).astype(float)
+    held = np.array([u[max(0, t - 3) : t + 1].min() for t in range(n)])  # on for an hour or more
+    run = record(House(), 3.0, 900.0, u=u)
+    run = replace(run, heat_W=np.where(held, 5000.0, at_first_W * u)[None])
+    layout = Layout.single()
+    heat_input, _ = identified_heat_input([run], CONFIG, 1)
+    unknown = unknown_heat([run], layout, 0, heat_input, {}, CONFIG)
+    assert fewest <= unknown.sd < most
+    assert [note.endswith("with how long it is held") for note in unknown.notes] == [True] * (fewest > 0.0)
+    levels = unknown_heat([run], layout, 0, IDENTITY, {}, CONFIG.model_copy(update={"heat_input": "identity"}))
+    assert levels.sd == 0.0
 
 
 def test_rooms_that_are_heated_together_cannot_be_told_apart():
