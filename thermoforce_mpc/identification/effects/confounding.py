@@ -53,7 +53,7 @@ class Unknown(NamedTuple):
 def unknown_heat(
     runs: Sequence[Record], layout: Layout, a: int, heat_input: HeatInput, laws: Estimates, config: IdentificationConfig
 ) -> Unknown:
-    """What is unknown of the heat of actuator `a`: less where it was measured, nothing where the level is heat itself."""
+    """What is unknown of the heat of actuator `a`: less where it is measured, nothing where the level is the heat."""
     if not levels_only(heat_input, layout, a, config):
         sd = _held_sd(runs, layout, a, heat_input)
         note = f"heat of full level differs by ± {100 * sd:.0f} % with how long it is held"
