@@ -166,7 +166,7 @@ def _prepared(runs: Sequence[Record], pairs: Sequence[Pair], layout: Layout) -> 
         DataError: they do not fit the layout, or nothing usable is left of them.
     """
     given = _named(runs, pairs)
-    for record in [*runs, *(h for p in pairs for h in (p.a, p.b))]:
+    for record in _histories(runs, pairs):
         check_same_building("the record", record.names, "the layout", layout.names)
     hashes = {name: data_hash(record) for name, record in given.items()}
     area_m2 = float(np.sum(layout.floor_area_m2))
@@ -180,14 +180,18 @@ def _prepared(runs: Sequence[Record], pairs: Sequence[Pair], layout: Layout) -> 
     pairs, pair_gaps = prepared_pairs(pairs, allowed)
     if pairs:
         check_pairs(pairs)
-    histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
-    check_steps(histories)
-    foreign = foreign_loads(histories, layout)
+    metered = _histories(runs, pairs)
+    check_steps(metered)
+    foreign = foreign_loads(metered, layout)
     runs = [foreign.taken_off(run) for run in runs]
     pairs = [replace(p, a=foreign.taken_off(p.a), b=foreign.taken_off(p.b)) for p in pairs]
-    histories = [*runs, *(h for p in pairs for h in (p.a, p.b))]
     notes = [*(remark.in_words() for remark in doubts), *gaps, *pair_gaps]
-    return _Records(runs, pairs, histories, foreign, doubts, notes, hashes)
+    return _Records(runs, pairs, _histories(runs, pairs), foreign, doubts, notes, hashes)
+
+
+def _histories(runs: Sequence[Record], pairs: Sequence[Pair]) -> list[Record]:
+    """The runs, then both records of each pair."""
+    return [*runs, *(record for pair in pairs for record in (pair.a, pair.b))]
 
 
 def _named(runs: Sequence[Record], pairs: Sequence[Pair]) -> dict[str, Record]:

@@ -75,7 +75,8 @@ def _held_sd(runs: Sequence[Record], layout: Layout, a: int, heat_input: HeatInp
     Heat falls as water and emitter warm: a law by the level is right in the mean of its record, where levels are held
     for minutes to hours.
     """
-    if heat_input.law is None or len(layout.fed_by(layout.machine_of[a])) > 1 or layout.lowest[a] < 0.0:
+    law = heat_input.law
+    if law is None or len(layout.fed_by(layout.machine_of[a])) > 1:
         return 0.0
     squares = total = 0.0
     for run in runs:
@@ -84,8 +85,8 @@ def _held_sd(runs: Sequence[Record], layout: Layout, a: int, heat_input: HeatInp
             continue
         u, heat_W = run.u[a], layout.signs[a] * run.heat_W[a]
         on = (u > LEVEL_EDGE) & np.isfinite(heat_W)
-        law_W = heat_input(u, run.T_out_C[:-1]) * heat_input.reference_W
-        metered, expected = (np.convolve(np.where(on, W, 0.0), np.ones(n), "valid") for W in (heat_W, law_W))
+        courses = heat_W, law(u, run.T_out_C[:-1])
+        metered, expected = (np.convolve(np.where(on, W, 0.0), np.ones(n), "valid") for W in courses)
         acted = expected > 0.0
         squares += float(np.sum((metered - expected)[acted] ** 2 / expected[acted]))
         total += float(expected[acted].sum())

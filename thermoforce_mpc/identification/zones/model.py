@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermoforce_mpc.data import HOUR_S, Record
+from thermoforce_mpc.data import DAY_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification.effects.confounding import Unknown
 from thermoforce_mpc.identification.effects.level_laws import part_load_costs
@@ -134,5 +134,5 @@ def _ranges(histories: Sequence[Record]) -> dict[str, tuple[float, float]]:
     for name in ("T_zone_C", "T_out_C", "solar_W_m2", "u"):
         values = np.concatenate([np.atleast_2d(getattr(h, name))[0] for h in histories])
         out[name] = (float(np.nanmin(values)), float(np.nanmax(values)))
-    out["days"] = (0.0, sum(h.n_steps * h.step_s for h in histories) / (24 * HOUR_S))
+    out["days"] = (0.0, sum(h.n_steps * h.step_s for h in histories) / DAY_S)
     return out
