@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from itertools import groupby
-from math import isfinite
+from math import inf, isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,12 +17,15 @@ from thermoforce_mpc.errors import counted
 from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, window_means
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
-from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT
 
 if TYPE_CHECKING:
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
 
+COST, DISCOMFORT = "cost_tot", "tdis_tot"
+"""KPIs by which runs are judged: cost, currency/m², and discomfort, K·h a zone."""
+# Comparable comfort: at most so many times the least discomfort of the group, or so much more, K·h.
+_COMPARABLE, _COMPARABLE_KH = 2.0, 0.5
 # Share of the steps from which accepted discomfort is told, and how far beyond a bound a zone is planned then, K: what
 # only takes from a margin is none.
 _WORTH_TELLING, _NOTICED_K = 0.01, 0.05
@@ -217,11 +220,43 @@ def watch_spells(result: RunResult) -> tuple[Spell, ...]:
     return tuple(spells)
 
 
+def figures_of(
+    scenario: Scenario, plant: Mapping[str, Any], result: RunResult, baselines: Mapping[str, RunResult], equal: str
+) -> dict[str, Any]:
+    """The content of `kpis.json`; `plant` is a `PlantInfo` in JSON, `equal` what is as comfortable, in words."""
+    return {
+        "testcase": plant.get("testcase", ""),
+        "plant": f"{plant.get('kind')}: {plant.get('description')}",
+        "weather": plant.get("weather", ""),
+        "period": scenario.period,
+        "start_day": result.period.start_s / DAY_S,
+        "scored_days": result.period.scored_s / DAY_S,
+        "price": scenario.price,
+        "controller": result.controller,
+        "kpis": result.kpis,
+        "baselines": {name: baseline.kpis for name, baseline in baselines.items()},
+        "equal_comfort": equal,
+        "gate": {name: asdict(gate) for name, gate in gates_held(result, baselines).items()},
+        "power_cap": capped_figures(scenario, result, baselines),
+    }
+
+
+def most_comparable_Kh(least_Kh: float) -> float:
+    """Most discomfort that is comparable to the least of a group, K·h."""
+    return max(_COMPARABLE * least_Kh, least_Kh + _COMPARABLE_KH)
+
+
+def best_values(everyone: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """Least of each KPI among the controllers whose discomfort is comparable to the least; of discomfort, of all."""
+    least = min((kpis[DISCOMFORT] for kpis in everyone.values() if DISCOMFORT in kpis), default=inf)
+    warm = [kpis for kpis in everyone.values() if kpis.get(DISCOMFORT, least) <= most_comparable_Kh(least)]
+    known = [(key, value) for kpis in warm for key, value in kpis.items() if isfinite(value)]
+    return {key: min(value for other, value in known if other == key) for key, _ in known}
+
+
 Kpis = Mapping[str, float]
 # Costs that differ by less are the same.
 _SAME = 0.005
-# Further discomfort from which on two runs are not compared by cost alone, K·h.
-_COMPARABLE_KH = 0.5
 _CALLED = {"native": "the building's own controller", "thermostat": "an on/off thermostat", "pi": "a PI controller"}
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from controllers.registry import build_controller, find_entry, lent
+from thermoforce_mpc.data.clock import seconds_of
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.plants.boptest.token import allow_token
 from thermoforce_mpc.plants.registry import build_plant
@@ -26,8 +27,8 @@ from thermoforce_mpc.simulation.comparison.equal_comfort import (
     searches_equal_comfort,
     shifted_options,
 )
-from thermoforce_mpc.simulation.comparison.outcome import DISCOMFORT
 from thermoforce_mpc.simulation.composition import Setting, attached_plant, controller_options
+from thermoforce_mpc.simulation.findings import DISCOMFORT
 from thermoforce_mpc.simulation.folder.run_book import RunBook, ended_early, is_real
 from thermoforce_mpc.simulation.folder.run_folder import (
     clear_partial,
@@ -52,7 +53,6 @@ from thermoforce_mpc.simulation.outside import note_given, with_given
 from thermoforce_mpc.simulation.own_kpis import OwnKpi, own_kpis, with_own_kpis
 from thermoforce_mpc.simulation.scenario_result import ScenarioResult, headline, print_summary, write_results
 from thermoforce_mpc.simulation.views.display import RunDisplay
-from thermoforce_mpc.simulation.views.explaining import seconds_of
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
     import pandas as pd

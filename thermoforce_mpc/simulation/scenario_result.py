@@ -20,11 +20,11 @@ from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import suggestion
 from thermoforce_mpc.simulation.closed_loop import RunResult
 from thermoforce_mpc.simulation.comparison.equal_comfort import AsComfortable
-from thermoforce_mpc.simulation.comparison.outcome import COST
 from thermoforce_mpc.simulation.findings import (
+    COST,
     Capped,
     Planning,
-    capped_figures,
+    figures_of,
     gates_held,
     planning_of,
     verdict,
@@ -121,27 +121,6 @@ def write_results(folder: Path, outcome: ScenarioResult, command: Sequence[str],
     }
     write_json(folder / "manifest.json", manifest)
     return kpis
-
-
-def figures_of(
-    scenario: Scenario, plant: Mapping[str, Any], result: RunResult, baselines: Mapping[str, RunResult], equal: str
-) -> dict[str, Any]:
-    """The content of `kpis.json`; `plant` is a `PlantInfo` in JSON, `equal` what is as comfortable, in words."""
-    return {
-        "testcase": plant.get("testcase", ""),
-        "plant": f"{plant.get('kind')}: {plant.get('description')}",
-        "weather": plant.get("weather", ""),
-        "period": scenario.period,
-        "start_day": result.period.start_s / DAY_S,
-        "scored_days": result.period.scored_s / DAY_S,
-        "price": scenario.price,
-        "controller": result.controller,
-        "kpis": result.kpis,
-        "baselines": {name: baseline.kpis for name, baseline in baselines.items()},
-        "equal_comfort": equal,
-        "gate": {name: asdict(gate) for name, gate in gates_held(result, baselines).items()},
-        "power_cap": capped_figures(scenario, result, baselines),
-    }
 
 
 def headline(plant: Plant, period: Period, scenario: Scenario) -> str:

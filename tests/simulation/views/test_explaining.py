@@ -14,12 +14,13 @@ from simple_house import SimpleHouse, simple_model
 
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
+from thermoforce_mpc.data.clock import seconds_of, words_of
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.simulation import report
 from thermoforce_mpc.simulation import run as simulation_run
 from thermoforce_mpc.simulation.journal.journal import Journal, JournalError, read_run
-from thermoforce_mpc.simulation.views.explaining import decision_at, seconds_of, words_of
+from thermoforce_mpc.simulation.views.explaining import decision_at
 
 
 def call(*words: object):

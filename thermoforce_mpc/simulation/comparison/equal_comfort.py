@@ -15,7 +15,7 @@ from controllers.registry import controller_config
 from controllers.rules.thermostat import ThermostatConfig
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
-from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT
+from thermoforce_mpc.simulation.findings import COST, DISCOMFORT
 
 THERMOSTAT = "thermostat"
 

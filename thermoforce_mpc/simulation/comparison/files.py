@@ -10,8 +10,6 @@ import pandas as pd
 
 from thermoforce_mpc.simulation.comparison.outcome import (
     CONFIDENCE,
-    COST,
-    DISCOMFORT,
     KPIS,
     Pair,
     Row,
@@ -29,6 +27,7 @@ from thermoforce_mpc.simulation.comparison.outcome import (
     verdicts,
 )
 from thermoforce_mpc.simulation.comparison.results_json import results_json
+from thermoforce_mpc.simulation.findings import COST, DISCOMFORT
 from thermoforce_mpc.simulation.folder.plain_files import write_plain
 from thermoforce_mpc.simulation.folder.run_folder import write_json
 from thermoforce_mpc.simulation.report.page import rendered

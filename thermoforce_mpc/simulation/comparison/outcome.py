@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,14 +12,12 @@ from thermoforce_mpc.data import Array, PlanStatus
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.comparison.results_json import Target
 from thermoforce_mpc.simulation.comparison.store import DONE
+from thermoforce_mpc.simulation.findings import COST, DISCOMFORT, most_comparable_Kh
 from thermoforce_mpc.simulation.own_kpis import own_of
 
-COST, DISCOMFORT = "cost_tot", "tdis_tot"
 KPIS = (COST, DISCOMFORT, "ener_tot", "emis_tot", "pele_tot")
 # Tolerances within which two results are equal: relative for cost, K·h for discomfort.
 _COST_TIE, _DISCOMFORT_TIE_KH = 1e-4, 0.005
-# Comparable comfort: at most so many times the least discomfort of the group, or so much more, K·h.
-_COMPARABLE, _COMPARABLE_KH = 2.0, 0.5
 _AS_PLANNED = {PlanStatus.SOLVED.value, PlanStatus.RULE.value}
 
 Row = dict[str, Any]
@@ -39,24 +36,12 @@ def outcome_rows(records: Iterable[Mapping[str, Any]]) -> list[Row]:
         ran = finished(group)
         least = min((row[DISCOMFORT] for row in ran), default=0.0)
         for row in ran:
-            row["comparable"] = row[DISCOMFORT] <= _most_comparable(least)
+            row["comparable"] = row[DISCOMFORT] <= most_comparable_Kh(least)
         for row in ran:
             row["best_cost"] = row["comparable"] and not any(_cheaper(o, row) for o in ran if o["comparable"])
             row["best_discomfort"] = row[DISCOMFORT] <= least + _DISCOMFORT_TIE_KH
             row["pareto"] = not any(dominates(other, row) for other in ran)
     return rows
-
-
-def _most_comparable(least_Kh: float) -> float:
-    return max(_COMPARABLE * least_Kh, least_Kh + _COMPARABLE_KH)
-
-
-def best_values(everyone: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
-    """Least of each KPI among the controllers whose discomfort is comparable to the least; of discomfort, of all."""
-    least = min((kpis[DISCOMFORT] for kpis in everyone.values() if DISCOMFORT in kpis), default=math.inf)
-    warm = [kpis for kpis in everyone.values() if kpis.get(DISCOMFORT, least) <= _most_comparable(least)]
-    known = [(key, value) for kpis in warm for key, value in kpis.items() if math.isfinite(value)]
-    return {key: min(value for other, value in known if other == key) for key, _ in known}
 
 
 def ranked(rows: Iterable[Row]) -> list[Row]:
@@ -109,7 +94,7 @@ def verdicts(rows: Iterable[Row]) -> list[str]:
         calmest = [row for row in ran if row["best_discomfort"]]
         least = calmest[0][DISCOMFORT]
         lines.append(
-            f"{title}: cheapest at comparable comfort (at most {_most_comparable(least):.2f} K·h) {_names(cheapest)} "
+            f"{title}: cheapest at comparable comfort (at most {most_comparable_Kh(least):.2f} K·h) {_names(cheapest)} "
             f"({cheapest[0][COST]:.4f}), least discomfort {_names(calmest)} ({least:.2f} K·h)"
         )
         lines += [

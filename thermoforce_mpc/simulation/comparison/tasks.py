@@ -27,9 +27,9 @@ from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.simulation.comparison.cells import FORMAT, Cell, Inputs, varied
 from thermoforce_mpc.simulation.comparison.equal_comfort import THERMOSTAT, as_comfortable, shifted_options
 from thermoforce_mpc.simulation.comparison.input_files import NO_FILES, SentFiles, input_files, moved, paths_of, task_of
-from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT
 from thermoforce_mpc.simulation.comparison.store import DONE, FAILED, Identified, Ran, Store
 from thermoforce_mpc.simulation.composition import Setting, controller_options
+from thermoforce_mpc.simulation.findings import COST, DISCOMFORT
 from thermoforce_mpc.simulation.folder.run_folder import trajectory_frame
 from thermoforce_mpc.simulation.models.identifying import IdentificationTask, model_for, run_identification
 from thermoforce_mpc.simulation.own_kpis import own_kpis, with_own_kpis

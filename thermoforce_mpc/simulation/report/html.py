@@ -13,8 +13,7 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Plan, PlanStatus
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord
-from thermoforce_mpc.simulation.comparison.outcome import best_values
-from thermoforce_mpc.simulation.findings import Capped, gates_held, planning_of, verdict, watch_spells
+from thermoforce_mpc.simulation.findings import Capped, best_values, gates_held, planning_of, verdict, watch_spells
 from thermoforce_mpc.simulation.folder.plain_files import write_plain
 from thermoforce_mpc.simulation.own_kpis import own_of
 from thermoforce_mpc.simulation.report.courses import Course, course_of, most_blocks

@@ -19,7 +19,7 @@ from thermoforce_mpc.data import DAY_S, Period, PlanStatus
 from thermoforce_mpc.execution.progress import duration
 from thermoforce_mpc.plants.kpis import zone_kpis
 from thermoforce_mpc.simulation.closed_loop import Sample, StepRecord
-from thermoforce_mpc.simulation.comparison.outcome import best_values
+from thermoforce_mpc.simulation.findings import best_values
 from thermoforce_mpc.simulation.models.probing import ProbingProgress
 from thermoforce_mpc.simulation.own_kpis import own_of
 from thermoforce_mpc.simulation.views.whole_tables import figure, plain_table, print_whole

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from controllers.registry import build_controller, find_entry
-from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Observation
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation
+from thermoforce_mpc.data.clock import seconds_of, words_of
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import ArtifactError, DataError, InputError
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -157,38 +156,10 @@ def decision_at(folder: Path, at: str | None = None, controller: str | None = No
         return Decision(name, tuple(steps), forecast_of(steps), planned_of(told), margins_of(told))
 
 
-def seconds_of(at: str, option: str = "--at") -> float:
-    """Seconds since 1 January of a time as people write it.
-
-    '16 06:30' is half past six of day 16 (days from 0, as `--period`), '16.5' noon of it, '01-17 06:30' and
-    '17 Jan 06:30' the calendar's, '1405800s' seconds. Raises `InputError` for anything else.
-    """
-    text = at.strip()
-    if match := re.fullmatch(r"(\d+(?:\.\d+)?) ?s", text):
-        return float(match[1])
-    if match := re.fullmatch(r"(\d+(?:\.\d+)?)(?: ?d)?(?: +(\d{1,2}):(\d{2}))?", text):
-        return float(match[1]) * DAY_S + HOUR_S * int(match[2] or 0) + 60.0 * int(match[3] or 0)
-    for form in ("%m-%d %H:%M", "%m-%dT%H:%M", "%d %b %H:%M"):
-        try:
-            moment = datetime.strptime(f"2021 {text}", f"%Y {form}")
-        except ValueError:
-            continue
-        return (moment - datetime(2021, 1, 1)).total_seconds()
-    raise InputError(
-        f"{option} {at}: not a time; write '16 06:30' (day from 0, as --period), '01-17 06:30' or '1405800s'"
-    )
-
-
 def hour_ends(n: int, step_s: float, hours: float) -> range:
     """Number of steps at the end of each of the first `hours` of a plan of `n` steps; of less than one hour its end."""
     every = max(1, round(min(hours, 1.0) * HOUR_S / step_s))
     return range(every, min(n, max(every, round(hours * HOUR_S / step_s))) + 1, every)
-
-
-def words_of(time_s: float) -> str:
-    """A time for people: day from 0 and clock."""
-    day, minutes = divmod(round(time_s / 60.0), 24 * 60)
-    return f"day {day} {minutes // 60:02d}:{minutes % 60:02d}"
 
 
 # What a plan would have been made on does not matter here, so no weights are loaded.

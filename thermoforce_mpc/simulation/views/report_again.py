@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.data import DAY_S, J_PER_KWH
+from thermoforce_mpc.data.clock import words_of
 from thermoforce_mpc.errors import ArtifactError, InputError
 from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.simulation.closed_loop import RunResult
+from thermoforce_mpc.simulation.findings import figures_of
 from thermoforce_mpc.simulation.folder.plain_files import check_plain
 from thermoforce_mpc.simulation.folder.run_folder import is_complete, kept_model, write_json
 from thermoforce_mpc.simulation.journal.told_steps import ToldRun, told_run
 from thermoforce_mpc.simulation.own_kpis import own_of
-from thermoforce_mpc.simulation.scenario_result import figures_of
-from thermoforce_mpc.simulation.views.explaining import words_of
 
 _MOST_BYTES = 10_000_000
 
