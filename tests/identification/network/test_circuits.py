@@ -9,8 +9,8 @@ import pytest
 from thermal_networks import LAYOUT, ROOMS, KnownFit, theta_of
 
 from thermoforce_mpc.data import HOUR_S, Record
-from thermoforce_mpc.identification.effects.circuits import circuit_of
 from thermoforce_mpc.identification.estimation.regression import run_regression
+from thermoforce_mpc.identification.network.circuits import circuit_of
 from thermoforce_mpc.identification.network.estimate import Run
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
