@@ -22,7 +22,7 @@ def test_files_tests_and_findings_are_there():
     for _, where, known, _ in ROWS:
         file, _, name = known.strip("`").partition("::")
         there = (ROOT / where.strip("`")).exists() and (ROOT / file).is_file()
-        if not there or name and f"\ndef {name}(" not in (ROOT / file).read_text(encoding="utf-8"):
+        if not there or (name and f"\ndef {name}(" not in (ROOT / file).read_text(encoding="utf-8")):
             missing.append((where, known))
     assert missing == []
 
