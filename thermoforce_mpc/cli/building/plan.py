@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ from thermoforce_mpc.cli.building.identify import NOT_COMPETENT
 from thermoforce_mpc.cli.options import FiniteRange, map_option, model_option, out_option, plot_option
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Plan
 from thermoforce_mpc.data.names import check_same_building
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.map.mapping import MOST_STEP_S
 from thermoforce_mpc.scenario.settings import parse_overrides, validate
 from thermoforce_mpc.simulation.views.display import RunDisplay
@@ -79,7 +80,7 @@ def plan(
     step_s = _seconds(step)
     display = RunDisplay()
     thermal = load_model(model)
-    measured = read_measurements(files, map_file, step_s=step_s).served()
+    measured = read_measurements(files, map_file, step_s=step_s, at="end").served()
     record = measured.record
     check_same_building(f"--model {model}:", thermal.names, str(map_file), record.names)
     ahead = read_forecast(forecast, measured)
@@ -101,6 +102,7 @@ def plan(
         raise ControllerConfigError(
             f"--step {step}: a plan of on/off blocks has {least:g}min to 1h; {error}"
         ) from error
+    ahead = ahead.head(round(controller.horizon_s / step_s))
     plan = controller.plan(Observation(history, ahead))
     display.say(f"Plan from {record.stamps()[-1]} for {horizon_h:.4g} h: {plan.why}")
     display.say(f"Actuation: {controller.actuation_in_words}")
@@ -118,16 +120,16 @@ def plan(
 
 
 def _seconds(step: str) -> float:
-    """The step of a plan, s; raises `click.BadParameter` for what is none."""
-    possible = f"from {_LEAST_STEP_S / 60.0:g}min to 1h, such as 15min"
+    """The step of a plan, s; raises `ConfigError` for what is none."""
+    possible = f"write one from {_LEAST_STEP_S / 60.0:g}min to {MOST_STEP_S / HOUR_S:g}h, such as 15min"
     try:
         seconds = pd.Timedelta(step).total_seconds()
     except ValueError as error:
-        raise click.BadParameter(f"{step} is no duration: write one {possible}", param_hint="--step") from error
-    if step.strip().replace(".", "").isdigit():  # pandas takes it for nanoseconds
-        raise click.BadParameter(f"{step} has no unit: write one {possible}", param_hint="--step")
+        raise ConfigError(f"--step {step}: is no duration; {possible}") from error
+    if re.fullmatch(r"[\d\s.+-]+", step):  # pandas takes it for nanoseconds
+        raise ConfigError(f"--step {step}: has no unit; {possible}")
     if not _LEAST_STEP_S <= seconds <= MOST_STEP_S:
-        raise click.BadParameter(f"{step} is no step of a plan: write one {possible}", param_hint="--step")
+        raise ConfigError(f"--step {step}: is no step of a plan; {possible}")
     return seconds
 
 
