@@ -36,7 +36,7 @@ class HorizonScore:
 
 @dataclass(frozen=True)
 class Competence:
-    """Verdict on a model; `identification.competence` computes it and owns the criteria.
+    """Verdict on a model; `identification.validation.competence` computes it and owns the criteria.
 
     `competent`: whether a controller may act on it. `reasons`: each criterion that it misses, in words. `advice`: what
     to do about them. `effect_K` and `effect_sd_K`: change of the zone after 8 h at full level and its standard
