@@ -162,10 +162,10 @@ class WatchState:
     """State of the watch during a run.
 
     `tracks`: the model in use; while standing back also its candidates for return. `blocked`: hours in which nothing
-    comes whatever is asked for, by direction. `asked`: (start s, mean level) that the last plans requested. `ratios`: (time s,
-    measured heat or power over modelled). `alarm`: why control was handed back at `since_s`, empty while the model is
-    in use; `of_levels`: for levels that were not followed. `wait_h`: shortest time of standing back; `returned_s`: last
-    return, and `news` what to say of it in this step's plan.
+    comes whatever is asked for, by direction. `asked`: (start s, mean level) that the last plans requested. `ratios`:
+    (time s, measured heat or power over modelled). `alarm`: why control was handed back at `since_s`, empty while the
+    model is in use; `of_levels`: for levels that were not followed. `wait_h`: shortest time of standing back;
+    `returned_s`: last return, and `news` what to say of it in this step's plan.
     """
 
     tracks: tuple[Track, ...] = (Track(),)

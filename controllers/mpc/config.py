@@ -144,6 +144,9 @@ class MPCConfig(StrictModel):
     offset_h: float | None = Field(
         6.0, gt=0, description="time over which the mean error of one-step predictions is added to them, h; null: never"
     )
+    unused_capacity: bool = Field(
+        True, description="leave a share of a machine that several feed on unused, where it was found at its limit"
+    )
     solver: Literal["auto", "ipopt", "qp", "sqp", "milp"] = Field(
         "auto",
         description="ipopt: nonlinear programme; qp: quadratic programme, where the problem is convex; sqp: sequential "

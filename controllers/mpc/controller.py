@@ -46,7 +46,7 @@ from controllers.safety.overrides import (
     WatchAlarm,
     decide,
 )
-from thermoforce_mpc.data import Array, Observation, Plan, Record
+from thermoforce_mpc.data import HOUR_S, Array, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
@@ -307,7 +307,8 @@ class ThermoForceMPC(ActuatedController):
             why = refused or f"the solver's levels leave a limit: {brought.broken if brought else ''}"
             return Failure(why, forecast.state, solution.status, seconds)
         limit = power_limit(instance, solution, brought, planner.evaluator)
-        return Solved(solved_plan(instance, solution, brought, seconds, forecast, readings), limit)
+        free_steps = max(1, round(self.config.move_blocking.free_h * HOUR_S / self.step_s))
+        return Solved(solved_plan(instance, solution, brought, seconds, forecast, readings, free_steps), limit)
 
     def _realise(
         self, result: Solved | Failure, readings: Readings, overrides: Mapping[int, Override], situation: Situation

@@ -153,9 +153,7 @@ def each_direction(asked: Array, record: Record, sign: int, *, signed: bool) -> 
     """Levels asked for (n,) and the record (n steps, one actuator) as each direction of it sees them, and its sign."""
     if not signed:
         return [(asked, record, sign)]
-    return [
-        (np.maximum(way * asked, 0.0), replace(record, u=np.maximum(way * record.u, 0.0)), way) for way in (1, -1)
-    ]
+    return [(np.maximum(way * asked, 0.0), replace(record, u=np.maximum(way * record.u, 0.0)), way) for way in (1, -1)]
 
 
 def said(directions: Directions) -> str:
