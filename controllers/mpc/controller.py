@@ -221,7 +221,7 @@ class ThermoForceMPC(ActuatedController):
 
     def _step(self, observation: Observation, state: MPCState) -> Computation[Plan]:
         """One control step: each line a station, from what is believed to what is applied."""
-        readings, state = self._clean(observation, state)
+        readings, state = yield from self._clean(observation, state)
         state = yield from self._watch(readings, state)
         situation = Situation(readings.observation, readings.zones, state.watch)
         overrides = decide(self._overrides, situation)
@@ -235,7 +235,7 @@ class ThermoForceMPC(ActuatedController):
             plan = self._realise(result, readings, overrides, situation)
         return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
 
-    def _clean(self, observation: Observation, state: MPCState) -> tuple[Readings, MPCState]:
+    def _clean(self, observation: Observation, state: MPCState) -> Computation[tuple[Readings, MPCState]]:
         """What is believed; a model that may not act says nothing of readings."""
         as_identified = self._planners.of(state.adaptation) is self._planners.base
         return self._readings.clean(

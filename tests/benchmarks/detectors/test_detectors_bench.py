@@ -65,7 +65,7 @@ def test_rules_can_be_turned_off_by_options_that_exist():
 
 def test_an_earlier_result_that_is_none_is_refused(tmp_path):
     (tmp_path / "other.json").write_text(json.dumps({"rows": [{"rule": "watch"}]}))
-    with pytest.raises(InputError, match="other.json: holds no weeks of bench detectors"):
+    with pytest.raises(InputError, match=r"other\.json: holds no weeks of bench detectors"):
         run_detectors_bench(weeks=1, engine=LocalEngine(1), against=tmp_path / "other.json")
 
 
