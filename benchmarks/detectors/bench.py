@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.cases import run_all
-from benchmarks.detectors.panel import Built, Case, built, clean, faulty
-from benchmarks.detectors.rules import RULES, Ran, Rule
+from benchmarks.detectors.panel import BuiltCase, PanelCase, built, clean, faulty
+from benchmarks.detectors.rules import RULES, ControlledWeek, Detector
 from controllers.mpc.config import ObjectiveConfig
 from controllers.registry import build_controller
 from thermoforce_mpc.data import DAY_S
@@ -41,13 +41,13 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Outcome:
+class WeekOutcome:
     """A house-week: `cost` per m² and discomfort `K_h`, steps not planned, claims by rule, and the week without a rule.
 
     `without`: (cost, K·h) by rule; `failed`: the reason where there is one.
     """
 
-    case: Case
+    case: PanelCase
     cost: float = float("nan")
     K_h: float = float("nan")
     not_planned: int = 0
@@ -108,8 +108,8 @@ def run_detectors_bench(
     return results_json("detectors", rows, targets(outcomes))
 
 
-def run_case(case: Case) -> dict[str, Any]:
-    """One house-week as JSON, see `Outcome`; a failure is recorded."""
+def run_case(case: PanelCase) -> dict[str, Any]:
+    """One house-week as JSON, see `WeekOutcome`; a failure is recorded."""
     began = time.perf_counter()
     try:
         place = built(case)
@@ -124,13 +124,13 @@ def run_case(case: Case) -> dict[str, Any]:
         without = {rule.name: _figures(follow(place, rule)) for rule in again}
         cost, K_h = _figures(ran)
         idle = sum(not step.plan.u.size for step in ran.result.steps)
-        outcome = Outcome(case, cost, K_h, idle, claims, without)
+        outcome = WeekOutcome(case, cost, K_h, idle, claims, without)
     except Exception as error:  # recorded as failure of this case; the others continue
-        outcome = Outcome(case, failed=f"{type(error).__name__}: {error}")
+        outcome = WeekOutcome(case, failed=f"{type(error).__name__}: {error}")
     return asdict(replace(outcome, seconds=time.perf_counter() - began))
 
 
-def follow(place: Built, without: Rule | None) -> Ran:
+def follow(place: BuiltCase, without: Detector | None) -> ControlledWeek:
     """The week of a plant, probed and controlled with the defaults, without one rule."""
     testcase = place.testcase
     identification = dict(without.identification) if without else {}
@@ -158,10 +158,10 @@ def follow(place: Built, without: Rule | None) -> Ran:
     allowed = limits_of(controller, sum(testcase.layout.floor_area_m2))
     result = run_closed_loop(place.plant, controller, place.period, allowed=allowed, units=units)
     doubts = dict.fromkeys(note for step in result.steps for note in step.notes if note.startswith("unit of"))
-    return Ran(model, result, tuple(doubts), getattr(controller, "actuation_in_words", ""))
+    return ControlledWeek(model, result, tuple(doubts), getattr(controller, "actuation_in_words", ""))
 
 
-def rule_rows(outcomes: Sequence[Outcome]) -> list[Row]:
+def rule_rows(outcomes: Sequence[WeekOutcome]) -> list[Row]:
     """A row for each rule: claims on clean plants and what they cost; hits on its faults, and what it saved there."""
     rows = []
     weeks = [one for one in outcomes if not one.case.fault and not one.failed]
@@ -186,7 +186,7 @@ def rule_rows(outcomes: Sequence[Outcome]) -> list[Row]:
     return rows
 
 
-def targets(outcomes: Sequence[Outcome]) -> list[Target]:
+def targets(outcomes: Sequence[WeekOutcome]) -> list[Target]:
     """Few false claims, and no rule that costs more a week of the panel than it saves a week with its fault."""
     found = [Target("house-weeks that failed", float(sum(bool(one.failed) for one in outcomes)), 0.0)]
     for row in rule_rows(outcomes):
@@ -201,16 +201,16 @@ def targets(outcomes: Sequence[Outcome]) -> list[Target]:
     return found
 
 
-def _figures(ran: Ran) -> tuple[float, float]:
+def _figures(ran: ControlledWeek) -> tuple[float, float]:
     return float(ran.result.kpis["cost_tot"]), float(ran.result.kpis["tdis_tot"])
 
 
-def _outcome(value: Mapping[str, Any]) -> Outcome:
+def _outcome(value: Mapping[str, Any]) -> WeekOutcome:
     without = {name: (pair[0], pair[1]) for name, pair in value["without"].items()}
-    return Outcome(**{**value, "case": Case(**value["case"]), "without": without})
+    return WeekOutcome(**{**value, "case": PanelCase(**value["case"]), "without": without})
 
 
-def _row(one: Outcome) -> Row:
+def _row(one: WeekOutcome) -> Row:
     told = [f"{rule}: {texts[0]}" for rule, texts in one.claims.items()]
     changed = [f"{rule} {cost:.4f} / {K_h:.2f}" for rule, (cost, K_h) in one.without.items()]
     return {
@@ -223,7 +223,7 @@ def _row(one: Outcome) -> Row:
     }
 
 
-def _line(one: Outcome) -> str:
+def _line(one: WeekOutcome) -> str:
     said = f"{one.cost:.4f} / {one.K_h:.2f}" if not one.failed else f"FAILED, {one.failed}"
     claims = f", claims: {', '.join(one.claims)}" if one.claims else ""
     return f"{one.case.in_words}, {one.seconds:.0f} s: {said}{claims}"
@@ -238,7 +238,7 @@ def _earlier(path: Path) -> dict[str, Row]:
     return weeks
 
 
-def _compared(outcomes: Sequence[Outcome], before: Mapping[str, Row]) -> list[Row]:
+def _compared(outcomes: Sequence[WeekOutcome], before: Mapping[str, Row]) -> list[Row]:
     """Weeks that are dearer or less comfortable than before by more than noise."""
     rows = []
     for one in outcomes:

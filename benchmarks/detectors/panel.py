@@ -30,7 +30,7 @@ _OTHER_W, _SUN_K, _ASLEEP_H = 400.0, 2.5, 5.0
 
 
 @dataclass(frozen=True)
-class Case:
+class PanelCase:
     """A house-week: `kind` and `number` of the plant, drawn with `seed`; `fault`: the rule that one is for, or ''."""
 
     kind: str
@@ -45,7 +45,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Built:
+class BuiltCase:
     """A plant with its test case and scored window; `fixed`: whether its machine has a fixed loss."""
 
     plant: Any
@@ -55,17 +55,17 @@ class Built:
     metered: bool = True
 
 
-def clean(weeks: int, seed: int) -> list[Case]:
+def clean(weeks: int, seed: int) -> list[PanelCase]:
     """So many house-weeks, each kind in turn."""
-    return [Case(list(KINDS)[n % len(KINDS)], n // len(KINDS), seed) for n in range(weeks)]
+    return [PanelCase(list(KINDS)[n % len(KINDS)], n // len(KINDS), seed) for n in range(weeks)]
 
 
-def faulty(each: int, seed: int) -> list[Case]:
+def faulty(each: int, seed: int) -> list[PanelCase]:
     """`each` plants with each fault."""
-    return [Case(kind, number, seed, fault) for fault, (kind, _) in FAULTS.items() for number in range(each)]
+    return [PanelCase(kind, number, seed, fault) for fault, (kind, _) in FAULTS.items() for number in range(each)]
 
 
-def built(case: Case) -> Built:
+def built(case: PanelCase) -> BuiltCase:
     """The plant of a case."""
     found = KINDS[case.kind](case)
     if not case.fault:
@@ -73,39 +73,39 @@ def built(case: Case) -> Built:
     return FAULTS[case.fault][1](found, case)
 
 
-def _embedded(case: Case) -> Built:
+def _embedded(case: PanelCase) -> BuiltCase:
     """The heat pump of BOPTEST's house, one season after another; from the second round on, days later."""
     plant = EmbeddedPlant(synthetic_weather())
     day = int(_SEASONS[case.number % len(_SEASONS)]) + 5 * (case.number // len(_SEASONS))
-    return Built(plant, load_testcase("bestest_hydronic_heat_pump"), plant.period(str(day)), fixed=True)
+    return BuiltCase(plant, load_testcase("bestest_hydronic_heat_pump"), plant.period(str(day)), fixed=True)
 
 
-def _drawn(case: Case) -> Built:
+def _drawn(case: PanelCase) -> BuiltCase:
     """A generated house whose sensor is not in the sun."""
     house = replace(draw_house(case.seed, case.number), sun_bias_K=0.0)
     plant = GeneratedHousePlant(house)
     fixed = house.machine == "heat pump with fixed loss"
-    return Built(plant, plant.testcase, plant.period(WEEKS[case.number % 2]), fixed, house.heat_metered)
+    return BuiltCase(plant, plant.testcase, plant.period(WEEKS[case.number % 2]), fixed, house.heat_metered)
 
 
-def _air(case: Case) -> Built:
+def _air(case: PanelCase) -> BuiltCase:
     """A unit that heats and cools by room set-points, one season after another."""
     rng = np.random.default_rng([case.seed, case.number, 11])
     mean_C, sun = _AIR[case.number % len(_AIR)]
     plant = LightOffice(mean_C + float(rng.uniform(-2.0, 2.0)), sun * float(rng.uniform(0.8, 1.2)))
-    return Built(plant, load_testcase("bestest_air"), plant.period(str(30 + int(rng.integers(0, 20)))))
+    return BuiltCase(plant, load_testcase("bestest_air"), plant.period(str(30 + int(rng.integers(0, 20)))))
 
 
-def _rooms(use: str) -> Callable[[Case], Built]:
-    def of(case: Case) -> Built:
+def _rooms(use: str) -> Callable[[PanelCase], BuiltCase]:
+    def of(case: PanelCase) -> BuiltCase:
         name = f"{use}:3rooms:{100 * case.seed + case.number}"
         plant = house_of_rooms(name)
-        return Built(plant, load_testcase(name), plant.period(WEEKS[case.number % 2]), fixed=True)
+        return BuiltCase(plant, load_testcase(name), plant.period(WEEKS[case.number % 2]), fixed=True)
 
     return of
 
 
-KINDS: dict[str, Callable[[Case], Built]] = {
+KINDS: dict[str, Callable[[PanelCase], BuiltCase]] = {
     "generated house": _drawn,
     "embedded": _embedded,
     "generated house, other": lambda case: _drawn(replace(case, number=1000 + case.number)),
@@ -116,7 +116,7 @@ KINDS: dict[str, Callable[[Case], Built]] = {
 """Plants by kind; generated houses are drawn twice as often as the rest."""
 
 
-class Around:
+class MeddledPlant:
     """A plant with `shows` between its meters and who reads them, and `gives` between what is asked and its machine.
 
     `shows(time_s, duration_s, measurement)`; `gives(time_s, level)`.
@@ -170,44 +170,46 @@ class Around:
         self._plant.close()
 
 
-def _in_the_sun(found: Built, case: Case) -> Built:
+def _in_the_sun(found: BuiltCase, case: PanelCase) -> BuiltCase:
     house = replace(found.plant.house, sun_bias_K=_SUN_K, sun_facade="south")
     return replace(found, plant=GeneratedHousePlant(house))
 
 
-def _asleep(found: Built, case: Case) -> Built:
+def _asleep(found: BuiltCase, case: PanelCase) -> BuiltCase:
     return replace(
         found,
-        plant=Around(found.plant, gives=lambda time_s, u: 0.0 if time_s % DAY_S < _ASLEEP_H * HOUR_S - 1.0 else u),
+        plant=MeddledPlant(
+            found.plant, gives=lambda time_s, u: 0.0 if time_s % DAY_S < _ASLEEP_H * HOUR_S - 1.0 else u
+        ),
     )
 
 
-def _unit_asleep(found: Built, case: Case) -> Built:
+def _unit_asleep(found: BuiltCase, case: PanelCase) -> BuiltCase:
     mean_C, sun = _AIR[case.number % 2]
     return replace(found, plant=LightOffice(mean_C, sun, asleep_until_h=_ASLEEP_H))
 
 
-def _other_load(found: Built, case: Case) -> Built:
+def _other_load(found: BuiltCase, case: PanelCase) -> BuiltCase:
     def shows(measurement: Measurement) -> Measurement:
         by_day = 6.0 <= measurement.time_s % DAY_S / HOUR_S <= 18.0
         return replace(measurement, power_W=measurement.power_W + (_OTHER_W if by_day else 0.0))
 
-    return replace(found, plant=Around(found.plant, shows))
+    return replace(found, plant=MeddledPlant(found.plant, shows))
 
 
-def _wh_per_step(found: Built, case: Case) -> Built:
-    return replace(found, plant=Around(found.plant, lambda seen: replace(seen, power_W=0.25 * seen.power_W)))
+def _wh_per_step(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    return replace(found, plant=MeddledPlant(found.plant, lambda seen: replace(seen, power_W=0.25 * seen.power_W)))
 
 
-def _changed(fault: Any, **options: Any) -> Callable[[Built, Case], Built]:
-    def of(found: Built, case: Case) -> Built:
+def _changed(fault: Any, **options: Any) -> Callable[[BuiltCase, PanelCase], BuiltCase]:
+    def of(found: BuiltCase, case: PanelCase) -> BuiltCase:
         from_s = found.period.start_s + _AFTER_S
         return replace(found, plant=FaultyPlant(found.plant, fault, from_s, from_s + DAY_S, **options))
 
     return of
 
 
-FAULTS: dict[str, tuple[str, Callable[[Built, Case], Built]]] = {
+FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
     "sun on a sensor": ("generated house", _in_the_sun),
     "blocked hours": ("generated house", _asleep),
     "blocked hours of a unit": ("air unit", _unit_asleep),

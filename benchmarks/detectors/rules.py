@@ -21,7 +21,7 @@ _LEFT = 0.02
 
 
 @dataclass(frozen=True)
-class Ran:
+class ControlledWeek:
     """A week of the controller: the model it was built with (or why there was none), the run, and doubts of units.
 
     `actuation`: how it runs the machine and why, in words; `fixed`: whether that has a fixed loss indeed.
@@ -84,7 +84,7 @@ class Ran:
 
 
 @dataclass(frozen=True)
-class Rule:
+class Detector:
     """A rule: what it `changes`, its `claims` in a run, and the options without it.
 
     `controller`: of the controller, `identification`: of the identification. Without either it cannot be turned off, or
@@ -93,7 +93,7 @@ class Rule:
 
     name: str
     changes: str
-    claims: Callable[[Ran], list[str]]
+    claims: Callable[[ControlledWeek], list[str]]
     controller: Mapping[str, Any] = field(default_factory=dict)
     identification: Mapping[str, Any] = field(default_factory=dict)
 
@@ -103,64 +103,64 @@ class Rule:
         return bool(self.controller or self.identification)
 
 
-RULES: tuple[Rule, ...] = (
-    Rule(
+RULES: tuple[Detector, ...] = (
+    Detector(
         "sun on a sensor",
         "readings, in identification and control; length of the probing",
         lambda ran: ran.notes("stands in the sun") + ran.news("sun on the zone sensor", "stands in the sun"),
         identification={"sun_on_sensor": False},
     ),
-    Rule(
+    Detector(
         "blocked hours",
         "hours that plans do without; what the watch expects",
         lambda ran: ran.notes("whatever is asked for") + ran.news("whatever is asked for"),
         controller={"watch": {"blocked_hours": False}},
     ),
-    Rule(
+    Detector(
         "foreign load",
         "power and heat that laws are fitted to",
         lambda ran: ran.notes("the meter holds another load"),
         identification={"foreign_loads": False},
     ),
-    Rule(
+    Detector(
         "fixed part",
         "blocks at one level instead of levels that are held",
         lambda ran: [ran.actuation] if "fixed part" in ran.actuation and "blocks" in ran.actuation else [],
         controller={"actuation": {"mode": "modulating"}},
     ),
-    Rule(
+    Detector(
         "shared machine at its limit",
         "share of a machine's capacity that plans leave unused",
-        Ran.left_unused,
+        ControlledWeek.left_unused,
         controller={"unused_capacity": False},
     ),
-    Rule(
+    Detector(
         "watch",
         "who acts: native control or the rule; afterwards an adapted model",
         lambda ran: ran.spells(PlanStatus.WATCH),
         controller={"watch": {"enabled": False}},
     ),
-    Rule(
+    Detector(
         "gate",
         "who acts, for the whole run",
         lambda ran: [ran.model] if isinstance(ran.model, str) else ran.spells(PlanStatus.GATE)[:1],
         controller={"gate": {"enabled": False}},
     ),
-    Rule(
+    Detector(
         "guard", "full level or off", lambda ran: ran.spells(PlanStatus.GUARD), controller={"guard": {"enabled": False}}
     ),
-    Rule(
+    Detector(
         "zone sensor",
         "readings that are not believed",
         lambda ran: ran.reasons("zone temperature", "zone sensor does", "reading of the zone"),
         controller={"sensor": {"enabled": False}},
     ),
-    Rule(
+    Detector(
         "meters and weather sensors",
         "readings that are not believed",
         lambda ran: ran.reasons("rejected", "not believed", "stuck"),
         controller={"meter": {"enabled": False}},
     ),
-    Rule("units", "nothing: it says so", lambda ran: list(ran.doubts)),
+    Detector("units", "nothing: it says so", lambda ran: list(ran.doubts)),
 )
 """All of them, in the order of a step."""

@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from benchmarks.detectors.bench import Outcome, rule_of, rule_rows, run_case, run_detectors_bench, targets
-from benchmarks.detectors.panel import FAULTS, KINDS, Case, clean, faulty
+from benchmarks.detectors.bench import WeekOutcome, rule_of, rule_rows, run_case, run_detectors_bench, targets
+from benchmarks.detectors.panel import FAULTS, KINDS, PanelCase, clean, faulty
 from benchmarks.detectors.rules import RULES
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.execution import LocalEngine
@@ -16,9 +16,11 @@ from thermoforce_mpc.scenario.settings import StrictModel
 NAMES = [rule.name for rule in RULES]
 
 
-def week(number: int, cost: float, *claims: str, fault: str = "", **without: tuple[float, float]) -> Outcome:
+def week(number: int, cost: float, *claims: str, fault: str = "", **without: tuple[float, float]) -> WeekOutcome:
     of_rules = {name.replace("_", " "): pair for name, pair in without.items()}
-    return Outcome(Case("embedded", number, 1, fault), cost, 0.5, 0, {name: ["said"] for name in claims}, of_rules)
+    return WeekOutcome(
+        PanelCase("embedded", number, 1, fault), cost, 0.5, 0, {name: ["said"] for name in claims}, of_rules
+    )
 
 
 def test_the_panel_takes_every_kind_in_turn_and_every_fault_is_for_a_rule():
@@ -72,7 +74,7 @@ def test_an_earlier_result_that_is_none_is_refused(tmp_path):
 @pytest.mark.slow
 def test_an_air_unit_in_winter_claims_nothing():
     """Where cooling was asked for below its set-point, hours were said to be blocked."""
-    outcome = run_case(Case("air unit", 0, 62))
+    outcome = run_case(PanelCase("air unit", 0, 62))
     assert not outcome["failed"]
     assert "blocked hours" not in outcome["claims"]
     assert "sun on a sensor" not in outcome["claims"]

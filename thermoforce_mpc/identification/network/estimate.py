@@ -173,8 +173,8 @@ def estimate_room(
 def gain_of_one_more(room: Room, runs: Sequence[Run], start: Array, spread: Array) -> tuple[float, float]:
     """What the last parameter of `room` gains where the others were fitted without it, nats, and its value there.
 
-    `start` (p,): the fit, and 0; `spread` (p − 1, p − 1): covariance of the fit. By the slope and curvature there (score test, Rao 1948): two evaluations in the place of a search. The value is in prior
-    standard deviations.
+    `start` (p,): the fit, and 0; `spread` (p − 1, p − 1): covariance of the fit. By the slope and curvature there
+    (score test, Rao 1948): two evaluations in the place of a search. The value is in prior standard deviations.
     """
     slope = _scaled(room, runs, start)[1]
     unit = np.zeros(start.size)
