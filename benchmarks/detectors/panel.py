@@ -176,12 +176,10 @@ def _in_the_sun(found: BuiltCase, case: PanelCase) -> BuiltCase:
 
 
 def _asleep(found: BuiltCase, case: PanelCase) -> BuiltCase:
-    return replace(
-        found,
-        plant=MeddledPlant(
-            found.plant, gives=lambda time_s, u: 0.0 if time_s % DAY_S < _ASLEEP_H * HOUR_S - 1.0 else u
-        ),
-    )
+    def gives(time_s: float, u: float | None) -> float | None:
+        return 0.0 if time_s % DAY_S < _ASLEEP_H * HOUR_S - 1.0 else u
+
+    return replace(found, plant=MeddledPlant(found.plant, gives=gives))
 
 
 def _unit_asleep(found: BuiltCase, case: PanelCase) -> BuiltCase:
