@@ -7,6 +7,7 @@ to its set-point within the next minute, within their limits; native control kno
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -64,7 +65,8 @@ class LightOffice:
         """See `Plant.reset`."""
         self.now_s = max(start_s - warmup_s, 0.0)
         self.T, self.T_mass = 19.0, 19.0
-        self.begin_s, self.rows, self.kept = self.now_s, [], {"gas": 0.0, "chiller": 0.0, "discomfort": 0.0}
+        self.begin_s, self.rows = self.now_s, list[tuple[float, Measurement]]()
+        self.kept = {"gas": 0.0, "chiller": 0.0, "discomfort": 0.0}
         while self.now_s < start_s - 1e-6:
             self.advance(None, 900.0)
         self.kept = dict.fromkeys(self.kept, 0.0)
@@ -103,7 +105,8 @@ class LightOffice:
 
     def _measurement(self, u: float, power_W: float, heat_W: float) -> Measurement:
         T_out, sun = (float(w) for w in self.weather(np.array(self.now_s)))
-        return Measurement(self.now_s, self.T, T_out, sun, u, power_W, heat_W)
+        values: tuple[Any, ...] = (self.T, T_out, sun, u, power_W, heat_W)
+        return Measurement(self.now_s, *values)
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """See `Plant.forecast`."""
@@ -114,7 +117,8 @@ class LightOffice:
 
     def past(self, step_s: float) -> Record:
         """Only what a warm-up in whole steps of 900 s left behind."""
-        first = Measurement(self.begin_s, 19.0, *(float(w) for w in self.weather(np.array(self.begin_s))))
+        values: tuple[Any, ...] = (19.0, *(float(w) for w in self.weather(np.array(self.begin_s))))
+        first = Measurement(self.begin_s, *values)
         record = Record.beginning(first)
         for duration_s, found in self.rows:
             assert duration_s == step_s

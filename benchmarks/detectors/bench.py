@@ -19,16 +19,16 @@ from benchmarks.detectors.panel import BuiltCase, PanelCase, built, clean, fault
 from benchmarks.detectors.rules import RULES, ControlledWeek, Detector
 from controllers.mpc.config import ObjectiveConfig
 from controllers.registry import build_controller
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.execution import Engine
+from thermoforce_mpc.experiment.identifying import identification_settings, identify_on
 from thermoforce_mpc.files import parse_json
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
+from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
-from thermoforce_mpc.simulation.models.identifying import identification_settings, identify_on
-from thermoforce_mpc.simulation.unit_doubts import UnitDoubts
 
 _CONTROLLER = "thermoforce_mpc"
 _DAYS, _PROBED_DAYS = 7.0, 3.0

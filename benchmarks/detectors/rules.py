@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from thermoforce_mpc.data import DAY_S, PlanStatus
+from thermoforce_mpc.loop.closed_loop import RunResult
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.simulation.closed_loop import RunResult
 
 _UNUSED = "unused_capacity"
 # Share of a shared machine from which what is left unused is a claim.
