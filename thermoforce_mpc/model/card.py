@@ -87,7 +87,8 @@ class ModelCard:
     data. `competence` is the verdict on held-out data; None: not judged (given by hand, or identified before there was
     one). `sun_on_sensor` is the sun in the readings of the zone sensor, `foreign_heat` what the heat meter of the
     actuator shows beside its heat; None: none was found. `blocked_hours`: hours of the day in which nothing came while
-    it was probed, whatever was asked for (`machine.blocked_hours`).
+    it was probed, whatever was asked for (`machine.blocked_hours`), of signed levels no heat; `blocked_cooling_hours`:
+    of signed levels no cold.
     """
 
     source: str = _GIVEN
@@ -101,6 +102,7 @@ class ModelCard:
     sun_on_sensor: SunOnSensor | None = None
     foreign_heat: ForeignLoad | None = None
     blocked_hours: tuple[int, ...] = ()
+    blocked_cooling_hours: tuple[int, ...] = ()
 
     @property
     def unfit(self) -> str:
