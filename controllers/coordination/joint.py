@@ -12,8 +12,9 @@ from scipy import sparse
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem
+from controllers.optimisation.programme import QPData
 from controllers.optimisation.solution import Answer, Solution, checked, failed
-from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, QPData
+from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig
 from controllers.optimisation.statement.terms import PlanExpressions
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError

@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
+import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from controllers.optimisation.problem import BOUND_TOLERANCE, MPCProblem, ProblemShape
-from controllers.optimisation.solvers.qp_backends import QPData
+from controllers.optimisation.programme import QPData
 from controllers.optimisation.statement.functions import check_of, functions_of
 from controllers.optimisation.statement.parameter_values import Numbers
 from controllers.optimisation.statement.problem_statement import PARTS
@@ -148,7 +150,8 @@ class PlanModel(Evaluator):
         # Scaled by the largest slope, so that tolerances do not depend on the currency.
         unit, (low, high) = float(np.abs(gradient).max()) or 1.0, self.bounds(p)
         quadratic, A_, G_ = (pattern.copy() for pattern in self._patterns)
-        quadratic.data, A_.data, G_.data = H / unit, A.copy(), G.copy()
+        quadratic.data[:], A_.data, G_.data = 0.0, A.copy(), G.copy()
+        quadratic.data[self._in_quadratic] = H / unit
         return QPData(
             quadratic,
             gradient / unit,
@@ -165,12 +168,21 @@ class PlanModel(Evaluator):
 
     @cached_property
     def _patterns(self) -> list[sparse.csc_matrix]:
+        n, function = self.n_variables, self.functions.local
+        patterns = [function.sparsity_out(2) + ca.Sparsity.diag(n), function.sparsity_out(4), function.sparsity_out(6)]
         out = []
-        for i in (2, 4, 6):
-            pattern = self.functions.local.sparsity_out(i)
+        for pattern in patterns:
             columns, rows = np.array(pattern.colind()), np.array(pattern.row())
             out.append(sparse.csc_matrix((np.ones(rows.size), rows, columns), shape=pattern.shape))
         return out
+
+    @cached_property
+    def _in_quadratic(self) -> NDArray[np.intp]:
+        """Where the second derivatives stand among the elements of the programme's, which hold the diagonal too."""
+        pattern, n = self.functions.local.sparsity_out(2), self.n_variables
+        ours = self._patterns[0]
+        at = np.repeat(np.arange(n), np.diff(pattern.colind())) * n + np.array(pattern.row(), dtype=np.intp)
+        return np.searchsorted(np.repeat(np.arange(n), np.diff(ours.indptr)) * n + ours.indices, at)
 
     def outside(self, x: Array) -> str:
         """Which level of variables leaves its bounds by more than a solver's tolerance, or ''."""

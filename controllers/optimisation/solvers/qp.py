@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator
 
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.problem import ProblemShape
+from controllers.optimisation.programme import QPData
 from controllers.optimisation.solution import Answer, Solver, StatementSolver
-from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, QPData, SolverResult
+from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, SolverResult
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 
