@@ -71,6 +71,8 @@ class SharedPower:
 # Power above its part of the limit that a checked plan may have, kW: a solver's tolerance. The programme's limit is
 # lower by as much for each building.
 LIMIT_TOLERANCE_KW = 1e-5
+# Share of what plans consist of within which they are the optimum.
+_OF_TERMS = 1e-4
 
 
 def power_of_steps(plan: PlanExpressions) -> None:
@@ -101,9 +103,9 @@ class Member:
             raise ControllerConfigError("its problem holds numbers that are not finite")
         self.programme, self.power_at = self._model.local(self._p), self._model.own_at
 
-    def checked(self, x: Array) -> Solution:
-        """Its plan, from its variables in a solution of all."""
-        answer = Answer(x, self.programme.objective(x), "jointly:solved", 0)
+    def checked(self, x: Array, why: str = "") -> Solution:
+        """Its plan, from its variables in a solution of all; `why` that is not the optimum, ''."""
+        answer = Answer(x, self.programme.objective(x), "jointly:solved", 0, why, shown=not why)
         solution = checked(self._model, self._problem, self._p, answer)
         if solution.ok and (power_kW(solution) > x[self.power_at] + LIMIT_TOLERANCE_KW).any():
             return failed(solution.status, 0, "its levels draw more than its part of the limit")
@@ -141,7 +143,8 @@ def plan_jointly(members: Sequence[Member], shared: SharedPower, config: QPConfi
         if parts is None:
             why = _why_not(left, config)
         else:
-            solutions = {member.name: member.checked(x) for member, x in zip(left, parts, strict=True)}
+            each, above = parts
+            solutions = {member.name: member.checked(x, above) for member, x in zip(left, each, strict=True)}
             why = {name: solution.problem for name, solution in solutions.items() if not solution.ok}
         if not why:
             break
@@ -162,11 +165,16 @@ def _why_not(members: Sequence[Member], config: QPConfig) -> dict[str, str]:
     return dict.fromkeys((member.name for member in members), "no solver finds plans within what is shared")
 
 
-def _solved(members: Sequence[Member], shared: SharedPower, config: QPConfig) -> list[Array] | None:
-    found = Piqp(config)(joint_programme(members, shared))
+def _solved(members: Sequence[Member], shared: SharedPower, config: QPConfig) -> tuple[list[Array], str] | None:
+    """Variables of each member, and why they are not the optimum of all, ''; None where there is none."""
+    programme = joint_programme(members, shared)
+    found = Piqp(config)(programme)
     if not found.solved:
         return None
-    return np.split(found.x, np.cumsum([member.programme.linear.size for member in members]))[:-1]
+    above = programme.above_least(found.x, found.multipliers)
+    terms = programme.unit * float(np.abs(programme.linear * found.x).sum())
+    why = "" if above <= _OF_TERMS * terms else f"all plans together may cost {above:.3g} more than others"
+    return np.split(found.x, np.cumsum([member.programme.linear.size for member in members]))[:-1], why
 
 
 def joint_programme(members: Sequence[Member], shared: SharedPower) -> QPData:

@@ -70,7 +70,7 @@ def build_solver(config: MPCConfig, operator: BuildingOperator, shape: ProblemSh
         "ipopt": ipopt,
         "qp": lambda: QPSolver(operator, shape, config.qp, ipopt),
         "sqp": lambda: SQPSolver(operator, shape, config.sqp, config.qp, ipopt),
-        "milp": lambda: MilpSolver(operator, shape, config.milp, config.qp),
+        "milp": lambda: MilpSolver(operator, shape, config.milp, config.qp, fallback=ipopt),
     }
     name = chosen_solver(config, operator, shape)
     if config.solver == "auto":

@@ -184,13 +184,20 @@ class PlanModel(Evaluator):
         at = np.repeat(np.arange(n), np.diff(pattern.colind())) * n + np.array(pattern.row(), dtype=np.intp)
         return np.searchsorted(np.repeat(np.arange(n), np.diff(ours.indptr)) * n + ours.indices, at)
 
-    def outside(self, x: Array) -> str:
-        """Which level of variables leaves its bounds by more than a solver's tolerance, or ''."""
-        levels = x[self.levels_at]
-        off = np.maximum(levels - self.shape.machinery.u_max[:, None], -levels).max(axis=1)
+    def outside(self, p: Array, x: Array) -> str:
+        """Which level, or variable of the user, leaves its bounds by more than a solver's tolerance, or ''."""
+        levels, m = x[self.levels_at], self.shape.machinery
+        off = np.maximum(levels - m.u_max[:, None], -levels).max(axis=1)
         worst = int(np.argmax(off))
-        name = self.shape.machinery.actuators[worst]
-        return f"u of {name} leaves its bounds by {off[worst]:.4g}" if off[worst] > BOUND_TOLERANCE else ""
+        if off[worst] > BOUND_TOLERANCE:
+            return f"u of {m.actuators[worst]} leaves its bounds by {off[worst]:.4g}"
+        if not self.own_at.size:
+            return ""
+        raw, within = x[self.own_at], self.own(p, x)
+        beyond = np.abs(raw - within) - BOUND_TOLERANCE * np.maximum(1.0, np.abs(within))
+        worst = int(np.argmax(beyond))
+        name = self.functions.names[self.own_at[worst]]
+        return f"{name} leaves its bounds by {abs(raw[worst] - within[worst]):.4g}" if beyond[worst] > 0.0 else ""
 
     def levels(self, x: Array) -> Array:
         """Levels u (A, N) of variables, within their bounds."""
@@ -203,9 +210,12 @@ class PlanModel(Evaluator):
             moves[a, : s.n_chosen] = np.where(b > 0.5, moves[a, : s.n_chosen], 0.0)
         return np.clip(moves, machinery.u_min[:, None], machinery.u_max[:, None])[:, self.shape.move_of_step]
 
-    def own(self, x: Array) -> Array:
-        """The user's own variables among `x`."""
-        return x[self.own_at]
+    def own(self, p: Array, x: Array) -> Array:
+        """The user's own variables among `x`, within their bounds."""
+        if not self.own_at.size:
+            return np.zeros(0)
+        low, high = self.bounds(p)
+        return np.clip(x[self.own_at], low[self.own_at], high[self.own_at])
 
     def rounded(self, x: Array) -> Array:
         """Choices (in the order of `choices`) near variables in which they need not be whole."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from thermoforce_mpc.data import Array
@@ -40,7 +41,15 @@ class QPData:
         bend = 0.5 * x @ (self.quadratic @ x) if with_quadratic else 0.0
         return self.constant + self.unit * float(bend + self.linear @ x)
 
-    def fixed(self, columns: Array, values: Array) -> QPData:
+    def violation(self, x: Array) -> float:
+        """By how much `x` leaves a row or a bound, at most; infinite where it is of another size or not finite."""
+        if x.size != self.linear.size or not np.isfinite(x).all():
+            return float("inf")
+        rows = self.G @ x
+        left = (np.abs(self.A @ x - self.b), self.low - rows, rows - self.high, self.x_low - x, x - self.x_high)
+        return float(max(off.max(initial=0.0) for off in left))
+
+    def fixed(self, columns: NDArray[np.intp], values: Array) -> QPData:
         """The same with variables `columns` at `values`."""
         low, high = self.x_low.copy(), self.x_high.copy()
         low[columns] = high[columns] = values
@@ -66,11 +75,8 @@ class QPData:
         z = np.where(z > 0.0, np.where(np.isfinite(self.high), z, 0.0), np.where(np.isfinite(self.low), z, 0.0))
         reduced = gradient + self.A.T @ y + self.G.T @ z
         reach = _REACH * (1.0 + np.abs(x))
-        low, high = np.maximum(self.x_low, x - reach), np.minimum(self.x_high, x + reach)
-        low, high = (
-            np.where(np.isfinite(self.x_low), self.x_low, low),
-            np.where(np.isfinite(self.x_high), self.x_high, high),
-        )
+        low = np.where(np.isfinite(self.x_low), self.x_low, x - reach)
+        high = np.where(np.isfinite(self.x_high), self.x_high, x + reach)
         with np.errstate(invalid="ignore"):
             rows = np.where(z > 0.0, z * self.high, np.where(z < 0.0, z * self.low, 0.0))
         # Term by term, so that large numbers that are equal do not cancel: reduced costs times the way to the bound,

@@ -39,4 +39,5 @@ class QPSolver(StatementSolver):
         found = self._solve(programme)
         claimed = programme.objective(found.x) if found.solved else None
         why = "" if found.solved else f"piqp: ended with {found.status}"
-        yield Answer(found.x, claimed, f"piqp:{found.status}", found.iterations, why)
+        multipliers = programme.unit * found.multipliers
+        yield Answer(found.x, claimed, f"piqp:{found.status}", found.iterations, why, multipliers=multipliers)

@@ -64,7 +64,8 @@ class SQPSolver(StatementSolver):
             answer = solver(programme.near(near * self._near))
             promised = programme.constant - programme.objective(answer.x)
             if answer.solved and promised <= self._config.tolerance * (1.0 + abs(cost)):
-                yield Answer(x, cost, "sqp:converged", iteration)
+                found_at = programme.unit * answer.multipliers
+                yield Answer(x, cost, "sqp:converged", iteration, multipliers=found_at)
                 return
             found = self._shorter(p, x, answer.x, cost - _ENOUGH * promised) if answer.solved else None
             if found is None:
@@ -84,7 +85,7 @@ class SQPSolver(StatementSolver):
         model = self.model
         for length in _LENGTHS:
             moved = x + length * step
-            u, own = model.levels(moved), model.own(moved)
+            u, own = model.levels(moved), model.own(p, moved)
             found = model.evaluate(p, u, own)
             if found.cost <= at_most and not found.broken:
                 return found.variables, found.cost, length
