@@ -103,9 +103,9 @@ class Member:
             raise ControllerConfigError("its problem holds numbers that are not finite")
         self.programme, self.power_at = self._model.local(self._p), self._model.own_at
 
-    def checked(self, x: Array, why: str = "") -> Solution:
-        """Its plan, from its variables in a solution of all; `why` that is not the optimum, ''."""
-        answer = Answer(x, self.programme.objective(x), "jointly:solved", 0, why, shown=not why)
+    def checked(self, x: Array) -> Solution:
+        """Its plan, from its variables in the optimum of all."""
+        answer = Answer(x, self.programme.objective(x), "jointly:solved", 0, shown=True)
         solution = checked(self._model, self._problem, self._p, answer)
         if solution.ok and (power_kW(solution) > x[self.power_at] + LIMIT_TOLERANCE_KW).any():
             return failed(solution.status, 0, "its levels draw more than its part of the limit")
@@ -144,7 +144,9 @@ def plan_jointly(members: Sequence[Member], shared: SharedPower, config: QPConfi
             why = _why_not(left, config)
         else:
             each, above = parts
-            solutions = {member.name: member.checked(x, above) for member, x in zip(left, each, strict=True)}
+            solutions = {member.name: member.checked(x) for member, x in zip(left, each, strict=True)}
+            if above:
+                solutions = {of: replace(s, optimal=False, problem=s.problem or above) for of, s in solutions.items()}
             why = {name: solution.problem for name, solution in solutions.items() if not solution.ok}
         if not why:
             break

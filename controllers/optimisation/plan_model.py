@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from controllers.optimisation.problem import BOUND_TOLERANCE, MPCProblem, ProblemShape
-from controllers.optimisation.programme import QPData
+from controllers.optimisation.programme import FAR, QPData
 from controllers.optimisation.statement.functions import check_of, functions_of
 from controllers.optimisation.statement.parameter_values import Numbers
 from controllers.optimisation.statement.problem_statement import PARTS
@@ -198,6 +198,13 @@ class PlanModel(Evaluator):
         worst = int(np.argmax(beyond))
         name = self.functions.names[self.own_at[worst]]
         return f"{name} leaves its bounds by {abs(raw[worst] - within[worst]):.4g}" if beyond[worst] > 0.0 else ""
+
+    def gone(self, own: Array) -> str:
+        """Which variable of the user has run away, or ''."""
+        for name, values in self.by_name(own).items():
+            if np.abs(values).max(initial=0.0) >= FAR:
+                return f"{name} goes to {values[np.argmax(np.abs(values))]:.3g}; is there a least cost?"
+        return ""
 
     def levels(self, x: Array) -> Array:
         """Levels u (A, N) of variables, within their bounds."""

@@ -10,7 +10,9 @@ from scipy import sparse
 
 from thermoforce_mpc.data import Array
 
-# How far from where it is a variable without a bound may be in a better plan, as a multiple of 1 and of itself.
+# Bounds from here on are as good as none beside the numbers of a plan, which are of the size of 1 to 1000.
+FAR = 1e6
+# How far from where it is a variable without a near bound may be in a better plan, as a multiple of its size.
 _REACH = 10.0
 
 
@@ -55,6 +57,19 @@ class QPData:
         low[columns] = high[columns] = values
         return replace(self, x_low=low, x_high=high)
 
+    @property
+    def convex(self) -> bool:
+        """Whether Q has no negative eigenvalue, to rounding."""
+        diagonal = self.quadratic.diagonal()
+        others = np.asarray(abs(self.quadratic).sum(axis=1)).ravel() - np.abs(diagonal)
+        slack = 1e-9 * float(np.abs(diagonal).max(initial=0.0))
+        if (diagonal >= others - slack).all():
+            return True
+        if (diagonal < -slack).any():
+            return False
+        some = np.flatnonzero((diagonal != 0.0) | (others > 0.0))
+        return bool(np.linalg.eigvalsh(self.quadratic[some][:, some].toarray())[0] >= -1e3 * slack)
+
     def near(self, weights: Array) -> QPData:
         """The same with ½ weights·x² (n,) more, in the same pattern."""
         quadratic = self.quadratic.copy()
@@ -68,15 +83,15 @@ class QPData:
 
         By weak duality from `multipliers` of the equations, then of the rows of G, of either solver's sign: those of
         f + y'(A x − b) + z'G x. It holds for any numbers, so no solver is believed; bad ones only make it large. A
-        variable without a bound on a side is compared up to `_REACH` times what it is.
+        variable without a near bound on a side is compared up to `_REACH` times its size.
         """
         y, z = np.split(multipliers, [self.b.size])
         gradient = self.quadratic @ x + self.linear
         z = np.where(z > 0.0, np.where(np.isfinite(self.high), z, 0.0), np.where(np.isfinite(self.low), z, 0.0))
         reduced = gradient + self.A.T @ y + self.G.T @ z
-        reach = _REACH * (1.0 + np.abs(x))
-        low = np.where(np.isfinite(self.x_low), self.x_low, x - reach)
-        high = np.where(np.isfinite(self.x_high), self.x_high, x + reach)
+        reach = _REACH * self._size(x)
+        low = np.where(self.x_low > -FAR, self.x_low, x - reach)
+        high = np.where(self.x_high < FAR, self.x_high, x + reach)
         with np.errstate(invalid="ignore"):
             rows = np.where(z > 0.0, z * self.high, np.where(z < 0.0, z * self.low, 0.0))
         # Term by term, so that large numbers that are equal do not cancel: reduced costs times the way to the bound,
@@ -85,3 +100,15 @@ class QPData:
         left = rows - z * (self.G @ x)
         lacks = y * (self.b - self.A @ x)
         return self.unit * float(columns.sum() + left.sum() + lacks.sum())
+
+    def _size(self, x: Array) -> Array:
+        """What variables may be like: themselves, 1, and what bounded ones in their rows make of them, (n,)."""
+        near = np.maximum(-self.x_low, self.x_high)
+        size = np.where(near < FAR, near, 1.0 + np.abs(x))
+        rows = sparse.vstack([self.A, self.G], format="coo")
+        holds = rows.data != 0.0
+        row, column, slope = rows.row[holds], rows.col[holds], np.abs(rows.data[holds])
+        largest = np.zeros(rows.shape[0])
+        np.maximum.at(largest, row, slope * size[column])
+        np.maximum.at(size, column, np.where(near[column] < FAR, 0.0, largest[row] / slope))
+        return size

@@ -183,7 +183,7 @@ def checked(model: PlanModel, problem: MPCProblem, p: Array, answer: Answer, gue
     why = answer.why
     if answer.claimed is None:
         if found.broken:
-            return replace(refused, problem=f"{why}, with levels {found.broken}")
+            return replace(refused, problem=f"{why}: {found.broken}")
     else:
         nearby = model.local(p, found.variables, answer.multipliers if answer.multipliers.size else None)
         broken = model.outside(p, answer.x) or found.broken
@@ -192,6 +192,8 @@ def checked(model: PlanModel, problem: MPCProblem, p: Array, answer: Answer, gue
         if broken:
             return replace(refused, problem=f"{answer.status} was reported, but {broken}")
         why = why or _not_shown(model, sizes, found, nearby, answer)
+    if why and (gone := model.gone(own)):
+        return replace(refused, problem=f"{why}: {gone}")
     # What said that it is the optimum, and is none, is one to a coarser tolerance.
     within = sizes.same(found) + (0.0 if answer.claimed is None else sizes.of_all(found))
     if why and (dearer := _dearer(model, problem, p, found.cost - within, own, guess)):
@@ -242,6 +244,8 @@ def _not_shown(model: PlanModel, sizes: _Sizes, found: Evaluation, nearby: QPDat
     said = f"{answer.status} was reported, but"
     if answer.multipliers.size != nearby.b.size + nearby.low.size or not np.isfinite(answer.multipliers).all():
         return f"{said} without what shows that it is the optimum"
+    if model.convex and not nearby.convex:
+        return f"{said} a term is not convex, so that levels far from them may cost less"
     step = np.zeros(nearby.linear.size)
     chosen = nearby.fixed(model.choices, step[model.choices])
     above = chosen.above_least(step, answer.multipliers / nearby.unit)

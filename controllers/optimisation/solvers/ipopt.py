@@ -58,15 +58,14 @@ class IpoptSolver(StatementSolver):
         self.model.functions.ipopt(self._options)  # built once
 
     def _answers(self, p: Array, guess: Array | None) -> Iterator[Answer]:
-        cold = self.model.cold()
+        cold, choices = self.model.cold(), self.model.choices
         answers = []
         for start, options in ((cold if guess is None else guess, self._options), (cold, self._options | _CAREFUL)):
             answers.append(self._answer(p, start, options))
             yield answers[-1]
-        claimed = any(answer.claimed is not None for answer in answers)
-        if claimed and self.model.convex and not self.model.choices.size:
+        if any(answer.claimed is not None for answer in answers) and self.model.convex and not choices.size:
             programme = self.model.local(p)
-            found = Highs(MilpConfig())(programme, self.model.choices)
+            found = Highs(MilpConfig())(programme, choices)
             why, claimed = "" if found.solved else f"HiGHS ended with {found.status}", programme.objective(found.x)
             multipliers = programme.unit * found.multipliers
             yield Answer(found.x, claimed, f"highs:{found.status}", found.iterations, why, multipliers=multipliers)
@@ -83,11 +82,9 @@ class IpoptSolver(StatementSolver):
         if found.claimed is None or found.why:
             return found
         gap = max(found.claimed - begin.claimed, 0.0) / max(abs(found.claimed), 1e-9)
-        why = (
-            ""
-            if gap <= _ROUNDED
-            else f"its choices are rounded, {gap:.1%} above what they cost where they need not be whole"
-        )
+        if gap <= _ROUNDED:
+            return replace(found, gap=gap)
+        why = f"its choices are rounded, {gap:.1%} above what they cost where they need not be whole"
         return replace(found, why=why, gap=gap)
 
     def _ipopt(self, p: Array, x: Array, low: Array, high: Array, options: Mapping[str, Any]) -> Answer:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from controllers.optimisation.programme import QPData
+from controllers.optimisation.programme import FAR, QPData
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.scenario.settings import StrictModel
 
@@ -32,11 +32,6 @@ class SolverResult:
     bound: float = -np.inf
 
 
-# Finite bounds from here on are taken as none where the optimum keeps them all the same: PIQP calls a programme with
-# bounds of 1e9 beside numbers of about 1 infeasible, or ends far from its optimum.
-_FAR = 1e6
-
-
 class Piqp:
     """PIQP, set up once and updated with the numbers of each instance of the same pattern."""
 
@@ -46,9 +41,13 @@ class Piqp:
         self._patterns: tuple[Array, ...] = ()
 
     def __call__(self, q: QPData) -> SolverResult:
-        """Solve one programme. `multipliers` of the equations, then of G."""
+        """Solve one programme. `multipliers` of the equations, then of G.
+
+        Bounds that are far are taken as none where the optimum keeps them all the same: PIQP calls a programme with
+        bounds of 1e9 beside numbers of about 1 infeasible, or ends far from its optimum.
+        """
         low, high = (
-            np.where(np.abs(bound) >= _FAR, far, bound) for bound, far in ((q.x_low, -np.inf), (q.x_high, np.inf))
+            np.where(np.abs(bound) >= FAR, far, bound) for bound, far in ((q.x_low, -np.inf), (q.x_high, np.inf))
         )
         if np.array_equal(low, q.x_low) and np.array_equal(high, q.x_high):
             return self._solved(q)
