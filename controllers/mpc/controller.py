@@ -28,7 +28,7 @@ from controllers.mpc.planner import (
 from controllers.mpc.prediction import Failure, Forecast, Prediction, WatchedPredictions
 from controllers.mpc.readings import Readings, ReadingsFilter
 from controllers.mpc.realisation import Realisation
-from controllers.mpc.solved import Solved, first_demands, power_limit, solved_plan
+from controllers.mpc.solved import Solved, beyond_rooms, first_demands, power_limit, solved_plan
 from controllers.mpc.state import MPCState
 from controllers.optimisation.plan_model import Evaluator
 from controllers.optimisation.problem import MPCProblem
@@ -306,6 +306,8 @@ class ThermoForceMPC(ActuatedController):
         if brought is None or brought.broken:
             why = refused or f"the solver's levels leave a limit: {brought.broken if brought else ''}"
             return Failure(why, forecast.state, solution.status, seconds)
+        if beyond := beyond_rooms(instance.problem, brought, readings.observation.names.zones):
+            return Failure(beyond, forecast.state, solution.status, seconds)
         limit = power_limit(instance, solution, brought, planner.evaluator)
         return Solved(solved_plan(instance, solution, brought, seconds, forecast, readings), limit)
 
