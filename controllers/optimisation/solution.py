@@ -143,8 +143,12 @@ class StatementSolver(ABC):
                 yield checked(self.model, problem, p, answer, guess)
         except Exception as error:  # a failed solve is a value
             yield failed(f"{self.name}:raised", 0, f"{self.name}: raised {type(error).__name__}: {error}")
-        if self._fallback is not None:
+        if self._fallback is None:
+            return
+        try:
             yield self._fallback().solve(problem, guess)
+        except Exception as error:
+            yield failed("fallback:raised", 0, f"its fallback raised {type(error).__name__}: {error}")
 
     @abstractmethod
     def _answers(self, p: Array, guess: Array | None) -> Iterator[Answer]:
