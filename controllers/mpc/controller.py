@@ -29,7 +29,7 @@ from controllers.mpc.planner import (
 from controllers.mpc.prediction import Failure, Forecast, Prediction, WatchedPredictions
 from controllers.mpc.readings import Readings, ReadingsFilter, joined
 from controllers.mpc.realisation import Realisation
-from controllers.mpc.solved import Solved, first_demands, power_limit, solved_plan
+from controllers.mpc.solved import Solved, beyond_rooms, first_demands, power_limit, solved_plan
 from controllers.mpc.state import MPCState
 from controllers.optimisation.plan_model import Evaluation, Evaluator
 from controllers.optimisation.problem import MPCProblem
@@ -313,6 +313,8 @@ class ThermoForceMPC(ActuatedController):
         if brought is None or brought.broken:
             why = refused or f"the solver's levels leave a limit: {brought.broken if brought else ''}"
             return Failure(why, forecast.state, solution.status, seconds)
+        if beyond := beyond_rooms(instance.problem, brought, readings.observation.names.zones):
+            return Failure(beyond, forecast.state, solution.status, seconds)
         if self.config.whole_runs and not overrides.keys() >= set(self._in_runs):
             solution, brought = self._with_runs(instance, solution, brought, forecast, list(overrides))
         limit = power_limit(instance, solution, brought, planner.evaluator)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.data.compiled import njit
 
 PEOPLE = 5
 LOWER_OCCUPIED_C, UPPER_OCCUPIED_C = 21.0, 24.0
