@@ -27,8 +27,8 @@ from thermoforce_mpc.data import (
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import day_period, is_day
 from thermoforce_mpc.plants.embedded import exposure, kernel, schedule
-from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
+from thermoforce_mpc.plants.embedded.houses import HEAT_PUMP_HOUSE
 from thermoforce_mpc.plants.embedded.kernel import integrals
 from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, peak_power
 from thermoforce_mpc.plants.people import live
@@ -99,8 +99,8 @@ class EmbeddedPlant(BranchingShell):
         """
         self.weather = weather
         self._forecast_error = forecast_error
-        self._network = build_network()
-        grid = build_exposure(weather)
+        self._envelope = HEAT_PUMP_HOUSE.envelope
+        grid = build_exposure(weather, HEAT_PUMP_HOUSE.facade)
         self._scheduled = grid, kernel.AS_SCHEDULED
         self._lived = self._scheduled if people is None else _with_people(grid, people)
         self._tariffs = tariffs.by_name(highly_dynamic)
@@ -127,10 +127,10 @@ class EmbeddedPlant(BranchingShell):
         return self._periods[name] if name in self._periods else day_period(name, self._periods)
 
     def _first_row(self) -> Array:
-        self._nodes = self._network.start_K.copy()
+        self._nodes = self._envelope.start_K.copy()
         self._scalars = np.zeros(kernel.N_SCALARS)
         self._scalars[[kernel.T_AIR, kernel.T_SUPPLY, kernel.T_RETURN, kernel.T_OPERATIVE]] = 293.15
-        self._scalars[kernel.LAST_T_PIPE] = self._nodes[self._network.pipe]
+        self._scalars[kernel.LAST_T_PIPE] = self._nodes[self._envelope.heated[0]]
         self._scalars[kernel.T_EVAPORATOR] = 278.15
         self._scalars[kernel.CO2_PPM] = 400.0
         row = np.empty(len(kernel.RECORD))
@@ -209,14 +209,14 @@ class EmbeddedPlant(BranchingShell):
         if span_s > PEAK_WINDOW_S + CLOCK_S:
             heat_pump_W, fan_W, pump_W = (rows[:, _COLUMN[name]] for name in _POWERS)
             peak_W = peak_power(time_s, heat_pump_W + fan_W + pump_W)
-        kWh = Wh / 1e3 / AREA_M2
+        kWh = Wh / 1e3 / HEAT_PUMP_HOUSE.area_m2
         return {
             "ener_tot": kWh,
-            "cost_tot": cost / 1e3 / AREA_M2,
+            "cost_tot": cost / 1e3 / HEAT_PUMP_HOUSE.area_m2,
             "emis_tot": kWh * tariffs.EMISSION_KG_PER_KWH,
             "tdis_tot": discomfort_Kh,
             "idis_tot": excess_ppm_h,
-            "pele_tot": peak_W / 1e3 / AREA_M2,
+            "pele_tot": peak_W / 1e3 / HEAT_PUMP_HOUSE.area_m2,
         }
 
     @property
@@ -263,7 +263,7 @@ class EmbeddedPlant(BranchingShell):
         rows = np.empty((n, len(kernel.RECORD)))
         forced = np.array([overrides.get(name, math.nan) for name in _LIMITS], dtype=np.float64)
         state = self._nodes, self._scalars, before_s, n, duration_s / n
-        kernel.advance(*state, forced, *self._lived, self._network, rows)
+        kernel.advance(*state, forced, *self._lived, self._envelope, rows)
         return time_s, rows
 
     def native_power_W(self) -> Array:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from thermoforce_mpc.data import Array
 
 PEOPLE = 5
+OFFICE_PEOPLE = 2
 LOWER_OCCUPIED_C, UPPER_OCCUPIED_C = 21.0, 24.0
 LOWER_EMPTY_C, UPPER_EMPTY_C = 15.0, 30.0
 # Native set-point above the lower bound, K.
@@ -25,6 +26,13 @@ def is_occupied(time_s: float) -> bool:
     weekday = day % 7
     hour = (time_s - day * 86400.0) / 3600.0
     return weekday == 4 or weekday == 5 or hour < 7.0 or hour >= 20.0
+
+
+@njit(cache=True)
+def is_open(time_s: float) -> bool:
+    """Whether the office is occupied: every day from 8:00 to 18:00."""
+    hour = (time_s - np.floor(time_s / 86400.0) * 86400.0) / 3600.0
+    return 8.0 <= hour < 18.0
 
 
 def occupied(time_s: Array) -> Array:
