@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from thermoforce_mpc.boundary.weather.year import STEFAN_BOLTZMANN_W_M2_K4, Weather, black_body_sky_C
+from thermoforce_mpc.boundary.weather.year import STEFAN_BOLTZMANN_W_M2_K4, Weather, black_body_sky_C, vapour_pressure_Pa
 from thermoforce_mpc.data import HOUR_S, YEAR_S, ZERO_C_K, Array
 
 _HOURS = 8760
@@ -58,7 +58,7 @@ def synthetic_weather(seed: int = 0, *, warmer_K: float = 0.0, clearer: float = 
         wind_from_rad=wind_from,
         opaque_cover=cover,
         pressure_Pa=np.round(pressure, -2),
-        relative_humidity=_vapour_pressure_Pa(T_dew) / _vapour_pressure_Pa(T_dry),
+        relative_humidity=vapour_pressure_Pa(T_dew) / vapour_pressure_Pa(T_dry),
         infrared_W_m2=STEFAN_BOLTZMANN_W_M2_K4 * (black_body_sky_C(T_dry, T_dew, cover) + ZERO_C_K) ** 4,
         total_cover=cover,
         ceiling_m=np.full(_HOURS, _UNLIMITED_CEILING_M),
@@ -67,11 +67,6 @@ def synthetic_weather(seed: int = 0, *, warmer_K: float = 0.0, clearer: float = 
 
 def _shifts(warmer_K: float, clearer: float) -> str:
     return (f", {warmer_K:+.1f} K" if warmer_K else "") + (f", {clearer:+.2f} clearer" if clearer else "")
-
-
-def _vapour_pressure_Pa(T_C: Array) -> Array:
-    """Return saturation pressure over water, supercooled below 0 °C (Magnus formula, Alduchov 1996)."""
-    return np.asarray(610.94 * np.exp(17.625 * T_C / (T_C + 243.04)))
 
 
 def _periodic_noise(rng: np.random.Generator, hours: float) -> Array:

@@ -23,15 +23,15 @@ from thermoforce_mpc.plants.embedded.envelope import (
     settle,
     star_beside,
 )
-from thermoforce_mpc.plants.embedded.houses import BOILER_HOUSE
-from thermoforce_mpc.plants.embedded.schedule import is_occupied
+from thermoforce_mpc.plants.embedded.houses import BOILER_HOUSE, moist_air_cp
+from thermoforce_mpc.plants.embedded.schedule import PERSON_VAPOUR_W, is_occupied
 
 _WATER_S = 5.0
 
-# Scalar states: the first ten are carried from step to step, the others computed from them by `_operate`.
-(T_AIR, T_RADIANT, INTEGRAL, PUMP_ON, CO2_PPM, RADIATOR_1, _RADIATOR_2, _RADIATOR_3, _RADIATOR_4, T_RETURN,
- HEATING_K, COOLING_K, SUPPLY_K, PUMP, BOILER_W, GAS_W, INTEGRAL_RATE) = range(17)  # fmt: skip
-N_SCALARS = 17
+# Scalar states: the first eleven are carried from step to step, the others computed from them by `_operate`.
+(T_AIR, T_RADIANT, RADIANT_RATE, INTEGRAL, PUMP_ON, CO2_PPM, RADIATOR_1, _RADIATOR_2, _RADIATOR_3, _RADIATOR_4, T_RETURN,
+ HEATING_K, COOLING_K, SUPPLY_K, PUMP, BOILER_W, GAS_W, INTEGRAL_RATE) = range(18)  # fmt: skip
+N_SCALARS = 18
 # Columns of the record (K, W, ppm).
 RECORD = ("T_operative", "P_gas", "P_pump", "CO2", "T_heating", "T_cooling", "T_supply", "pump", "T_air", "T_return")
 # Overwrite inputs in this order; NaN where not overwritten.
@@ -39,10 +39,10 @@ _TSET_HEATING, _TSET_COOLING, _TSET_SUPPLY, _PUMP = range(4)
 
 _AIR_J_K = BOILER_HOUSE.air_J_K
 _INFILTRATION_KG_S = 0.0216
-_INFILTRATION_W_K = _INFILTRATION_KG_S * BOILER_HOUSE.cp
+_INFILTRATION_W_K = _INFILTRATION_KG_S * moist_air_cp(0.0)
 _AIR_CHANGES_S = 0.5 / 3600.0
 _OUTDOOR_PPM, _PERSON_PPM = 400.0, 1.08167e-5 / _INFILTRATION_KG_S * 1e6 / 1.528635
-_PERSON_RADIANT_W, _PERSON_CONVECTIVE_W = 43.8, 29.2
+_PERSON_RADIANT_W, _PERSON_CONVECTIVE_W = 43.8, 29.2 + PERSON_VAPOUR_W
 
 _FLOW_W_K = 0.0597514 * 4184.0
 _PUMP_W = 12.2482
@@ -147,7 +147,7 @@ def advance(
     env: c.Envelope,
     record: np.ndarray,
 ) -> None:
-    """Advance `nodes` (n,) K and `scalars` (17,) in place by `n_steps` of `dt` s; fill `record` (n_steps, 10)."""
+    """Advance `nodes` (n,) K and `scalars` (18,) in place by `n_steps` of `dt` s; fill `record` (n_steps, 10)."""
     w, work, film = np.empty(x.N_COLUMNS), np.empty((nodes.size, 5)), np.empty(env.inside.size)
     n_short = max(int(math.ceil(dt / _WATER_S - 1e-9)), 1)
     h = dt / n_short
@@ -162,7 +162,7 @@ def advance(
             received += film[k] * nodes[env.inside[k]]
             conductance += film[k]
         received += _INFILTRATION_W_K * w[x.T_OUT] + _PERSON_CONVECTIVE_W * person
-        mean_air, radiant_W = 0.0, 0.0
+        mean_air, radiant_W, T_radiant = 0.0, 0.0, scalars[T_RADIANT]
         for short in range(n_short):
             _operate(scalars, begin + short * h, overrides)
             scalars[INTEGRAL] += h * scalars[INTEGRAL_RATE]
@@ -170,12 +170,15 @@ def advance(
             before = scalars[T_AIR]
             change = h * (received + convective - conductance * before) / (_AIR_J_K + 0.5 * h * conductance)
             scalars[T_AIR] = before + change
+            # The surfaces are taken to go on as in the last step: the pump's thermostat feels them.
+            scalars[T_RADIANT] += h * scalars[RADIANT_RATE]
             mean_air += (before + 0.5 * change) / n_short
             radiant_W += radiant / n_short
         radiant_W += _PERSON_RADIANT_W * person
         respond(nodes, film, radiant_W, no_heat, dt, w, env, work)
         settle(nodes, mean_air, star_beside(mean_air, radiant_W, env, work), work)
         scalars[T_RADIANT] = radiant_temperature(nodes, env)
+        scalars[RADIANT_RATE] = (scalars[T_RADIANT] - T_radiant) / dt
         steady_ppm = _OUTDOOR_PPM + person * _PERSON_PPM
         scalars[CO2_PPM] = steady_ppm + (scalars[CO2_PPM] - steady_ppm) * math.exp(-_AIR_CHANGES_S * dt)
         _operate(scalars, begin + dt, overrides)

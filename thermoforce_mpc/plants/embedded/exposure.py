@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from thermoforce_mpc.boundary.weather.solar import on_plane, sun_position
-from thermoforce_mpc.boundary.weather.year import Weather
+from thermoforce_mpc.boundary.weather.year import Weather, vapour_pressure_Pa
 from thermoforce_mpc.data import YEAR_S, ZERO_C_K, Array
-from thermoforce_mpc.plants.embedded.houses import Facade
+from thermoforce_mpc.plants.embedded.houses import Facade, moist_air_cp
 
 GRID_S = 900.0
 _SHORT_WAVE_ABSORPTANCE = 0.6
@@ -17,16 +17,18 @@ _FACING_DEG = {"south": 180.0, "west": 270.0, "north": 0.0, "east": 90.0}
 
 # Columns of the grid.
 T_OUT, T_SKY, FORCED, ABSORBED = 0, 1, 2, 8
-BEAM_IN, DIFFUSE_IN, PANE_OUTER, PANE_INNER, GLOBAL = 13, 14, 15, 16, 17
-N_COLUMNS = 18
+BEAM_IN, DIFFUSE_IN, PANE_OUTER, PANE_INNER, GLOBAL, CP_OUT = 13, 14, 15, 16, 17, 18
+N_COLUMNS = 19
+# The test cases' weather readers take the pressure from a parameter, not from the file.
+PRESSURE_PA = 101_325.0
 
 
 def build_exposure(weather: Weather, facade: Facade) -> Array:
-    """Return the forcing of a house over a periodic year, shape (35041, 18); takes about 1 s.
+    """Return the forcing of a house over a periodic year, shape (35041, 19); takes about 1 s.
 
     Outdoor and sky temperature K; forced convection coefficient of south, west, north, east, roof, window W/(m²·K);
     short-wave absorbed by the opaque ones W/m²; transmitted by the window as beam and as diffuse, and absorbed in its
-    outer and inner pane, W; global horizontal irradiance W/m².
+    outer and inner pane, W; global horizontal irradiance W/m²; heat capacity of the outdoor air J/(kg·K).
     """
     time_s = np.arange(0.0, YEAR_S + GRID_S, GRID_S)
     sun = sun_position(time_s, weather.latitude_deg, weather.longitude_deg, weather.timezone_h)
@@ -55,5 +57,7 @@ def build_exposure(weather: Weather, facade: Facade) -> Array:
     above = on_plane(weather, sun, time_s, 0.0, 180.0)
     grid[:, ABSORBED + 4] = _SHORT_WAVE_ABSORPTANCE * (above.beam + above.diffuse)
     grid[:, GLOBAL] = weather.at("global_W_m2", time_s)
+    vapour_Pa = vapour_pressure_Pa(weather.at("T_dew_C", time_s))
+    grid[:, CP_OUT] = moist_air_cp(0.622 * vapour_Pa / (PRESSURE_PA - vapour_Pa))
     grid.setflags(write=False)
     return grid

@@ -35,7 +35,6 @@ _TSET_HEATING, _TSET_COOLING, _T_SUPPLY, _FAN = range(4)
 
 _AIR_J_K, _CP = OFFICE.air_J_K, OFFICE.cp
 _INFILTRATION_KG_S = 0.0216
-_INFILTRATION_W_K = _INFILTRATION_KG_S * _CP
 _AIR_CHANGES_S = 0.5 / 3600.0
 _OUTDOOR_PPM, _PERSON_PPM = 400.0, 8.64e-6 / _INFILTRATION_KG_S * 1e6 / 1.5194
 _SENSOR_S = 25.0
@@ -138,11 +137,12 @@ def advance(
         lights_W, plugs_W, people_W = on * _LIGHTS_W, on * _PLUGS_W, people * _SENSIBLE_W
         radiant_W = _LIGHTS_RADIANT * lights_W + _PLUGS_RADIANT * plugs_W + _PEOPLE_RADIANT * people_W
         films(nodes, scalars[T_AIR], env, film)
-        received, still_W_K = 0.0, _INFILTRATION_W_K
+        infiltration_W_K = _INFILTRATION_KG_S * w[x.CP_OUT]
+        received, still_W_K = 0.0, infiltration_W_K
         for k in range(env.inside.size):
             received += film[k] * nodes[env.inside[k]]
             still_W_K += film[k]
-        received += _INFILTRATION_W_K * w[x.T_OUT] + (lights_W + plugs_W + people_W - radiant_W)
+        received += infiltration_W_K * w[x.T_OUT] + (lights_W + plugs_W + people_W - radiant_W + people * s.PERSON_VAPOUR_W)
         mean_air = 0.0
         for short in range(n_short):
             _operate(scalars, begin + short * h, overrides)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -64,6 +64,9 @@ class Facade:
     roof_is_south: bool = False
 
 
+Quantity = TypeVar("Quantity", float, Array)
+
+
 class House(NamedTuple):
     """A house: `area_m2` of floor, `air_kg` in it, moist air of `cp` J/(kg·K)."""
 
@@ -79,7 +82,7 @@ class House(NamedTuple):
         return self.air_kg * self.cp
 
 
-def moist_air_cp(vapour: float) -> float:
+def moist_air_cp(vapour: Quantity) -> Quantity:
     """Heat capacity of air with `vapour` kg/kg, J/(kg·K)."""
     return 1006.0 + 1860.0 * vapour
 

