@@ -16,6 +16,9 @@ from thermoforce_mpc.plants.embedded import constructions as c
 from thermoforce_mpc.plants.embedded import exposure as x
 from thermoforce_mpc.plants.embedded import schedule as s
 from thermoforce_mpc.plants.embedded.envelope import (
+    COOKING,
+    PEOPLE,
+    WINDOWS,
     films,
     radiant_temperature,
     read_weather,
@@ -24,7 +27,7 @@ from thermoforce_mpc.plants.embedded.envelope import (
     star_beside,
 )
 from thermoforce_mpc.plants.embedded.houses import BOILER_HOUSE, moist_air_cp
-from thermoforce_mpc.plants.embedded.schedule import PERSON_VAPOUR_W, is_occupied
+from thermoforce_mpc.plants.embedded.schedule import is_occupied
 
 _WATER_S = 5.0
 
@@ -33,7 +36,10 @@ _WATER_S = 5.0
  HEATING_K, COOLING_K, SUPPLY_K, PUMP, BOILER_W, GAS_W, INTEGRAL_RATE) = range(18)  # fmt: skip
 N_SCALARS = 18
 # Columns of the record (K, W, ppm).
-RECORD = ("T_operative", "P_gas", "P_pump", "CO2", "T_heating", "T_cooling", "T_supply", "pump", "T_air", "T_return")
+RECORD = (
+    "T_operative", "P_gas", "P_pump", "CO2", "T_heating", "T_cooling", "T_supply", "pump", "T_air", "T_return",
+    "T_out", "solar",
+)  # fmt: skip
 # Overwrite inputs in this order; NaN where not overwritten.
 _TSET_HEATING, _TSET_COOLING, _TSET_SUPPLY, _PUMP = range(4)
 
@@ -42,7 +48,8 @@ _INFILTRATION_KG_S = 0.0216
 _INFILTRATION_W_K = _INFILTRATION_KG_S * moist_air_cp(0.0)
 _AIR_CHANGES_S = 0.5 / 3600.0
 _OUTDOOR_PPM, _PERSON_PPM = 400.0, 1.08167e-5 / _INFILTRATION_KG_S * 1e6 / 1.528635
-_PERSON_RADIANT_W, _PERSON_CONVECTIVE_W = 43.8, 29.2 + PERSON_VAPOUR_W
+_PEOPLE = float(s.BOILER_USE.people)
+_PERSON_CONVECTIVE_W = s.PERSON_CONVECTIVE_W + s.PERSON_VAPOUR_W
 
 _FLOW_W_K = 0.0597514 * 4184.0
 _PUMP_W = 12.2482
@@ -117,22 +124,33 @@ def _radiate(scalars: np.ndarray, h: float) -> tuple[float, float]:
 
 
 @njit(cache=True)
-def _note(scalars: np.ndarray, row: np.ndarray) -> None:
+def _note(scalars: np.ndarray, w: np.ndarray, row: np.ndarray) -> None:
     row[0], row[1] = 0.5 * (scalars[T_AIR] + scalars[T_RADIANT]), scalars[GAS_W]
     row[2], row[3] = scalars[PUMP] * _PUMP_W, scalars[CO2_PPM]
     row[4], row[5], row[6] = scalars[HEATING_K], scalars[COOLING_K], scalars[SUPPLY_K]
     row[7], row[8], row[9] = scalars[PUMP], scalars[T_AIR], scalars[T_RETURN]
+    row[10], row[11] = w[x.T_OUT], w[x.GLOBAL]
 
 
 @njit(cache=True)
-def start(scalars: np.ndarray, time_s: float, overrides: np.ndarray, row: np.ndarray) -> None:
-    """Set the state at the begin of a simulation and write its sample into `row` (10,)."""
+def start(
+    nodes: np.ndarray,
+    scalars: np.ndarray,
+    time_s: float,
+    overrides: np.ndarray,
+    grid: np.ndarray,
+    env: c.Envelope,
+    row: np.ndarray,
+) -> None:
+    """Set `scalars` (18,) to the begin of a simulation at `time_s`; write its sample into `row` (12,), see `advance`."""
     scalars[:] = 0.0
     scalars[T_AIR] = scalars[T_RADIANT] = c.START_K
     scalars[RADIATOR_1 : T_RETURN + 1] = c.START_K
     scalars[CO2_PPM] = _OUTDOOR_PPM
+    w = np.empty(x.N_COLUMNS)
+    read_weather(grid, time_s, w)
     _operate(scalars, time_s, overrides)
-    _note(scalars, row)
+    _note(scalars, w, row)
 
 
 @njit(cache=True, nogil=True)
@@ -144,10 +162,15 @@ def advance(
     dt: float,
     overrides: np.ndarray,
     grid: np.ndarray,
+    unannounced: np.ndarray,
     env: c.Envelope,
     record: np.ndarray,
 ) -> None:
-    """Advance `nodes` (n,) K and `scalars` (18,) in place by `n_steps` of `dt` s; fill `record` (n_steps, 10)."""
+    """Advance `nodes` (n,) K and `scalars` (18,) in place by `n_steps` of `dt` s; fill `record` (n_steps, 12).
+
+    `overrides` (4,): heating and cooling set-point K, supply water K, pump; NaN where not overwritten. Names: see
+    `RECORD`. `unannounced` (n, 3): see `envelope.AS_SCHEDULED`, periodic.
+    """
     w, work, film = np.empty(x.N_COLUMNS), np.empty((nodes.size, 5)), np.empty(env.inside.size)
     n_short = max(int(math.ceil(dt / _WATER_S - 1e-9)), 1)
     h = dt / n_short
@@ -155,13 +178,17 @@ def advance(
     for step in range(n_steps):
         begin = time_s + step * dt
         read_weather(grid, begin + dt, w)
-        person = 1.0 if is_occupied(begin + 0.5 * dt) else 0.0
+        midway = begin + 0.5 * dt
+        differs = unannounced[int(midway / x.GRID_S) % unannounced.shape[0]]
+        people = max((_PEOPLE if is_occupied(midway) else 0.0) + differs[PEOPLE], 0.0)
+        # Air change relative to that through leaks.
+        aired = 1.0 + differs[WINDOWS] / 3600.0 / _AIR_CHANGES_S
         films(nodes, scalars[T_AIR], env, film)
-        received, conductance = 0.0, _INFILTRATION_W_K
+        received, conductance = 0.0, aired * _INFILTRATION_W_K
         for k in range(env.inside.size):
             received += film[k] * nodes[env.inside[k]]
             conductance += film[k]
-        received += _INFILTRATION_W_K * w[x.T_OUT] + _PERSON_CONVECTIVE_W * person
+        received += aired * _INFILTRATION_W_K * w[x.T_OUT] + _PERSON_CONVECTIVE_W * people + 0.5 * differs[COOKING]
         mean_air, radiant_W, T_radiant = 0.0, 0.0, scalars[T_RADIANT]
         for short in range(n_short):
             _operate(scalars, begin + short * h, overrides)
@@ -174,12 +201,12 @@ def advance(
             scalars[T_RADIANT] += h * scalars[RADIANT_RATE]
             mean_air += (before + 0.5 * change) / n_short
             radiant_W += radiant / n_short
-        radiant_W += _PERSON_RADIANT_W * person
+        radiant_W += s.PERSON_RADIANT_W * people + 0.5 * differs[COOKING]
         respond(nodes, film, radiant_W, no_heat, dt, w, env, work)
         settle(nodes, mean_air, star_beside(mean_air, radiant_W, env, work), work)
         scalars[T_RADIANT] = radiant_temperature(nodes, env)
         scalars[RADIANT_RATE] = (scalars[T_RADIANT] - T_radiant) / dt
-        steady_ppm = _OUTDOOR_PPM + person * _PERSON_PPM
-        scalars[CO2_PPM] = steady_ppm + (scalars[CO2_PPM] - steady_ppm) * math.exp(-_AIR_CHANGES_S * dt)
+        steady_ppm = _OUTDOOR_PPM + people * _PERSON_PPM / aired
+        scalars[CO2_PPM] = steady_ppm + (scalars[CO2_PPM] - steady_ppm) * math.exp(-_AIR_CHANGES_S * aired * dt)
         _operate(scalars, begin + dt, overrides)
-        _note(scalars, record[step])
+        _note(scalars, w, record[step])

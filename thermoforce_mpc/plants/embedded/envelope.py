@@ -17,11 +17,15 @@ _SIGMA = 5.670374419e-8
 _ZERO_ROUNDING_K = 1e-4
 # Columns of the work space (n, 5) of a step: the three right-hand sides, the diagonal, and its factors.
 CONSTANT, OF_AIR, OF_STAR, _DIAGONAL, _FACTOR = range(5)
+# Columns of what differs from the schedule, held for 15 min: people, heat of cooking W, air changes by windows 1/h.
+PEOPLE, COOKING, WINDOWS = range(3)
+# Where people keep to it.
+AS_SCHEDULED = np.zeros((1, 3))
 
 
 @njit(cache=True, inline="always")
 def read_weather(grid: np.ndarray, time_s: float, w: np.ndarray) -> None:
-    """Interpolate the exposure linearly at `time_s` into `w` (18,)."""
+    """Interpolate the exposure linearly at `time_s` into `w` (19,)."""
     at = (time_s % ((grid.shape[0] - 1) * x.GRID_S)) / x.GRID_S
     row = int(at)
     share = at - row
@@ -60,7 +64,7 @@ def respond(
 ) -> None:
     """Solve a step of `dt` s into `work` (n, 5): nodes = constant + of air · T_air + of star · T_star.
 
-    `film` (k,) W/K, see `films`; `radiant_W` radiant gains; `heat_W` heat into the nodes `env.heated`, W; `w` (18,)
+    `film` (k,) W/K, see `films`; `radiant_W` radiant gains; `heat_W` heat into the nodes `env.heated`, W; `w` (19,)
     the exposure at the end of the step.
     """
     n, n_inside = nodes.size, env.inside.size

@@ -15,7 +15,16 @@ from thermoforce_mpc.data import ZERO_C_K
 from thermoforce_mpc.plants.embedded import constructions as c
 from thermoforce_mpc.plants.embedded import exposure as x
 from thermoforce_mpc.plants.embedded import schedule as s
-from thermoforce_mpc.plants.embedded.envelope import films, read_weather, respond, settle, star_beside
+from thermoforce_mpc.plants.embedded.envelope import (
+    COOKING,
+    PEOPLE,
+    WINDOWS,
+    films,
+    read_weather,
+    respond,
+    settle,
+    star_beside,
+)
 from thermoforce_mpc.plants.embedded.houses import OFFICE
 from thermoforce_mpc.plants.embedded.schedule import is_open
 
@@ -28,7 +37,7 @@ N_SCALARS = 14
 # Columns of the record (K, W, kg/s, ppm).
 RECORD = (
     "T_air", "P_gas", "P_chiller", "P_fan", "flow", "CO2", "T_heating", "T_cooling", "T_supply", "fan", "P_lights",
-    "P_plugs",
+    "P_plugs", "T_out", "solar",
 )  # fmt: skip
 # Overwrite inputs in this order; NaN where not overwritten.
 _TSET_HEATING, _TSET_COOLING, _T_SUPPLY, _FAN = range(4)
@@ -38,10 +47,10 @@ _INFILTRATION_KG_S = 0.0216
 _AIR_CHANGES_S = 0.5 / 3600.0
 _OUTDOOR_PPM, _PERSON_PPM = 400.0, 8.64e-6 / _INFILTRATION_KG_S * 1e6 / 1.5194
 _SENSOR_S = 25.0
-_LIGHTS_W, _PLUGS_W, _SENSIBLE_W = 11.8 * OFFICE.area_m2, 5.4 * OFFICE.area_m2, 73.0
-_LIGHTS_RADIANT, _PLUGS_RADIANT, _PEOPLE_RADIANT = 0.5, 0.7, 0.6
-# Share of lights and plugs that is on without anybody.
-_STANDBY = 0.1
+_PEOPLE = float(s.OFFICE_USE.people)
+_PERSON_CONVECTIVE_W = s.PERSON_CONVECTIVE_W + s.PERSON_VAPOUR_W
+_RADIANT_W = s.LIGHTS_RADIANT * s.LIGHTS_W + s.PLUGS_RADIANT * s.PLUGS_W
+_CONVECTIVE_W = s.LIGHTS_W + s.PLUGS_W - _RADIANT_W
 
 FULL_FLOW_KG_S, _FAN_S = 0.55, 3.86
 _FULL_FAN_W = 173.0442
@@ -90,25 +99,35 @@ def _operate(scalars: np.ndarray, time_s: float, overrides: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def _note(scalars: np.ndarray, time_s: float, row: np.ndarray) -> None:
+def _note(scalars: np.ndarray, time_s: float, w: np.ndarray, row: np.ndarray) -> None:
     flow = scalars[FLOW_KG_S]
     heat = flow * _CP * (scalars[SUPPLY_K] - scalars[T_AIR])
-    on = 1.0 if is_open(time_s) else _STANDBY
+    on = 1.0 if is_open(time_s) else s.STANDBY
     row[0], row[1], row[2] = scalars[T_AIR], max(heat, 0.0) / _BOILER_EFFICIENCY, max(-heat, 0.0) / _CHILLER_COP
     row[3], row[4], row[5] = _FULL_FAN_W * (flow / FULL_FLOW_KG_S) ** 3, flow, scalars[CO2_SENSED]
     row[6], row[7] = scalars[HEATING_K], scalars[COOLING_K]
     row[8], row[9] = scalars[SUPPLY_K], scalars[FAN]
-    row[10], row[11] = on * _LIGHTS_W, on * _PLUGS_W
+    row[10], row[11], row[12], row[13] = on * s.LIGHTS_W, on * s.PLUGS_W, w[x.T_OUT], w[x.GLOBAL]
 
 
 @njit(cache=True)
-def start(scalars: np.ndarray, time_s: float, overrides: np.ndarray, row: np.ndarray) -> None:
-    """Set the state at the begin of a simulation and write its sample into `row` (12,)."""
+def start(
+    nodes: np.ndarray,
+    scalars: np.ndarray,
+    time_s: float,
+    overrides: np.ndarray,
+    grid: np.ndarray,
+    env: c.Envelope,
+    row: np.ndarray,
+) -> None:
+    """Set `scalars` (14,) to the begin of a simulation at `time_s`; write its sample into `row` (14,), see `advance`."""
     scalars[:] = 0.0
     scalars[T_AIR] = c.START_K
     scalars[CO2_PPM] = scalars[CO2_SENSED] = _OUTDOOR_PPM
+    w = np.empty(x.N_COLUMNS)
+    read_weather(grid, time_s, w)
     _operate(scalars, time_s, overrides)
-    _note(scalars, time_s, row)
+    _note(scalars, time_s, w, row)
 
 
 @njit(cache=True, nogil=True)
@@ -120,10 +139,15 @@ def advance(
     dt: float,
     overrides: np.ndarray,
     grid: np.ndarray,
+    unannounced: np.ndarray,
     env: c.Envelope,
     record: np.ndarray,
 ) -> None:
-    """Advance `nodes` (n,) K and `scalars` (14,) in place by `n_steps` of `dt` s; fill `record` (n_steps, 12)."""
+    """Advance `nodes` (n,) K and `scalars` (14,) in place by `n_steps` of `dt` s; fill `record` (n_steps, 14).
+
+    `overrides` (4,): heating and cooling set-point K, supply air K, fan; NaN where not overwritten. Names: see
+    `RECORD`. `unannounced` (n, 3): see `envelope.AS_SCHEDULED`, periodic.
+    """
     w, work, film = np.empty(x.N_COLUMNS), np.empty((nodes.size, 5)), np.empty(env.inside.size)
     n_short = max(int(math.ceil(dt / _AIR_S - 1e-9)), 1)
     h = dt / n_short
@@ -132,17 +156,23 @@ def advance(
     for step in range(n_steps):
         begin = time_s + step * dt
         read_weather(grid, begin + dt, w)
-        occupied = is_open(begin + 0.5 * dt)
-        people, on = (float(s.OFFICE_PEOPLE), 1.0) if occupied else (0.0, _STANDBY)
-        lights_W, plugs_W, people_W = on * _LIGHTS_W, on * _PLUGS_W, people * _SENSIBLE_W
-        radiant_W = _LIGHTS_RADIANT * lights_W + _PLUGS_RADIANT * plugs_W + _PEOPLE_RADIANT * people_W
+        midway = begin + 0.5 * dt
+        occupied = is_open(midway)
+        differs = unannounced[int(midway / x.GRID_S) % unannounced.shape[0]]
+        people = max((_PEOPLE if occupied else 0.0) + differs[PEOPLE], 0.0)
+        on = 1.0 if occupied else s.STANDBY
+        radiant_W = on * _RADIANT_W + s.PERSON_RADIANT_W * people + 0.5 * differs[COOKING]
+        # Air change relative to that through leaks.
+        aired = 1.0 + differs[WINDOWS] / 3600.0 / _AIR_CHANGES_S
         films(nodes, scalars[T_AIR], env, film)
-        infiltration_W_K = _INFILTRATION_KG_S * w[x.CP_OUT]
+        infiltration_W_K = aired * _INFILTRATION_KG_S * w[x.CP_OUT]
         received, still_W_K = 0.0, infiltration_W_K
         for k in range(env.inside.size):
             received += film[k] * nodes[env.inside[k]]
             still_W_K += film[k]
-        received += infiltration_W_K * w[x.T_OUT] + (lights_W + plugs_W + people_W - radiant_W + people * s.PERSON_VAPOUR_W)
+        received += infiltration_W_K * w[x.T_OUT] + (
+            on * _CONVECTIVE_W + _PERSON_CONVECTIVE_W * people + 0.5 * differs[COOKING]
+        )
         mean_air = 0.0
         for short in range(n_short):
             _operate(scalars, begin + short * h, overrides)
@@ -161,8 +191,8 @@ def advance(
             mean_air += (before + 0.5 * change) / n_short
         respond(nodes, film, radiant_W, no_heat, dt, w, env, work)
         settle(nodes, mean_air, star_beside(mean_air, radiant_W, env, work), work)
-        steady_ppm = _OUTDOOR_PPM + people * _PERSON_PPM
-        scalars[CO2_PPM] = steady_ppm + (scalars[CO2_PPM] - steady_ppm) * math.exp(-_AIR_CHANGES_S * dt)
+        steady_ppm = _OUTDOOR_PPM + people * _PERSON_PPM / aired
+        scalars[CO2_PPM] = steady_ppm + (scalars[CO2_PPM] - steady_ppm) * math.exp(-_AIR_CHANGES_S * aired * dt)
         scalars[CO2_SENSED] += sensor_lag * (scalars[CO2_PPM] - scalars[CO2_SENSED])
         _operate(scalars, begin + dt, overrides)
-        _note(scalars, begin + dt, record[step])
+        _note(scalars, begin + dt, w, record[step])

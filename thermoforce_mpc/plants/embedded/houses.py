@@ -67,7 +67,7 @@ class Facade:
 Quantity = TypeVar("Quantity", float, Array)
 
 
-class House(NamedTuple):
+class BestestHouse(NamedTuple):
     """A house: `area_m2` of floor, `air_kg` in it, moist air of `cp` J/(kg·K)."""
 
     area_m2: float
@@ -203,7 +203,7 @@ def _ideas(
     )
 
 
-def _heat_pump_house() -> House:
+def _heat_pump_house() -> BestestHouse:
     """192 m² with heated floor on the ground and an inner wall, whose two faces both see the zone."""
     areas_m2, floor_m2, partition_m2 = (19.2, 32.4, 43.2, 32.4, 192.0, 24.0), 192.0, 183.6
     soil_K = 283.95
@@ -264,10 +264,10 @@ def _heat_pump_house() -> House:
         heated=(floor[2], floor[4]),
     )
     glazing = Glazing(areas_m2[5], _by_table, _IDEAS_DIFFUSE)
-    return House(floor_m2, 1.2 * 518.4, moist_air_cp(0.006), envelope, Facade(areas_m2, glazing, _by_power))
+    return BestestHouse(floor_m2, 1.2 * 518.4, moist_air_cp(0.006), envelope, Facade(areas_m2, glazing, _by_power))
 
 
-def _boiler_house() -> House:
+def _boiler_house() -> BestestHouse:
     """48 m² on a floor without heat loss below."""
     areas_m2, floor_m2 = (9.6, 16.2, 21.6, 16.2, 48.0, 12.0), 48.0
     floor_layers = (Layer(0.08, 1.13, 1400.0, 1000.0, 2), Layer(1.007, 0.04, 10.0, 10.0, 2))
@@ -292,7 +292,7 @@ def _boiler_house() -> House:
     inside = {name: chains.ends[name][0 if name == "floor" else 1] for name in surfaces}
     envelope = _ideas(chains, surfaces, inside, areas_m2, floor_absorbs=0.6, panes=(first + 1, first + 2))
     glazing = Glazing(areas_m2[5], _by_table, _IDEAS_DIFFUSE)
-    return House(floor_m2, 155.52, moist_air_cp(0.005), envelope, Facade(areas_m2, glazing, _by_power))
+    return BestestHouse(floor_m2, 155.52, moist_air_cp(0.005), envelope, Facade(areas_m2, glazing, _by_power))
 
 
 # --- Building of the Buildings library -----------------------------------------------------------------------------
@@ -332,7 +332,7 @@ def _by_root(wind: Array, off_normal: Array, area_m2: float) -> Array:
     return 2.537 * side * 1.52 * 2.0 / area_m2**0.25 * root
 
 
-def _office() -> House:
+def _office() -> BestestHouse:
     """48 m² on soil, whose lower end has a fixed temperature."""
     areas_m2, floor_m2 = (9.6, 16.2, 21.6, 16.2, 48.0, 11.988), 48.0
     surroundings_K = 4.0 * _SIGMA * START_K**3
@@ -393,7 +393,7 @@ def _office() -> House:
     )
     glazing = Glazing(areas_m2[5], _by_spline, _SYSTEM_DIFFUSE, lost=(0.05848, 0.10694))
     facade = Facade(areas_m2, glazing, _by_root, window_forced=lambda wind: 4.0 + 4.0 * wind, roof_is_south=True)
-    return House(floor_m2, 155.52, moist_air_cp(0.004), envelope, facade)
+    return BestestHouse(floor_m2, 155.52, moist_air_cp(0.004), envelope, facade)
 
 
 def _ground_floor(chains: Chains) -> None:

@@ -17,6 +17,9 @@ from thermoforce_mpc.plants.embedded import exposure as x
 from thermoforce_mpc.plants.embedded import heat_pump as hp
 from thermoforce_mpc.plants.embedded import schedule as s
 from thermoforce_mpc.plants.embedded.envelope import (
+    COOKING,
+    PEOPLE,
+    WINDOWS,
     air_and_star,
     films,
     radiant_temperature,
@@ -51,11 +54,8 @@ _INFILTRATION_W_K = _INFILTRATION_KG_S * HEAT_PUMP_HOUSE.cp
 _OUTDOOR_PPM = 400.0
 _PPM_PER_KG_KG = 1e6 / 1.528635  # the test case's ratio of molar masses, CO2 to moist air
 _CO2_KG_S_PERSON = 1.08167e-5
+_PEOPLE = float(s.HEAT_PUMP_USE.people)
 _GAIN_RADIANT_W, _GAIN_CONVECTIVE_W = 219.0, 146.0  # five people
-
-# Columns of what differs from the schedule, held for 15 min: people, heat of cooking W, air changes by windows 1/h.
-PEOPLE, COOKING, WINDOWS = range(3)
-AS_SCHEDULED = np.zeros((1, 3))
 
 # Floor heating: one circuit, 168.9 kg of water, resistance water to pipe plane after Koschenz and Lehmann (2000).
 _CONDENSER_J_K = 30.0 * hp.WATER_J_KG_K
@@ -135,8 +135,21 @@ def _note(scalars: np.ndarray, w: np.ndarray, row: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def sample(scalars: np.ndarray, time_s: float, overrides: np.ndarray, grid: np.ndarray, row: np.ndarray) -> None:
-    """Write the sample at `time_s` under `overrides` (4,) into `row` (17,), see `advance`."""
+def start(
+    nodes: np.ndarray,
+    scalars: np.ndarray,
+    time_s: float,
+    overrides: np.ndarray,
+    grid: np.ndarray,
+    env: c.Envelope,
+    row: np.ndarray,
+) -> None:
+    """Set `scalars` (20,) to the begin of a simulation at `time_s`; write its sample into `row` (17,), see `advance`."""
+    scalars[:] = 0.0
+    scalars[T_AIR] = scalars[T_SUPPLY] = scalars[T_RETURN] = scalars[T_OPERATIVE] = c.START_K
+    scalars[LAST_T_PIPE] = nodes[env.heated[0]]
+    scalars[T_EVAPORATOR] = 278.15
+    scalars[CO2_PPM] = _OUTDOOR_PPM
     w = np.empty(x.N_COLUMNS)
     read_weather(grid, time_s, w)
     _operate(scalars, time_s, overrides)
@@ -159,7 +172,7 @@ def advance(
     """Advance `nodes` (n,) K and `scalars` (20,) in place by `n_steps` of `dt` s; fill `record` (n_steps, 17).
 
     `overrides` (4,) level 0 to 1, set-point K, pump, fan; NaN where not overwritten. Names: see `RECORD`.
-    `unannounced` (n, 3): see `PEOPLE`, periodic; `AS_SCHEDULED` where people keep to the schedule.
+    `unannounced` (n, 3): see `envelope.AS_SCHEDULED`, periodic.
     """
     pipe = env.heated[0]
     w, work, film, heat_W = np.empty(x.N_COLUMNS), np.empty((nodes.size, 5)), np.empty(env.inside.size), np.empty(2)
@@ -170,8 +183,8 @@ def advance(
         read_weather(grid, t, w)
         midway = t - 0.5 * dt
         differs = unannounced[int(midway / x.GRID_S) % unannounced.shape[0]]
-        people = max((float(s.PEOPLE) if is_occupied(midway) else 0.0) + differs[PEOPLE], 0.0)
-        gains = people / s.PEOPLE
+        people = max((_PEOPLE if is_occupied(midway) else 0.0) + differs[PEOPLE], 0.0)
+        gains = people / _PEOPLE
         # Air change relative to that through leaks.
         aired = 1.0 + differs[WINDOWS] / 3600.0 / _AIR_CHANGES_S
         ventilation_W_K = _INFILTRATION_W_K * aired
