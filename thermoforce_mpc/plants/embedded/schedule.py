@@ -26,8 +26,8 @@ LIGHTS_RADIANT, PLUGS_RADIANT = 0.5, 0.7
 STANDBY = 0.1
 # Native set-point of `bestest_hydronic_heat_pump` above the lower bound, K.
 SETPOINT_OCCUPIED_K, SETPOINT_EMPTY_K = 0.2, 5.5
-# Sampling interval of the boundary data, s.
-_DATA_S = 900.0
+# Sampling intervals of the boundary data of the houses and of the office, s, each held until the next.
+_DATA_S, _OFFICE_DATA_S = 900.0, 600.0
 
 
 @njit(cache=True)
@@ -80,6 +80,7 @@ class Schedule:
         occupied: occupancy (booleans, shape of the times, s), as the plant uses it.
         last_hour: hour of the day whose sample of the boundary data still counts as occupied.
         empty_ppm: CO2 bound while nobody is there; `CO2_LIMIT_PPM` while somebody is.
+        data_s: sampling interval of the boundary data, s.
         equipped: whether it has the lights and plugs of the office.
     """
 
@@ -87,14 +88,12 @@ class Schedule:
     occupied: Callable[[Array], NDArray[np.bool_]]
     last_hour: float
     empty_ppm: float = CO2_LIMIT_PPM
+    data_s: float = _DATA_S
     equipped: bool = False
 
     def occupied_sample(self, time_s: Array) -> NDArray[np.bool_]:
-        """Return occupancy (booleans, shape of `time_s`) of BOPTEST's boundary data, for forecasts and KPIs.
-
-        The data have 15-min samples, each held until the next.
-        """
-        data_s = np.floor(np.asarray(time_s, dtype=np.float64) / _DATA_S + 1e-9) * _DATA_S
+        """Return occupancy (booleans, shape of `time_s`) of BOPTEST's boundary data, for forecasts and KPIs."""
+        data_s = np.floor(np.asarray(time_s, dtype=np.float64) / self.data_s + 1e-9) * self.data_s
         return self.occupied(data_s) | (data_s % 86400.0 == self.last_hour * 3600.0)
 
     def bounds_C(self, time_s: Array) -> tuple[Array, Array]:
@@ -118,4 +117,4 @@ class Schedule:
 
 HEAT_PUMP_USE = Schedule(5, _house_occupied, 7.0)
 BOILER_USE = Schedule(1, _house_occupied, 7.0)
-OFFICE_USE = Schedule(2, _office_open, 18.0, empty_ppm=1500.0, equipped=True)
+OFFICE_USE = Schedule(2, _office_open, 18.0, empty_ppm=1500.0, data_s=_OFFICE_DATA_S, equipped=True)
