@@ -57,7 +57,9 @@ def heating_windows(power_W: Array) -> dict[str, Period]:
 
 def all_windows(heating_W: Array, cooling_W: Array) -> dict[str, Period]:
     """Return the windows of heating, of cooling and of both, from a year's 15-min means of power, W, (35040,) each."""
-    lesser = np.minimum(*(_highest(power_W) / max(float(power_W.max()), _ACTING_W) for power_W in (heating_W, cooling_W)))
+    lesser = np.minimum(
+        *(_highest(power_W) / max(float(power_W.max()), _ACTING_W) for power_W in (heating_W, cooling_W))
+    )
     available = np.arange(_FIRST_DAY, _LAST_DAY)
     mixed = int(available[np.argmax(lesser[available])])
     windows = _windows(heating_W, NAMES) | _windows(cooling_W, BOTH_NAMES[2:4])

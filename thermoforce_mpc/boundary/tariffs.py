@@ -73,7 +73,7 @@ def synthetic_denver_spot() -> Tariff:
     prices = 0.0158 + 0.0115 * daylight + slow + 0.0095 * _autoregressive(rng, 8760, 0.8)
     for start in rng.choice(8757, size=30, replace=False):
         prices[start : start + 3] += rng.uniform(0.02, 0.06)
-    return held_prices(hour * HOUR_S, np.round(np.clip(prices, -0.02, 0.1), 5))
+    return held_prices(hour * HOUR_S, np.asarray(np.round(np.clip(prices, -0.02, 0.1), 5), dtype=np.float64))
 
 
 def synthetic_spot() -> Tariff:

@@ -11,7 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermoforce_mpc.boundary.weather.year import STEFAN_BOLTZMANN_W_M2_K4, Weather, black_body_sky_C, vapour_pressure_Pa
+from thermoforce_mpc.boundary.weather.year import (
+    STEFAN_BOLTZMANN_W_M2_K4,
+    Weather,
+    black_body_sky_C,
+    vapour_pressure_Pa,
+)
 from thermoforce_mpc.data import HOUR_S, YEAR_S, ZERO_C_K, Array
 
 _HOURS = 8760

@@ -32,8 +32,8 @@ from thermoforce_mpc.plants.embedded.schedule import is_occupied
 _WATER_S = 5.0
 
 # Scalar states: the first eleven are carried from step to step, the others computed from them by `_operate`.
-(T_AIR, T_RADIANT, RADIANT_RATE, INTEGRAL, PUMP_ON, CO2_PPM, RADIATOR_1, _RADIATOR_2, _RADIATOR_3, _RADIATOR_4, T_RETURN,
- HEATING_K, COOLING_K, SUPPLY_K, PUMP, BOILER_W, GAS_W, INTEGRAL_RATE) = range(18)  # fmt: skip
+(T_AIR, T_RADIANT, RADIANT_RATE, INTEGRAL, PUMP_ON, CO2_PPM, RADIATOR_1, _RADIATOR_2, _RADIATOR_3, _RADIATOR_4,
+ T_RETURN, HEATING_K, COOLING_K, SUPPLY_K, PUMP, BOILER_W, GAS_W, INTEGRAL_RATE) = range(18)  # fmt: skip
 N_SCALARS = 18
 # Columns of the record (K, W, ppm).
 RECORD = (
@@ -142,7 +142,7 @@ def start(
     env: c.Envelope,
     row: np.ndarray,
 ) -> None:
-    """Set `scalars` (18,) to the begin of a simulation at `time_s`; write its sample into `row` (12,), see `advance`."""
+    """Set `scalars` (18,) to a begin at `time_s`; write its sample into `row` (12,), see `advance`."""
     scalars[:] = 0.0
     scalars[T_AIR] = scalars[T_RADIANT] = c.START_K
     scalars[RADIATOR_1 : T_RETURN + 1] = c.START_K
@@ -172,7 +172,7 @@ def advance(
     `RECORD`. `unannounced` (n, 3): see `envelope.AS_SCHEDULED`, periodic.
     """
     w, work, film = np.empty(x.N_COLUMNS), np.empty((nodes.size, 5)), np.empty(env.inside.size)
-    n_short = max(int(math.ceil(dt / _WATER_S - 1e-9)), 1)
+    n_short = max(math.ceil(dt / _WATER_S - 1e-9), 1)
     h = dt / n_short
     no_heat = np.empty(0)
     for step in range(n_steps):

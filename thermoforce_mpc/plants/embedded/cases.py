@@ -76,10 +76,10 @@ class EmulatedCase:
         return {name: (low, high) for name, low, high in self.overwrites}
 
     def scheduled(self, prices: Mapping[str, Tariff]) -> dict[str, Callable[[Array], Array]]:
-        """Forecast points that depend on the time alone, by BOPTEST's name: functions of times (n,), s, with `prices`."""
+        """Forecast points that depend on the time alone, by BOPTEST's name, as functions of times (n,), s."""
         use = self.schedule
         known: dict[str, Callable[[Array], Array]] = {
-            "Occupancy[1]": lambda t: use.people * use.occupied_sample(t),
+            "Occupancy[1]": use.occupants,
             "InternalGainsRad[1]": lambda t: use.gains_W(t)[0],
             "InternalGainsCon[1]": lambda t: use.gains_W(t)[1],
             "InternalGainsLat[1]": lambda t: use.gains_W(t)[2],

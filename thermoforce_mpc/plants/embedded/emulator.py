@@ -46,11 +46,14 @@ LEAST_STEP_S = 1e-3
 NEVER_GIVEN = 0.0
 
 
-
 class Emulator(BranchingShell):
     """An emulated test case behind the `Plant` protocol. Deterministic: same inputs, same bytes.
 
     The weather year is periodic: time may run over its end.
+
+    Attributes:
+        case, weather: as given.
+        scheduled: forecast points that depend on the time alone, see `EmulatedCase.scheduled`.
     """
 
     _changing = (*BranchingShell._changing, "_nodes", "_scalars")
@@ -84,6 +87,7 @@ class Emulator(BranchingShell):
         self._scheduled = grid, AS_SCHEDULED
         self._lived = self._scheduled if people is None else _with_people(grid, case.schedule, people)
         self._tariffs = case.prices(highly_dynamic)
+        self.scheduled = case.scheduled(self._tariffs)
         self._periods = periods
         self.reset(0.0, 0.0)
 
@@ -117,9 +121,7 @@ class Emulator(BranchingShell):
         self._scalars = np.zeros(self.case.system.N_SCALARS)
         row = np.empty(len(self._column))
         native = np.full(len(self._limits), math.nan)
-        self.case.system.start(
-            self._nodes, self._scalars, self._now_s, native, self._scheduled[0], self._envelope, row
-        )
+        self.case.system.start(self._nodes, self._scalars, self._now_s, native, self._scheduled[0], self._envelope, row)
         return row
 
     def advance_points(self, overrides: Mapping[str, float], duration_s: float) -> Measurement:
@@ -152,7 +154,7 @@ class Emulator(BranchingShell):
 
     def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
         time_s, rows = self._samples.between(start_s, final_s)
-        use, known = self.case.schedule, self.case.scheduled(self._tariffs)
+        use, known = self.case.schedule, self.scheduled
         supplies = []
         for name, carrier in self.case.carriers.items():
             price = self._tariffs[self._price] if carrier.price_per_kWh is None else known[f"Price{name}"]
@@ -195,7 +197,7 @@ class Emulator(BranchingShell):
         self._price, self._forecast_error = cast(Price, price), forecast_error
 
     def recorded(self, start_s: float, final_s: float) -> dict[str, Array]:
-        """Return the samples between two times: 'time' s and every column of `case.system.RECORD`, in its units, (n,) each.
+        """Return the samples between two times: 'time' s and every column of `case.system.RECORD`, (n,) each.
 
         Each advance adds equally spaced samples, 30 to 60 s apart (30 s if its length is a multiple of 30 s), or one if
         it is shorter. The record starts with the warm-up and ends now; arrays are empty if nothing was recorded.
@@ -260,7 +262,7 @@ class EmbeddedPlant(Emulator):
             time_s=time_s,
             T_out_C=T_out,
             solar_W_m2=solar,
-            occupancy=self.case.schedule.people * self.case.schedule.occupied_sample(time_s),
+            occupancy=self.case.schedule.occupants(time_s),
             lower_C=lower,
             upper_C=upper,
             price_per_kWh=price,

@@ -79,7 +79,7 @@ def _operate(scalars: np.ndarray, time_s: float, overrides: np.ndarray) -> None:
     cooling = ZERO_C_K + (s.UPPER_OCCUPIED_C if occupied else s.UPPER_EMPTY_C)
     T = scalars[T_AIR]
     # The mode follows the schedule, whatever set-points are overwritten.
-    if T > cooling:
+    if cooling < T:
         scalars[COOLS] = 1.0
     elif cooling - _COOLING_HYSTERESIS_K > T:
         scalars[COOLS] = 0.0
@@ -120,7 +120,7 @@ def start(
     env: c.Envelope,
     row: np.ndarray,
 ) -> None:
-    """Set `scalars` (14,) to the begin of a simulation at `time_s`; write its sample into `row` (14,), see `advance`."""
+    """Set `scalars` (14,) to a begin at `time_s`; write its sample into `row` (14,), see `advance`."""
     scalars[:] = 0.0
     scalars[T_AIR] = c.START_K
     scalars[CO2_PPM] = scalars[CO2_SENSED] = _OUTDOOR_PPM
@@ -149,7 +149,7 @@ def advance(
     `RECORD`. `unannounced` (n, 3): see `envelope.AS_SCHEDULED`, periodic.
     """
     w, work, film = np.empty(x.N_COLUMNS), np.empty((nodes.size, 5)), np.empty(env.inside.size)
-    n_short = max(int(math.ceil(dt / _AIR_S - 1e-9)), 1)
+    n_short = max(math.ceil(dt / _AIR_S - 1e-9), 1)
     h = dt / n_short
     lag, sensor_lag = 1.0 - math.exp(-h / _FAN_S), 1.0 - math.exp(-dt / _SENSOR_S)
     no_heat = np.empty(0)

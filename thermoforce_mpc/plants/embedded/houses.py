@@ -314,9 +314,9 @@ def _by_spline(incidence_deg: Array) -> tuple[Array, Array, Array]:
     """Cubic Hermite over the index of the angle, central differences; beyond the ends as in the library's table."""
     from scipy.interpolate import CubicHermiteSpline
 
-    slopes = np.gradient(
-        np.concatenate([_SYSTEM[:, :1], _SYSTEM, np.array(_SYSTEM_DIFFUSE)[:, None]], axis=1), axis=1
-    )[:, 1:-1]
+    slopes = np.gradient(np.concatenate([_SYSTEM[:, :1], _SYSTEM, np.array(_SYSTEM_DIFFUSE)[:, None]], axis=1), axis=1)[
+        :, 1:-1
+    ]
     at = np.clip(incidence_deg, 0.0, 90.0) / 10.0
     of = [CubicHermiteSpline(np.arange(10.0), values, slope)(at) for values, slope in zip(_SYSTEM, slopes, strict=True)]
     lit = incidence_deg < 90.0

@@ -69,6 +69,7 @@ _VESSEL_K = 293.15
 NATIVE_GAIN, _INTEGRAL_S, _ANTI_WINDUP = 0.6, 8000.0, 0.9
 _SWITCH_ON, _SWITCH_OFF = 0.01, 0.005
 
+
 @njit(cache=True)
 def soil_heat_W(time_s: float) -> float:
     """Return the heat loss at the underside of the slab, W: ISO 13370 edge loss, mean and two periodic parts."""
@@ -144,7 +145,7 @@ def start(
     env: c.Envelope,
     row: np.ndarray,
 ) -> None:
-    """Set `scalars` (20,) to the begin of a simulation at `time_s`; write its sample into `row` (17,), see `advance`."""
+    """Set `scalars` (20,) to a begin at `time_s`; write its sample into `row` (17,), see `advance`."""
     scalars[:] = 0.0
     scalars[T_AIR] = scalars[T_SUPPLY] = scalars[T_RETURN] = scalars[T_OPERATIVE] = c.START_K
     scalars[LAST_T_PIPE] = nodes[env.heated[0]]

@@ -11,11 +11,13 @@ from boptest_client import Point
 from thermoforce_mpc.boundary.forecast_error import forecast_weather
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import Array, Block, Boundary, Measurement, Record
+from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.boptest.points import check_points
-from thermoforce_mpc.plants.embedded.cases import CASES
-from thermoforce_mpc.plants.embedded.emulator import Emulator
+from thermoforce_mpc.plants.embedded.cases import CASES, HEAT_PUMP
+from thermoforce_mpc.plants.embedded.emulator import EmbeddedPlant, Emulator
 from thermoforce_mpc.plants.records import acting_means, boundary, inputs, mean_levels, measurement, past_record
 from thermoforce_mpc.plants.shell import RoomSetpointShell
+from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.testcase import TestCase
 
 _WEATHER = {"TDryBul": "K", "HGloHor": "W/m2"}
@@ -47,12 +49,11 @@ class PointEmulator(Emulator, RoomSetpointShell):
         self._columns = dict(case.measurements)
         self._columns |= {f"{name}_u": column for (name, *_), column in zip(case.overwrites, case.applied, strict=True)}
         super().__init__(case, weather, **options)
-        self._known = case.scheduled(self._tariffs)
         told = {name: Point(name, _unit(column), "", None, None) for name, column in case.measurements.items()}
         given = {f"{name}_activate": Point(f"{name}_activate", None, "", None, None) for name in case.limits}
         for name, (low, high) in case.limits.items():
             given[f"{name}_u"] = Point(f"{name}_u", "K" if low > 1.0 else "1", "", low, high)
-        forecast = {name: Point(name, _forecast_unit(name), "", None, None) for name in (*self._known, *_WEATHER)}
+        forecast = {name: Point(name, _forecast_unit(name), "", None, None) for name in (*self.scheduled, *_WEATHER)}
         check_points(testcase, given, told, forecast, f"the embedded plant '{case.name}'")
 
     def _asked(self, block: Block) -> dict[str, float]:
@@ -79,7 +80,7 @@ class PointEmulator(Emulator, RoomSetpointShell):
         p = self._points
         weather = forecast_weather(self.weather, self._forecast_error, time_s)
         names = [name for name in p.forecast(self._price) if name not in _WEATHER]
-        values = {name: np.asarray(self._known[name](time_s), dtype=np.float64) for name in names}
+        values = {name: np.asarray(self.scheduled[name](time_s), dtype=np.float64) for name in names}
         return boundary(time_s, values, p, self._price, weather)
 
     def _past(self, edges: Array) -> Record:
@@ -90,6 +91,18 @@ class PointEmulator(Emulator, RoomSetpointShell):
         """Points by name, with 'time', from `start_s` to now."""
         time_s, rows = self._samples.between(start_s, self._now_s)
         return {"time": time_s} | {name: rows[:, self._column[column]] for name, column in self._columns.items()}
+
+
+def emulator_of(testcase: str, weather: Weather, **options: Any) -> Emulator:
+    """The emulator of an embedded test case by name, acting through the points of its shipped file.
+
+    Raises `ConfigError` for another test case.
+    """
+    if testcase not in CASES:
+        raise ConfigError(f"no embedded plant implements '{testcase}'; those do for {', '.join(CASES)}")
+    if testcase == HEAT_PUMP.name:
+        return EmbeddedPlant(weather, **options)
+    return PointEmulator(load_testcase(testcase), weather, **options)
 
 
 def _unit(column: str) -> str | None:

@@ -66,7 +66,7 @@ def _office_open(time_s: Array) -> NDArray[np.bool_]:
     return np.asarray((hour >= 8.0) & (hour < 18.0))
 
 
-def set_points_C(at_home: Array) -> tuple[Array, Array]:
+def set_points_C(at_home: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return heating and cooling set-points, °C, for occupancy `at_home` (booleans)."""
     return (np.where(at_home, LOWER_OCCUPIED_C, LOWER_EMPTY_C), np.where(at_home, UPPER_OCCUPIED_C, UPPER_EMPTY_C))
 
@@ -96,6 +96,10 @@ class Schedule:
         data_s = np.floor(np.asarray(time_s, dtype=np.float64) / self.data_s + 1e-9) * self.data_s
         return self.occupied(data_s) | (data_s % 86400.0 == self.last_hour * 3600.0)
 
+    def occupants(self, time_s: Array) -> Array:
+        """Return the number of people of the boundary data."""
+        return np.where(self.occupied_sample(time_s), float(self.people), 0.0)
+
     def bounds_C(self, time_s: Array) -> tuple[Array, Array]:
         """Return the lower and upper comfort bound of the boundary data, °C, see `occupied_sample`."""
         return set_points_C(self.occupied_sample(time_s))
@@ -106,10 +110,10 @@ class Schedule:
 
     def gains_W(self, time_s: Array) -> tuple[Array, Array, Array]:
         """Return radiant, convective and latent gains of the boundary data, W, (n,) each."""
-        people = self.people * self.occupied_sample(time_s)
+        people = self.occupants(time_s)
         radiant, convective = PERSON_RADIANT_W * people, PERSON_CONVECTIVE_W * people
         if self.equipped:
-            on = np.where(people > 0, 1.0, STANDBY)
+            on: Array = np.where(people > 0, 1.0, STANDBY)
             radiant = radiant + on * (LIGHTS_RADIANT * LIGHTS_W + PLUGS_RADIANT * PLUGS_W)
             convective = convective + on * ((1.0 - LIGHTS_RADIANT) * LIGHTS_W + (1.0 - PLUGS_RADIANT) * PLUGS_W)
         return radiant, convective, PERSON_LATENT_W * people
