@@ -221,7 +221,11 @@ def _point_emulator(spec: PlantSpec, testcase: TestCase, options: Any, seed: int
 def _error(spec: PlantSpec, seed: int) -> ForecastError | None:
     from thermoforce_mpc.boundary.forecast_error import ForecastError
 
-    return None if spec.forecast_uncertainty == "none" else ForecastError(spec.forecast_uncertainty, seed)
+    return (
+        None
+        if spec.forecast_uncertainty == "none"
+        else ForecastError(spec.forecast_uncertainty, spec.forecast_uncertainty, seed)
+    )
 
 
 def _weather(spec: PlantSpec, climate: SyntheticClimate | None = None) -> Weather:
