@@ -18,7 +18,7 @@ from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, 
 from thermoforce_mpc.measurements.map.starting_map import ROWS, rooms_beside
 from thermoforce_mpc.measurements.signals import SignalReader
 from thermoforce_mpc.measurements.tables import readings
-from thermoforce_mpc.measurements.tables.appended import read_appended
+from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
 from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, head_of, read_table
 from thermoforce_mpc.measurements.tables.raw_table import RawTable, raw_table
@@ -206,22 +206,26 @@ def read_measurements(
     rules, left_out = _rules(map), list[str]()
     columns = [column for _, signal in rules.signals() for column in signal.columns]
     clock = rules.time if now is None else _lenient(rules.time)
+    head = None
     if isinstance(files, pd.DataFrame):
-        tables = [raw_table(files, clock.column, columns, "table")]
+        if now is None:
+            tables = [raw_table(files, clock.column, columns, "table")]
+        else:
+            tables = [frame_appended(files, columns, clock, now, left_out)]
         head = files.iloc[:ROWS]
     else:
         patterns = [files] if isinstance(files, str | Path) else list(files)
         paths = found_files(patterns, most_bytes)
         if now is None:
             tables = [read_table(path, clock.column, columns, rules.csv) for path in paths]
+            head = head_of(paths[0], ROWS, rules.csv)
         else:
             tables = [read_appended(path, columns, clock, rules.csv, now, left_out) for path in paths]
-        head = head_of(paths[0], ROWS, rules.csv)
     rows = timed(tables, clock, now)
     found = _from_table(tables, rows, rules, step_s, at, refuse=now is None)
     if now is not None:
         left_out += [*rows.notes, *_refused(found, now)]
-    understood = replace(found.understood, beside=rooms_beside(head, rules))
+    understood = replace(found.understood, beside=() if head is None else rooms_beside(head, rules))
     return replace(found, understood=understood, left_out=tuple(left_out))
 
 

@@ -56,6 +56,7 @@ def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tup
         for row, guessed in enumerate(rows)
         if guessed.any() and not (name == "heating_price_per_kWh" and "price_per_kWh" in boundary.guessed)
     ]
+    labels: set[str] = {note.partition(" ")[0] for note in notes}
     for name in CONDITIONS[1:]:
         rows = np.atleast_2d(getattr(boundary, name))
         low, high = _RANGES[name] if name in WEATHER else (-np.inf, np.inf)
@@ -70,6 +71,9 @@ def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tup
             if how:
                 out[row] = complete
                 label = boundary.names.label(name, row) if np.ndim(getattr(boundary, name)) == 2 else name
+                if name == "heating_price_per_kWh" and label.replace("heating_", "", 1) in labels:
+                    continue  # the same price
+                labels.add(label)
                 notes.append(f"{label} at {missing[row].sum()} of {missing[row].size} instants by {how}")
         filled[name] = out.reshape(np.shape(getattr(boundary, name)))
     return (replace(boundary, **filled) if filled else boundary), f"forecast: {', '.join(notes)}" if notes else ""
