@@ -77,6 +77,24 @@ def test_a_row_of_nonsense_stops_nothing():
         assert words in said
 
 
+def test_a_torn_forecast_is_used_without_what_is_torn():
+    house = SimulatedBuilding()
+    live = house.forecast
+
+    def torn():
+        table = live().reset_index().astype({"out": object, "time": object})
+        table.loc[5, "out"] = "n.v."
+        table.loc[7, "time"] = "2025-01-12 0"
+        return table
+
+    house.forecast = torn
+    told = controlled(house, 1)
+    assert told[0].plan.status == "bridged"
+    assert "T_out_C at 2 of 13 instants by interpolation" in told[0].plan.why
+    assert any("'n.v.'" in note for note in told[0].notes)
+    assert any("no time stamp" in note for note in told[0].notes)
+
+
 @pytest.mark.slow
 def test_a_room_in_kelvin_is_left_to_its_own_control_and_the_unit_is_named():
     house = SimulatedBuilding()

@@ -17,6 +17,7 @@ from thermoforce_mpc.measurements.load import Measurements, sunlight
 from thermoforce_mpc.measurements.map.entries import Signal
 from thermoforce_mpc.measurements.map.mapping import MappedMachine
 from thermoforce_mpc.measurements.signals import SignalReader
+from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import timed
 from thermoforce_mpc.measurements.tables.files import found_files, read_table
 from thermoforce_mpc.measurements.tables.raw_table import raw_table
@@ -24,9 +25,18 @@ from thermoforce_mpc.measurements.tables.readings import BOUND, OUTDOOR
 
 # Days before now whose hours tell what a price or bound is likely to be.
 _DAYS = 7
+# A single row of a forecast so far ahead has a wrong stamp.
+_LATEST = pd.Timedelta("60D")
 
 
-def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements, *, least_steps: int = 0) -> Boundary:
+def read_forecast(
+    file: str | Path | pd.DataFrame,
+    measured: Measurements,
+    *,
+    least_steps: int = 0,
+    now: pd.Timestamp | None = None,
+    left_out: list[str] | None = None,
+) -> Boundary:
     """The conditions from the end of `measured` to that of the forecast, at the step of the record.
 
     Temperatures and irradiance go straight between two rows, bounds hold until the next one, prices are means over a
@@ -34,6 +44,9 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements, *, le
     numbers in the map hold throughout. Each column ends where it ends, at `least_steps` at least: a price is then the
     mean of the same hour of the last days that are known, here or in `measured`, a bound that of the week or day before
     (`Boundary.guessed`); weather is NaN (`model.forecast_gaps` bridges it), and what has no such hour.
+
+    With the time `now` a file that a machine writes is read: what cannot be read is left out, and said in `left_out`, as
+    by `read_measurements`.
 
     Raises `DataError`, naming file, column and time, for several files, a forecast that begins more than 6 h after the
     end of the record or ends before it, and a column without any value.
@@ -49,14 +62,27 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements, *, le
     weather = [ours.outdoor, *([s for s in (ours.sun.signal, ours.sun.humidity) if s] if ours.sun else [])]
     signals = [s for s in (*weather, *bounds["lower"], *bounds["upper"], *prices) if isinstance(s, Signal)]
     columns = [column for signal in signals for column in signal.columns]
+    clock, notes = ours.time, [] if left_out is None else left_out
+    if now is not None:
+        clock, latest = clock.lenient(), now + _LATEST
     if isinstance(file, pd.DataFrame):
-        table = raw_table(file, ours.time.column, columns, "forecast")
+        table = (
+            raw_table(file, clock.column, columns, "forecast")
+            if now is None
+            else frame_appended(file, columns, clock, latest, notes)
+        )
     else:
         paths = found_files([file])
         if len(paths) > 1:
             raise DataError(f"{file}: names {len(paths)} files, a forecast is one: name the latest")
-        table = read_table(paths[0], ours.time.column, columns, rules.csv)
-    rows = timed([table], ours.time)
+        table = (
+            read_table(paths[0], clock.column, columns, rules.csv)
+            if now is None
+            else read_appended(paths[0], columns, clock, rules.csv, latest, notes)
+        )
+    rows = timed([table], clock, now)
+    if now is not None:
+        notes += rows.notes
     time_s = seconds_since(record.origin, rows.index, table.name)
     now_s, step_s = float(record.time_s[-1]), record.step_s
     if time_s[0] > now_s + BRIDGED_GAP_H * HOUR_S or time_s[-1] < now_s + step_s:
@@ -69,7 +95,7 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements, *, le
     back = min(round(_DAYS * DAY_S / step_s), int((now_s - time_s[0]) / step_s) if time_s[0] < now_s else 0)
     back = max(back, min(round(_DAYS * DAY_S / step_s), record.n_steps))
     grid_s = now_s + np.arange(-back, ahead + 1.0) * step_s
-    reader = SignalReader(rows, time_s, grid_s, step_s, ours)
+    reader = SignalReader(rows, time_s, grid_s, step_s, ours, refuse=now is None)
     outdoor = reader.sampled("outdoor", ours.outdoor, OUTDOOR)
     solar, _ = sunlight(ours, reader, grid_s, record.origin)
 

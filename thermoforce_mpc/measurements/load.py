@@ -13,7 +13,6 @@ import pandas as pd
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
 from thermoforce_mpc.data.dataframes import new_year, seconds_at, seconds_since, stamps
 from thermoforce_mpc.errors import ConfigError, DataError, counted
-from thermoforce_mpc.measurements.map.entries import Clock
 from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, MappedActuator, MeasurementMap, load_map
 from thermoforce_mpc.measurements.map.starting_map import ROWS, rooms_beside
 from thermoforce_mpc.measurements.signals import SignalReader
@@ -34,6 +33,8 @@ _FULL, _RUNNING = 99.0, 0.05
 # Step of a record where the map has none: the usual distance of the rows, within these, s.
 _STEPS_S = (900.0, 3600.0)
 _LEAST_STEPS = 2
+# A single reading so long after the clock has a wrong stamp.
+_LATEST = pd.Timedelta("2D")
 # A stamp is beside a minute by this share of the usual distance of rows at most; rows are dense from so many steps on
 # apart; of rows denser than this the last boundary is a whole multiple of it, s.
 _BESIDE, _DENSE, _WHOLE_S = 0.05, 0.5, 300.0
@@ -205,13 +206,13 @@ def read_measurements(
     """
     rules, left_out = _rules(map), list[str]()
     columns = [column for _, signal in rules.signals() for column in signal.columns]
-    clock = rules.time if now is None else _lenient(rules.time)
+    clock = rules.time if now is None else rules.time.lenient()
     head = None
     if isinstance(files, pd.DataFrame):
         if now is None:
             tables = [raw_table(files, clock.column, columns, "table")]
         else:
-            tables = [frame_appended(files, columns, clock, now, left_out)]
+            tables = [frame_appended(files, columns, clock, now + _LATEST, left_out)]
         head = files.iloc[:ROWS]
     else:
         patterns = [files] if isinstance(files, str | Path) else list(files)
@@ -220,23 +221,13 @@ def read_measurements(
             tables = [read_table(path, clock.column, columns, rules.csv) for path in paths]
             head = head_of(paths[0], ROWS, rules.csv)
         else:
-            tables = [read_appended(path, columns, clock, rules.csv, now, left_out) for path in paths]
+            tables = [read_appended(path, columns, clock, rules.csv, now + _LATEST, left_out) for path in paths]
     rows = timed(tables, clock, now)
     found = _from_table(tables, rows, rules, step_s, at, refuse=now is None)
     if now is not None:
         left_out += [*rows.notes, *_refused(found, now)]
     understood = replace(found.understood, beside=() if head is None else rooms_beside(head, rules))
     return replace(found, understood=understood, left_out=tuple(left_out))
-
-
-def _lenient(clock: Clock) -> Clock:
-    """The clock of a table that a machine appends to: what a person would be asked is decided."""
-    chosen = {
-        "order": "sort",
-        "duplicates": "last" if clock.duplicates == "refuse" else clock.duplicates,
-        "nonexistent": "gap",
-    }
-    return clock.model_copy(update=chosen)
 
 
 def _refused(found: Measurements, now: pd.Timestamp) -> list[str]:

@@ -52,9 +52,11 @@ class _Left:
 
 
 def read_appended(
-    path: Path, columns: Sequence[str], clock: Clock, form: CsvFormat, now: pd.Timestamp, notes: list[str]
+    path: Path, columns: Sequence[str], clock: Clock, form: CsvFormat, latest: pd.Timestamp, notes: list[str]
 ) -> RawTable:
     """As `read_table`, without the lines and cells that cannot be read; `notes` collects them.
+
+    Of rows stamped after `latest` few are wrong, and many left as they are.
 
     Raises `DataError` where no row is left, or a column is missing.
     """
@@ -68,11 +70,11 @@ def read_appended(
     lines, rows = _rows(content, form, separator, names, left)
     frame = pd.DataFrame(rows, columns=names, dtype=str)[keys]
     frame = frame.mask(frame.isin({*_EMPTY, *form.missing}))
-    return _cleaned(frame, keys[0], columns, clock, now, lines, left, notes, form.decimal)
+    return _cleaned(frame, keys[0], columns, clock, latest, lines, left, notes, form.decimal)
 
 
 def frame_appended(
-    df: pd.DataFrame, columns: Sequence[str], clock: Clock, now: pd.Timestamp, notes: list[str]
+    df: pd.DataFrame, columns: Sequence[str], clock: Clock, latest: pd.Timestamp, notes: list[str]
 ) -> RawTable:
     """As `raw_table` of a data frame, without the rows and cells that cannot be read; `notes` collects them."""
     of_stamps = isinstance(df.index, pd.DatetimeIndex) or df.index.dtype.kind == "O"
@@ -84,7 +86,7 @@ def frame_appended(
     keys = [known_column(key, df.columns, "table") for key in dict.fromkeys([stamps, *columns])]
     left = _Left("table", "row")
     return _cleaned(
-        df[keys].reset_index(drop=True), stamps, columns, clock, now, np.arange(1, len(df) + 1), left, notes, "."
+        df[keys].reset_index(drop=True), stamps, columns, clock, latest, np.arange(1, len(df) + 1), left, notes, "."
     )
 
 
@@ -93,7 +95,7 @@ def _cleaned(
     stamps: str,
     columns: Sequence[str],
     clock: Clock,
-    now: pd.Timestamp,
+    latest: pd.Timestamp,
     lines: NDArray[np.intp],
     left: _Left,
     notes: list[str],
@@ -104,7 +106,7 @@ def _cleaned(
     for key in frame.columns:
         if key != stamps and not pd.api.types.is_numeric_dtype(frame[key]):
             frame[key] = _numbers(frame[key], key, decimal, lines, left)
-    keep = _with_stamps(frame[stamps], clock, now, lines, left)
+    keep = _with_stamps(frame[stamps], clock, latest, lines, left)
     frame, lines = frame[keep].reset_index(drop=True), lines[keep]
     notes += left.notes()
     if frame.empty:
@@ -156,7 +158,7 @@ def _numbers(column: pd.Series, key: str, decimal: str, lines: NDArray[np.intp],
 
 
 def _with_stamps(
-    text: pd.Series, clock: Clock, now: pd.Timestamp, lines: NDArray[np.intp], left: _Left
+    text: pd.Series, clock: Clock, latest: pd.Timestamp, lines: NDArray[np.intp], left: _Left
 ) -> NDArray[np.bool_]:
     """Which rows (n,) have a stamp that is a time, and not far from the rows before and after it."""
     if pd.api.types.is_datetime64_any_dtype(text):
@@ -169,7 +171,7 @@ def _with_stamps(
     rows = np.flatnonzero(keep)
     at_s = np.asarray((at[keep] - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), dtype=np.float64)
     far = _far(at_s)
-    late = at_s > now.timestamp() + 2.0 * _FAR_S
+    late = at_s > latest.timestamp()
     if late.any() and late.sum() <= max(1, _FEW * late.size):
         far |= late
     for row in rows[far]:
