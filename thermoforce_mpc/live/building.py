@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,11 @@ class LiveBuilding:
     and `DataError` where its tables cannot be used.
     """
 
-    def __init__(self, connection: Connection, rules: MeasurementMap, step_s: float) -> None:
+    def __init__(
+        self, connection: Connection, rules: MeasurementMap, step_s: float, prices: Path | None = None
+    ) -> None:
+        """`prices`: a file of them, read anew in each step, in the place of those of the map."""
+        self._prices = prices
         self.connection, self._rules, self._step_s = connection, rules, step_s
         self._origin: pd.Timestamp | None = None
         self._measured: Measurements | None = None
@@ -134,7 +139,12 @@ class LiveBuilding:
         try:
             n, left_out = round(horizon_s / interval_s), list[str]()
             ahead = read_forecast(
-                self._call("forecast"), self._measured, least_steps=n, now=self._now, left_out=left_out
+                self._call("forecast"),
+                self._measured,
+                least_steps=n,
+                prices=self._prices,
+                now=self._now,
+                left_out=left_out,
             )
             self.left_out = (*self.left_out, *left_out)
             return ahead.head(n)

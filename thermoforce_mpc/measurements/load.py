@@ -301,8 +301,7 @@ def _from_table(
         T_out,
         solar,
         np.zeros(T_zone.shape),
-        np.array([reader.scheduled(f"zones.{name}.lower", z.lower, readings.BOUND) for name, z in zones]),
-        np.array([reader.scheduled(f"zones.{name}.upper", z.upper, readings.BOUND) for name, z in zones]),
+        *_bounds_C(rules, reader, origin),
         np.array([reader.price(f"machines.{name}.price", m.price) for name, m in machines] or none * np.nan),
         none,
         names=names,
@@ -323,6 +322,22 @@ def _from_table(
         missing(rules, record, conditions),
     )
     return Measurements(record, layout, conditions, understood, rules)
+
+
+def _bounds_C(rules: MeasurementMap, reader: SignalReader, origin: pd.Timestamp) -> tuple[Array, Array]:
+    """Lower and upper comfort bounds of the zones (Z, n + 1), °C; NaN where the map has none."""
+    if rules.comfort is not None:
+        return rules.comfort.bounds_at(pd.DatetimeIndex(stamps(reader.grid_s, origin)), tuple(rules.zones))
+    lower, upper = (
+        np.array(
+            [
+                reader.scheduled(f"zones.{name}.{bound}", getattr(zone, bound), readings.BOUND)
+                for name, zone in rules.zones.items()
+            ]
+        )
+        for bound in ("lower", "upper")
+    )
+    return lower, upper
 
 
 def _at_s(time_s: Array, rows_every_s: float, step_s: float, at: Literal["begin", "end"]) -> float:

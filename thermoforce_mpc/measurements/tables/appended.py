@@ -79,7 +79,7 @@ def frame_appended(
     """As `raw_table` of a data frame, without the rows and cells that cannot be read; `notes` collects them."""
     of_stamps = isinstance(df.index, pd.DatetimeIndex) or df.index.dtype.kind == "O"
     if of_stamps and clock.column in (None, df.index.name):
-        df = df.rename_axis(index=df.index.name or "time").reset_index()
+        df = df.rename_axis(index=str(df.index.name or "time")).reset_index()
     elif not len(df.columns):
         raise DataError("table: the table has no columns")
     stamps = str(df.columns[0]) if clock.column is None else clock.column
