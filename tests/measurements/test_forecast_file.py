@@ -135,7 +135,7 @@ def test_comfort_by_weekday_hour_and_holiday_is_in_the_map():
     found = tf.read_measurements(df, rules)
     lower = found.conditions.lower_C[0]
     assert [lower[k] for k in (6, 7, 21, 22)] == [16, 21, 21, 16]
-    ahead = read_forecast(hourly(24 * 4 + 1).assign(out=5.0, sun=0.0), found)
+    ahead = read_forecast(hourly(24 * 4 + 1).assign(out=lambda d: d["out"] % 7, sun=0.0), found)
     days = ahead.lower_C[0, :-1].reshape(4, 24)
     np.testing.assert_array_equal(days[:, 8], [16, 16, 16, 21])  # Saturday, Sunday, the holiday, Tuesday
     np.testing.assert_array_equal(days[:, 22], [20, 20, 20, 16])
