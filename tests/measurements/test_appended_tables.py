@@ -7,8 +7,10 @@ import pandas as pd
 import pytest
 
 import thermoforce_mpc as tf
+from thermoforce_mpc.data.limits import RULES as RULES_OF_SIGNALS
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.load import read_measurements
+from thermoforce_mpc.model.screening import Limits, screened_history
 
 RULES = {
     "time": {"zone": "Europe/Vienna"},
@@ -187,3 +189,23 @@ def test_steps_begin_where_readings_are(begin, zone, step, at, first, last):
     assert np.isfinite(record.T_zone_C).all()
     if at == "end":
         assert record.T_zone_C[0, -1] == pytest.approx(22.4)
+
+
+@pytest.mark.parametrize(("name", "column"), [("T_zone_C", "T"), ("T_out_C", "out")])
+def test_tables_and_a_running_loop_refuse_by_the_same_rule(path, name, column):
+    low, high = RULES_OF_SIGNALS[name].range
+    for value in (low - 0.01, low + 0.01, high - 0.01, high + 0.01):
+        rows = pd.read_csv(pd.io.common.StringIO(HEADER + "".join(lines())))
+        rows.loc[100, column] = value
+        wide = {"column": column, "range": (-1e4, 1e4), "spike": 1e4}
+        open_rules = (
+            {**RULES, "outdoor": wide} if column == "out" else {**RULES, "zones": {"room": {"temperature": wide}}}
+        )
+        table = rows.set_index(pd.to_datetime(rows.pop("time"))).rename_axis("time")
+        as_read = tf.read_measurements(table, open_rules).record
+        measured, _ = screened_history(as_read, Limits())
+        refused = np.isnan(np.atleast_2d(getattr(measured, name))[0, 100])
+        found = tf.read_measurements(table, RULES).understood.signals
+        flags = [flag.rule for signal in found if signal.source == column for flag in signal.flags]
+        assert ("range" in flags) == (value < low or value > high)
+        assert refused or "range" not in flags, "what a table refuses, a loop does not believe"

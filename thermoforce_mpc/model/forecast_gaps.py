@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record
-from thermoforce_mpc.data.limits import BRIDGED_GAP_H, OUTDOOR_C, SOLAR_W_M2
+from thermoforce_mpc.data.limits import BRIDGED_GAP_H, RULES
 from thermoforce_mpc.data.series import WEATHER, at_instants, gap_s
 
-_RANGES = {"T_out_C": OUTDOOR_C, "solar_W_m2": SOLAR_W_M2}
 # Instants nearer than this are the same, s.
 _SAME_S = 1.0
 # How a source of data fills what follows a schedule.
@@ -59,7 +58,7 @@ def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tup
     labels: set[str] = {note.partition(" ")[0] for note in notes}
     for name in CONDITIONS[1:]:
         rows = np.atleast_2d(getattr(boundary, name))
-        low, high = _RANGES[name] if name in WEATHER else (-np.inf, np.inf)
+        low, high = RULES[name].range if name in WEATHER else (-np.inf, np.inf)
         missing = ~(np.isfinite(rows) & (rows >= low) & (rows <= high))
         if not missing.any():
             continue
