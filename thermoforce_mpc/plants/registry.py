@@ -176,7 +176,7 @@ def _fmu(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
 def _rooms(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
     from thermoforce_mpc.plants.rooms import house_of_rooms
 
-    return house_of_rooms(testcase.name, spec.people)
+    return house_of_rooms(testcase.name, spec.people, _tariff(spec))
 
 
 def _generated(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
@@ -294,7 +294,7 @@ _OWN = {
     "rooms": PlantEntry(
         "drawn house or office of rooms, a valve each, one heat pump (--testcase house:5rooms, office:5rooms)",
         _rooms,
-        takes=frozenset({PEOPLE}),
+        takes=frozenset({PRICES, PEOPLE}),
         windows=_weeks,
     ),
     "generated": PlantEntry(
