@@ -47,7 +47,7 @@ class HorizonScore:
 
 @dataclass(frozen=True)
 class Competence:
-    """Verdict on a model; `identification.competence` computes it and owns the criteria.
+    """Verdict on a model; `identification.validation.competence` computes it and owns the criteria.
 
     `competent`: whether a controller may act on it. `reasons`: each criterion that it misses, in words. `advice`: what
     to do about them. `effect_K` and `effect_sd_K`: change of the zone after 8 h at full level and its standard
@@ -116,7 +116,8 @@ class ModelCard:
     data. `competence` is the verdict on held-out data; None: not judged (given by hand, or identified before there was
     one). `sun_on_sensor` is the sun in the readings of the zone sensor, `foreign_heat` what the heat meter of the
     actuator shows beside its heat; None: none was found. `blocked_hours`: hours of the day in which nothing came while
-    it was probed, whatever was asked for (`machine.blocked_hours`).
+    it was probed, whatever was asked for (`machine.blocked_hours`), of signed levels no heat; `blocked_cooling_hours`:
+    of signed levels no cold.
     """
 
     source: str = _GIVEN
@@ -130,6 +131,7 @@ class ModelCard:
     sun_on_sensor: SunOnSensor | None = None
     foreign_heat: ForeignLoad | None = None
     blocked_hours: tuple[int, ...] = ()
+    blocked_cooling_hours: tuple[int, ...] = ()
 
     @property
     def unfit(self) -> str:

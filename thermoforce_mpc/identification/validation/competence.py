@@ -63,7 +63,7 @@ def judge(
         before: fitted to a part of these rows, tested on the rest of them; None where there is none.
         operator: what is returned, fitted to all rows. Where its levels are signed, the plant's own loops keep the
             comfort band, so that a wrong prediction costs energy only.
-        uncertainty: standard deviations of the final fit, see `identification.uncertainty`.
+        uncertainty: standard deviations of the final fit, see `identification.estimation.modes`.
         log_odds: that the actuator acts, see `network.estimate.RoomFit.without`.
         heat_W_m2: metered heat of full level per m² of floor, NaN where it is not known.
     """
