@@ -20,8 +20,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 from places import ROOT
-from simple_house import simple_model
-from simulated_building import RULES, START, SimulatedBuilding, mpc
+from simulated_building import RULES, START, SimulatedBuilding, files_of_now, mpc
 from waiting import LONG_S, wait_for
 
 from thermoforce_mpc.cli import cli
@@ -348,15 +347,9 @@ def test_the_clock_of_the_machine_waits_no_longer_where_it_is_set_back(monkeypat
 
 @pytest.fixture
 def files(tmp_path, monkeypatch):
-    """The files of the connection `files`, up to this hour, and a model."""
-    house = SimulatedBuilding()
-    shift = pd.Timestamp.now("UTC").floor("1h") - START
-    house.measurements().assign(time=lambda table: table["time"] + shift).to_csv(tmp_path / "house.csv", index=False)
-    house.forecast().shift(freq=shift).to_csv(tmp_path / "tomorrow.csv")
-    (tmp_path / "map.yaml").write_text(yaml.safe_dump(RULES))
+    files_of_now(tmp_path)
     other = {**RULES, "zones": {"hall": RULES["zones"]["zone"]}}
     (tmp_path / "other.yaml").write_text(yaml.safe_dump(other))
-    simple_model().save(tmp_path / "model")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
