@@ -27,16 +27,17 @@ finally:
     running.send_signal(signal.SIGINT)
     running.wait(60)
 """
-_HOUSE = ["--model", "model", "--map", "map.yaml", "--set", "controller.step_s=3600", "--set", "controller.horizon_h=12"]
+_HOUSE = ["--model", "model", "--map", "map.yaml"]
+_CONTROL = ["controller.step_s=3600", "controller.horizon_h=12", "controller.gate.enabled=false"]
 _PLAN = [
-    "plan", "--model", "model", "--map", "map.yaml", "--data", "house.csv", "--forecast", "tomorrow.csv", "--step", "1h",
-    "--hours", "12", "--set", "gate.enabled=false", "--plot", "plan.png",
+    "--data", "house.csv", "--forecast", "tomorrow.csv", "--step", "1h", "--hours", "12", "--set", "gate.enabled=false",
+    "--plot", "plan.png",
 ]  # fmt: skip
 _RUN = ["run", "--testcase", "bestest_hydronic_heat_pump", "--days", "0.05", "--baselines", ""]
 _ALL = {
     "run": [*TF_MPC, *_RUN],
-    "control": [*TF_MPC, "control", *_HOUSE, "--set", "controller.gate.enabled=false", "--dry-run"],
-    "plan": [*TF_MPC, *_PLAN],
+    "control": [*TF_MPC, "control", *_HOUSE, *(f"--set={one}" for one in _CONTROL), "--dry-run"],
+    "plan": [*TF_MPC, "plan", *_HOUSE, *_PLAN],
     "serve": [sys.executable, "-c", _SERVED, *TF_MPC, "serve"],
 }
 

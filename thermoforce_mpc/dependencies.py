@@ -8,6 +8,7 @@ set already stays as it is. What each dependency was seen to do: docs/reference/
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -48,10 +49,8 @@ def keep_in_place() -> None:
 
     Matplotlib writes its list of fonts, and reads the user's style, where this says.
     """
-    try:
+    with suppress(RuntimeError):  # who runs this has no home: matplotlib takes a temporary folder
         os.environ.setdefault("MPLCONFIGDIR", str(cache_folder() / "matplotlib"))
-    except RuntimeError:  # who runs this has no home: matplotlib takes a temporary folder
-        pass
 
 
 def cache_folder() -> Path:
