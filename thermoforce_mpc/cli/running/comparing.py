@@ -16,6 +16,7 @@ from thermoforce_mpc.cli.options import (
     PATH,
     added,
     base_options,
+    check_named_code,
     equal_comfort_option,
     execution_options,
     learned_options,
@@ -123,6 +124,9 @@ def compare(**options: Any) -> None:
         names = comma_list(options["controllers"], "--controllers")
     elif file is None:
         names = comma_list(_CONTESTANTS, "--controllers")
+    if file is not None:
+        named = [{"controller": {"name": one.controller, "options": one.options}} for one in file.variants.values()]
+        check_named_code(named, [{"controller": name} for name in names], options["code"], options["variants"])
     variants = variants_by_name(names, file)
     base = scenario_from(options, file.scenario if file else None)
     axes = axes_from(options, base, file)

@@ -24,7 +24,7 @@ from thermoforce_mpc.simulation.folder.run_folder import kept_model
 from thermoforce_mpc.simulation.journal.journal import NAME, JournalError, making_sense, read_run
 from thermoforce_mpc.simulation.journal.journal_values import margins_of, planned_of
 from thermoforce_mpc.simulation.journal.told_steps import ToldStep, forecast_of, history_before, told_loops, told_steps
-from thermoforce_mpc.simulation.outside import CODE, unknown
+from thermoforce_mpc.simulation.outside import CODE, HUB, unknown
 
 if TYPE_CHECKING:
     from controllers.mpc.alternatives import Alternatives
@@ -201,7 +201,7 @@ def alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
         entries = read_run(folder / NAME).entries
         scenario = validate(Scenario, dict(entries[0].content["scenario"]), f"{folder / NAME}, line 1")
         name = decision.controller
-        code = [one.value for one in unknown(scenario) if one.key == CODE]
+        code = [one.value for one in unknown(scenario) if one.key in (CODE, HUB)]
         if code or name not in (scenario.controller.name, *scenario.baselines):
             unclear = ", ".join(code) or name
             return f"they need what you have not given here before, or what was changed since: {unclear}"
