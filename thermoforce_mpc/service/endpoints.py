@@ -82,8 +82,8 @@ _AHEAD = {
 }
 _PAST = {
     "point_names": _names({**MEASUREMENT_POINTS, **INPUTS}, "measurements and inputs"),
-    "start_time": _number("s since 1 January"),
-    "final_time": _number("s since 1 January"),
+    "start_time": _number("s since 1 January; the text '-inf' for the first sample"),
+    "final_time": _number("s since 1 January; the text 'inf' for the last sample"),
 }
 _SWITCH: Schema = {"enum": [0, 1, True, False, "0", "1", "true", "false", None]}
 

@@ -24,6 +24,7 @@ from thermoforce_mpc.cli.options import (
 )
 from thermoforce_mpc.cli.running.executing import FAILED, note_other_code, run_cells, sayer
 from thermoforce_mpc.errors import ConfigError, counted
+from thermoforce_mpc.files import plain_number
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.comfort import window_name
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
@@ -168,7 +169,7 @@ def sweep(**options: Any) -> None:
     values = []
     for word in comma_list(options["values"], "--values"):
         try:
-            values.append(float(word))
+            values.append(plain_number(word))
         except ValueError:
             raise ConfigError(f"--values: '{word}' is not a number") from None
     swept = swept_variants(controller, key, values, testcase)
