@@ -175,7 +175,9 @@ def _weather(path: Path, name: str, location: str, columns: dict[str, Array]) ->
     try:
         latitude, longitude, zone = (plain_number(cell) for cell in cells[6:9])
     except ValueError as error:
-        raise WeatherError(f"{path}: latitude, longitude or time zone missing in '{location[:80]}'") from error
+        raise WeatherError(
+            f"{path}: latitude, longitude or time zone missing or no number in '{location[:80]}'"
+        ) from error
     columns["wind_from_rad"] = np.deg2rad(columns["wind_from_rad"])
     for key, scale in (("opaque_cover", 10.0), ("total_cover", 10.0), ("relative_humidity", 100.0)):
         columns[key] = columns[key] / scale
