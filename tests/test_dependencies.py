@@ -11,8 +11,8 @@ import pytest
 from sealed import can_trap_names, sealed
 from simulated_building import files_of_now
 
+from thermoforce_mpc.cli.inside import installation as doctor
 from thermoforce_mpc.dependencies import SWITCHES
-from thermoforce_mpc.simulation import doctor
 
 TF_MPC = [sys.executable, "-c", "from thermoforce_mpc.cli import main; main()"]
 _SERVED = """

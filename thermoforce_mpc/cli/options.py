@@ -224,7 +224,7 @@ def check_named_code(
     files: Iterable[Mapping[str, Any]], words: Iterable[Mapping[str, Any]], code: Iterable[str], name: str
 ) -> None:
     """As `check_code`, of the keys of scenarios: `files`, of the file `name`, and `words`, of the command line."""
-    from thermoforce_mpc.simulation.outside import check_code, code_of
+    from thermoforce_mpc.experiment.outside import check_code, code_of
 
     found = {one.value: one for keys in files for one in code_of(keys)}
     if found:

@@ -46,10 +46,10 @@ def init(folder: Path, testcase: str, copy_testcase: bool, data: str | None) -> 
       tf-mpc init my_house --testcase bestest_hydronic --copy-testcase
       tf-mpc init my_house --data house.csv
     """
+    from thermoforce_mpc.cli.inside.schemas import schema_text
     from thermoforce_mpc.measurements.map.starting_map import starting_map
     from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
     from thermoforce_mpc.scenario.settings import find_config, is_config
-    from thermoforce_mpc.simulation.schemas import schema_text
 
     building = load_testcase(testcase)
     implemented = building.embedded or building.energyplus or building.plant
@@ -111,7 +111,7 @@ def schema(kind: str, out: Path | None) -> None:
     Example:
       tf-mpc schema scenario --out scenario.json
     """
-    from thermoforce_mpc.simulation.schemas import schema_text
+    from thermoforce_mpc.cli.inside.schemas import schema_text
 
     text = schema_text(kind)
     if out is None:
@@ -134,12 +134,12 @@ def validate_file(file: Path, code: tuple[str, ...]) -> None:
     Python that the file names is looked at and not run: whether it has what is named, and what it would import. With
     --code it is run, and the options of what it defines are checked. A forecaster on a hub is not fetched.
     """
+    from thermoforce_mpc.cli.inside.schemas import KINDS
+    from thermoforce_mpc.experiment.checks import check_contestants, validate_scenario
+    from thermoforce_mpc.experiment.outside import HUB, outside
     from thermoforce_mpc.plants.registry import check_surroundings
     from thermoforce_mpc.scenario.scenario import Scenario
     from thermoforce_mpc.scenario.settings import read_yaml, validate
-    from thermoforce_mpc.simulation.checks import check_contestants, validate_scenario
-    from thermoforce_mpc.simulation.outside import HUB, outside
-    from thermoforce_mpc.simulation.schemas import KINDS
 
     data = read_yaml(file)
     kind = next((kind for key, kind in _KIND_OF.items() if key in data), "scenario")
@@ -162,8 +162,8 @@ def validate_file(file: Path, code: tuple[str, ...]) -> None:
 
 def _look(scenarios: Iterable[Mapping[str, Any]], given: Collection[str]) -> set[str]:
     """Say what is in the Python that keys of scenarios name, and return its files, but for those `given` to be run."""
+    from thermoforce_mpc.experiment.outside import own_names
     from thermoforce_mpc.scenario.own_code import code_file, is_own_code, looked_at
-    from thermoforce_mpc.simulation.outside import own_names
 
     may_run, unread = {Path(name).resolve() for name in given}, set[str]()
     for name in dict.fromkeys(name for keys in scenarios for name in own_names(keys)):
