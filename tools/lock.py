@@ -14,8 +14,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import platform
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -35,6 +37,7 @@ _OLDEST = "3.11"
 _LOCKED = ("dev",)
 _IMAGE = ("serve", "fmu")
 # Of PyPI's builds with CUDA; the CPU build, which README and image name, has none of them.
+_LICENCE = re.compile(r"License :: (?!OSI Approved$|Other)")
 _CUDA = re.compile(r"(nvidia-|cuda-|triton)")
 _HEAD = "# Written by `python -m tools.lock`: what is tested together. For pip's -c; hashes: tools/lock.py --verify.\n"
 _HEAD_IMAGE = (
@@ -67,7 +70,7 @@ def main(words: Sequence[str] | None = None) -> int:
 def _compiled(extras: Sequence[str], *options: str) -> str:
     """The newest versions that pyproject.toml allows, for every Python and platform, by `uv`, from PyPI alone."""
     command = [
-        "uv",
+        _uv(),
         "pip",
         "compile",
         "--quiet",
@@ -86,6 +89,14 @@ def _compiled(extras: Sequence[str], *options: str) -> str:
         if done.returncode:
             raise SystemExit(done.stderr)
         return Path(folder, "found.txt").read_text()
+
+
+def _uv() -> str:
+    """`uv` of this environment, else of this machine."""
+    found = shutil.which("uv", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}")
+    if found is None:
+        raise SystemExit("uv is not installed: pip install -c constraints.txt -e '.[dev]'")
+    return found
 
 
 def _blocks(text: str) -> Iterator[str]:
@@ -171,6 +182,7 @@ def _page(text: str) -> str:
     for name, extra in needed.items():
         old = said.get(name, [name, extra, "?", "?", "?", "?", "?", ""])
         licence, size = _measured(name) or (old[3], old[4])
+        licence = licence if old[3] == "?" else old[3]  # many packages state theirs in other words
         version, date = pinned.get(name, old[5]), released.get(name, old[6])
         lines.append(f"|{'|'.join((name, extra, old[2], licence, size, version, date, old[7]))}|")
     return f"{head}<!-- table -->\n" + "\n".join(lines) + f"\n<!-- end -->\n{tail}"
@@ -188,7 +200,7 @@ def _released(pinned: Mapping[str, str]) -> dict[str, str]:
         lines = [f"{key} = {json.dumps(value)}" for key, value in {**project, "dependencies": pins}.items()]
         Path(folder, "pyproject.toml").write_text("\n".join(["[project]", *lines]))
         done = subprocess.run(
-            ["uv", "lock", "--quiet", "--no-config", "--project", folder], capture_output=True, text=True
+            [_uv(), "lock", "--quiet", "--no-config", "--project", folder], capture_output=True, text=True
         )
         if done.returncode:
             raise SystemExit(done.stderr)

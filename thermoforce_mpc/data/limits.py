@@ -12,6 +12,10 @@ LEVEL = (-ROUNDING, 1.0 + ROUNDING)
 ZONE_C = (-30.0, 60.0)
 """Zone temperature, °C: from an unheated building in winter to a closed one in the sun; a lost wire is far outside."""
 
+EFFECT_K = 300.0
+"""Change of a zone by 8 h at full level, K, either way: 500 W/m² in a room that loses 2 W/(m²·K) lead to 250 K at
+last. What goes further is a fault of the numbers, not a strong machine."""
+
 ZONE_JUMP_K, ZONE_JUMP_K_PER_H = 15.0, 5.0
 """Largest change of the zone temperature since its last accepted reading, K plus K/h. In BOPTEST's `bestest_air`,
 probed between off and full, the air changed by up to 11.7 K in 15 min. Since the limit grows with time, a sensor that

@@ -135,7 +135,7 @@ def validate_file(file: Path, code: tuple[str, ...]) -> None:
     --code it is run, and the options of what it defines are checked. A forecaster on a hub is not fetched.
     """
     from thermoforce_mpc.cli.inside.schemas import KINDS
-    from thermoforce_mpc.experiment.checks import check_contestants, validate_scenario
+    from thermoforce_mpc.experiment.experiment import Experiment, check_contestants
     from thermoforce_mpc.experiment.outside import HUB, outside
     from thermoforce_mpc.plants.registry import check_surroundings
     from thermoforce_mpc.scenario.scenario import Scenario
@@ -151,13 +151,35 @@ def validate_file(file: Path, code: tuple[str, ...]) -> None:
         return
     scenario = validate(Scenario, data, str(file))
     unread = _look([scenario.model_dump()], code)
-    testcase = validate_scenario(scenario, unread)
-    check_surroundings(scenario.plant)
     on_hub = [one.value for one in outside(scenario) if one.key == HUB]
     for name in on_hub:
         click.echo(f"{name}: not looked at; a hub is asked for it when it is run")
-    check_contestants(scenario, testcase, {*unread, *on_hub})
+    experiment = Experiment.of(_without(scenario, unread, hub=bool(on_hub)))
+    check_surroundings(scenario.plant)
+    check_contestants(experiment)
     click.echo(f"{file}: valid scenario, {scenario.controller.name} on {scenario.testcase}, {scenario.period}")
+
+
+def _without(scenario: Scenario, unread: Collection[str], *, hub: bool) -> Scenario:
+    """A scenario without what is in files of code that are not run, and with the default in place of a hub's model."""
+    from controllers.registry import find_entry
+    from thermoforce_mpc.scenario.own_code import code_file
+    from thermoforce_mpc.scenario.settings import validate
+
+    keys = scenario.model_dump(exclude_unset=True)
+    for key in ("baselines", "kpis"):
+        keys[key] = [name for name in getattr(scenario, key) if code_file(name) not in unread]
+    if code_file(scenario.controller.name) in unread:
+        keys["controller"] = {"name": "native"}
+        # They would need the model that this controller is identified for.
+        keys["baselines"] = [name for name in keys["baselines"] if not find_entry(name).needs_model]
+    elif options := dict(scenario.controller.options):
+        if code_file(str(options.get("terms"))) in unread:
+            del options["terms"]
+        if hub:
+            del options["free_response"]
+        keys["controller"]["options"] = options
+    return validate(type(scenario), keys, "scenario")
 
 
 def _look(scenarios: Iterable[Mapping[str, Any]], given: Collection[str]) -> set[str]:
