@@ -31,6 +31,7 @@ from thermoforce_mpc.model.saved import read_model_file, write_model_file
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.fmu import FmuPlant
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
+from thermoforce_mpc.plants.worker_process import PASSED
 from thermoforce_mpc.records.journal import NAME
 
 _TESTCASE = "bestest_hydronic_heat_pump"
@@ -116,7 +117,9 @@ def hanging_fmu(rng: np.random.Generator, folder: Path) -> list[str]:
     testcase = load_testcase(_TESTCASE)
     with closing(FmuPlant(folder / "wrapped.fmu", testcase, patience_s=_FMU_PATIENCE_S)) as plant:
         calm = _hour_of(plant)
-        with patch.dict(os.environ, trouble | ({"FMU_HOUSE_TROUBLED_AT": "1e-6"} if passing else {})):
+        with patch.dict(
+            os.environ, {PASSED: "FMU_HOUSE_*"} | trouble | ({"FMU_HOUSE_TROUBLED_AT": "1e-6"} if passing else {})
+        ):
             try:
                 troubled = _hour_of(plant)
             except PlantError as error:
