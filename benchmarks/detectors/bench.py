@@ -23,7 +23,7 @@ from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.execution import Engine
-from thermoforce_mpc.experiment.identifying import identification_settings, identify_on
+from thermoforce_mpc.experiment.identifying import chosen_of, identification_settings, identify_on
 from thermoforce_mpc.files import parse_json
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.loop.unit_doubts import UnitDoubts
@@ -137,7 +137,7 @@ def follow(place: BuiltCase, without: Detector | None) -> ControlledWeek:
     options = dict(without.controller) if without else {}
     scenario = Scenario(testcase=testcase.name)
     spec = scenario.identification
-    probing, config = identification_settings(scenario, testcase, _CONTROLLER)
+    probing, config = identification_settings(scenario, chosen_of(scenario, testcase, _CONTROLLER))
     model: Any
     try:
         model = identify_on(

@@ -23,6 +23,7 @@ from controllers.optimisation.problem import MPCProblem
 from controllers.optimisation.solution import Solution
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, Plan, PlanStatus
+from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -64,6 +65,20 @@ def power_limit(instance: Instance, solution: Solution, brought: Evaluation, eva
         peak_W=max(problem.peak_so_far_W, highest_W) if problem.weights.peak else math.inf,
         planned=solution.u[:, 0].copy(),
         power_W=power_W,
+    )
+
+
+def beyond_rooms(problem: MPCProblem, brought: Evaluation, zones: Sequence[str]) -> str:
+    """Why what a plan predicts is not what a room can be (`data.limits`), so that it is none; or ''."""
+    T_zone_C, (low_C, high_C) = compose(problem.T_free_C, brought.forced_K), ZONE_C
+    off_K = np.maximum(low_C - T_zone_C, T_zone_C - high_C)
+    z, k = (int(i) for i in np.unravel_index(np.argmax(np.where(np.isnan(off_K), np.inf, off_K)), off_K.shape))
+    if off_K[z, k] <= 0.0:
+        return ""
+    free_C, ahead_h = problem.T_free_C[z, k], (k + 1) * problem.step_s / HOUR_S
+    return (
+        f"no plan can be right that predicts {T_zone_C[z, k]:.4g} °C in {zones[z]} {ahead_h:g} h ahead "
+        f"({free_C:.4g} °C without action), beyond {low_C:g} to {high_C:g} °C"
     )
 
 
