@@ -102,7 +102,7 @@ class DeadlineConfig(StrictModel):
 
     forecast_s: float = Field(60.0, gt=0, description="free forecasts of all zones of a step, s")
     solve_s: float = Field(60.0, gt=0, description="solve of a step, s; solvers have limits of their own as well")
-    look_s: float = Field(20.0, gt=0, description="look for sun on the zone sensors, at night, s")
+    look_s: float = Field(60.0, gt=0, description="look for sun on the zone sensors, at night, s")
 
 
 class MoveBlockingConfig(StrictModel):
