@@ -142,7 +142,7 @@ def test_a_test_case_file_that_does_not_fit_is_refused(office):
     wrong = file.model_copy(
         update={"measurements": file.measurements.model_copy(update={"zone_temperature": "reaTZon_y"})}
     )
-    with pytest.raises(ConfigError, match="zone_temperature.*no point 'reaTZon_y'"):
+    with pytest.raises(ConfigError, match=r"zone_temperature.*no point 'reaTZon_y'"):
         PointEmulator(wrong, office.weather)
     with pytest.raises(ConfigError, match="those do for bestest_hydronic_heat_pump, bestest_hydronic, bestest_air"):
         emulator_of("twozone_apartment_hydronic", office.weather)
