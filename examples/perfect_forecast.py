@@ -16,12 +16,11 @@ import numpy as np
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.boundary.tariffs import by_name
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
-from thermoforce_mpc.experiment.checks import validate_scenario
-from thermoforce_mpc.experiment.composition import scored_period
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.identifying import model_for
+from thermoforce_mpc.experiment.windows import scored_period
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_scenario
 
 LEVELS = np.arange(1, 10) / 10
@@ -63,12 +62,14 @@ scenario = load_scenario(
         "plant": {"kind": "embedded", "weather": weather},
     },
 )
-testcase = validate_scenario(scenario)
-plant = build_plant(scenario.plant, testcase, scenario.seed)
+experiment = Experiment.of(scenario)
+plant = experiment.plant.build()
 assert isinstance(plant, EmbeddedPlant)
 window = scored_period(plant, scenario.period, scenario.days)
 scored_end_s = window.start_s + float(days) * DAY_S
-controller = ThermoForceMPC(model_for(scenario, testcase, plant))
+source = experiment.own.model_from
+assert source is not None
+controller = ThermoForceMPC(model_for(source, plant))
 
 for number in range(int(passes) + 1):
     run = run_closed_loop(plant, controller, window)

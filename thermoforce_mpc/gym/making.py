@@ -9,12 +9,11 @@ from typing import Any
 from thermoforce_mpc.boundary.weather import load_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.experiment.checks import validate_scenario
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.gym.boptest import BoptestGymEnv, EmbeddedBoptestGymEnv, check_keywords
 from thermoforce_mpc.gym.env import BuildingEnv, Episodes
 from thermoforce_mpc.gym.levels import LevelsView
 from thermoforce_mpc.plants.boptest.token import allow_token
-from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_scenario
 
 CONVENTIONS = ("levels", "boptest")
@@ -109,7 +108,7 @@ def levels_env(
         plant |= {"kind": "fmu", "path": fmu}
     content = {"testcase": testcase, "plant": plant, "controller": {"name": "native"}, "baselines": []}
     chosen = load_scenario(None, {**content, "seed": plant_seed})
-    described = validate_scenario(chosen)
+    experiment = Experiment.of(chosen)
     episodes = Episodes(
         step_period=float(step_period),
         max_episode_length=float(max_episode_length),
@@ -120,11 +119,11 @@ def levels_env(
         ahead=float(predictive_period),
         behind=float(regressive_period),
     )
-    built = build_plant(chosen.plant, described, chosen.seed)
+    built = experiment.plant.build()
     try:
         view = LevelsView(
             built,
-            described,
+            experiment.testcase,
             step_s=episodes.step_period,
             ahead_s=float(predictive_period),
             every_s=float(forecast_every),

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.data.compiled import njit
 
 # The same in all three test cases.
 LOWER_OCCUPIED_C, UPPER_OCCUPIED_C = 21.0, 24.0
