@@ -91,18 +91,11 @@ def test_prices_in_another_currency_are_not_judged():
     assert "where 0.01 to 2 EUR are usual" in noted(simple_model(), factor=120.0, signals=PRICES)[0]
 
 
-<<<<<<< HEAD
 def test_gas_may_be_a_tenth_as_dear_as_electricity_at_least():
     """That of BOPTEST's `bestest_air` costs 0.0029 USD per kWh."""
     assert noted(simple_model(), factor=0.02, signals=["heating_price_per_kWh"]) == {}
     assert "too low by a factor" in noted(simple_model(), factor=0.002, signals=["heating_price_per_kWh"])[0]
     assert "too low by a factor" in noted(simple_model(), factor=0.02, signals=PRICES)[0]
-=======
-def test_gas_may_cost_a_third_of_a_cent():
-    """As in BOPTEST's `bestest_air`; electricity may not, and gas not a tenth of it."""
-    assert noted(simple_model(), factor=0.012, signals=PRICES[1:]) == {}
-    assert "too low by a factor" in noted(simple_model(), factor=0.001, signals=PRICES[1:])[0]
->>>>>>> 09279dcfa9ccc7196f55cd571bc1e131d0150fb6
 
 
 def test_a_meter_that_changes_its_unit_is_said_within_a_day():

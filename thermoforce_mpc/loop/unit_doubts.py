@@ -53,15 +53,10 @@ class UnitDoubts:
             }
         self._next_s = now_s + DAY_S
         if boundary is not None:
-<<<<<<< HEAD
             prices = (boundary.price_per_kWh, boundary.heating_price_per_kWh)
             fuel = not np.array_equal(*prices, equal_nan=True)
             found = [price_doubt(prices[0], self._currency), price_doubt(prices[1], self._currency, fuel=fuel)]
             doubts["price"] = next(filter(None, found), "")
-=======
-            heating = price_doubt(boundary.heating_price_per_kWh, self._currency, fuel=True)
-            doubts["price"] = price_doubt(boundary.price_per_kWh, self._currency) or heating
->>>>>>> 09279dcfa9ccc7196f55cd571bc1e131d0150fb6
         new = {where: words for where, words in doubts.items() if words and where not in self._said}
         for words in new.values():
             _LOG.warning("%s", words)
