@@ -22,6 +22,9 @@ from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 PERIOD = Period("test", 10 * DAY_S, 2 * DAY_S, 3 * DAY_S)
 LAYOUT = Layout.single("heating", floor_area_m2=100.0)
 
+# How notes begin that are about units.
+DOUBTS = ("unit of", "prices of", "zones.")
+
 
 class WrongHouse(SimpleHouse):
     """The simple house with signals times a factor, plus an offset, from a day on."""
@@ -53,9 +56,7 @@ def noted(model, currency="EUR", **changes) -> dict[int, str]:
     options = {"step_s": 3600.0, "horizon_h": 12.0, "gate": {"enabled": False}}
     controller = ThermoForceMPC(model, MPCConfig.model_validate(options), free_response=OutdoorResponse())
     result = run_closed_loop(WrongHouse(**changes), controller, PERIOD, units=UnitDoubts(LAYOUT, model, currency))
-    notes = {
-        step.index: [note for note in step.notes if note.startswith(("unit of", "prices of", "zones."))] for step in result.steps
-    }
+    notes = {step.index: [note for note in step.notes if note.startswith(DOUBTS)] for step in result.steps}
     return {index: "; ".join(found) for index, found in notes.items() if found}
 
 
@@ -111,7 +112,7 @@ def told_by(house, rules=RULES):
     told = []
     building = LiveBuilding(house, MeasurementMap.model_validate(rules), 3600.0)
     control(building, mpc(), clock=house, steps=2, told=told.append)
-    return [[note for note in decision.notes if note.startswith(("unit of", "prices of", "zones."))] for decision in told]
+    return [[note for note in decision.notes if note.startswith(DOUBTS)] for decision in told]
 
 
 class WrongBuilding(SimulatedBuilding):
