@@ -271,7 +271,9 @@ def contestants_in_words(base: Scenario, cells: Sequence[Cell]) -> list[str]:
     """Who keeps to the limits of the building, and what each thermostat keeps, in a line each."""
     from controllers.rules.thermostat import ThermostatConfig
 
-    first = {cell.variant: cell for cell in reversed(cells)}
+    first: dict[str, Cell] = {}
+    for cell in cells:
+        first.setdefault(cell.variant, cell)
     lines, limits = [], building_limits(base)
     if limits:
         shared = {name: bool(shared_limits(base, cell.scenario.controller.name)) for name, cell in first.items()}
