@@ -91,12 +91,6 @@ def test_prices_in_another_currency_are_not_judged():
     assert "where 0.01 to 2 EUR are usual" in noted(simple_model(), factor=120.0, signals=PRICES)[0]
 
 
-def test_gas_may_cost_a_third_of_a_cent():
-    """As in BOPTEST's `bestest_air`; electricity may not, and gas not a tenth of it."""
-    assert noted(simple_model(), factor=0.012, signals=PRICES[1:]) == {}
-    assert "too low by a factor" in noted(simple_model(), factor=0.001, signals=PRICES[1:])[0]
-
-
 def test_a_meter_that_changes_its_unit_is_said_within_a_day():
     found = noted(simple_model(), factor=1e-3, signals=["power_W"], from_day=10.1)
     assert list(found) == [24], found

@@ -53,8 +53,8 @@ class UnitDoubts:
             }
         self._next_s = now_s + DAY_S
         if boundary is not None:
-            heating = price_doubt(boundary.heating_price_per_kWh, self._currency, fuel=True)
-            doubts["price"] = price_doubt(boundary.price_per_kWh, self._currency) or heating
+            prices = (boundary.price_per_kWh, boundary.heating_price_per_kWh)
+            doubts["price"] = next(filter(None, (price_doubt(price, self._currency) for price in prices)), "")
         new = {where: words for where, words in doubts.items() if words and where not in self._said}
         for words in new.values():
             _LOG.warning("%s", words)
