@@ -80,13 +80,14 @@ def cost_rows(source: Source, backbone: str) -> list[Row]:
     method = ChronosFreeResponse(backbone)
     free, history, boundary, _ = window(source, forecast_origins(source, 1)[0])
     n = source.horizon
+    twice: dict[str, Any] = {
+        name: np.concatenate([getattr(boundary, name), getattr(boundary, name)[..., 1:]], axis=-1)
+        for name in CONDITIONS
+        if name != "time_s"
+    }
     long = replace(
         boundary,
-        **{
-            name: np.concatenate([getattr(boundary, name), getattr(boundary, name)[..., 1:]], axis=-1)
-            for name in CONDITIONS
-            if name != "time_s"
-        },
+        **twice,
         time_s=boundary.time_s[0] + boundary.step_s * np.arange(2 * n + 1),
         names=boundary.names,
     )

@@ -16,6 +16,7 @@ from thermoforce_mpc.measurements.map.starting_map import kind_of
 from thermoforce_mpc.measurements.tables.clock import Timed
 from thermoforce_mpc.measurements.tables.readings import (
     EXCURSION_S,
+    PRICE,
     SOLAR,
     Flag,
     Readings,
@@ -38,11 +39,20 @@ _UNUSUAL = 10.0
 class SignalReader:
     """Reads signals of `table`, whose rows stand at `time_s` (n,), at the boundaries `grid_s` of the steps.
 
-    `summaries` collects what was read.
+    `summaries` collects what was read. Without `refuse` a signal that is mostly out of range is not measured.
     """
 
-    def __init__(self, table: Timed, time_s: Array, grid_s: Array, step_s: float, rules: MeasurementMap) -> None:
-        self.grid_s, self.summaries = grid_s, list[SignalSummary]()
+    def __init__(
+        self,
+        table: Timed,
+        time_s: Array,
+        grid_s: Array,
+        step_s: float,
+        rules: MeasurementMap,
+        *,
+        refuse: bool = True,
+    ) -> None:
+        self.grid_s, self.summaries, self._refuse = grid_s, list[SignalSummary](), refuse
         self._table, self._time_s, self._step_s = table, time_s, step_s
         self._marks, self._coverage = rules.time.marks, rules.coverage
 
@@ -63,6 +73,19 @@ class SignalReader:
             return np.full(self.grid_s.size, np.nan if source is None else float(source))
         readings, unit, flags = self._readings(key, source, rules)
         return self._summarised(key, source, unit, readings, held(readings, self.grid_s), flags)
+
+    def price(self, key: str, source: float | Signal | None) -> Array:
+        """A price at the boundaries (n + 1,): the mean over the step that begins there, as `scheduled`."""
+        if not isinstance(source, Signal):
+            return self.scheduled(key, source, PRICE)
+        readings, unit, flags = self._readings(key, source, PRICE)
+        values = held(readings, self.grid_s)
+        if readings.values.size > 1 and self.grid_s.size > 1:
+            lasts = durations_s(readings.time_s, readings.longest_s, "start")
+            edges = np.append(self.grid_s, self.grid_s[-1] + self._step_s)
+            over_step = means(readings.time_s, lasts, readings.values, edges, self._coverage)
+            values = np.where(np.isfinite(over_step), over_step, values)
+        return self._summarised(key, source, unit, readings, values, flags)
 
     def mean(self, key: str, signal: Signal | None, rules: Rules) -> Array:
         """Means of a signal over the steps (n,); NaN where it is not measured."""
@@ -92,7 +115,9 @@ class SignalReader:
             flags += of_counter
         name = f"{key} (column {' + '.join(signal.columns)})"
         if values.size:
-            holds, flagged = screened(time_s, values, raw, rules, name, declared or rules.unit, self._at)
+            holds, flagged = screened(
+                time_s, values, raw, rules, name, declared or rules.unit, self._at, refuse=self._refuse
+            )
             values, time_s = values[holds], time_s[holds]
             flags += flagged
         return Readings(time_s, values, longest_s(time_s, self._step_s, signal.hold_h)), rules, tuple(flags)
@@ -127,6 +152,7 @@ class SignalReader:
                 most,
                 flags,
                 doubt,
+                float(readings.time_s[-1]) if readings.time_s.size else float("nan"),
             )
         )
         return values
