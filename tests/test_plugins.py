@@ -168,7 +168,7 @@ def test_unknown_names_are_told_what_is_known(registry):
 @pytest.mark.parametrize(
     ("spec", "testcase", "words"),
     [
-        ({}, "bestest_air", "give the address of a BOPTEST service"),
+        ({}, "singlezone_commercial_hydronic", "give the address of a BOPTEST service"),
         ({"weather": "year.epw"}, "house:2rooms", r"plant\.weather: plant 'rooms'.*leave it out"),
         ({"forecast_uncertainty": "low"}, "house:2rooms", r"plant\.forecast_uncertainty: plant 'rooms'"),
         ({"options": {"leak": 1}}, "house:2rooms", r"plant\.options of plant 'rooms'.*\n.*leak: unknown key"),

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
+from thermoforce_mpc.boundary.weather import load_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.experiment.experiment import Experiment
@@ -35,7 +35,7 @@ def building(
         convention: 'levels' (see `levels_env`), or 'boptest' for BOPTEST-Gym's points (see `BoptestGymEnv`).
         url: address of a BOPTEST service, instead of a plant of our own.
         fmu: the test case's FMU, instead of a plant of our own ('levels').
-        weather: 'synthetic', or a .mos / .epw file of the embedded test case.
+        weather: 'synthetic', or a .mos / .epw file of an embedded test case.
         options: arguments of the convention.
 
     Raises `ConfigError`, which names the argument that is wrong, `PlantError` where plant or service failed.
@@ -46,12 +46,12 @@ def building(
         check_keywords(options, building, levels_env)
         return levels_env(testcase, url=url, fmu=fmu, weather=weather, **options)
     if fmu is not None:
-        raise ConfigError("fmu: BOPTEST's points need the embedded test case or url=…; take convention='levels'")
+        raise ConfigError("fmu: BOPTEST's points need an embedded test case or url=…; take convention='levels'")
     if url is not None:
         if weather != "synthetic":
             raise ConfigError("weather: a service has its own weather; leave it out")
         return BoptestGymEnv(url, testcase, **options)
-    year = synthetic_weather() if weather == "synthetic" else load_weather(Path(weather))
+    year = None if weather == "synthetic" else load_weather(Path(weather))
     return EmbeddedBoptestGymEnv("", testcase, **options, weather=year)
 
 

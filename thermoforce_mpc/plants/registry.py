@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from boptest_client import TransportConfig
     from thermoforce_mpc.boundary.forecast_error import ForecastError
     from thermoforce_mpc.boundary.tariffs import Tariff
+    from thermoforce_mpc.boundary.weather import SyntheticClimate
     from thermoforce_mpc.boundary.weather.year import Weather
 
 WEATHER, PRICES, UNCERTAINTY, PEOPLE = "weather", "prices_file", "forecast_uncertainty", "people"
@@ -111,7 +112,7 @@ def plant_name(spec: PlantSpec, testcase: TestCase) -> str:
     own = next((name for name, entry in REGISTRY.own.items() if entry.implements(testcase)), testcase.plant)
     if own is None:
         raise ConfigError(
-            f"plant.kind: the embedded emulator is bestest_hydronic_heat_pump, not {testcase.name}; "
+            f"plant.kind: no embedded plant implements {testcase.name}, those do for {', '.join(_EMBEDDED)}; "
             "give the address of a BOPTEST service (--url, in Python url=), or the test case's FMU (--fmu, fmu=)"
         )
     return own
@@ -175,7 +176,7 @@ def _fmu(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
 def _rooms(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
     from thermoforce_mpc.plants.rooms import house_of_rooms
 
-    return house_of_rooms(testcase.name, spec.people)
+    return house_of_rooms(testcase.name, spec.people, _tariff(spec))
 
 
 def _generated(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
@@ -208,16 +209,31 @@ def _emulator(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> P
     return EmbeddedPlant(_weather(spec), highly_dynamic=tariff, forecast_error=error, people=spec.people)
 
 
+def _point_emulator(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
+    from thermoforce_mpc.plants.embedded import PointEmulator
+    from thermoforce_mpc.plants.embedded.cases import CASES
+
+    weather = _weather(spec, CASES[testcase.plant or ""].climate)
+    error, tariff = _error(spec, seed), _tariff(spec)
+    return PointEmulator(testcase, weather, highly_dynamic=tariff, forecast_error=error, people=spec.people)
+
+
 def _error(spec: PlantSpec, seed: int) -> ForecastError | None:
     from thermoforce_mpc.boundary.forecast_error import ForecastError
 
-    return None if spec.forecast_uncertainty == "none" else ForecastError(spec.forecast_uncertainty, seed)
+    return (
+        None
+        if spec.forecast_uncertainty == "none"
+        else ForecastError(spec.forecast_uncertainty, spec.forecast_uncertainty, seed)
+    )
 
 
-def _weather(spec: PlantSpec) -> Weather:
-    from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
+def _weather(spec: PlantSpec, climate: SyntheticClimate | None = None) -> Weather:
+    from thermoforce_mpc.boundary.weather import MARITIME, load_weather, synthetic_weather
 
-    return synthetic_weather() if spec.weather == "synthetic" else load_weather(Path(spec.weather))
+    if spec.weather != "synthetic":
+        return load_weather(Path(spec.weather))
+    return synthetic_weather(climate=climate or MARITIME)
 
 
 def _tariff(spec: PlantSpec) -> Tariff | None:
@@ -227,9 +243,9 @@ def _tariff(spec: PlantSpec) -> Tariff | None:
 
 
 def _of_weather(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
-    from thermoforce_mpc.boundary.periods import NAMES
+    from thermoforce_mpc.plants.embedded.cases import CASES
 
-    return NAMES
+    return CASES[testcase.plant or testcase.name].periods
 
 
 def _weeks(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
@@ -259,18 +275,26 @@ def _without_engine() -> str:
 # Which of them a service's test case has, only the service knows.
 _OF_BOPTEST = ("peak_heat_day", "typical_heat_day", "peak_cool_day", "typical_cool_day", "mix_day", "cold_day")
 _ON_ENGINE = frozenset({PRICES, UNCERTAINTY})
+_EMBEDDED = ("bestest_hydronic_heat_pump", "bestest_hydronic", "bestest_air")
+_SURROUNDED = frozenset({WEATHER, PRICES, UNCERTAINTY, PEOPLE})
 _OWN = {
     "emulator": PlantEntry(
         "embedded emulator of bestest_hydronic_heat_pump",
         _emulator,
-        takes=frozenset({WEATHER, PRICES, UNCERTAINTY, PEOPLE}),
+        takes=_SURROUNDED,
         windows=_of_weather,
         implements=lambda testcase: testcase.embedded,
+    ),
+    "bestest_hydronic": PlantEntry(
+        "embedded emulator of bestest_hydronic", _point_emulator, takes=_SURROUNDED, windows=_of_weather
+    ),
+    "bestest_air": PlantEntry(
+        "embedded emulator of bestest_air", _point_emulator, takes=_SURROUNDED, windows=_of_weather
     ),
     "rooms": PlantEntry(
         "drawn house or office of rooms, a valve each, one heat pump (--testcase house:5rooms, office:5rooms)",
         _rooms,
-        takes=frozenset({PEOPLE}),
+        takes=frozenset({PRICES, PEOPLE}),
         windows=_weeks,
     ),
     "generated": PlantEntry(
