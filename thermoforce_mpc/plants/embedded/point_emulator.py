@@ -17,8 +17,8 @@ from thermoforce_mpc.plants.embedded.cases import CASES, HEAT_PUMP
 from thermoforce_mpc.plants.embedded.emulator import EmbeddedPlant, Emulator
 from thermoforce_mpc.plants.records import acting_means, boundary, inputs, mean_levels, measurement, past_record
 from thermoforce_mpc.plants.shell import RoomSetpointShell
-from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.scenario.testcase import TestCase
+from thermoforce_mpc.scenario.settings import find_config
+from thermoforce_mpc.scenario.testcase import TestCase, read_testcase
 
 _WEATHER = {"TDryBul": "K", "HGloHor": "W/m2"}
 
@@ -102,7 +102,7 @@ def emulator_of(testcase: str, weather: Weather, **options: Any) -> Emulator:
         raise ConfigError(f"no embedded plant implements '{testcase}'; those do for {', '.join(CASES)}")
     if testcase == HEAT_PUMP.name:
         return EmbeddedPlant(weather, **options)
-    return PointEmulator(load_testcase(testcase), weather, **options)
+    return PointEmulator(read_testcase(find_config("testcases", testcase)), weather, **options)
 
 
 def _unit(column: str) -> str | None:
