@@ -9,11 +9,14 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Protocol
 
 import pandas as pd
 
+from thermoforce_mpc.connections.sole import set_by, sole_control
 from thermoforce_mpc.data import Block, Boundary, Plan, PlanStatus
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ControllerRaised, PlantError, ThermoForceError
@@ -84,6 +87,7 @@ def control(
     outage_h: float = OUTAGE_H,
     kept: KeptState | None = None,
     told: Callable[[Decision], None] = lambda decision: None,
+    sets: Path | str | None = None,
 ) -> None:
     """Control a building, of the step of `controller`, until interrupted, or for `steps` decisions.
 
@@ -97,13 +101,17 @@ def control(
         outage_h: how long the last forecast may stand in where there is none, h.
         kept: where the controller's state is kept from step to step; None: a restart begins anew.
         told: called with every decision, before it acts.
+        sets: what is set, which no other controller may set meanwhile; by default what the connection says, if it does.
 
     Raises:
         InputError, PlantError: the first decision could not be made.
+        ConfigError: another controller sets the building.
         PlantError: the building did not take its levels back at the end.
     """
+    sets = set_by(building.connection) if sets is None else sets
     driver = _Building(building, controller, clock or WallClock(), steps, delay_s, dry, kept, told)
-    Loop(driver, controller, outage_h).run()
+    with sole_control(sets) if sets and not dry else nullcontext():
+        Loop(driver, controller, outage_h).run()
 
 
 class _Building:
@@ -171,7 +179,7 @@ class _Building:
         model = getattr(controller, "model", None)
         if model is not None:
             check_same_building("the model", model.names, "the map", record.names)
-        return Believed(record, as_read, (*building.left_out, *doubts), controller.step_s, building.layout.lowest)
+        return Believed(record, as_read, doubts, controller.step_s, building.layout.lowest)
 
     def units(self) -> UnitDoubts | None:
         """See `LoopDriver.units`."""
@@ -197,7 +205,9 @@ class _Building:
     def act(self, decided: Decided) -> object:
         """See `LoopDriver.act`."""
         levels, time_s = [block.u for block in decided.blocks], self._building.time_s(self._at)
-        name, plan, refused, notes = self._controller.name, decided.plan, decided.refused, decided.notes
+        name, plan, refused = self._controller.name, decided.plan, decided.refused
+        # Of the forecast's table too, which was read after the measurements.
+        notes = decided.notes if decided.observation is None else (*self._building.left_out, *decided.notes)
         log_decision(name, decided.index, time_s, plan, levels, refused, notes)
         self._on_decision(Decision(self._at, plan, decided.blocks, refused, notes))
         if self._dry:
