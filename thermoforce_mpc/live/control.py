@@ -23,7 +23,7 @@ from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import PlantError, ThermoForceError
 from thermoforce_mpc.live.building import Applied, LiveBuilding
 from thermoforce_mpc.live.kept import Kept, KeptState
-from thermoforce_mpc.loop.closed_loop import checked_blocks
+from thermoforce_mpc.loop.closed_loop import check_memory, checked_blocks
 from thermoforce_mpc.loop.forecasts import OUTAGE_H, Forecasts
 from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.screening import limits_of, screened_history
@@ -172,6 +172,7 @@ class _Loop:
             self._release()
 
     def _decision(self, instant: pd.Timestamp) -> Decision:
+        check_memory()
         building, controller = self._building, self._controller
         as_read = building.record(instant, self._applied, self._clock.now())
         record, doubts = screened_history(as_read, self._allowed)

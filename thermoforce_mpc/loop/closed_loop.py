@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import resource
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Protocol, cast
 
 import numpy as np
@@ -36,6 +39,9 @@ from thermoforce_mpc.protocols import Controller, Plant, RoomSetpointPlant
 _CLOCK_TOLERANCE_S = 1e-6
 # A plant's clock that is further off after a step has jumped, s.
 _CLOCK_JUMP_S = 0.01
+# With less memory than this no step is begun, MB: LLVM, which compiles in a first step, aborts the process where it
+# gets none, and solvers hang where a thread cannot be started.
+_LEAST_MB = 96.0
 # Controllers get the record of these latest days. It is cut once a day.
 _RECORD_DAYS = 35.0
 
@@ -151,6 +157,23 @@ class StepKeeper(Protocol):
         ...
 
 
+def check_memory() -> None:
+    """Raise `MemoryError` where little memory is left, of the machine or of this process's limit; says how much."""
+    left_MB = {}
+    with suppress(OSError, ValueError, IndexError):  # where there is no /proc nothing is known
+        limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+        if limit != resource.RLIM_INFINITY:
+            used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+            left_MB["of this process's limit (ulimit -v)"] = (limit - used) / 1e6
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        (available,) = (line.split()[1] for line in lines if line.startswith("MemAvailable:"))
+        left_MB["of the machine"] = int(available) * 1024 / 1e6
+    for what, left in left_MB.items():
+        if left < _LEAST_MB:
+            there = f"{max(left, 0.0):.0f} MB of memory {what} are left"
+            raise MemoryError(f"{there}, fewer than the {_LEAST_MB:g} that a step is begun with")
+
+
 def run_closed_loop(
     plant: Plant,
     controller: Controller,
@@ -184,6 +207,7 @@ def run_closed_loop(
         PlantError: the plant or its service failed; the KPIs so far are lost.
         ControllerRaised: the controller did; likewise.
         DataError: what the keeper says acted then could not have.
+        MemoryError: too little memory is left to begin a step.
     """
     began = time.perf_counter()
     start = plant.reset(period.start_s, period.warmup_s, price)
@@ -197,6 +221,7 @@ def run_closed_loop(
     state: object = None
     forecasts = Forecasts(plant, controller.horizon_s, controller.step_s, outage_h)
     while end_s - now_s > _CLOCK_TOLERANCE_S:
+        check_memory()
         t0 = time.perf_counter()
         forecast, boundary, gaps = forecasts.now(history)
         doubts += units.now(history if records else as_read, boundary) if units else ()
