@@ -13,12 +13,11 @@ import pandas as pd
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
 from thermoforce_mpc.data.dataframes import new_year, seconds_at, seconds_since, stamps
 from thermoforce_mpc.errors import ConfigError, DataError, counted
-from thermoforce_mpc.measurements.map.entries import Clock
 from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, MappedActuator, MeasurementMap, load_map
 from thermoforce_mpc.measurements.map.starting_map import ROWS, rooms_beside
 from thermoforce_mpc.measurements.signals import SignalReader
 from thermoforce_mpc.measurements.tables import readings
-from thermoforce_mpc.measurements.tables.appended import read_appended
+from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
 from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, head_of, read_table
 from thermoforce_mpc.measurements.tables.raw_table import RawTable, raw_table
@@ -34,6 +33,8 @@ _FULL, _RUNNING = 99.0, 0.05
 # Step of a record where the map has none: the usual distance of the rows, within these, s.
 _STEPS_S = (900.0, 3600.0)
 _LEAST_STEPS = 2
+# A single reading so long after the clock has a wrong stamp.
+_LATEST = pd.Timedelta("2D")
 # A stamp is beside a minute by this share of the usual distance of rows at most; rows are dense from so many steps on
 # apart; of rows denser than this the last boundary is a whole multiple of it, s.
 _BESIDE, _DENSE, _WHOLE_S = 0.05, 0.5, 300.0
@@ -205,34 +206,28 @@ def read_measurements(
     """
     rules, left_out = _rules(map), list[str]()
     columns = [column for _, signal in rules.signals() for column in signal.columns]
-    clock = rules.time if now is None else _lenient(rules.time)
+    clock = rules.time if now is None else rules.time.lenient()
+    head = None
     if isinstance(files, pd.DataFrame):
-        tables = [raw_table(files, clock.column, columns, "table")]
+        if now is None:
+            tables = [raw_table(files, clock.column, columns, "table")]
+        else:
+            tables = [frame_appended(files, columns, clock, now + _LATEST, left_out)]
         head = files.iloc[:ROWS]
     else:
         patterns = [files] if isinstance(files, str | Path) else list(files)
         paths = found_files(patterns, most_bytes)
         if now is None:
             tables = [read_table(path, clock.column, columns, rules.csv) for path in paths]
+            head = head_of(paths[0], ROWS, rules.csv)
         else:
-            tables = [read_appended(path, columns, clock, rules.csv, now, left_out) for path in paths]
-        head = head_of(paths[0], ROWS, rules.csv)
+            tables = [read_appended(path, columns, clock, rules.csv, now + _LATEST, left_out) for path in paths]
     rows = timed(tables, clock, now)
     found = _from_table(tables, rows, rules, step_s, at, refuse=now is None)
     if now is not None:
         left_out += [*rows.notes, *_refused(found, now)]
-    understood = replace(found.understood, beside=rooms_beside(head, rules))
+    understood = replace(found.understood, beside=() if head is None else rooms_beside(head, rules))
     return replace(found, understood=understood, left_out=tuple(left_out))
-
-
-def _lenient(clock: Clock) -> Clock:
-    """The clock of a table that a machine appends to: what a person would be asked is decided."""
-    chosen = {
-        "order": "sort",
-        "duplicates": "last" if clock.duplicates == "refuse" else clock.duplicates,
-        "nonexistent": "gap",
-    }
-    return clock.model_copy(update=chosen)
 
 
 def _refused(found: Measurements, now: pd.Timestamp) -> list[str]:
@@ -306,8 +301,7 @@ def _from_table(
         T_out,
         solar,
         np.zeros(T_zone.shape),
-        np.array([reader.scheduled(f"zones.{name}.lower", z.lower, readings.BOUND) for name, z in zones]),
-        np.array([reader.scheduled(f"zones.{name}.upper", z.upper, readings.BOUND) for name, z in zones]),
+        *_bounds_C(rules, reader, origin),
         np.array([reader.price(f"machines.{name}.price", m.price) for name, m in machines] or none * np.nan),
         none,
         names=names,
@@ -328,6 +322,22 @@ def _from_table(
         missing(rules, record, conditions),
     )
     return Measurements(record, layout, conditions, understood, rules)
+
+
+def _bounds_C(rules: MeasurementMap, reader: SignalReader, origin: pd.Timestamp) -> tuple[Array, Array]:
+    """Lower and upper comfort bounds of the zones (Z, n + 1), °C; NaN where the map has none."""
+    if rules.comfort is not None:
+        return rules.comfort.bounds_at(pd.DatetimeIndex(stamps(reader.grid_s, origin)), tuple(rules.zones))
+    lower, upper = (
+        np.array(
+            [
+                reader.scheduled(f"zones.{name}.{bound}", getattr(zone, bound), readings.BOUND)
+                for name, zone in rules.zones.items()
+            ]
+        )
+        for bound in ("lower", "upper")
+    )
+    return lower, upper
 
 
 def _at_s(time_s: Array, rows_every_s: float, step_s: float, at: Literal["begin", "end"]) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data.limits import SignalRule
 from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.errors import counted
 from thermoforce_mpc.measurements.map.entries import COUNTER, PER_STEP, Irradiance, Power, Signal, converted
@@ -20,7 +21,6 @@ from thermoforce_mpc.measurements.tables.readings import (
     SOLAR,
     Flag,
     Readings,
-    Rules,
     around,
     durations_s,
     held,
@@ -29,6 +29,7 @@ from thermoforce_mpc.measurements.tables.readings import (
     sampled,
     screened,
     usual_s,
+    with_map,
 )
 from thermoforce_mpc.measurements.understood import SignalSummary
 
@@ -56,7 +57,7 @@ class SignalReader:
         self._table, self._time_s, self._step_s = table, time_s, step_s
         self._marks, self._coverage = rules.time.marks, rules.coverage
 
-    def sampled(self, key: str, signal: Signal, rules: Rules) -> Array:
+    def sampled(self, key: str, signal: Signal, rules: SignalRule) -> Array:
         """A signal at the boundaries (n + 1,)."""
         readings, unit, flags = self._readings(key, signal, rules)
         return self._summarised(key, signal, unit, readings, sampled(readings, self.grid_s), flags)
@@ -67,7 +68,7 @@ class SignalReader:
         values = around(readings, self.grid_s, self._step_s, self._coverage)
         return self._summarised("sun", signal, unit, readings, values, flags)
 
-    def scheduled(self, key: str, source: float | Signal | None, rules: Rules) -> Array:
+    def scheduled(self, key: str, source: float | Signal | None, rules: SignalRule) -> Array:
         """A bound or price at the boundaries (n + 1,): a number, the last reading of a column, or NaN for None."""
         if not isinstance(source, Signal):
             return np.full(self.grid_s.size, np.nan if source is None else float(source))
@@ -87,7 +88,7 @@ class SignalReader:
             values = np.where(np.isfinite(over_step), over_step, values)
         return self._summarised(key, source, unit, readings, values, flags)
 
-    def mean(self, key: str, signal: Signal | None, rules: Rules) -> Array:
+    def mean(self, key: str, signal: Signal | None, rules: SignalRule) -> Array:
         """Means of a signal over the steps (n,); NaN where it is not measured."""
         if signal is None:
             return np.full(self.grid_s.size - 1, np.nan)
@@ -97,10 +98,10 @@ class SignalReader:
         values = means(starts, lasts, readings.values, self.grid_s, self._coverage)
         return self._summarised(key, signal, unit, readings, values, flags)
 
-    def _readings(self, key: str, signal: Signal, rules: Rules) -> tuple[Readings, Rules, tuple[Flag, ...]]:
+    def _readings(self, key: str, signal: Signal, rules: SignalRule) -> tuple[Readings, SignalRule, tuple[Flag, ...]]:
         """The readings of a signal that hold, in the unit inside, its rules, and what was flagged."""
         declared = getattr(signal, "unit", "")
-        rules = rules.of(signal)
+        rules = with_map(rules, signal)
         raw = np.sum([self._table.columns[column] for column in signal.columns], axis=0) * signal.factor
         values, time_s = converted(raw, declared), self._time_s
         if declared.endswith(PER_STEP):
@@ -129,7 +130,7 @@ class SignalReader:
         return self._at(int(np.searchsorted(self._time_s, at_s)))
 
     def _summarised(
-        self, key: str, signal: Signal, rules: Rules, readings: Readings, values: Array, flags: tuple[Flag, ...]
+        self, key: str, signal: Signal, rules: SignalRule, readings: Readings, values: Array, flags: tuple[Flag, ...]
     ) -> Array:
         finite = np.isfinite(values)
         least, median, most = (
@@ -158,7 +159,7 @@ class SignalReader:
         return values
 
 
-def _doubt(signal: Signal, rules: Rules, readings: Readings, median: float, most: float) -> str:
+def _doubt(signal: Signal, rules: SignalRule, readings: Readings, median: float, most: float) -> str:
     """What is odd about readings that were accepted, '' if nothing."""
     if isinstance(signal, Power) and "unit" not in signal.model_fields_set and "energy" in map(kind_of, signal.columns):
         return "read as W, and its name says energy: name the unit (W, Wh per step, kWh counter, …)"

@@ -176,7 +176,7 @@ def _fmu(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
 def _rooms(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
     from thermoforce_mpc.plants.rooms import house_of_rooms
 
-    return house_of_rooms(testcase.name, spec.people)
+    return house_of_rooms(testcase.name, spec.people, _tariff(spec))
 
 
 def _generated(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
@@ -221,7 +221,11 @@ def _point_emulator(spec: PlantSpec, testcase: TestCase, options: Any, seed: int
 def _error(spec: PlantSpec, seed: int) -> ForecastError | None:
     from thermoforce_mpc.boundary.forecast_error import ForecastError
 
-    return None if spec.forecast_uncertainty == "none" else ForecastError(spec.forecast_uncertainty, seed)
+    return (
+        None
+        if spec.forecast_uncertainty == "none"
+        else ForecastError(spec.forecast_uncertainty, spec.forecast_uncertainty, seed)
+    )
 
 
 def _weather(spec: PlantSpec, climate: SyntheticClimate | None = None) -> Weather:
@@ -290,7 +294,7 @@ _OWN = {
     "rooms": PlantEntry(
         "drawn house or office of rooms, a valve each, one heat pump (--testcase house:5rooms, office:5rooms)",
         _rooms,
-        takes=frozenset({PEOPLE}),
+        takes=frozenset({PRICES, PEOPLE}),
         windows=_weeks,
     ),
     "generated": PlantEntry(

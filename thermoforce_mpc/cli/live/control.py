@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option, model_option
+from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option, model_option, own_prices_option
 from thermoforce_mpc.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ _SAID_AGAIN = timedelta(days=1)
 @click.command()
 @model_option
 @map_option
+@own_prices_option
 @click.option("--connection", default="files", metavar="NAME", help="See `tf-mpc connections`.")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="connection.KEY or controller.KEY.")
 @click.option("--dry-run", is_flag=True, help="Decide once, set nothing.")
@@ -40,6 +41,7 @@ _SAID_AGAIN = timedelta(days=1)
 def control(
     model: Path,
     map_file: Path,
+    prices: Path | None,
     connection: str,
     assignments: tuple[str, ...],
     dry_run: bool,
@@ -96,7 +98,7 @@ def control(
         say(f"Control of {', '.join(thermal.names.actuators)} by connection {connection}; log: {out}/log.jsonl")
         say(f"Actuation: {mpc.actuation_in_words}")
         control(
-            LiveBuilding(building, rules, mpc.step_s),
+            LiveBuilding(building, rules, mpc.step_s, prices),
             mpc,
             steps=steps,
             delay_s=0.0 if dry_run else delay_s,

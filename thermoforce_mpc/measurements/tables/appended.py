@@ -21,11 +21,13 @@ from thermoforce_mpc.errors import DataError, counted
 from thermoforce_mpc.measurements.map.entries import Clock, CsvFormat
 from thermoforce_mpc.measurements.tables.clock import parsed_or_nat
 from thermoforce_mpc.measurements.tables.files import PARQUET, header_of, opened, read_table, reading
-from thermoforce_mpc.measurements.tables.raw_table import RawTable, as_numbers, raw_table
+from thermoforce_mpc.measurements.tables.raw_table import RawTable, as_numbers, known_column, raw_table
 
 # A stamp so far from its place in the file is none, s; after the clock it is none where few rows have such.
 _FAR_S, _FEW = 86400.0, 0.01
 _SHOWN = 60
+# Cells that are empty, in the words of pandas and of databases.
+_EMPTY = ("", "nan", "NaN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A")
 
 
 @dataclass
@@ -33,6 +35,7 @@ class _Left:
     """What was left out of a file: lines and reasons."""
 
     name: str
+    unit: str
     lines: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
 
     def add(self, reason: str, line: int, what: str = "") -> None:
@@ -43,15 +46,17 @@ class _Left:
         out = []
         for reason, found in self.lines.items():
             line, what = found[-1]
-            more = f" ({counted(len(found), 'such line')})" if len(found) > 1 else ""
-            out.append(f"{self.name}, line {line}: {reason}{f', {what!r}' if what else ''}{more}: left out")
+            more = f" ({counted(len(found), f'such {self.unit}')})" if len(found) > 1 else ""
+            out.append(f"{self.name}, {self.unit} {line}: {reason}{f', {what!r}' if what else ''}{more}: left out")
         return out
 
 
 def read_appended(
-    path: Path, columns: Sequence[str], clock: Clock, form: CsvFormat, now: pd.Timestamp, notes: list[str]
+    path: Path, columns: Sequence[str], clock: Clock, form: CsvFormat, latest: pd.Timestamp, notes: list[str]
 ) -> RawTable:
     """As `read_table`, without the lines and cells that cannot be read; `notes` collects them.
+
+    Of rows stamped after `latest` few are wrong, and many left as they are.
 
     Raises `DataError` where no row is left, or a column is missing.
     """
@@ -61,22 +66,54 @@ def read_appended(
         separator, names, keys = header_of(path, clock.column, columns, form)
         with opened(path) as file:
             content = file.read()
-    left = _Left(str(path))
+    left = _Left(str(path), "line")
     lines, rows = _rows(content, form, separator, names, left)
     frame = pd.DataFrame(rows, columns=names, dtype=str)[keys]
-    missing = frame.isin({"", *form.missing, "nan", "NaN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan"})
-    frame = frame.mask(missing)
-    stamps = keys[0]
-    for key in keys[1:]:
-        frame[key] = _numbers(frame[key], key, form.decimal, lines, left)
-    keep = _with_stamps(frame[stamps], clock, now, lines, left)
+    frame = frame.mask(frame.isin({*_EMPTY, *form.missing}))
+    return _cleaned(frame, keys[0], columns, clock, latest, lines, left, notes, form.decimal)
+
+
+def frame_appended(
+    df: pd.DataFrame, columns: Sequence[str], clock: Clock, latest: pd.Timestamp, notes: list[str]
+) -> RawTable:
+    """As `raw_table` of a data frame, without the rows and cells that cannot be read; `notes` collects them."""
+    of_stamps = isinstance(df.index, pd.DatetimeIndex) or df.index.dtype.kind == "O"
+    if of_stamps and clock.column in (None, df.index.name):
+        df = df.rename_axis(index=str(df.index.name or "time")).reset_index()
+    elif not len(df.columns):
+        raise DataError("table: the table has no columns")
+    stamps = str(df.columns[0]) if clock.column is None else clock.column
+    keys = [known_column(key, df.columns, "table") for key in dict.fromkeys([stamps, *columns])]
+    left = _Left("table", "row")
+    return _cleaned(
+        df[keys].reset_index(drop=True), stamps, columns, clock, latest, np.arange(1, len(df) + 1), left, notes, "."
+    )
+
+
+def _cleaned(
+    frame: pd.DataFrame,
+    stamps: str,
+    columns: Sequence[str],
+    clock: Clock,
+    latest: pd.Timestamp,
+    lines: NDArray[np.intp],
+    left: _Left,
+    notes: list[str],
+    decimal: str,
+) -> RawTable:
+    """The rows of `frame`, which stand at `lines` (n,), whose time can be read, and what is a number in them."""
+    frame = frame.copy()
+    for key in frame.columns:
+        if key != stamps and not pd.api.types.is_numeric_dtype(frame[key]):
+            frame[key] = _numbers(frame[key], key, decimal, lines, left)
+    keep = _with_stamps(frame[stamps], clock, latest, lines, left)
     frame, lines = frame[keep].reset_index(drop=True), lines[keep]
     notes += left.notes()
     if frame.empty:
-        raise DataError(f"{path}: no line of it can be read ({'; '.join(left.notes()[:3]) or 'it has no rows'})")
+        raise DataError(f"{left.name}: nothing of it can be read ({'; '.join(left.notes()[:3]) or 'it has no rows'})")
     if clock.unit is not None:
         frame[stamps] = pd.to_numeric(frame[stamps])
-    return raw_table(frame, stamps, columns, str(path), lines)
+    return raw_table(frame, stamps, columns, left.name, lines if left.unit == "line" else 1)
 
 
 def _rows(
@@ -113,6 +150,7 @@ def _rows(
 
 
 def _numbers(column: pd.Series, key: str, decimal: str, lines: NDArray[np.intp], left: _Left) -> pd.Series:
+    column = column.mask(column.isin(_EMPTY))
     numbers = as_numbers(column, decimal)
     for row in np.flatnonzero((numbers.isna() & column.notna()).to_numpy()):
         left.add(f"column '{key}' holds no number", int(lines[row]), str(column.iloc[row]))
@@ -120,17 +158,20 @@ def _numbers(column: pd.Series, key: str, decimal: str, lines: NDArray[np.intp],
 
 
 def _with_stamps(
-    text: pd.Series, clock: Clock, now: pd.Timestamp, lines: NDArray[np.intp], left: _Left
+    text: pd.Series, clock: Clock, latest: pd.Timestamp, lines: NDArray[np.intp], left: _Left
 ) -> NDArray[np.bool_]:
     """Which rows (n,) have a stamp that is a time, and not far from the rows before and after it."""
-    at = parsed_or_nat(text, clock)
+    if pd.api.types.is_datetime64_any_dtype(text):
+        at = text.dt.tz_localize("UTC") if text.dt.tz is None else text.dt.tz_convert("UTC")
+    else:
+        at = parsed_or_nat(text, clock)
     keep = np.array(at.notna())
     for row in np.flatnonzero(~keep):
         left.add("no time stamp", int(lines[row]), str(text.iloc[row]) if isinstance(text.iloc[row], str) else "")
     rows = np.flatnonzero(keep)
     at_s = np.asarray((at[keep] - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), dtype=np.float64)
     far = _far(at_s)
-    late = at_s > now.timestamp() + 2.0 * _FAR_S
+    late = at_s > latest.timestamp()
     if late.any() and late.sum() <= max(1, _FEW * late.size):
         far |= late
     for row in rows[far]:

@@ -145,7 +145,7 @@ class GeneratedHousePlant(DrawnHousePlant):
         return rows[:, _COLUMN["P_billed"]], rows[:, _COLUMN["T_operative"]][None] - ZERO_C_K
 
     def _scored(self) -> dict[str, float]:
-        return self._kpis_between(self._start_s, self._now_s)
+        return self._kpis_between(self._start_s, self._now_s, True)
 
     def _past(self, edges: Array) -> Record:
         record = self.recorded(self._begin_s, self._now_s)
