@@ -15,6 +15,7 @@ import re
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -45,7 +46,8 @@ def written(path: Path, *, follow: bool = True) -> Iterator[Path]:
             yield path
             return
         target = Path(os.path.realpath(path)) if follow else path
-        handle, name = tempfile.mkstemp(prefix=".", suffix=f".part{target.suffix}", dir=target.parent)
+        sweep(target.parent)
+        handle, name = tempfile.mkstemp(prefix=_own_prefix(), suffix=f".part{target.suffix}", dir=target.parent)
         os.close(handle)
         aside = Path(name)
         try:
@@ -71,7 +73,8 @@ def write_folder(folder: Path, files: Mapping[str, bytes], *, keep: bool = False
     """
     with storage_errors(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
-        aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        sweep(folder.parent)
+        aside = Path(tempfile.mkdtemp(prefix=_own_prefix(), suffix=".part", dir=folder.parent))
         try:
             made, former = aside / "new", aside / "former"
             made.mkdir()
@@ -90,6 +93,49 @@ def write_folder(folder: Path, files: Mapping[str, bytes], *, keep: bool = False
                 shutil.rmtree(former, ignore_errors=True)
         finally:
             shutil.rmtree(aside, ignore_errors=True)
+
+
+_PART = re.compile(r"\.([0-9]+)-[a-z0-9_]{8}\.part(\..*)?")
+# A process of another machine, whose number says nothing here, is done with a file by then, s.
+_LEFT_OVER_S = 600.0
+_swept: set[Path] = set()
+
+
+def _own_prefix() -> str:
+    return f".{os.getpid()}-"
+
+
+def sweep(folder: Path, *, sole: bool = False) -> None:
+    """Remove what processes that were killed left half-written in a folder, once a process; at once where it is `sole`.
+
+    Else only what is ten minutes old and of a process that is not there: others may be writing.
+    """
+    if folder in _swept and not sole:
+        return
+    _swept.add(folder)
+    with suppress(OSError):
+        for entry in list(os.scandir(folder)):
+            match = _PART.fullmatch(entry.name)
+            if match is None or int(match[1]) == os.getpid():
+                continue
+            with suppress(OSError):
+                old = time.time() - entry.stat(follow_symlinks=False).st_mtime > _LEFT_OVER_S
+                if not sole and not (old and _is_gone(int(match[1]))):
+                    continue
+                if entry.is_dir(follow_symlinks=False):
+                    shutil.rmtree(entry.path, ignore_errors=True)
+                else:
+                    os.unlink(entry.path)
+
+
+def _is_gone(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    except (OSError, OverflowError):  # somebody else's, or no number of a process
+        return False
+    return False
 
 
 def _moved(made: Path, folder: Path) -> bool:

@@ -133,16 +133,21 @@ def test_a_worker_of_another_version_is_refused(dask_cluster, engine, monkeypatc
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("threads", "omp"), [(2, "1"), (1, "4")])
-def test_a_worker_of_several_threads_that_comes_later_ends_the_campaign(dask_cluster, engine, tmp_path, threads, omp):
-    late = _dask("worker", dask_cluster, "--nthreads", str(threads), OMP_NUM_THREADS=omp)
-    try:
-        wait_for("the third worker is there", lambda: _workers(dask_cluster) == 3)
-        with pytest.raises(EngineError, match=f"computes on {threads} threads with OMP_NUM_THREADS '{omp}'"):
-            list(execute([task(n, tmp_path, seconds=0.5) for n in range(12)], engine))
-    finally:
-        late.kill()
-        late.wait()
-        wait_for("it is gone", lambda: _workers(dask_cluster) == 2)
+def test_a_worker_that_does_not_fit_and_comes_later_gets_no_tasks(dask_cluster, tmp_path, threads, omp):
+    """Others do what it was given."""
+    said: list[str] = []
+    with DaskEngine(dask_cluster, patience=Patience(look_s=0.2), warn=said.append) as engine:
+        late = _dask("worker", dask_cluster, "--nthreads", str(threads), OMP_NUM_THREADS=omp)
+        try:
+            wait_for("the third worker is there", lambda: _workers(dask_cluster) == 3)
+            outcomes = list(execute([task(n, tmp_path, seconds=0.2) for n in range(12)], engine))
+        finally:
+            late.kill()
+            late.wait()
+            wait_for("it is gone", lambda: _workers(dask_cluster) == 2)
+    assert sorted(outcome.value for outcome in outcomes) == list(range(12))
+    assert [line for line in said if "gone" not in line] == [next(line for line in said if "gets no tasks" in line)]
+    assert re.search(rf"worker tcp://\S+ computes on {threads} threads with OMP_NUM_THREADS '{omp}'", said[0])
 
 
 def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch):

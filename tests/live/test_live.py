@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -566,6 +567,23 @@ def test_two_controllers_do_not_set_one_building(files):
         finally:
             again.terminate()
     assert json.loads((files / "levels.json").read_text())["levels"] == {"actuator": None}
+
+
+def test_without_memory_the_building_gets_its_own_control_and_is_told_why(monkeypatch):
+    """As after `ulimit -v`, or a leak of something else: a solver would hang until its time limit, at every step."""
+    house, least = SimulatedBuilding(), [0]
+    wait = house.wait_until
+
+    def waited(at):
+        least[0] = 1 if at >= START + 3 * HOUR else 0
+        wait(at)
+
+    house.wait_until = waited
+    limit = resource.getrlimit(resource.RLIMIT_AS)
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (1, 1) if least[0] else limit)
+    told = controlled(house, 5)
+    assert [decision.plan.status for decision in told] == ["solved"] * 3 + ["native"] * 2
+    assert "0 MB of memory of this process's limit (ulimit -v) are left" in told[3].plan.why
 
 
 def test_what_a_connection_sets_is_what_it_says_or_else_its_options(tmp_path, monkeypatch):

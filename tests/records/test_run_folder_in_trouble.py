@@ -280,6 +280,18 @@ def test_a_folder_in_which_nothing_can_be_written_is_no_bad_input(call, tmp_path
         assert "run: cannot be written (Read-only file system)" in str(error)
 
 
+def test_a_run_without_memory_for_a_step_ends_in_words_and_goes_on(call, tmp_path, monkeypatch):
+    """As after `ulimit -v`: LLVM aborts the process where it gets none, and a solver hangs."""
+    folder, limit = tmp_path / "run", resource.getrlimit(resource.RLIMIT_AS)
+    short = lambda: monkeypatch.setattr(resource, "getrlimit", lambda which: (1, 1))  # noqa: E731
+    done = call(WatchedHouse(short), *WORDS, "--days", 1, "--out", folder)
+    assert isinstance(done.exception, StorageError), done.output
+    assert "0 MB of memory of this process's limit (ulimit -v) are left" in str(done.exception)
+    assert "out of memory" in (folder / "INCOMPLETE.txt").read_text()
+    monkeypatch.setattr(resource, "getrlimit", lambda which: limit)
+    assert call(SimpleHouse(), "resume", folder).exit_code == 0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "said"),

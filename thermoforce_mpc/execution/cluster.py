@@ -73,7 +73,7 @@ class Order:
 
 
 class WrongWorker(Exception):
-    """The worker has other versions or source code than the client, or more than one thread."""
+    """The worker has other versions or source code than the client, or more than one thread: another one is taken."""
 
 
 class _Cancelled(BaseException):
@@ -134,7 +134,9 @@ class DaskEngine:
         self._futures: dict[str, Any] = {}
         self._events: queue.SimpleQueue[Event | tuple[str, Any]] = queue.SimpleQueue()
         self._threads: dict[str, int] = {}  # of each worker
-        self._checked_s, self._working_s = 0.0, time.monotonic()
+        self._unfit: dict[str, str] = {}  # workers that came later and do not fit, and why
+        self._only: dict[str, frozenset[str]] = {}  # to which workers a task may go, where some do not fit
+        self._checked_s, self._working_s, self._asked = 0.0, time.monotonic(), 0
         try:
             self._client = self._connect(self._patience.connect_s)
         except (OSError, ValueError) as error:
@@ -167,7 +169,7 @@ class DaskEngine:
         """Number of workers, which have one thread each."""
         if time.monotonic() - self._checked_s > self._patience.look_s:
             self._update_workers()
-        return sum(self._threads.values())
+        return sum(n for worker, n in self._threads.items() if worker not in self._unfit)
 
     @property
     def room(self) -> int:
@@ -187,12 +189,16 @@ class DaskEngine:
 
         name = f"{title}-{uuid.uuid4().hex}"  # the dashboard shows what comes before the last hyphen
         with dask.config.set(_LARGE_IS_MEANT):
-            future = self._client.submit(perform, self._orders[key], key=name, pure=False)
+            fit = [worker for worker in self._threads if worker not in self._unfit] if self._unfit else None
+            future = self._client.submit(perform, self._orders[key], key=name, pure=False, workers=fit)
+        self._only.pop(key, None)
+        if fit is not None:
+            self._only[key] = frozenset(fit)
         self._futures[key] = future
         future.add_done_callback(lambda done: self._events.put((key, done)))
 
     def wait(self) -> Event:
-        """The next event; raises `EngineError` if the scheduler does not come back, or a worker does not fit."""
+        """The next event; raises `EngineError` if the scheduler does not come back, or no worker fits."""
         while True:
             if self._client.status == "running" and time.monotonic() - self._checked_s > self._patience.look_s:
                 self._update_workers()
@@ -209,6 +215,7 @@ class DaskEngine:
                 ended = self._ended(key, future)
                 if ended is not None:
                     del self._orders[key], self._futures[key]
+                    self._only.pop(key, None)
                     return ended
 
     def _ended(self, key: str, future: Any) -> Event | None:
@@ -218,20 +225,52 @@ class DaskEngine:
             answer: Answer = future.result()
         except KilledWorker as error:
             return Lost(key, f"worker {error.last_worker.address}", error.allowed_failures + 1)
-        except WrongWorker as error:
-            raise EngineError(str(error)) from error
         except Exception as error:
-            if future.status == "error":
+            if future.status != "error":
+                self._reconnect()
+                return None
+            wrong = isinstance(error, WrongWorker)
+            if not self._leave_out_misfits() and not wrong:
                 raise EngineError(f"a worker cannot run tasks of this version: {_first_line(error)}") from error
-            self._reconnect()
+            self._send(key, key)
             return None
         return Ended(key, answer)
+
+    def _leave_out_misfits(self) -> bool:
+        """Give no more tasks to workers that came later and do not fit; whether there are any.
+
+        Raises:
+            EngineError: none fits.
+        """
+        wrong = self._misfits()
+        self._update_workers()
+        for worker, why in wrong.items():
+            if worker not in self._unfit:
+                self._warn(f"worker {worker} {why}; it gets no tasks")
+        self._unfit = wrong
+        if wrong and not self._threads.keys() - wrong.keys():
+            worker, why = next(iter(wrong.items()))
+            raise EngineError(f"worker {worker} {why}; there is no other")
+        return bool(wrong)
+
+    def _misfits(self) -> dict[str, str]:
+        """Workers that do not fit, and why."""
+        answers = self._client.run(misfit, environment(), on_error="return")
+        self._asked = len(answers)
+        said = {
+            worker: f"cannot load thermoforce-mpc of this version: {_first_line(wrong)}"
+            if isinstance(wrong, BaseException)
+            else wrong
+            for worker, wrong in answers.items()
+        }
+        return {worker: wrong for worker, wrong in said.items() if wrong}
 
     def cancel(self) -> None:
         """Forget what is under way; a task that has begun ends when it next tells how far it is."""
         futures = list(self._futures.values())
         self._futures.clear()
         self._orders.clear()
+        self._only.clear()
         if futures and self._client.status == "running":
             with suppress(OSError):
                 self._client.cancel(futures, force=True)
@@ -254,15 +293,11 @@ class DaskEngine:
     def _check_workers(self) -> int:
         """Compare the workers there are with this process; returns their number, raises `ConfigError`.
 
-        Those that come later compare themselves, with each task.
+        Those that come later compare themselves, with each task, and get none where they do not fit.
         """
-        answers = self._client.run(misfit, environment(), on_error="return")
-        for worker, wrong in answers.items():
-            if isinstance(wrong, BaseException):
-                wrong = f"cannot load thermoforce-mpc of this version: {_first_line(wrong)}"
-            if wrong:
-                raise ConfigError(f"worker {worker} {wrong}")
-        return len(answers)
+        for worker, wrong in self._misfits().items():
+            raise ConfigError(f"worker {worker} {wrong}")
+        return self._asked
 
     def _update_workers(self) -> None:
         """Read which workers there are now; report those that are gone, and where there are none for long."""
@@ -275,6 +310,10 @@ class DaskEngine:
         except OSError:
             problem = f"the Dask scheduler at {self._address} does not answer; waiting for it"
         self._checked_s = time.monotonic()
+        # Those that a task was meant for may have been started again, under other names.
+        for key in [key for key, only in self._only.items() if not only & self._threads.keys()]:
+            if key in self._orders and self._threads.keys() - self._unfit.keys():
+                self._send(key, key)
         if not problem:
             self._working_s = self._checked_s
         elif self._checked_s - self._working_s > self._patience.repeat_s:

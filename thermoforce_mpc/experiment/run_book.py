@@ -193,7 +193,7 @@ def ended_early(book: RunBook, records: Mapping[str, Sequence[StepRecord]], erro
     fault = isinstance(error, Exception)
     reason = "interrupted"
     if lacks_memory:
-        reason = "out of memory"
+        reason = f"out of memory{f': {error}' if str(error) else ''}"
     elif fault:
         reason = str(error) if isinstance(error, ThermoForceError) else f"{type(error).__name__}: {error}"
     there = f"What was recorded until then is in {book.folder}"
@@ -207,5 +207,6 @@ def ended_early(book: RunBook, records: Mapping[str, Sequence[StepRecord]], erro
     if book.experiment.plant.outlives_us:
         there += f", `{again} --stop` gives its test back to the service"
     if lacks_memory:
-        return StorageError(f"out of memory: close other programs, or give the machine more\n{there}")
+        how = f" ({error})" if isinstance(error, MemoryError) and str(error) else ""
+        return StorageError(f"out of memory: close other programs, or give the machine more{how}\n{there}")
     return PlantError(f"{error}\n{there}") if isinstance(error, PlantError) else error

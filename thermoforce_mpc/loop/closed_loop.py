@@ -181,6 +181,7 @@ def run_closed_loop(
         PlantError: the plant or its service failed; the KPIs so far are lost.
         ControllerRaised: the controller did; likewise.
         DataError: what the keeper says acted then could not have.
+        MemoryError: too little memory is left to begin a step.
     """
     began = time.perf_counter()
     driver = _Simulated(plant, controller, period, price, on_step, allowed, lowest, keeper, steps, record_days, units)

@@ -8,11 +8,14 @@ what is known from step to step, is here.
 from __future__ import annotations
 
 import math
+import resource
 import time
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Protocol
 
 from thermoforce_mpc.data import DAY_S, SINGLE, Block, Boundary, Names, Observation, Plan, Record
@@ -24,6 +27,9 @@ from thermoforce_mpc.protocols import Controller
 
 CLOCK_TOLERANCE_S = 1e-6
 """Tolerance on times, s: shorter remainders are rounding errors of the clock."""
+# With less memory than this no step is begun, MB: LLVM, which compiles in a first step, aborts the process where it
+# gets none, and solvers hang where a thread cannot be started.
+_LEAST_MB = 96.0
 
 
 @dataclass(frozen=True)
@@ -135,6 +141,7 @@ class Loop:
 
     def _decide(self, index: int, believed: Believed, state: object) -> Decided:
         """Forecast, plan and check."""
+        check_memory()
         controller, history = self._controller, believed.history
         if index == 0:
             self._units = self._driver.units()
@@ -217,3 +224,20 @@ def _planned(controller: Controller, observation: Observation, state: object, in
     if not isinstance(plan, Plan):
         raise ControllerRaised(f"{at} returned a {type(plan).__name__}, not a Plan (docs/how-to/controller.md)")
     return plan
+
+
+def check_memory() -> None:
+    """Raise `MemoryError` where little memory is left, of the machine or of this process's limit; says how much."""
+    left_MB = {}
+    with suppress(OSError, ValueError, IndexError):  # where there is no /proc nothing is known
+        limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+        if limit != resource.RLIM_INFINITY:
+            used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+            left_MB["of this process's limit (ulimit -v)"] = (limit - used) / 1e6
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        (available,) = (line.split()[1] for line in lines if line.startswith("MemAvailable:"))
+        left_MB["of the machine"] = int(available) * 1024 / 1e6
+    for what, left in left_MB.items():
+        if left < _LEAST_MB:
+            there = f"{max(left, 0.0):.0f} MB of memory {what} are left"
+            raise MemoryError(f"{there}, fewer than the {_LEAST_MB:g} that a step is begun with")

@@ -9,6 +9,8 @@ from pathlib import Path
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import write_whole
 
+HARD_LINK = "has another name elsewhere (a hard link), where it would be changed too; copy the folder (cp -r)"
+
 
 def check_plain(folder: Path) -> None:
     """Refuse a folder of a run in which anything is a link, pipe, socket or device, at any depth; raises `ConfigError`.
@@ -34,6 +36,8 @@ def check_plain(folder: Path) -> None:
 def open_plain(path: Path, flags: int) -> int:
     """Descriptor of a regular file (`flags` as of `os.open`), without following a link there or waiting for anything.
 
+    One to be written has one name only: with another, a file elsewhere would be written too.
+
     Raises:
         OSError: it cannot be opened, or is something else; its text says what.
     """
@@ -43,7 +47,11 @@ def open_plain(path: Path, flags: int) -> int:
     for flag in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"):
         flags |= getattr(os, flag, 0)
     file = os.open(path, flags, 0o644)
-    if stat.S_ISREG(mode := os.fstat(file).st_mode):
+    found = os.fstat(file)
+    if stat.S_ISREG(mode := found.st_mode):
+        if found.st_nlink > 1 and flags & (os.O_WRONLY | os.O_RDWR):
+            os.close(file)
+            raise OSError(0, HARD_LINK, str(path))
         return file
     os.close(file)
     raise OSError(0, f"is {_kind(mode)}, not a plain file", str(path))

@@ -16,9 +16,9 @@ from filelock import FileLock, Timeout
 
 from thermoforce_mpc.data import Names, Plan
 from thermoforce_mpc.errors import ArtifactError, ConfigError, StorageError
-from thermoforce_mpc.files import storage_errors, write_whole
+from thermoforce_mpc.files import storage_errors, sweep, write_whole
 from thermoforce_mpc.loop.closed_loop import StepRecord
-from thermoforce_mpc.records.plain_files import check_plain, write_plain
+from thermoforce_mpc.records.plain_files import HARD_LINK, check_plain, write_plain
 from thermoforce_mpc.registry import plugins
 from thermoforce_mpc.version import VERSION, installed
 
@@ -73,6 +73,10 @@ def sole_use(folder: Path) -> Iterator[None]:
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder")
     check_plain(folder)
+    for name in (LOCK, "journal.jsonl", "log.jsonl"):  # written where they stand; all else is replaced
+        with suppress(FileNotFoundError):
+            if (folder / name).stat().st_nlink > 1:
+                raise ConfigError(f"{folder / name}: {HARD_LINK}")
     lock = FileLock(folder / LOCK, timeout=0)
     try:
         lock.acquire()
@@ -83,6 +87,7 @@ def sole_use(folder: Path) -> Iterator[None]:
             f"{folder}: cannot be written ({error.strerror or error}); choose a folder that can be written, or copy it"
         ) from error
     try:
+        sweep(folder, sole=True)
         yield
     finally:
         with suppress(OSError):  # the folder was removed meanwhile

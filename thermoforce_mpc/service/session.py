@@ -265,9 +265,9 @@ def _number(body: Mapping[str, Any], key: str, *, low: float = -math.inf, high: 
 
 
 def _end(body: Mapping[str, Any], key: str) -> float:
-    """An end of a record, s; open where the text is 'inf' or '-inf', as BOPTEST's own examples send it in forms."""
+    """An end of a record, s; open where it is infinite, as BOPTEST's own example interface sends it."""
     given = body.get(key)
-    return float(given) if given in ("inf", "-inf") else _number(body, key)
+    return float(given) if given in ("inf", "-inf", math.inf, -math.inf) else _number(body, key)
 
 
 def _switch(key: str, value: Any) -> bool:
