@@ -15,9 +15,10 @@ from thermoforce_mpc.measurements.map.entries import Signal
 from thermoforce_mpc.measurements.map.mapping import MappedMachine
 from thermoforce_mpc.measurements.signals import SignalReader
 from thermoforce_mpc.measurements.tables.clock import timed
-from thermoforce_mpc.measurements.tables.files import found_files, read_table
-from thermoforce_mpc.measurements.tables.raw_table import raw_table
-from thermoforce_mpc.measurements.tables.readings import BOUND, OUTDOOR, PRICE, Rules
+from thermoforce_mpc.measurements.tables.files import found_files, read_tables
+from thermoforce_mpc.measurements.tables.forms import TableForm
+from thermoforce_mpc.measurements.tables.raw_table import tables_of
+from thermoforce_mpc.measurements.readings import BOUND, OUTDOOR, PRICE, Rules
 
 
 def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Boundary:
@@ -40,13 +41,14 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Bo
     signals = [s for s in (*weather, *bounds["lower"], *bounds["upper"], *prices) if isinstance(s, Signal)]
     columns = [column for signal in signals for column in signal.columns]
     if isinstance(file, pd.DataFrame):
-        table = raw_table(file, ours.time.column, columns, "forecast")
+        tables = tables_of(file, ours.time.column, columns, rules.forecast.table or TableForm(), "forecast")
     else:
         paths = found_files([file])
         if len(paths) > 1:
             raise DataError(f"{file}: names {len(paths)} files, a forecast is one: name the latest")
-        table = read_table(paths[0], ours.time.column, columns, rules.csv)
-    rows = timed([table], ours.time)
+        form, csv = rules.forecast.table or TableForm(), rules.forecast.csv or rules.csv
+        tables = read_tables(paths, ours.time.column, columns, csv, form, [])
+    table, rows = tables[0], timed(tables, ours.time)
     time_s = seconds_since(record.origin, rows.index, table.name)
     now_s, step_s = float(record.time_s[-1]), record.step_s
     if not time_s[0] <= now_s + 1.0 or not time_s[-1] >= now_s + step_s:

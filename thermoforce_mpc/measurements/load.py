@@ -13,14 +13,15 @@ import pandas as pd
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
 from thermoforce_mpc.data.dataframes import new_year, seconds_since, stamps
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.measurements import readings
 from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, MappedActuator, MeasurementMap, load_map
-from thermoforce_mpc.measurements.map.starting_map import ROWS, rooms_beside
+from thermoforce_mpc.measurements.map.guesses import rooms_beside
 from thermoforce_mpc.measurements.signals import SignalReader
-from thermoforce_mpc.measurements.tables import readings
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
-from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, head_of, read_table
-from thermoforce_mpc.measurements.tables.raw_table import RawTable, raw_table
-from thermoforce_mpc.measurements.understood import Understood, missing, of_clock
+from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, head_of, read_tables
+from thermoforce_mpc.measurements.tables.forms import TableForm
+from thermoforce_mpc.measurements.tables.raw_table import RawTable, as_numbers, tables_of
+from thermoforce_mpc.measurements.understood import Understood, missing, of_changes, of_clock
 from thermoforce_mpc.scenario.settings import validate
 
 if TYPE_CHECKING:  # pvlib is loaded only where an estimate is needed
@@ -32,6 +33,8 @@ _FULL, _RUNNING = 99.0, 0.05
 # Step of a record where the map has none: the usual distance of the rows, within these, s.
 _STEPS_S = (900.0, 3600.0)
 _LEAST_STEPS = 2
+# Rows that are looked at for rooms outside the map.
+_ROWS = 2000
 
 
 def sunlight(
@@ -185,16 +188,22 @@ def read_measurements(
     """
     rules = _rules(map)
     columns = [column for _, signal in rules.signals() for column in signal.columns]
+    notes: list[str] = []
     if isinstance(files, pd.DataFrame):
-        tables = [raw_table(files, rules.time.column, columns, "table")]
-        head = files.iloc[:ROWS]
+        tables = tables_of(files, rules.time.column, columns, rules.table, "table")
+        head = files.iloc[:_ROWS]
     else:
         patterns = [files] if isinstance(files, str | Path) else list(files)
         paths = found_files(patterns, most_bytes)
-        tables = [read_table(path, rules.time.column, columns, rules.csv) for path in paths]
-        head = head_of(paths[0], ROWS, rules.csv)
-    found = _from_table(tables, timed(tables, rules.time), rules, step_s)
-    return replace(found, understood=replace(found.understood, beside=rooms_beside(head, rules)))
+        tables = read_tables(paths, rules.time.column, columns, rules.csv, rules.table, notes)
+        head = head_of(paths[0], _ROWS, rules.csv) if rules.table == TableForm() else pd.DataFrame()
+    rows = timed(tables, rules.time)
+    rows = replace(rows, notes=(*notes, *rows.notes))
+    found = _from_table(tables, rows, rules, step_s)
+    beside = dict(rows.beside)
+    if rules.table.point is None:
+        beside = {str(c): as_numbers(head[c], rules.csv.decimal).to_numpy() for c in head.columns.drop_duplicates(keep=False)}
+    return replace(found, understood=replace(found.understood, beside=rooms_beside(beside, rules)))
 
 
 def _rules(map: str | Path | Mapping[str, Any] | MeasurementMap) -> MeasurementMap:
@@ -207,7 +216,7 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
     names, layout = rules.names, rules.layout
     origin = new_year(table.index, tables[0].name)
     time_s = seconds_since(origin, table.index, tables[0].name)
-    rows_every_s = readings.usual_s(time_s)
+    rows_every_s = table.every_s
     if step_s is None:
         step_s = pd.Timedelta(rules.step).total_seconds() if rules.step else _step_s(rows_every_s)
     if not LEAST_STEP_S <= step_s <= MOST_STEP_S:
@@ -254,8 +263,8 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
     at = stamps(grid_s, origin)
     zone = "" if table.index.tz is None else str(table.index.tz)
     understood = Understood(
-        tuple(t.name for t in tables),
-        len(time_s),
+        tuple(dict.fromkeys(t.name for t in tables)),
+        sum(len(t.stamps) for t in tables) if table.own else len(time_s),
         str(at[0]),
         str(at[-1]),
         float(grid_s[-1] - grid_s[0]) / DAY_S,
@@ -263,7 +272,7 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
         rows_every_s,
         step_s,
         tuple(reader.summaries),
-        (*table.notes, *of_clock(zone, rows_every_s, step_s), *of_sun, *of_levels),
+        (*table.notes, *of_clock(zone, rows_every_s, step_s), *of_sun, *of_levels, *of_changes(reader.on_change)),
         missing(rules, record, conditions),
     )
     return Measurements(record, layout, conditions, understood, rules)

@@ -43,12 +43,17 @@ MAP = click.option("--map", "map_file", required=True, type=PATH, help="Map of t
 
 
 @data.command("map")
-@click.argument("file", metavar="FILE")
-def map_of(file: str) -> None:
-    """Print a map for FILE, guessed from names and sizes of its columns, to be checked line by line."""
+@FILES
+def map_of(files: tuple[str, ...]) -> None:
+    """Print a map for FILE (several of one building, or a pattern in quotes), to be checked line by line.
+
+    Recognises one column per signal, one row per reading (Home Assistant, InfluxDB and the like), one file per signal
+    or room; how the file is written and stamped; and by names and values what each signal is. What is not certain is
+    marked by CHECK.
+    """
     from thermoforce_mpc.measurements.map.starting_map import starting_map
 
-    click.echo(starting_map(file), nl=False)
+    click.echo(starting_map(files), nl=False)
 
 
 @data.command("check")
