@@ -36,8 +36,8 @@ _ZERO_OFFSET_W_M2, _DARK_W_M2 = 30.0, 1.0
 LEVEL_SLACK = 0.02
 # Stored on change: least readings and share of those that repeat the one before; share of the longest time without one
 # after which one repeats to show that it lives; steps that a value makes which stayed; share of gaps before which a
-# value is one of rest; share of gaps in which the value stayed.
-_LEAST_CHANGES, _MOST_SAME, _ALIVE, _STEPS, _RESTS, _STAYED = 3, 0.02, 0.7, 3.0, 0.2, 0.7
+# value is one of rest; share of gaps in which the value stayed; share of distances that are not the usual one.
+_LEAST_CHANGES, _MOST_SAME, _ALIVE, _STEPS, _RESTS, _STAYED, _IRREGULAR = 3, 0.02, 0.7, 3.0, 0.2, 0.7, 0.15
 # Longest time between readings that is no gap: this many times their 90th percentile.
 _LOOSE, _PERCENTILE = 1.5, 90.0
 
@@ -236,7 +236,7 @@ def stored_on_change(time_s: Array, values: Array, breaks_s: Array, longest: flo
         if not seldom.all():
             return None
     long = apart > longest
-    if not long.any() and np.percentile(apart, _PERCENTILE) <= 2.0 * np.median(apart):
+    if (np.abs(apart / np.median(apart) - 1.0) > 0.25).mean() < _IRREGULAR:
         return None
     steps = np.abs(change[~same])
     usual = float(np.median(steps))

@@ -265,11 +265,11 @@ def _temperature(look: _Look, fahrenheit: bool) -> Guess:
     if "hot water" in t or (t & {"supply", "return", "water"} and "room" not in t):
         if "outdoor" not in t:
             return Guess(look.name, "return water" if "return" in t else "", unit)
+    if "outdoor" in t and inside and not ("room" in t and _room_first(look)):
+        return Guess(look.name, "outdoor", unit)
     if not inside or median > 33.0:
         far = f"a median of {median:.0f} °C is not that of a room"
         return Guess(look.name, "zone", unit, far) if "room" in t and inside else Guess(look.name, "", unit)
-    if "outdoor" in t and not ("room" in t and _room_first(look)):
-        return Guess(look.name, "outdoor", unit)
     if _setpoint(look, fahrenheit) and look.distinct.size <= 6 and "room" not in t and not _full_temperature(look):
         return Guess(look.name, "setpoint", unit, "its values are those of a set-point, in half steps")
     if not _ROOM_C[0] <= median <= _ROOM_C[1]:

@@ -133,7 +133,7 @@ _WORDS: dict[str, tuple[str, str]] = {
         "occupied bewegung praesenz battery batterie batterij accu rssi lqi linkquality light licht lux lumiere "
         "verlichting illuminance wind rain regen pluie neerslag precipitation pressure druck pression druk baro dew "
         "dewpoint taupunkt cloud clouds bewolking snow alarm fault error mode modus id uid uuid idx index row count "
-        "counter record version uptime noise voltage spannung tension current courant contact kontakt vibration "
+        "counter record version uptime noise voltage spannung tension courant amps ampere contact kontakt vibration "
         "smoke enthalpy enth cfm airflow volumenstrom durchfluss debit flowrate lpm speedwind fridge freezer "
         "kuehlschrank gefrierschrank oven dryer washer tv computer nas server aquarium pool soil boden cpu cop "
         "efficiency filter serial seq sequence line year month day hour minute weekday holiday lat lon signalstrength "

@@ -450,7 +450,10 @@ def _csv(path: Path, form: CsvFormat, *, scan: bool = True) -> list[_Part]:
         with _reading(path, " as CSV"), warnings.catch_warnings():
             warnings.simplefilter("ignore", pd.errors.ParserWarning)
             if lines is None:
-                yield renamed(pd.read_csv(path, **rules | {"nrows": rows})), first + 1
+                try:
+                    yield renamed(pd.read_csv(path, **rules | {"nrows": rows})), first + 1
+                except pd.errors.EmptyDataError as error:
+                    raise DataError(f"{path}: the table has no rows") from error
                 return
             if rows is None:
                 df = renamed(pd.read_csv(path, **rules))
