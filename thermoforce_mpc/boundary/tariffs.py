@@ -187,7 +187,7 @@ def _read_prices(path: Path, text: str) -> tuple[Array, Array]:
             rows.append((time, price.replace(",", ".") if decimal else price))
             numbers.append(reader.line_num)
     except csv.Error as error:
-        raise ConfigError(f"{path}: line {reader.line_num + 1}: not CSV ({error})") from error
+        raise ConfigError(f"{path}: line {reader.line_num}: not CSV ({error})") from error
     named = [header[column] for column in columns]
     prices = [_number(path, line, price, named[1]) for line, (_, price) in zip(numbers, rows, strict=True)]
     times = [time for time, _ in rows]

@@ -38,6 +38,8 @@ LEVEL_SLACK = 0.02
 # after which one repeats to show that it lives; steps that a value makes which stayed; share of gaps before which a
 # value is one of rest; share of gaps in which the value stayed; share of distances that are not the usual one.
 _LEAST_CHANGES, _MOST_SAME, _ALIVE, _STEPS, _RESTS, _STAYED, _IRREGULAR = 3, 0.02, 0.7, 3.0, 0.2, 0.7, 0.15
+# Set-points of rooms, °C and °F.
+_SETPOINTS = ((10.0, 32.0), (50.0, 90.0))
 # Longest time between readings that is no gap: this many times their 90th percentile.
 _LOOSE, _PERCENTILE = 1.5, 90.0
 
@@ -115,6 +117,11 @@ def screened(
     if outside.mean() > _MOST_REFUSED:
         unit = likelier(raw, declared, rules.kind, rules.usual)
         hint = f"they look like {unit}: set unit: '{unit}'" if unit else "check column, unit and factor"
+        if rules.kind == "level" and looks_like_setpoints(raw):
+            hint = (
+                "these look like set-points in °C or °F, and a set-point is no level: name what the machine did (valve, speed, "
+                "on and off), or leave the level out, and the power of its machine over the full one is taken for it"
+            )
         raise DataError(
             f"{name}: {100 * outside.mean():.0f} % of the readings are no {rules.kind} between {low:g} and {high:g} "
             f"{rules.unit} (first {values[int(np.argmax(outside))]:.4g} at {where(int(np.argmax(outside)))}, read as "
@@ -134,6 +141,19 @@ def screened(
     holds = np.zeros(values.size, dtype=bool)
     holds[kept] = True
     return holds, tuple(flags)
+
+
+def looks_like_setpoints(values: Array) -> bool:
+    """Whether levels (n,) are rather set-points: few values in half or fifth degrees, between 10 and 32 °C or in °F.
+
+    Off or fully on is never among them.
+    """
+    distinct = np.unique(values)
+    if distinct.size > max(4, min(20, values.size // 8)) or distinct.size < 2:
+        return False
+    steps = np.allclose(2.0 * distinct, np.round(2.0 * distinct)) or np.allclose(5.0 * distinct, np.round(5.0 * distinct))
+    low, high = float(distinct[0]), float(distinct[-1])
+    return bool(steps and any(least <= low and high <= most for least, most in _SETPOINTS))
 
 
 def _excursions(time_s: Array, values: Array, most: float) -> NDArray[np.bool_]:

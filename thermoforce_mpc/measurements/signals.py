@@ -25,6 +25,7 @@ from thermoforce_mpc.measurements.readings import (
     ends_s,
     held,
     longest_s,
+    looks_like_setpoints,
     means,
     sampled,
     screened,
@@ -172,6 +173,9 @@ class SignalReader:
             np.quantile(values[finite], (0.0, 0.5, 1.0)).tolist() if finite.any() else (float("nan"),) * 3
         )
         doubt = _doubt(signal, rules, readings, median, most) if finite.any() else "never measured: check the column"
+        if finite.any() and rules.kind == "level" and getattr(signal, "unit", "") == "%":
+            if looks_like_setpoints(100.0 * readings.values / signal.factor):
+                doubt = "these look like set-points in °C or °F, and a set-point is no level: name what the machine did"
         longest_gap = max((stop - start for start, stop in stretches(~finite)), default=0)
         self.summaries.append(
             SignalSummary(
