@@ -12,10 +12,10 @@ import numpy as np
 from benchmarks.free_response.score import forecast_origins, score, window
 from benchmarks.free_response.sources import Source, embedded_sources
 from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
+from thermoforce_mpc.comparison.results_json import Target
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.free_response.registry import build_free_response
-from thermoforce_mpc.simulation.comparison.results_json import Target
 
 Row = dict[str, Any]
 
@@ -80,13 +80,14 @@ def cost_rows(source: Source, backbone: str) -> list[Row]:
     method = ChronosFreeResponse(backbone)
     free, history, boundary, _ = window(source, forecast_origins(source, 1)[0])
     n = source.horizon
+    twice: dict[str, Any] = {
+        name: np.concatenate([getattr(boundary, name), getattr(boundary, name)[..., 1:]], axis=-1)
+        for name in CONDITIONS
+        if name != "time_s"
+    }
     long = replace(
         boundary,
-        **{
-            name: np.concatenate([getattr(boundary, name), getattr(boundary, name)[..., 1:]], axis=-1)
-            for name in CONDITIONS
-            if name != "time_s"
-        },
+        **twice,
         time_s=boundary.time_s[0] + boundary.step_s * np.arange(2 * n + 1),
         names=boundary.names,
     )

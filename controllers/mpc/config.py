@@ -157,6 +157,12 @@ class MPCConfig(StrictModel):
         "from where the command is started. See the how-to 'Your own optimisation'",
     )
     objective: ObjectiveConfig = ObjectiveConfig()
+    whole_runs: bool = Field(
+        False,
+        description="plan an on/off machine in runs that keep its minimum on and off times over all of the horizon, "
+        "where a step does not hold both (`tf-mpc plan` does); else the plan has shares of steps, and blocks keep the "
+        "times from step to step",
+    )
     move_blocking: MoveBlockingConfig = MoveBlockingConfig()
     free_response: FreeResponseConfig = FreeResponseConfig()
     actuation: ActuationConfig = ActuationConfig()

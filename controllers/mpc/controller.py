@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from controllers.actuation.runs import in_runs, needs_runs, without_owed
 from controllers.checks import check_names, message_of
 from controllers.monitoring.watch import Watch
 from controllers.mpc.acting import ActuatedController
@@ -26,13 +27,13 @@ from controllers.mpc.planner import (
     plan_shape,
 )
 from controllers.mpc.prediction import Failure, Forecast, Prediction, WatchedPredictions
-from controllers.mpc.readings import Readings, ReadingsFilter
+from controllers.mpc.readings import Readings, ReadingsFilter, joined
 from controllers.mpc.realisation import Realisation
 from controllers.mpc.solved import Solved, first_demands, power_limit, solved_plan
 from controllers.mpc.state import MPCState
-from controllers.optimisation.plan_model import Evaluator
+from controllers.optimisation.plan_model import Evaluation, Evaluator
 from controllers.optimisation.problem import MPCProblem
-from controllers.optimisation.solution import Solve, Solver
+from controllers.optimisation.solution import Solution, Solve, Solver
 from controllers.optimisation.statement.terms import Terms, load_terms, of_controller
 from controllers.safety.deadline import BoundedCalls, Overdue
 from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan
@@ -213,6 +214,8 @@ class ThermoForceMPC(ActuatedController):
         if before is None:
             watch = self._watched.begin(observation.time_s)
             before = MPCState.begin(observation.time_s, self._layout.names, watch, self._readings.meters.begin)
+        if self.config.whole_runs:
+            actuation = without_owed(self._actuators, actuation, self.step_s)
         before = replace(before, actuation=actuation, last_s=observation.time_s)
         try:
             return (yield from self._step(observation, before))
@@ -231,7 +234,7 @@ class ThermoForceMPC(ActuatedController):
         else:
             forecast = yield from self._prediction.predict(readings, state)
             instance = self._formulate(forecast, readings, state, overrides)
-            result = yield from self._solve(instance, forecast, readings)
+            result = yield from self._solve(instance, forecast, readings, overrides)
             plan = self._realise(result, readings, overrides, situation)
         return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
 
@@ -279,7 +282,11 @@ class ThermoForceMPC(ActuatedController):
             return Failure(f"no prediction ({message_of(error)})", state)
 
     def _solve(
-        self, instance: Instance | Failure, forecast: Forecast | Failure, readings: Readings
+        self,
+        instance: Instance | Failure,
+        forecast: Forecast | Failure,
+        readings: Readings,
+        overrides: Mapping[int, Override],
     ) -> Computation[Solved | Failure]:
         if isinstance(forecast, Failure):
             return forecast
@@ -306,8 +313,32 @@ class ThermoForceMPC(ActuatedController):
         if brought is None or brought.broken:
             why = refused or f"the solver's levels leave a limit: {brought.broken if brought else ''}"
             return Failure(why, forecast.state, solution.status, seconds)
+        if self.config.whole_runs and not overrides.keys() >= set(self._in_runs):
+            solution, brought = self._with_runs(instance, solution, brought, forecast, list(overrides))
         limit = power_limit(instance, solution, brought, planner.evaluator)
         return Solved(solved_plan(instance, solution, brought, seconds, forecast, readings), limit)
+
+    @property
+    def _in_runs(self) -> list[int]:
+        """Numbers of the actuators whose steps do not hold their minimum on and off times."""
+        return [a for a, actuation in enumerate(self._actuators.each) if needs_runs(actuation, self.step_s)]
+
+    def _with_runs(
+        self, instance: Instance, solution: Solution, brought: Evaluation, forecast: Forecast, left: Sequence[int]
+    ) -> tuple[Solution, Evaluation]:
+        """The solution in whole runs (`MPCConfig.whole_runs`) and what it brings; `left`: who does not follow it."""
+        evaluator, problem = forecast.planner.evaluator, instance.problem
+        numbers = evaluator.numbers(problem)
+
+        def cost(u: Array) -> float:
+            return evaluator.evaluate(numbers, u, solution.own_values).cost
+
+        u = in_runs(self._actuators, solution.u, self.step_s, forecast.state.actuation, left, cost)
+        carried = evaluator.evaluate(numbers, u, solution.own_values)
+        if carried.broken and not brought.broken:
+            said = f"the plan does not keep minimum on and off times, since in whole runs {carried.broken}"
+            return replace(solution, problem=joined([solution.problem, said])), brought
+        return replace(solution, u=u), carried
 
     def _realise(
         self, result: Solved | Failure, readings: Readings, overrides: Mapping[int, Override], situation: Situation

@@ -30,7 +30,7 @@ from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.live import KeptState, LiveBuilding, WallClock, control
 from thermoforce_mpc.live.kept import Kept
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
-from thermoforce_mpc.simulation.views.display import RunDisplay
+from thermoforce_mpc.report.display import RunDisplay
 
 HOUR = pd.Timedelta("1h")
 START_S = (START - pd.Timestamp("2025-01-01", tz="UTC")).total_seconds()
@@ -153,7 +153,7 @@ def test_a_connection_that_does_not_answer_is_not_waited_for(monkeypatch):
 def test_a_silent_logger_is_bridged_by_the_model_for_a_while():
     house = SimulatedBuilding()
     live = house.measurements
-    house.measurements = lambda: live()[lambda table: table["time"] < START + 3 * HOUR]
+    house.measurements = lambda: live()[lambda table: table["time"] < START + 2.5 * HOUR]
     told = [decision.plan.status for decision in controlled(house, 20)]
     assert told[:5] == ["solved"] * 3 + ["bridged"] * 2
     assert told[-1] in ("thermostat", "native")

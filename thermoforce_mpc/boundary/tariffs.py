@@ -31,9 +31,20 @@ _MOST_PRICES = 600_000
 _MOST_PRICE = 1e5
 # Means of energy that is sold in EUR or USD: gas in the cheapest years, and electricity in the dearest.
 _USUAL_PRICES, _USUAL_IN = (0.01, 2.0), ("EUR", "USD")
-_PRICE_COLUMNS = ("price", "PriceElectricPowerHighlyDynamic", "preis", "strompreis", "prix", "prijs", "tarif", "tariff", "spot")
+_PRICE_COLUMNS = (
+    "price",
+    "PriceElectricPowerHighlyDynamic",
+    "preis",
+    "strompreis",
+    "prix",
+    "prijs",
+    "tarif",
+    "tariff",
+    "spot",
+)
 _TIME_COLUMNS = (
-    "time", "timestamp", "date", "datetime", "datum", "zeit", "zeitpunkt", "von", "start", "from", "heure", "tijd", "date/time",
+    "time", "timestamp", "date", "datetime", "datum", "zeit", "zeitpunkt", "von", "start", "from", "heure", "tijd",
+    "date/time",
     "horodatage",
 )  # fmt: skip
 
@@ -193,7 +204,10 @@ def _read_prices(path: Path, text: str) -> tuple[Array, Array]:
     times = [time for time, _ in rows]
     if times and _is_stamp(times[0]):
         return _seconds(path, times, numbers, named[0]), np.array(prices, dtype=np.float64)
-    seconds = [_number(path, line, time.replace(",", ".") if decimal else time, named[0]) for line, time in zip(numbers, times, strict=True)]
+    seconds = [
+        _number(path, line, time.replace(",", ".") if decimal else time, named[0])
+        for line, time in zip(numbers, times, strict=True)
+    ]
     return np.array(seconds, dtype=np.float64), np.array(prices, dtype=np.float64)
 
 
@@ -204,7 +218,8 @@ def _price_columns(path: Path, header: list[str]) -> tuple[int, int]:
     price = next((low.index(name.lower()) for name in _PRICE_COLUMNS if name.lower() in low), None)
     if time is None or price is None:
         raise ConfigError(
-            f"{path}: expected a CSV file with columns 'time' (s since 1 January, or stamps such as 2025-01-01 00:00) and "
+            f"{path}: expected a CSV file with columns 'time' (s since 1 January, or stamps such as 2025-01-01 "
+            "00:00) and "
             f"one of {', '.join(_PRICE_COLUMNS)} (per kWh); there {'is' if len(header) == 1 else 'are'} "
             f"{', '.join(header)[:200] or 'none'}"
         )
@@ -220,9 +235,12 @@ def _seconds(path: Path, times: list[str], numbers: list[int], name: str) -> Arr
     form = "ISO8601" if re.match(r"\d{4}-", times[0]) else "%d.%m.%Y %H:%M" if "." in times[0] else None
     if form is None:
         raise ConfigError(
-            f"{path}: line {numbers[0]}, column '{name}': day or month first in {times[0]!r:.60}? write 2025-01-31 14:30"
+            f"{path}: line {numbers[0]}, column '{name}': day or month first in {times[0]!r:.60}? write 2025-01-31 "
+            "14:30"
         )
-    stamps = pd.to_datetime(pd.Series(times).str.replace(r"[+-]\d{2}:?\d{2}$|Z$", "", regex=True), format=form, errors="coerce")
+    stamps = pd.to_datetime(
+        pd.Series(times).str.replace(r"[+-]\d{2}:?\d{2}$|Z$", "", regex=True), format=form, errors="coerce"
+    )
     if (wrong := np.flatnonzero(stamps.isna())).size:
         row = int(wrong[0])
         raise ConfigError(f"{path}: line {numbers[row]}, column '{name}': {times[row]!r:.60} is no time")

@@ -20,12 +20,12 @@ from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import PlantError, ThermoForceError
 from thermoforce_mpc.live.building import Applied, LiveBuilding
 from thermoforce_mpc.live.kept import Kept, KeptState
+from thermoforce_mpc.loop.closed_loop import checked_blocks
+from thermoforce_mpc.loop.forecasts import OUTAGE_H, Forecasts
+from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.screening import limits_of, screened_history
 from thermoforce_mpc.protocols import Controller
-from thermoforce_mpc.simulation.closed_loop import checked_blocks
-from thermoforce_mpc.simulation.folder.run_log import log_decision
-from thermoforce_mpc.simulation.forecasts import OUTAGE_H, Forecasts
-from thermoforce_mpc.simulation.unit_doubts import UnitDoubts
+from thermoforce_mpc.records.run_log import log_decision
 
 _LOG = logging.getLogger(__name__)
 # How often a building that does not take its levels back at the end is asked again, and how long between, s.
@@ -165,7 +165,7 @@ class _Loop:
 
     def _decision(self, instant: pd.Timestamp) -> Decision:
         building, controller = self._building, self._controller
-        as_read = building.record(instant, self._applied)
+        as_read = building.record(instant, self._applied, self._clock.now())
         record, doubts = screened_history(as_read, self._allowed)
         model = getattr(controller, "model", None)
         if model is not None:
@@ -183,7 +183,7 @@ class _Loop:
             blocks = (Block.native(len(building.names), controller.step_s),)
         # A plan that was refused did not act: the controller goes on from what it knew before.
         self._state = self._state if refused else after
-        return Decision(instant, plan, blocks, refused, (*doubts, *gaps))
+        return Decision(instant, plan, blocks, refused, (*building.left_out, *doubts, *gaps))
 
     def _safe_decision(self, instant: pd.Timestamp) -> Decision:
         try:

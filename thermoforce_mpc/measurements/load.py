@@ -5,21 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
-from thermoforce_mpc.data.dataframes import new_year, seconds_since, stamps
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.data.dataframes import new_year, seconds_at, seconds_since, stamps
+from thermoforce_mpc.errors import ConfigError, DataError, counted
 from thermoforce_mpc.measurements import readings
-from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, MappedActuator, MeasurementMap, load_map
 from thermoforce_mpc.measurements.map.guesses import rooms_beside
+from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, MappedActuator, MeasurementMap, load_map
 from thermoforce_mpc.measurements.signals import SignalReader
+from thermoforce_mpc.measurements.tables.appended import read_appended
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
 from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, head_of, read_tables
-from thermoforce_mpc.measurements.tables.forms import TableForm
+from thermoforce_mpc.measurements.tables.forms import Clock, TableForm
 from thermoforce_mpc.measurements.tables.raw_table import RawTable, as_numbers, tables_of
 from thermoforce_mpc.measurements.understood import Understood, missing, of_changes, of_clock
 from thermoforce_mpc.scenario.settings import validate
@@ -35,6 +36,9 @@ _STEPS_S = (900.0, 3600.0)
 _LEAST_STEPS = 2
 # Rows that are looked at for rooms outside the map.
 _ROWS = 2000
+# A stamp is beside a minute by this share of the usual distance of rows at most; rows are dense from so many steps on
+# apart; of rows denser than this the last boundary is a whole multiple of it, s.
+_BESIDE, _DENSE, _WHOLE_S = 0.05, 0.5, 300.0
 
 
 def sunlight(
@@ -124,7 +128,8 @@ def actuator_levels(rules: MeasurementMap, reader: SignalReader, heat: Array, po
 class Measurements:
     """Measurements of a building: the record, what acts where, the conditions of the time, and what was understood.
 
-    `conditions`: measured weather with the bounds and prices of the map, NaN where it names none.
+    `conditions`: measured weather with the bounds and prices of the map, NaN where it names none. `left_out`: what was
+    left out of a table that a machine appends to, in words.
     """
 
     record: Record
@@ -132,6 +137,13 @@ class Measurements:
     conditions: Boundary
     understood: Understood
     map: MeasurementMap
+    left_out: tuple[str, ...] = ()
+
+    def newest_s(self) -> float:
+        """Time of the newest temperature of a zone, s; NaN without one."""
+        keys = {f"zones.{zone}.temperature" for zone in self.record.names.zones}
+        times = [signal.newest_s for signal in self.understood.signals if signal.key in keys]
+        return float(np.nanmax(times)) if np.isfinite(times).any() else float("nan")
 
     def served(self) -> Measurements:
         """The zones that an actuator serves, as `identify` needs them; `DataError` where no level was measured."""
@@ -172,6 +184,8 @@ def read_measurements(
     map: str | Path | Mapping[str, Any] | MeasurementMap,
     *,
     step_s: float | None = None,
+    at: pd.Timestamp | Literal["begin", "end"] = "begin",
+    now: pd.Timestamp | None = None,
     most_bytes: int = MOST_BYTES,
 ) -> Measurements:
     """Measurements of a building from CSV or Parquet files, or a data frame, as the map says.
@@ -180,30 +194,64 @@ def read_measurements(
         files: a file, a pattern such as 'data/*.csv', several of them, or a data frame.
         map: the map, its keys and values, or its YAML file.
         step_s: step of the record, s; default: that of the map.
+        at: where a step begins: at the first reading (with several rows in a step of whole minutes of the hour, on the
+            hours of the clock), at the last one, from where a plan goes on, or at this instant.
+        now: the time, with a zone, for tables that a machine appends to: lines, cells and stamps that cannot be read
+            are left out, rows that come late or twice are put in order, a signal out of range is not measured, and the
+            hour that comes twice is told apart; `Measurements.left_out` says it.
         most_bytes: size from which files are refused.
 
     Raises:
-        ConfigError: the map is wrong; names the key.
+        ConfigError: the map is wrong, or without a zone for `at`; names the key.
         DataError: the table cannot be used; names file, line or column, and what to do.
     """
-    rules = _rules(map)
+    rules, left_out, notes = _rules(map), list[str](), list[str]()
     columns = [column for _, signal in rules.signals() for column in signal.columns]
-    notes: list[str] = []
+    clock = rules.time if now is None else _lenient(rules.time)
     if isinstance(files, pd.DataFrame):
-        tables = tables_of(files, rules.time.column, columns, rules.table, "table")
+        tables = tables_of(files, clock.column, columns, rules.table, "table")
         head = files.iloc[:_ROWS]
     else:
         patterns = [files] if isinstance(files, str | Path) else list(files)
         paths = found_files(patterns, most_bytes)
-        tables = read_tables(paths, rules.time.column, columns, rules.csv, rules.table, notes)
+        if now is None:
+            tables = read_tables(paths, clock.column, columns, rules.csv, rules.table, notes)
+        else:
+            tables = read_appended(paths, columns, clock, rules.csv, rules.table, now, left_out)
         head = head_of(paths[0], _ROWS, rules.csv) if rules.table == TableForm() else pd.DataFrame()
-    rows = timed(tables, rules.time)
+    rows = timed(tables, clock, now)
     rows = replace(rows, notes=(*notes, *rows.notes))
-    found = _from_table(tables, rows, rules, step_s)
+    found = _from_table(tables, rows, rules, step_s, at, refuse=now is None)
+    if now is not None:
+        left_out += [*rows.notes, *_refused(found, now)]
     beside = dict(rows.beside)
     if rules.table.point is None:
-        beside = {str(c): as_numbers(head[c], rules.csv.decimal).to_numpy() for c in head.columns.drop_duplicates(keep=False)}
-    return replace(found, understood=replace(found.understood, beside=rooms_beside(beside, rules)))
+        named = head.columns.drop_duplicates(keep=False)
+        beside = {str(name): as_numbers(head[name], rules.csv.decimal).to_numpy() for name in named}
+    understood = replace(found.understood, beside=rooms_beside(beside, rules))
+    return replace(found, understood=understood, left_out=tuple(left_out))
+
+
+def _lenient(clock: Clock) -> Clock:
+    """The clock of a table that a machine appends to: what a person would be asked is decided."""
+    chosen = {
+        "order": "sort",
+        "duplicates": "last" if clock.duplicates == "refuse" else clock.duplicates,
+        "nonexistent": "gap",
+    }
+    return clock.model_copy(update=chosen)
+
+
+def _refused(found: Measurements, now: pd.Timestamp) -> list[str]:
+    """Which readings of the last day rules refused, in words."""
+    since_s = seconds_at(found.record.origin, now, "now") - DAY_S
+    return [
+        f"{signal.key} (column {signal.source}): {counted(flag.count, 'reading')} refused ({flag.rule}), first "
+        f"{flag.first}: taken as not measured"
+        for signal in found.understood.signals
+        for flag in signal.flags
+        if flag.last_s >= since_s
+    ]
 
 
 def _rules(map: str | Path | Mapping[str, Any] | MeasurementMap) -> MeasurementMap:
@@ -212,22 +260,36 @@ def _rules(map: str | Path | Mapping[str, Any] | MeasurementMap) -> MeasurementM
     return validate(MeasurementMap, map, "map") if isinstance(map, Mapping) else load_map(Path(map))
 
 
-def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap, step_s: float | None) -> Measurements:
+def _from_table(
+    tables: Sequence[RawTable],
+    table: Timed,
+    rules: MeasurementMap,
+    step_s: float | None,
+    at: pd.Timestamp | Literal["begin", "end"],
+    *,
+    refuse: bool,
+) -> Measurements:
     names, layout = rules.names, rules.layout
     origin = new_year(table.index, tables[0].name)
+    if isinstance(at, pd.Timestamp) and origin.tz is None:
+        raise ConfigError("map: time.zone: name the zone of the time stamps; the clock has one")
     time_s = seconds_since(origin, table.index, tables[0].name)
     rows_every_s = table.every_s
     if step_s is None:
         step_s = pd.Timedelta(rules.step).total_seconds() if rules.step else _step_s(rows_every_s)
     if not LEAST_STEP_S <= step_s <= MOST_STEP_S:
         raise DataError(f"step_s: {step_s:g} s; the step of a record lies between 1 min and 1 h")
-    grid_s = np.arange(np.ceil(time_s[0] / step_s - 1e-6), np.floor(time_s[-1] / step_s + 1e-6) + 1.0) * step_s
+    if isinstance(at, pd.Timestamp):
+        at_s = seconds_at(origin, at, "at")
+        grid_s = _grid_s(time_s, rows_every_s, step_s, at_s, until_s=at_s)
+    else:
+        grid_s = _grid_s(time_s, rows_every_s, step_s, _at_s(time_s, rows_every_s, step_s, at))
     if grid_s.size < _LEAST_STEPS + 1:
         raise DataError(
             f"{tables[0].name}: {len(time_s)} rows from {table.index[0]} to {table.index[-1]} make fewer than "
             f"{_LEAST_STEPS} steps of {step_s:g} s; give more rows, or a shorter step"
         )
-    reader = SignalReader(table, time_s, grid_s, step_s, rules)
+    reader = SignalReader(table, time_s, grid_s, step_s, rules, refuse=refuse)
     zones, actuators, machines = rules.zones.items(), rules.actuators.items(), rules.machines.items()
     T_zone = np.array([reader.sampled(f"zones.{name}.temperature", z.temperature, readings.ZONE) for name, z in zones])
     T_out = reader.sampled("outdoor", rules.outdoor, readings.OUTDOOR)
@@ -253,20 +315,17 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
         np.zeros(T_zone.shape),
         np.array([reader.scheduled(f"zones.{name}.lower", z.lower, readings.BOUND) for name, z in zones]),
         np.array([reader.scheduled(f"zones.{name}.upper", z.upper, readings.BOUND) for name, z in zones]),
-        np.array(
-            [reader.scheduled(f"machines.{name}.price", m.price, readings.PRICE) for name, m in machines]
-            or none * np.nan
-        ),
+        np.array([reader.price(f"machines.{name}.price", m.price) for name, m in machines] or none * np.nan),
         none,
         names=names,
     )
-    at = stamps(grid_s, origin)
+    instants = stamps(grid_s, origin)
     zone = "" if table.index.tz is None else str(table.index.tz)
     understood = Understood(
         tuple(dict.fromkeys(t.name for t in tables)),
         sum(len(t.stamps) for t in tables) if table.own else len(time_s),
-        str(at[0]),
-        str(at[-1]),
+        str(instants[0]),
+        str(instants[-1]),
         float(grid_s[-1] - grid_s[0]) / DAY_S,
         zone,
         rows_every_s,
@@ -276,6 +335,33 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
         missing(rules, record, conditions),
     )
     return Measurements(record, layout, conditions, understood, rules)
+
+
+def _at_s(time_s: Array, rows_every_s: float, step_s: float, at: Literal["begin", "end"]) -> float:
+    """Where a step begins, s: at the first or last of the rows at `time_s` (n,), or on the clock where rows are dense.
+
+    A stamp a little beside a whole minute means that minute.
+    """
+    row_s = float(time_s[0] if at == "begin" else time_s[-1])
+    beside_s = _BESIDE * min(rows_every_s, step_s) if np.isfinite(rows_every_s) else 0.0
+    minute_s = round(row_s / 60.0) * 60.0
+    row_s = minute_s if abs(row_s - minute_s) <= beside_s else row_s
+    if at == "begin":
+        dense = rows_every_s <= _DENSE * step_s and HOUR_S % step_s == 0.0
+        return 0.0 if dense else row_s
+    return np.floor(row_s / _WHOLE_S) * _WHOLE_S if rows_every_s < _WHOLE_S else row_s
+
+
+def _grid_s(time_s: Array, rows_every_s: float, step_s: float, at_s: float, *, until_s: float = -np.inf) -> Array:
+    """Boundaries of steps, one of them at `at_s`, within the rows at `time_s` (n,), s.
+
+    They go on to `until_s` where rows end not much earlier: the next row is still to come.
+    """
+    usual_s = rows_every_s if np.isfinite(rows_every_s) else step_s
+    beside_s = _BESIDE * min(usual_s, step_s) + 1e-6 * step_s
+    last_s = max(time_s[-1] + beside_s, min(until_s, time_s[-1] + readings.LOOSE * max(usual_s, step_s)))
+    first, last = (time_s[0] - beside_s - at_s) / step_s, (last_s - at_s) / step_s
+    return np.asarray(at_s + step_s * np.arange(np.ceil(first), np.floor(last) + 1.0))
 
 
 def _step_s(rows_every_s: float) -> float:

@@ -41,7 +41,7 @@ _LEAST_CHANGES, _MOST_SAME, _ALIVE, _STEPS, _RESTS, _STAYED, _IRREGULAR = 3, 0.0
 # Set-points of rooms, °C and °F.
 _SETPOINTS = ((10.0, 32.0), (50.0, 90.0))
 # Longest time between readings that is no gap: this many times their 90th percentile.
-_LOOSE, _PERCENTILE = 1.5, 90.0
+LOOSE, _PERCENTILE = 1.5, 90.0
 
 
 @dataclass(frozen=True)
@@ -82,22 +82,34 @@ PRICE = Rules("price", "per kWh")
 
 @dataclass(frozen=True)
 class Flag:
-    """Readings that a rule refused: `count` of them, the `first` in words, and up to 200 as (s, value) `points`."""
+    """Readings that a rule refused: `count` of them, the `first` in words, and up to 200 as (s, value) `points`.
+
+    `last_s`: time of the last one, s.
+    """
 
     rule: str
     count: int
     first: str
     points: tuple[tuple[float, float], ...] = ()
+    last_s: float = float("nan")
 
 
 def screened(
-    time_s: Array, values: Array, raw: Array, rules: Rules, name: str, declared: str, where: Callable[[int], str]
+    time_s: Array,
+    values: Array,
+    raw: Array,
+    rules: Rules,
+    name: str,
+    declared: str,
+    where: Callable[[int], str],
+    *,
+    refuse: bool = True,
 ) -> tuple[NDArray[np.bool_], tuple[Flag, ...]]:
     """Which readings of a signal hold (n,), and what was flagged.
 
     `time_s` increases, `values` are in the unit inside and finite, `raw` as in the table, (n,) each; `name` (of signal
     and column), `declared` unit and `where` (time stamp of a reading) are for messages. Raises `DataError` where more
-    than 10 % are out of range; says which unit they look like.
+    than 10 % are out of range; says which unit they look like. Without `refuse` that is said of what is flagged.
     """
     flags: list[Flag] = []
 
@@ -108,26 +120,31 @@ def screened(
         shown = rows[:: -(-rows.size // _SHOWN)]
         points = tuple(zip(time_s[shown].tolist(), values[shown].tolist(), strict=True))
         words = f"{values[rows[0]]:.4g} {rules.unit} at {where(int(rows[0]))}{what}"
-        flags.append(Flag(rule, int(rows.size), words, points))
+        flags.append(Flag(rule, int(rows.size), words, points, float(time_s[rows[-1]])))
         return kept[~wrong]
 
     low, high = rules.range
     kept = np.arange(values.size)
     outside = ~((values >= low) & (values <= high))
-    if outside.mean() > _MOST_REFUSED:
+    if refuse and outside.mean() > _MOST_REFUSED:
         unit = likelier(raw, declared, rules.kind, rules.usual)
         hint = f"they look like {unit}: set unit: '{unit}'" if unit else "check column, unit and factor"
         if rules.kind == "level" and looks_like_setpoints(raw):
             hint = (
-                "these look like set-points in °C or °F, and a set-point is no level: name what the machine did (valve, speed, "
-                "on and off), or leave the level out, and the power of its machine over the full one is taken for it"
+                "these look like set-points in °C or °F, and a set-point is no level: name what the machine did "
+                "(valve, "
+                "speed, on and off), or leave the level out, and the power of its machine over the full one is "
+                "taken for it"
             )
         raise DataError(
             f"{name}: {100 * outside.mean():.0f} % of the readings are no {rules.kind} between {low:g} and {high:g} "
             f"{rules.unit} (first {values[int(np.argmax(outside))]:.4g} at {where(int(np.argmax(outside)))}, read as "
             f"{declared}; readings from {np.min(raw):.4g} to {np.max(raw):.4g}); {hint}, or set range"
         )
-    kept = flag("range", outside, kept, f", possible are {low:g} to {high:g}")
+    possible = f", possible are {low:g} to {high:g}"
+    if outside.any() and (unit := likelier(raw[outside], declared, rules.kind, rules.usual)):
+        possible += f"; in {unit} they were usual: set unit: '{unit}' if it is so"
+    kept = flag("range", outside, kept, possible)
     if np.isfinite(rules.spike):
         far = _excursions(time_s[kept], values[kept], rules.spike)
         kept = flag("spike", far, kept, f", more than {rules.spike:g} {rules.unit} from those before and after")
@@ -151,7 +168,9 @@ def looks_like_setpoints(values: Array) -> bool:
     distinct = np.unique(values)
     if distinct.size > max(4, min(20, values.size // 8)) or distinct.size < 2:
         return False
-    steps = np.allclose(2.0 * distinct, np.round(2.0 * distinct)) or np.allclose(5.0 * distinct, np.round(5.0 * distinct))
+    steps = np.allclose(2.0 * distinct, np.round(2.0 * distinct)) or np.allclose(
+        5.0 * distinct, np.round(5.0 * distinct)
+    )
     low, high = float(distinct[0]), float(distinct[-1])
     return bool(steps and any(least <= low and high <= most for least, most in _SETPOINTS))
 
@@ -206,11 +225,6 @@ class Readings:
         return np.asarray(self.time_s[1:] <= self.ends_s[:-1] + 1e-3)
 
 
-def usual_s(self) -> float:
-        """Usual time between two readings, s."""
-        return usual_s(self.time_s)
-
-
 def usual_s(time_s: Array) -> float:
     """Median distance of instants, s; NaN for fewer than two."""
     return float(np.median(np.diff(time_s))) if time_s.size > 1 else float("nan")
@@ -222,7 +236,7 @@ def longest_s(time_s: Array, step_s: float, hold_h: float | None) -> float:
         return hold_h * 3600.0
     if time_s.size < 2:
         return step_s
-    return max(_LOOSE * float(np.percentile(np.diff(time_s), _PERCENTILE)), step_s)
+    return max(LOOSE * float(np.percentile(np.diff(time_s), _PERCENTILE)), step_s)
 
 
 def ends_s(time_s: Array, longest: float, breaks_s: Array) -> Array:
@@ -251,7 +265,7 @@ def stored_on_change(time_s: Array, values: Array, breaks_s: Array, longest: flo
     same = change == 0.0
     alive_s = np.inf
     if same.mean() > _MOST_SAME:
-        alive_s = float(np.max(apart)) * _LOOSE
+        alive_s = float(np.max(apart)) * LOOSE
         seldom = apart[same] >= _ALIVE * np.max(apart)
         if not seldom.all():
             return None
@@ -306,7 +320,10 @@ def means(starts_s: Array, lasts_s: Array, values: Array, edges_s: Array, covera
 
 
 def sampled(readings: Readings, at_s: Array) -> Array:
-    """Values (m,) at `at_s` on the line between the readings around, NaN in gaps; the last one holds where it does."""
+    """Values (m,) at `at_s` on the line between the readings around, NaN in gaps.
+
+    The last one holds until the next would be there, and longer where changes are stored.
+    """
     time_s, values = readings.time_s, readings.values
     if not values.size:
         return np.full(at_s.size, np.nan)
@@ -320,7 +337,8 @@ def sampled(readings: Readings, at_s: Array) -> Array:
     nearest = np.where(np.abs(at_s - time_s[before]) <= np.abs(time_s[after] - at_s), before, after)
     room = float(np.median(readings.ends_s - time_s))
     near = np.abs(time_s[nearest] - at_s) <= 0.25 * min(room, readings.usual_s or 0.0, step_s)
-    found = np.where(bridged, line, np.where(near, values[nearest], np.nan))
+    newest = (at_s > time_s[-1]) & (at_s - time_s[-1] < min(readings.usual_s, readings.ends_s[-1] - time_s[-1]) - 1.0)
+    found = np.where(bridged, line, np.where(near | newest, values[nearest], np.nan))
     if not readings.held:
         return found
     holds = (time_s[before] <= at_s) & (at_s < readings.ends_s[before]) & ~bridged

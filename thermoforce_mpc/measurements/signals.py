@@ -16,6 +16,7 @@ from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.measurements.map.words import tags
 from thermoforce_mpc.measurements.readings import (
     EXCURSION_S,
+    PRICE,
     SOLAR,
     Flag,
     Readings,
@@ -44,11 +45,20 @@ _FEW, _ROWS_BESIDE = 8, 5
 class SignalReader:
     """Reads signals of `table`, whose rows stand at `time_s` (n,), at the boundaries `grid_s` of the steps.
 
-    `summaries` collects what was read.
+    `summaries` collects what was read. Without `refuse` a signal that is mostly out of range is not measured.
     """
 
-    def __init__(self, table: Timed, time_s: Array, grid_s: Array, step_s: float, rules: MeasurementMap) -> None:
-        self.grid_s, self.summaries = grid_s, list[SignalSummary]()
+    def __init__(
+        self,
+        table: Timed,
+        time_s: Array,
+        grid_s: Array,
+        step_s: float,
+        rules: MeasurementMap,
+        *,
+        refuse: bool = True,
+    ) -> None:
+        self.grid_s, self.summaries, self._refuse = grid_s, list[SignalSummary](), refuse
         self._table, self._time_s, self._step_s = table, time_s, step_s
         self._marks, self._coverage = rules.time.marks, rules.coverage
         self.on_change: list[str] = []
@@ -71,13 +81,30 @@ class SignalReader:
         readings, unit, flags = self._readings(key, source, rules)
         return self._summarised(key, source, unit, readings, held(readings, self.grid_s), flags)
 
+    def price(self, key: str, source: float | Signal | None) -> Array:
+        """A price at the boundaries (n + 1,): the mean over the step that begins there, as `scheduled`."""
+        if not isinstance(source, Signal):
+            return self.scheduled(key, source, PRICE)
+        readings, unit, flags = self._readings(key, source, PRICE)
+        values = held(readings, self.grid_s)
+        if readings.values.size > 1 and self.grid_s.size > 1:
+            edges = np.append(self.grid_s, self.grid_s[-1] + self._step_s)
+            over_step = means(readings.time_s, self._lasts_s(readings, "start"), readings.values, edges, self._coverage)
+            values = np.where(np.isfinite(over_step), over_step, values)
+        return self._summarised(key, source, unit, readings, values, flags)
+
+    def _lasts_s(self, readings: Readings, marks: str) -> Array:
+        """See `durations_s`; a reading that holds for ever lasts beyond the end of the record."""
+        if not readings.values.size:
+            return np.empty(0)
+        return np.minimum(durations_s(readings, marks), max(self.grid_s[-1], self._time_s[-1]) + self._step_s)
+
     def mean(self, key: str, signal: Signal | None, rules: Rules) -> Array:
         """Means of a signal over the steps (n,); NaN where it is not measured."""
         if signal is None:
             return np.full(self.grid_s.size - 1, np.nan)
         readings, unit, flags = self._readings(key, signal, rules)
-        lasts = durations_s(readings, self._marks) if readings.values.size else np.empty(0)
-        lasts = np.minimum(lasts, max(self.grid_s[-1], self._time_s[-1]) + self._step_s)  # one may hold for ever
+        lasts = self._lasts_s(readings, self._marks)
         starts = readings.time_s - (lasts if self._marks == "end" else 0.0)
         values = means(starts, lasts, readings.values, self.grid_s, self._coverage)
         return self._summarised(key, signal, unit, readings, values, flags)
@@ -120,8 +147,9 @@ class SignalReader:
                 self.on_change += [] if is_counter else [key]
         if values.size:
             believed, flagged = screened(
-                time_s, values, raw, rules, name, declared or rules.unit, lambda row: self._when(time_s[row])
-            )
+                time_s, values, raw, rules, name, declared or rules.unit, lambda row: self._when(time_s[row]),
+                refuse=self._refuse,
+            )  # fmt: skip
             values, time_s, ends = values[believed], time_s[believed], ends[believed]
             flags += flagged
         return Readings(time_s, values, ends, holds), rules, tuple(flags)
@@ -173,9 +201,9 @@ class SignalReader:
             np.quantile(values[finite], (0.0, 0.5, 1.0)).tolist() if finite.any() else (float("nan"),) * 3
         )
         doubt = _doubt(signal, rules, readings, median, most) if finite.any() else "never measured: check the column"
-        if finite.any() and rules.kind == "level" and getattr(signal, "unit", "") == "%":
-            if looks_like_setpoints(100.0 * readings.values / signal.factor):
-                doubt = "these look like set-points in °C or °F, and a set-point is no level: name what the machine did"
+        in_percent = rules.kind == "level" and getattr(signal, "unit", "") == "%"
+        if finite.any() and in_percent and looks_like_setpoints(100.0 * readings.values / signal.factor):
+            doubt = "these look like set-points in °C or °F, and a set-point is no level: name what the machine did"
         longest_gap = max((stop - start for start, stop in stretches(~finite)), default=0)
         self.summaries.append(
             SignalSummary(
@@ -192,6 +220,7 @@ class SignalReader:
                 most,
                 flags,
                 doubt,
+                float(readings.time_s[-1]) if readings.time_s.size else float("nan"),
             )
         )
         return values
@@ -199,7 +228,11 @@ class SignalReader:
 
 def _doubt(signal: Signal, rules: Rules, readings: Readings, median: float, most: float) -> str:
     """What is odd about readings that were accepted, '' if nothing."""
-    if isinstance(signal, Power) and "unit" not in signal.model_fields_set and any("energy" in tags(name) for name in signal.columns):
+    if (
+        isinstance(signal, Power)
+        and "unit" not in signal.model_fields_set
+        and any("energy" in tags(name) for name in signal.columns)
+    ):
         return "read as W, and its name says energy: name the unit (W, Wh per step, kWh counter, …)"
     if rules.kind == "temperature" and not rules.usual[0] <= median <= rules.usual[1]:
         return f"a median of {median:.1f} °C is unusual: check the unit"

@@ -138,7 +138,8 @@ def _read_mos(path: Path, name: str, lines: list[str]) -> Weather:
     if wrong.size or abs(first) > 1:
         row = int(wrong[0]) if wrong.size else 0
         raise WeatherError(
-            f"{path}: hourly row {row + 1} is at {time_s[row]:.10g} s, expected {hourly[row] if not abs(first) > 1 else 0.0:.10g}; "
+            f"{path}: hourly row {row + 1} is at {time_s[row]:.10g} s, expected "
+            f"{hourly[row] if not abs(first) > 1 else 0.0:.10g}; "
             "this reader needs 8760 hourly rows from 0 s or 3600 s"
         )
     if time_s.size - _HOURS in _LEAP:
@@ -148,7 +149,9 @@ def _read_mos(path: Path, name: str, lines: list[str]) -> Weather:
     if time_s.size > _HOURS + 1:  # many files repeat midnight of the next 1 January
         beyond = time_s.size - _HOURS
         warnings.warn(
-            f"{path}: {beyond} rows beyond the year, from {time_s[_HOURS]:.10g} s on, are not used", DoubtfulInput, stacklevel=4
+            f"{path}: {beyond} rows beyond the year, from {time_s[_HOURS]:.10g} s on, are not used",
+            DoubtfulInput,
+            stacklevel=4,
         )
     # A year is periodic: what stands at its end is its first hour.
     return _weather(path, name, location, {key: np.roll(values[:_HOURS], first) for key, values in columns.items()})
@@ -214,8 +217,10 @@ def _weather(path: Path, name: str, location: str, columns: dict[str, Array]) ->
         if bad.size:
             hour = int(bad[0])
             raise WeatherError(
-                f"{path}: {key} is {columns[key][hour]:g} at day {hour // 24 + 1}, hour {hour % 24} ({_CALLED[key]}), expected "
-                f"{low / scale:g} to {high / scale:g}, or {_MISSING[key]:g} where it is missing ({bad.size} such rows); "
+                f"{path}: {key} is {columns[key][hour]:g} at day {hour // 24 + 1}, hour {hour % 24} "
+                f"({_CALLED[key]}), expected "
+                f"{low / scale:g} to {high / scale:g}, or {_MISSING[key]:g} where it is missing ({bad.size} such "
+                "rows); "
                 "repair the file or use another"
             )
     columns = {key: values * _SCALE.get(key, 1.0) for key, values in columns.items()}
@@ -225,8 +230,10 @@ def _weather(path: Path, name: str, location: str, columns: dict[str, Array]) ->
 def _without_missing(path: Path, columns: dict[str, Array], height_m: float) -> dict[str, Array]:
     """Columns (8760,) in the units of files, without the codes for missing values; `DoubtfulInput` says what was done.
 
-    Short gaps are bridged on a straight line. A dew point comes from the humidity, a pressure from the height, an opaque
-    cover from the total one or the infrared irradiance. Raises `WeatherError` for longer gaps of what cannot be made up.
+    Short gaps are bridged on a straight line. A dew point comes from the humidity, a pressure from the height, an
+    opaque
+    cover from the total one or the infrared irradiance. Raises `WeatherError` for longer gaps of what cannot be made
+    up.
     """
     gaps = {key: np.isclose(columns[key], code) for key, code in _MISSING.items()}
     gaps = {key: gap for key, gap in gaps.items() if gap.any()}
@@ -243,7 +250,8 @@ def _without_missing(path: Path, columns: dict[str, Array], height_m: float) -> 
         elif key in _NEEDED:
             first = int(edges[::2][np.argmax(edges[1::2] - edges[::2])])
             raise WeatherError(
-                f"{path}: {what}, {longest} of them from day {first // 24 + 1}, hour {first % 24} on: {_MISSING[key]:g} is the "
+                f"{path}: {what}, {longest} of them from day {first // 24 + 1}, hour {first % 24} on: "
+                f"{_MISSING[key]:g} is the "
                 f"code for missing, and at most {_BRIDGED_H} hours are bridged; use another file"
             )
         else:
@@ -283,14 +291,20 @@ def _made_up(key: str, known: dict[str, Array], gaps: dict[str, Array], height_m
         return np.where(gap, _COVER, values), f"{_COVER:g} tenths"
     if np.isfinite(values).mean() > 0.5:
         return _bridged(values), "bridged"
-    constant = {"wind_m_s": _WIND_M_S, "wind_from_rad": _WIND_FROM_DEG, "relative_humidity": 75.0, "T_dew_C": np.nan}.get(key, 0.0)
+    constant = {
+        "wind_m_s": _WIND_M_S,
+        "wind_from_rad": _WIND_FROM_DEG,
+        "relative_humidity": 75.0,
+        "T_dew_C": np.nan,
+    }.get(key, 0.0)
     if key == "T_dew_C":
         return np.where(gap, _bridged(known["T_dry_C"]) - 5.0, values), "5 K below the dry bulb"
     return np.where(gap, constant, values), f"{constant:g}"
 
 
 def _cover(columns: dict[str, Array]) -> Array:
-    """Opaque cover (8760,), tenths, with which a sky has the infrared irradiance of `columns`; see `black_body_sky_C`."""
+    """Opaque cover (8760,), tenths, with which a sky has the infrared irradiance of `columns`; see "
+    "`black_body_sky_C`."""
     tenths: Array = np.linspace(0.0, 10.0, 101)
     T, dew = columns["T_dry_C"], columns["T_dew_C"]
     clear = black_body_sky_C(T, dew, np.zeros(T.size)) + ZERO_C_K

@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
+from datetime import timedelta
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from thermoforce_mpc.live import Decision
 
 _LOG = logging.getLogger(__name__)
+# A note that stays the same is said again after so long.
+_SAID_AGAIN = timedelta(days=1)
 
 
 @click.command()
@@ -68,10 +71,10 @@ def control(
     from thermoforce_mpc.live import KeptState, LiveBuilding, control
     from thermoforce_mpc.measurements.map.mapping import load_map
     from thermoforce_mpc.model.thermal_model import load_model
+    from thermoforce_mpc.records.run_folder import sole_use
+    from thermoforce_mpc.records.run_log import logging_to
+    from thermoforce_mpc.report.display import RunDisplay
     from thermoforce_mpc.scenario.settings import parse_overrides, validate
-    from thermoforce_mpc.simulation.folder.run_folder import sole_use
-    from thermoforce_mpc.simulation.folder.run_log import logging_to
-    from thermoforce_mpc.simulation.views.display import RunDisplay
 
     chosen: Mapping[str, Any] = parse_overrides(assignments)
     if unknown := [key for key in chosen if key not in ("connection", "controller")]:
@@ -96,8 +99,22 @@ def control(
             delay_s=0.0 if dry_run else delay_s,
             dry=dry_run,
             kept=None if dry_run else KeptState(out / "state.npz", controller_key(thermal, mpc.config)),
-            told=lambda decision: say(in_words(decision)),
+            told=_told(say),
         )
+
+
+def _told(say: Callable[[str], None]) -> Callable[[Decision], None]:
+    """Says each decision, and what is noted of its readings when that was not said for a day."""
+    said: dict[str, Any] = {}
+
+    def told(decision: Decision) -> None:
+        say(in_words(decision))
+        for note in decision.notes:
+            if note not in said or decision.instant - said[note] >= _SAID_AGAIN:
+                said[note] = decision.instant
+                say(f"  note: {note}")
+
+    return told
 
 
 def _until_lost(say: Callable[[str], None]) -> Callable[[str], None]:

@@ -23,12 +23,18 @@ _ROOM_C, _WEATHER_C = (12.0, 31.0), (-40.0, 48.0)
 _SETPOINTS_C = (4.0, 32.0)
 # Correlation of what moves together, hour by hour.
 _TOGETHER = 0.9
+# Tags of what is not the temperature of a room, and temperatures in the short of point lists.
+_NO_ROOM = frozenset(
+    ("outdoor", "supply", "return", "water", "hot water", "humidity", "power", "energy", "valve", "other", "sun")
+)
+_SHORT = ("znt", "spt", "rmt", "sat", "rat", "mat", "dat", "oat", "lwt", "ewt", "degc", "degf")
 _LEAST = 8
 
 
 @dataclass(frozen=True)
 class Guess:
-    """What a signal probably is (`role`, '' for nothing that is used), its unit, and why that is doubtful ('' if not)."""
+    """What a signal probably is (`role`, '' for nothing that is used), its unit, and why that is doubtful ('' if "
+    "not)."""
 
     name: str
     role: str
@@ -97,7 +103,13 @@ class _Look:
         """The likely unit of a temperature, and its values, °C."""
         unit = self.unit if self.unit in ("°C", "°F", "K") else ""
         if not unit:
-            unit = "K" if self.median > 200.0 else "°F" if self.median > 45.0 and (fahrenheit or self.median > 55.0) else "°C"
+            unit = (
+                "K"
+                if self.median > 200.0
+                else "°F"
+                if self.median > 45.0 and (fahrenheit or self.median > 55.0)
+                else "°C"
+            )
             if fahrenheit and unit == "°C":
                 unit = "°F"
         return unit, converted(self.values, unit)
@@ -117,7 +129,7 @@ def _fahrenheit(looks: Mapping[str, _Look]) -> bool:
         return True
     rooms = [
         look for look in looks.values()
-        if not look.text and {"room", "temperature"} & look.tags and not {"outdoor", "supply", "return", "water", "hot water", "humidity", "power", "energy", "valve", "other", "sun"} & look.tags
+        if not look.text and {"room", "temperature"} & look.tags and not _NO_ROOM & look.tags
     ]  # fmt: skip
     medians = [look.median for look in rooms if not look.binary]
     return bool(medians) and 58.0 <= float(np.median(medians)) <= 85.0
@@ -130,27 +142,49 @@ def _guess(look: _Look, fahrenheit: bool) -> Guess:
     t = look.tags
     if look.text:
         return told("")
-    if look.is_row or set(words_of(look.name)) & {"id", "idx", "index", "row", "uuid", "epoch", "unix"} and look.whole:
+    if look.is_row or (
+        set(words_of(look.name)) & {"id", "idx", "index", "row", "uuid", "epoch", "unix"} and look.whole
+    ):
         return told("")
     temperature = look.unit in ("°C", "°F", "K")
     if "other" in t and not temperature and not ("temperature" in t and not _shares(look)):
         return told("")
     if look.unit in ("Hz", "ppm", "hPa", "Pa", "lx", "V", "A", "l/h", "m³", "m³/h", "cfm", "m/s", "km/h"):
-        return told("level", "%", "a frequency over its largest is a level (factor)") if look.unit == "Hz" and t & {"level", "valve"} and look.most > 1.5 else told("")
-    if "price" in t and not look.counts or look.unit.startswith(("per ", "cent per ")):
+        return (
+            told("level", "%", "a frequency over its largest is a level (factor)")
+            if look.unit == "Hz" and t & {"level", "valve"} and look.most > 1.5
+            else told("")
+        )
+    if ("price" in t and not look.counts) or look.unit.startswith(("per ", "cent per ")):
         return told("price", look.unit or ("per kWh" if abs(look.median) < 3.0 else "per MWh"))
-    if "humidity" in t and not t & {"temperature"} - _abbreviated(look) or ("humidity" in t and look.unit == "%"):
+    if ("humidity" in t and not t & {"temperature"} - _abbreviated(look)) or ("humidity" in t and look.unit == "%"):
         return told("humidity of outdoors" if "outdoor" in t else "humidity", "%" if look.most > 1.5 else "0-1")
-    if "part of the sun" in t and t & {"sun", "part of the sun"} and not temperature and not t & {"price", "valve", "power"}:
-        if "sun" in t or re.search(r"(?i)d[nh]i|diffus", look.name):
-            if not re.search(r"(?i)global|ghi", look.name):
-                return told("")
-    if "pv" in t or ("sun" in t and t & {"power", "energy"} and look.unit not in ("W/m²", "kW/m²") and "radiation" not in look.name.lower()):
+    if (
+        (
+            "part of the sun" in t
+            and t & {"sun", "part of the sun"}
+            and not temperature
+            and not t & {"price", "valve", "power"}
+        )
+        and ("sun" in t or re.search(r"(?i)d[nh]i|diffus", look.name))
+        and not re.search(r"(?i)global|ghi", look.name)
+    ):
+        return told("")
+    if "pv" in t or (
+        "sun" in t
+        and t & {"power", "energy"}
+        and look.unit not in ("W/m²", "kW/m²")
+        and "radiation" not in look.name.lower()
+    ):
         return told("")
     if "sun" in t and not temperature and not t & {"valve", "setpoint"} and look.unit in ("", "W/m²", "kW/m²", "W"):
         if look.least >= -30.0 and look.most <= 1700.0 and not look.counts:
             kilo = look.unit == "kW/m²" or (not look.unit and look.most < 2.0)
-            doubt = "" if look.unit in ("W/m²", "kW/m²") or _by_day(look) or look.constant else "it does not go to 0 at night"
+            doubt = (
+                ""
+                if look.unit in ("W/m²", "kW/m²") or _by_day(look) or look.constant
+                else "it does not go to 0 at night"
+            )
             return told("sun", "kW/m²" if kilo else "W/m²", doubt)
         return told("", doubt="")
     if look.unit in ("W", "kW", "MW", "BTU/h", "Wh", "kWh", "MWh", "kJ", "MJ", "BTU"):
@@ -159,7 +193,11 @@ def _guess(look: _Look, fahrenheit: bool) -> Guess:
         if _setpoint(look, fahrenheit) or not _shares(look) or temperature:
             unit, _ = look.celsius(fahrenheit)
             return told(_bound(t), unit)
-        return told("") if not look.text and not t & {"valve"} else told("level", "%" if look.most > 1.5 else "0-1", "its name says set-point")
+        return (
+            told("")
+            if not look.text and not t & {"valve"}
+            else told("level", "%" if look.most > 1.5 else "0-1", "its name says set-point")
+        )
     if look.counts and t & {"energy", "power", "heat", "heating machine", "electric", "gas"} and not temperature:
         return _load(look)
     valve = "valve" in t or ("level" in t and not t & {"power", "energy"})
@@ -193,7 +231,7 @@ def _abbreviated(look: _Look) -> frozenset[str]:
 
 def _temperature_word(look: _Look, t: frozenset[str]) -> bool:
     """Whether a name says temperature in full, or in the short of a point list."""
-    return "temperature" in t and any("temp" in w or w in ("znt", "spt", "rmt", "sat", "rat", "mat", "dat", "oat", "lwt", "ewt", "degc", "degf") for w in words_of(look.name)) or (
+    return ("temperature" in t and any("temp" in word or word in _SHORT for word in words_of(look.name))) or (
         "temperature" in t and not t & {"power", "energy", "heat", "valve", "level"}
     )  # fmt: skip
 
@@ -204,7 +242,11 @@ def _load_like(look: _Look, t: frozenset[str]) -> bool:
 
 def _shares(look: _Look) -> bool:
     """Whether values may be a level: between 0 and 1 or 0 and 100, or as much below 0."""
-    return bool(look.least >= -100.5 and look.most <= 100.5 and (look.least >= -0.01 or look.most <= 1.01 or look.least >= -100.5 and "level" in look.tags))
+    return bool(
+        look.least >= -100.5
+        and look.most <= 100.5
+        and (look.least >= -0.01 or look.most <= 1.01 or (look.least >= -100.5 and "level" in look.tags))
+    )
 
 
 def _setpoint(look: _Look, fahrenheit: bool) -> bool:
@@ -213,12 +255,16 @@ def _setpoint(look: _Look, fahrenheit: bool) -> bool:
     if not celsius.size or look.binary:
         return False
     inside = bool(celsius.min() >= _SETPOINTS_C[0] and celsius.max() <= _SETPOINTS_C[1] and look.least > 1.0)
-    return inside and look.few and (look.halves or bool(np.allclose(5 * look.values, np.round(5 * look.values), atol=1e-6)))
+    return (
+        inside
+        and look.few
+        and (look.halves or bool(np.allclose(5 * look.values, np.round(5 * look.values), atol=1e-6)))
+    )
 
 
 def _bound(t: frozenset[str]) -> str:
-    if "lower" in t or ("heating machine" in t or "heat" in t) and "upper" not in t and "cooling" not in t:
-        return "lower" if "lower" in t or t & {"heat", "heating machine"} and "cooling" not in t else "setpoint"
+    if "lower" in t or (("heating machine" in t or "heat" in t) and "upper" not in t and "cooling" not in t):
+        return "lower" if "lower" in t or (t & {"heat", "heating machine"} and "cooling" not in t) else "setpoint"
     if "upper" in t or "cooling" in t:
         return "upper"
     return "setpoint"
@@ -229,16 +275,29 @@ def _load(look: _Look) -> Guess:
     t, unit = look.tags, look.unit
     role = "power"
     electric = "electric" in t
-    heat = ("heat" in t and not electric and "heating machine" not in t) or bool({"heat"} & t and re.search(r"(?i)thermal|thermi|w[aä]e?rmemenge|heat ?(meter|flow|output)|wmz|qh|phi|^ph\b|ph$|heizleist|w[aä]e?rmeleist|therm", look.name))
+    heat = ("heat" in t and not electric and "heating machine" not in t) or bool(
+        {"heat"} & t
+        and re.search(
+            r"(?i)thermal|thermi|w[aä]e?rmemenge|heat "
+            "?(meter|flow|output)|wmz|qh|phi|^ph\b|ph$|heizleist|w[aä]e?rmeleist|therm",
+            look.name,
+        )
+    )
     if heat:
         role = "heat"
     if {"hot water", "gas", "pv"} & t or "other" in t:
         return Guess(look.name, "gas" if "gas" in t and "hot water" not in t else "", "")
-    energy = unit in ("Wh", "kWh", "MWh", "kJ", "MJ", "BTU") or ("energy" in t and unit not in ("W", "kW", "MW") and "power" not in t)
+    energy = unit in ("Wh", "kWh", "MWh", "kJ", "MJ", "BTU") or (
+        "energy" in t and unit not in ("W", "kW", "MW") and "power" not in t
+    )
     doubt = ""
     if look.counts:
         kilo = unit if unit in ("Wh", "kWh", "MWh", "kJ", "MJ", "BTU") else "kWh" if look.most < 1e6 else "Wh"
-        doubt = "" if unit in ("Wh", "kWh", "MWh", "kJ", "MJ", "BTU") or "energy" in t else "it only rises: a counter, of kWh or Wh?"
+        doubt = (
+            ""
+            if unit in ("Wh", "kWh", "MWh", "kJ", "MJ", "BTU") or "energy" in t
+            else "it only rises: a counter, of kWh or Wh?"
+        )
         return Guess(look.name, role, f"{kilo} counter", doubt)
     if energy:
         base = unit if unit in ("Wh", "kWh", "BTU", "kJ", "MJ") else ""
@@ -251,20 +310,24 @@ def _load(look: _Look) -> Guess:
         doubt = "it falls below 0"
     if not unit and look.most <= 100.0 and look.most > 30.0 and not look.constant and not t & {"power"}:
         return Guess(look.name, "level", "%", "its values are between 0 and 100, its name is that of a load")
-    return Guess(look.name, role, unit or ("W" if look.most > 60.0 else "kW"), doubt or ("" if unit or look.most > 60.0 or look.constant else ""))
+    return Guess(
+        look.name,
+        role,
+        unit or ("W" if look.most > 60.0 else "kW"),
+        doubt or ("" if unit or look.most > 60.0 or look.constant else ""),
+    )
 
 
 def _temperature(look: _Look, fahrenheit: bool) -> Guess:
     t = look.tags
     unit, celsius = look.celsius(fahrenheit)
-    if look.binary or look.constant and not 5.0 <= float(celsius[0]) <= 40.0:
+    if look.binary or (look.constant and not 5.0 <= float(celsius[0]) <= 40.0):
         # On and off under the name of a room: what acts there has another name.
         return Guess(look.name, "level" if t & {"heating machine", "heat"} and not look.constant else "", "0-1")
     inside = _WEATHER_C[0] <= celsius.min() and celsius.max() <= 60.0
     median = float(np.median(celsius))
-    if "hot water" in t or (t & {"supply", "return", "water"} and "room" not in t):
-        if "outdoor" not in t:
-            return Guess(look.name, "return water" if "return" in t else "", unit)
+    if ("hot water" in t or (t & {"supply", "return", "water"} and "room" not in t)) and "outdoor" not in t:
+        return Guess(look.name, "return water" if "return" in t else "", unit)
     if "outdoor" in t and inside and not ("room" in t and _room_first(look)):
         return Guess(look.name, "outdoor", unit)
     if not inside or median > 33.0:
@@ -273,7 +336,9 @@ def _temperature(look: _Look, fahrenheit: bool) -> Guess:
     if _setpoint(look, fahrenheit) and look.distinct.size <= 6 and "room" not in t and not _full_temperature(look):
         return Guess(look.name, "setpoint", unit, "its values are those of a set-point, in half steps")
     if not _ROOM_C[0] <= median <= _ROOM_C[1]:
-        return Guess(look.name, "zone" if "room" in t else "", unit, f"a median of {median:.0f} °C is not that of a room")
+        return Guess(
+            look.name, "zone" if "room" in t else "", unit, f"a median of {median:.0f} °C is not that of a room"
+        )
     known = "room" in t or _full_temperature(look) or look.unit in ("°C", "°F", "K")
     if _setpoint(look, fahrenheit) and look.distinct.size <= 4 and not look.constant:
         return Guess(look.name, "zone", unit, "its few values in half steps may be those of a set-point")
@@ -315,7 +380,13 @@ def _by_values(look: _Look, fahrenheit: bool) -> Guess:
     if _setpoint(look, fahrenheit):
         return Guess(look.name, "setpoint", unit, doubt)
     smooth = np.abs(np.diff(celsius)).mean() < 0.1 * max(float(np.ptp(celsius)), 1e-9)
-    if smooth and 15.0 <= np.median(celsius) <= 27.0 and np.ptp(celsius) < 12.0 and celsius.min() > 5.0 and look.least > 2.0:
+    if (
+        smooth
+        and 15.0 <= np.median(celsius) <= 27.0
+        and np.ptp(celsius) < 12.0
+        and celsius.min() > 5.0
+        and look.least > 2.0
+    ):
         return Guess(look.name, "zone", unit, doubt)
     return Guess(look.name, "")
 
@@ -338,7 +409,9 @@ def _outdoor_apart(found: list[Guess], looks: Mapping[str, _Look]) -> list[Guess
         warm = float(np.median(np.concatenate([v for _, v in of_rooms])))
         together = [_correlated(time_s, values, *room) for room in of_rooms]
         if max(together) > _TOGETHER and abs(float(np.median(values)) - warm) < 4.0 and len(outdoors) > 1:
-            changed[guess.name] = Guess(guess.name, "zone", guess.unit, "its name says outdoors, and it goes with the rooms")
+            changed[guess.name] = Guess(
+                guess.name, "zone", guess.unit, "its name says outdoors, and it goes with the rooms"
+            )
         elif max(together) > 0.97 and abs(float(np.median(values)) - warm) < 3.0:
             changed[guess.name] = Guess(guess.name, "outdoor", guess.unit, "it goes with the rooms: is it outdoors?")
     found = [changed.get(guess.name, guess) for guess in found]
@@ -346,8 +419,10 @@ def _outdoor_apart(found: list[Guess], looks: Mapping[str, _Look]) -> list[Guess
         # What is colder and moves more than all others.
         free = [g for g in found if g.role == "zone" and not g.sure] + [
             Guess(look.name, "zone", look.celsius(False)[0]) for look in looks.values()
-            if not look.text and look.unit in ("°C", "°F", "K") and all(g.name != look.name or g.role == "" for g in found)
-            and not look.tags & {"supply", "return", "water", "hot water", "setpoint"} and not look.binary and look.median < 33.0
+            if not look.text and look.unit in ("°C", "°F", "K")
+            and all(g.name != look.name or g.role == "" for g in found)
+            and not look.tags & {"supply", "return", "water", "hot water", "setpoint"} and not look.binary and
+            look.median < 33.0
         ]  # fmt: skip
         if free:
             widest = max(free, key=lambda g: float(np.ptp(celsius(g)[1])))
@@ -355,7 +430,12 @@ def _outdoor_apart(found: list[Guess], looks: Mapping[str, _Look]) -> list[Guess
             others = [celsius(g)[1] for g in found if g.role == "zone" and g.name != widest.name]
             warm = min((float(np.median(v)) for v in others), default=18.0)
             if float(np.median(values)) < warm - 3.0 and float(np.ptp(values)) > 3.0:
-                new = Guess(widest.name, "outdoor", widest.unit, "guessed by its values: colder than the rooms, and it moves more")
+                new = Guess(
+                    widest.name,
+                    "outdoor",
+                    widest.unit,
+                    "guessed by its values: colder than the rooms, and it moves more",
+                )
                 found = [new if g.name == widest.name else g for g in found]
     return found
 
@@ -392,7 +472,19 @@ def rooms_beside(columns: Mapping[str, Array], rules: MeasurementMap) -> tuple[s
 
 
 def _temperature_alone(name: str) -> bool:
-    beside = {"outdoor", "setpoint", "lower", "upper", "supply", "return", "water", "hot water", "valve", "power", "energy"}
+    beside = {
+        "outdoor",
+        "setpoint",
+        "lower",
+        "upper",
+        "supply",
+        "return",
+        "water",
+        "hot water",
+        "valve",
+        "power",
+        "energy",
+    }
     return not (beside | {"sun", "humidity", "price", "other", "pv", "gas"}) & tags(name)
 
 

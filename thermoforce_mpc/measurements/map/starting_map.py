@@ -23,7 +23,10 @@ from thermoforce_mpc.measurements.tables.recognition import Recognised, recognis
 _ROWS, _READINGS = 20_000, 5_000
 _CHECK = "CHECK: "
 # Zones of time of people who write so.
-_ZONES = {"de": "Europe/Berlin", "fr": "Europe/Paris", "nl": "Europe/Amsterdam", "en": "Europe/Brussels", "°F": "America/New_York"}  # fmt: skip
+_ZONES = {
+    "de": "Europe/Berlin", "fr": "Europe/Paris", "nl": "Europe/Amsterdam", "en": "Europe/Brussels",
+    "°F": "America/New_York",
+}  # fmt: skip
 _LANGUAGES = {
     "de": "zimmer|aussen|temperatur$|vorlauf|raum|ventil|leistung|strahlung|feucht|datum|zeit|pumpe|kuche|buro|wohn",
     "fr": "exterieur|chambre|salon|puissance|vanne|consigne|cuisine|sejour|horodat|ensoleil|chauffage",
@@ -90,7 +93,9 @@ def _key(column: str, path: Path, taken: Recognised) -> str | None:
 
 def _seconds(table: RawTable, clock: Clock) -> np.ndarray:
     try:
-        at = pd.DatetimeIndex(instants(table, clock.model_copy(update={"ambiguous": "first", "nonexistent": "gap"}), []))
+        at = pd.DatetimeIndex(
+            instants(table, clock.model_copy(update={"ambiguous": "first", "nonexistent": "gap"}), [])
+        )
     except DataError:  # a form that is still to be filled in
         return np.arange(len(table.stamps)) * 900.0
     seconds = np.asarray((at - at[0]).total_seconds(), dtype=np.float64)
@@ -114,7 +119,8 @@ class _Text:
         quoted = " ".join(f"'{p.name}'" if " " in p.name else p.name for p in self.taken.paths[:4])
         signals = f", {len(self.found)} signals" if len(self.found) > 1 else ""
         lines = [
-            f"# Map of {names}, taken for: {self.taken.words}{signals}. Guessed from names and values: check every line,",
+            f"# Map of {names}, taken for: {self.taken.words}{signals}. Guessed from names and values: check every "
+            "line,",
             f"# above all those with {_CHECK.strip(': ')}, then",
             f"#   tf-mpc data check {quoted} --map map.yaml",
             *self._time(),
@@ -133,14 +139,18 @@ class _Text:
         clock, note = self.taken.clock, self.taken.notes["time"]
         lines = ["time:"]
         if clock.column is not None:
-            told = _quoted(clock.column) if isinstance(clock.column, str) else f"[{', '.join(map(_quoted, clock.column))}]"
+            told = (
+                _quoted(clock.column) if isinstance(clock.column, str) else f"[{', '.join(map(_quoted, clock.column))}]"
+            )
             lines.append(f"  column: {told}")
         if clock.unit is not None:
             lines += [f"  unit: {clock.unit}  # stamps are numbers", f"  since: '{clock.since}'"]
         elif note.startswith("? stamps are numbers"):
             lines += ["  unit: s  # stamps are numbers", "  since: FILL IN  # what they count from, such as 2016-01-01"]
         if clock.zone is not None:
-            lines.append(f"  zone: {clock.zone}  # of the stamps; name the building's all the same, such as Europe/Brussels")
+            lines.append(
+                f"  zone: {clock.zone}  # of the stamps; name the building's all the same, such as Europe/Brussels"
+            )
         else:
             zone, why = self._zone()
             lines.append(f"  zone: {zone}  # {_CHECK}{why}")
@@ -178,7 +188,8 @@ class _Text:
     def _files(self) -> list[str]:
         form, table, lines = self.taken.csv, self.taken.table, []
         options = {
-            "separator": form.separator, "decimal": form.decimal, "encoding": form.encoding, "skip_lines": form.skip_lines,
+            "separator": form.separator, "decimal": form.decimal, "encoding": form.encoding,
+            "skip_lines": form.skip_lines,
             "skip_after": form.skip_after, "comment": form.comment,
         }  # fmt: skip
         other = [f"{key}: {_value(value)}" for key, value in options.items() if value != getattr(CsvFormat(), key)]
@@ -212,7 +223,9 @@ class _Text:
         sun = self.of("sun")
         if sun:
             others = [g.name for g in sun[1:]]
-            lines.append(f"sun: {self._signal(sun[0])}{_comment(sun[0].doubt or (f'or ' + ', '.join(others) if others else ''))}")
+            lines.append(
+                f"sun: {self._signal(sun[0])}{_comment(sun[0].doubt or ('or ' + ', '.join(others) if others else ''))}"
+            )
         elif humidity := self.of("humidity of outdoors"):
             lines.append(f"# sun: {{estimate: humidity, humidity: {_quoted(humidity[0].name)}}}  # needs site")
         else:
@@ -266,9 +279,13 @@ class _Text:
         for name, power in machines.items():
             lines.append(f"  {_value(name)}:")
             if power is not None:
-                lines.append(f"    power: {self._signal(power)}{_comment(power.doubt) or '  # electric power that is paid for'}")
+                lines.append(
+                    f"    power: {self._signal(power)}{_comment(power.doubt) or '  # electric power that is paid for'}"
+                )
             else:
-                lines.append("    # power: {column: ..., unit: W}  # without it nothing can be planned; without a meter take")
+                lines.append(
+                    "    # power: {column: ..., unit: W}  # without it nothing can be planned; without a meter take"
+                )
                 lines.append("    #   the column of the level, with factor: the W of a reading of 1")
             lines.append(f"    price: {cost}  # per kWh, a number or a column")
         return lines
@@ -321,7 +338,14 @@ class _Text:
         t = tags(guess.name)
         last = bool(_PUT_LAST.search(guess.name))
         machine = bool(re.search(r"(?i)compress|verdicht|modul|heiz|heat|burner|brenn|chauff|wp|hp", guess.name))
-        return 3.0 * ("valve" in t) + 2.0 * machine + 1.0 * guess.sure - 1.5 * last - 2.0 * ("cooling" in t) - 1.0 * ("other" in t)
+        return (
+            3.0 * ("valve" in t)
+            + 2.0 * machine
+            + 1.0 * guess.sure
+            - 1.5 * last
+            - 2.0 * ("cooling" in t)
+            - 1.0 * ("other" in t)
+        )
 
     def _match(self, guess: Guess | None, zone: str) -> bool:
         return guess is not None and zone in self.zones and bool(guess.place & self.zones[zone].place)

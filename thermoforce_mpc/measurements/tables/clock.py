@@ -35,12 +35,17 @@ _CLOCKS = {
 _MOST_OFFSETS = 4
 _AN_HOUR = pd.Timedelta("1h")
 _MOST_YEARS = 20
+# The clock of a table that is being written may be ahead of ours by so much.
+_AHEAD = pd.Timedelta("5min")
 # Share of the stamps of two files from which they stand beside one another rather than overlap at their ends.
 _MOST_SHARED = 0.5
 
 
-def instants(table: RawTable, clock: Clock, notes: list[str]) -> pd.Series:
-    """The instants of a table's rows, in the zone of the map; rows that are left out are missing from its index."""
+def instants(table: RawTable, clock: Clock, notes: list[str], now: pd.Timestamp | None = None) -> pd.Series:
+    """The instants of a table's rows, in the zone of the map; rows that are left out are missing from its index.
+
+    `now`: the time, with a zone, of a table that is being written; it tells the hour that comes twice apart.
+    """
     stamps = table.stamps
     empty = np.flatnonzero(stamps.isna().to_numpy())
     if empty.size:
@@ -59,7 +64,7 @@ def instants(table: RawTable, clock: Clock, notes: list[str]) -> pd.Series:
         return times
     if clock.zone is None:
         return times
-    return _localised(table, times, clock, notes)
+    return _localised(table, times, clock, notes, now)
 
 
 def _counted(table: RawTable, clock: Clock) -> pd.Series:
@@ -120,6 +125,30 @@ def _parsed(table: RawTable, text: pd.Series, clock: Clock) -> pd.Series:
         return times
 
 
+def parsed_or_nat(text: pd.Series, clock: Clock) -> pd.Series:
+    """Stamps (n,) as text to times of UTC, those without an offset as if they were of UTC; NaT for what is none.
+
+    Of stamps with and without an offset in one table the fewer are none.
+    """
+    if clock.unit is not None:
+        numbers = pd.to_numeric(text, errors="coerce")
+        finite = np.isfinite(numbers.to_numpy(dtype=np.float64))
+        within = finite & (np.abs(numbers.to_numpy(dtype=np.float64)) < 1e15)
+        since = clock.counted_from()
+        since = since.tz_localize("UTC") if since.tz is None else since.tz_convert("UTC")
+        elapsed = pd.to_timedelta(numbers.where(within), unit=clock.unit, errors="coerce")
+        return pd.Series(since + elapsed)
+    text = text.astype(object).where(text.notna(), "").astype(str)
+    text = plain(text, clock.format) if len(text) else text
+    if clock.format is None:
+        text = text.where(text.str.match(ISO), "")
+    at = pd.to_datetime(text, format=clock.format or "ISO8601", utc=True, errors="coerce")
+    offset = with_offset(text)
+    read = at.notna().to_numpy()
+    fewer = offset if 2 * int((offset & read).sum()) < int(read.sum()) else ~offset
+    return at.mask(fewer)
+
+
 def plain(text: pd.Series, form: str | None = None) -> pd.Series:
     """Stamps (n,) of text as `strptime` knows them: of intervals the beginning, months in English, offsets in digits.
 
@@ -131,7 +160,7 @@ def plain(text: pd.Series, form: str | None = None) -> pd.Series:
         text = _beginnings(text)
         first = str(text.iloc[0])
     if re.search(r"[A-Za-zäéûô]{3,}", first):
-        codes, told = pd.factorize(text.str.replace(r"[^A-Za-zÀ-ÿ]+", " ", regex=True))
+        told = pd.unique(text.str.replace(r"[^A-Za-zÀ-ÿ]+", " ", regex=True))
         words = dict.fromkeys(word for one in told for word in str(one).split() if len(word) > 2)
         for word in words:
             if (other := _in_digits(word, form)) is not None:
@@ -169,7 +198,9 @@ def _in_digits(word: str, form: str | None) -> str | None:
     return None
 
 
-def _localised(table: RawTable, times: pd.Series, clock: Clock, notes: list[str]) -> pd.Series:
+def _localised(
+    table: RawTable, times: pd.Series, clock: Clock, notes: list[str], now: pd.Timestamp | None
+) -> pd.Series:
     """Stamps of the wall clock as instants, by the rules of the map for the hours of summer time's begin and end."""
     zone = str(clock.zone)
     existing = times.dt.tz_localize(zone, ambiguous=np.ones(len(times), dtype=bool), nonexistent="NaT")
@@ -191,6 +222,8 @@ def _localised(table: RawTable, times: pd.Series, clock: Clock, notes: list[str]
         ambiguous = rule or np.full(len(times), clock.ambiguous == "first")
         local = times.dt.tz_localize(zone, ambiguous=ambiguous)
     except ValueError as error:
+        if now is not None:
+            return _by_the_clock(table, times, zone, notes, now)
         twice = times.dt.tz_localize(zone, ambiguous="NaT")
         row = int(times.index[int(np.argmax(twice.isna().to_numpy()))])
         raise DataError(
@@ -202,6 +235,31 @@ def _localised(table: RawTable, times: pd.Series, clock: Clock, notes: list[str]
     if unclear:
         notes.append(f"{table.name}: {unclear} rows in the hour that the end of summer time repeats were left out")
     return local[local.notna()]
+
+
+def _by_the_clock(table: RawTable, times: pd.Series, zone: str, notes: list[str], now: pd.Timestamp) -> pd.Series:
+    """Stamps of a table that is being written, whose order does not tell the hour that comes twice, by the time `now`.
+
+    Rows from the last step back on are of its second pass. Without one they are of the first, which is the older, if
+    they go on from the row before and nothing came after them; what would lie after now is of the first anyway. Where
+    that does not tell it they are left out.
+    """
+    first, second = (times.dt.tz_localize(zone, ambiguous=np.full(len(times), summer)) for summer in (True, False))
+    rows = np.flatnonzero((first != second).to_numpy())
+    back = np.flatnonzero(np.diff(times.to_numpy()[rows].astype(np.int64)) < 0)
+    what = f"{table.name}: {rows.size} rows in the hour that the end of summer time repeats"
+    later = np.zeros(len(times), dtype=bool)
+    if back.size:
+        later[rows[back[-1] + 1] :] = True
+    elif rows[-1] < len(times) - 1:
+        notes.append(f"{what}: left out, since their order does not tell which it is")
+        local = times.dt.tz_localize(zone, ambiguous="NaT")
+        return local[local.notna()]
+    elif rows[0] > 0 and first.iloc[rows[0]] - first.iloc[rows[0] - 1] > _AN_HOUR:
+        later[rows] = True
+    later &= (second <= now + _AHEAD).to_numpy()
+    notes.append(f"{what}: told apart by the clock")
+    return times.dt.tz_localize(zone, ambiguous=~later)
 
 
 def all_year(zone: str, stamp: pd.Timestamp) -> str:
@@ -240,15 +298,20 @@ class Timed:
         return float(min(usual, default=np.nan))
 
 
-def timed(tables: Sequence[RawTable], clock: Clock) -> Timed:
+def timed(tables: Sequence[RawTable], clock: Clock, now: pd.Timestamp | None = None) -> Timed:
     """The rows of `tables` in the order of time, in the zone of the map, without a zone where there is none.
 
     Tables with the same columns follow one another; others stand beside, and their columns keep instants of their own.
+    `now`: the time, of tables that are being written (`instants`).
+
     Raises `DataError`, with file, line and what to do, for a stamp that cannot be read, is out of order, comes twice or
     does not exist, and for zones that differ.
     """
     notes: list[str] = []
-    stamps = [_instants_of_readings(t, clock, notes) if t.codes is not None else instants(t, clock, notes) for t in tables]
+    stamps = [
+        _instants_of_readings(t, clock, notes, now) if t.codes is not None else instants(t, clock, notes, now)
+        for t in tables
+    ]
     has = [stamp.dt.tz is not None for stamp in stamps]
     if len(set(has)) > 1:
         naive, aware = tables[has.index(False)].name, tables[has.index(True)].name
@@ -266,7 +329,9 @@ def timed(tables: Sequence[RawTable], clock: Clock) -> Timed:
     for i, table in enumerate(tables):
         if table.codes is None:
             alike.setdefault(tuple(table.columns), []).append(i)
-    parts = [_after_one_another([tables[i] for i in of], [stamps[i] for i in of], clock, notes) for of in alike.values()]
+    parts = [
+        _after_one_another([tables[i] for i in of], [stamps[i] for i in of], clock, notes) for of in alike.values()
+    ]
     if len(parts) == 1 and len(alike) and all(table.codes is None for table in tables):
         index, columns = parts[0]
         _check_years(index, tables[0].name)
@@ -309,18 +374,18 @@ def timed(tables: Sequence[RawTable], clock: Clock) -> Timed:
     return Timed(union, columns, tuple(notes), own, beside)
 
 
-def _instants_of_readings(table: RawTable, clock: Clock, notes: list[str]) -> pd.Series:
+def _instants_of_readings(table: RawTable, clock: Clock, notes: list[str], now: pd.Timestamp | None) -> pd.Series:
     """Instants of a table of one reading a row; each signal's rows tell which of the two hours in autumn they mean."""
     of_wall_clock = not pd.api.types.is_numeric_dtype(table.stamps) and clock.zone is not None
     if not of_wall_clock or getattr(table.stamps.dtype, "tz", None) is not None or table.codes is None:
-        return instants(table, clock, notes)
+        return instants(table, clock, notes, now)
     rows = [np.flatnonzero(table.codes == k) for k in range(len(table.points))]
     lines = table.line if not isinstance(table.line, int) else table.line + np.arange(len(table.stamps))
     found = []
     for of in rows:
         if of.size:
             one = replace(table, stamps=table.stamps.iloc[of].reset_index(drop=True), line=lines[of])
-            at = instants(one, clock, notes)
+            at = instants(one, clock, notes, now)
             found.append(at.set_axis(of[at.index]))
     return pd.concat(found).sort_index()
 
@@ -398,7 +463,8 @@ def _in_order(
         if clock.duplicates == "refuse":
             if not (index[keep] != index[keep].normalize()).any() and same.size > at.size / 2:
                 raise DataError(
-                    f"{what}: the stamps of a day are all the same. Where the time of day stands in a column of its own, "
+                    f"{what}: the stamps of a day are all the same. Where the time of day stands in a column of "
+                    "its own, "
                     "name both: time.column: [Date, Time]"
                 )
             raise DataError(f"{what}: remove one of them, or set time.duplicates: first or last")

@@ -7,6 +7,7 @@ import codecs
 import csv
 import glob
 import gzip
+import importlib.util
 import itertools
 import lzma
 import re
@@ -44,7 +45,7 @@ Lines: TypeAlias = int | NDArray[np.int64]
 MOST_BYTES = 1_000_000_000
 _COMPRESSED: dict[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
 _BLOCK = 1_000_000
-_PARQUET = (".parquet", ".pq")
+PARQUET = (".parquet", ".pq")
 _WORKBOOKS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 # How files begin that are no text, and what they are.
 _MAGIC = {
@@ -103,7 +104,7 @@ def _unpacked_bytes(path: Path, most_bytes: int) -> int:
     if path.suffix not in _COMPRESSED:
         return path.stat().st_size
     n = 0
-    with _reading(path), _opened(path) as file:
+    with reading(path), opened(path) as file:
         while n <= most_bytes and (piece := file.read(_BLOCK)):
             n += len(piece)
     return n
@@ -112,11 +113,11 @@ def _unpacked_bytes(path: Path, most_bytes: int) -> int:
 def named_after(path: Path, form: CsvFormat) -> str:
     """The name that a file gives its readings: that of a line `history:` above its header, else its own."""
     stem = path.name
-    while Path(stem).suffix.lower() in (*_COMPRESSED, *_PARQUET, *_WORKBOOKS, ".csv", ".txt", ".tsv"):
+    while Path(stem).suffix.lower() in (*_COMPRESSED, *PARQUET, *_WORKBOOKS, ".csv", ".txt", ".tsv"):
         stem = Path(stem).stem
-    if path.suffix.lower() in (*_PARQUET, *_WORKBOOKS) or not form.skip_lines:
+    if path.suffix.lower() in (*PARQUET, *_WORKBOOKS) or not form.skip_lines:
         return stem
-    with _reading(path), _opened(path, "rt", form.encoding) as lines:
+    with reading(path), opened(path, "rt", form.encoding) as lines:
         for line in itertools.islice(iter(lambda: lines.readline(_BLOCK), ""), form.skip_lines):
             told = re.match(r"\W*history:([^,;\t]*)", line, re.I)
             if told and (name := told[1].strip(' "\r\n/').rpartition("/")[2]):
@@ -198,7 +199,9 @@ def all_readings(
                     try:
                         at = instants(piece, clock.model_copy(update={"zone": None}), [])
                     except DataError:
-                        at = pd.Series(pd.Timestamp("2025-01-01") + pd.to_timedelta(np.arange(len(at)) * 900.0, unit="s"))
+                        at = pd.Series(
+                            pd.Timestamp("2025-01-01") + pd.to_timedelta(np.arange(len(at)) * 900.0, unit="s")
+                        )
                 at = at.dt.tz_localize(None) if getattr(at.dtype, "tz", None) is not None else at
                 pieces.append((codes, at.astype("datetime64[ns]").to_numpy().astype("int64") / 1e9, piece.columns[""]))
     codes, time_s, readings = (np.concatenate(column) for column in zip(*pieces, strict=True))
@@ -231,7 +234,10 @@ def check_columns(
                 known_column(key, pd.Index(_parts(path, form, scan=False)[0].names), str(path))
         return
     known = dict.fromkeys(
-        name for path in found for part in _parts(path, form, scan=False) for name in _signals(part, stamps, form, table)
+        name
+        for path in found
+        for part in _parts(path, form, scan=False)
+        for name in _signals(part, stamps, form, table)
     )
     for key in wanted:
         known_column(key, pd.Index(list(known)), str(found[0]))
@@ -240,7 +246,7 @@ def check_columns(
 def head_of(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
     """The first `rows` rows of a file with all its columns, stamps (or index) first; raises `DataError`."""
     part = _parts(path, form, scan=False)[0]
-    with _reading(path, " as CSV"):
+    with reading(path, " as CSV"):
         df, _ = next(part.frames(None, rows))
     df = df.iloc[:rows]
     return df.reset_index() if isinstance(df.index, pd.DatetimeIndex) else df
@@ -260,7 +266,7 @@ class _Part:
 
 def _parts(path: Path, form: CsvFormat, *, scan: bool = True) -> list[_Part]:
     suffix = path.suffix.lower()
-    if suffix in _PARQUET:
+    if suffix in PARQUET:
         return [_parquet(path)]
     if suffix in _WORKBOOKS:
         return [_workbook(path, form)]
@@ -293,17 +299,16 @@ def _of_readings(
         lines = piece.line[ours] if not isinstance(piece.line, int) else piece.line + np.flatnonzero(ours)
         stamps_of = piece.stamps[ours].reset_index(drop=True)
         pieces.append((stamps_of, piece.columns[""][ours], lines, codes[ours]))
+    stamps_of_all = [piece[0] for piece in pieces]
     if len({str(one.dtype) for one in at}) > 1:  # some stamps are of another form: messages name them
-        pieces = [(stamps.astype(str), *rest) for stamps, *rest in pieces]
-        at = []
-    stamps_s, readings, lines, codes = (list(column) for column in zip(*pieces, strict=True))
+        stamps_of_all, at = [one.astype(str) for one in stamps_of_all], []
     yield RawTable(
         str(part.path),
-        pd.concat(stamps_s, ignore_index=True),
-        {"": np.concatenate(readings)},
-        np.concatenate(lines),
+        pd.concat(stamps_of_all, ignore_index=True),
+        {"": np.concatenate([piece[1] for piece in pieces])},
+        np.concatenate([piece[2] for piece in pieces]),
         tuple(code_of),
-        np.concatenate(codes),
+        np.concatenate([piece[3] for piece in pieces]),
         beside,
         _outages(at),
     )
@@ -338,7 +343,9 @@ def _of_columns(
     for key in (*keys, *(column_of[key] for key in here)):
         known_column(key, pd.Index(part.names), str(part.path))
         if part.names.count(key) > 1:
-            raise DataError(f"{part.path}: there are {part.names.count(key)} columns '{key}'; give each a name of its own")
+            raise DataError(
+                f"{part.path}: there are {part.names.count(key)} columns '{key}'; give each a name of its own"
+            )
     told = [*keys, *(column_of[key] for key in here), *([table.status] if table.status in part.names else [])]
     df, line = next(part.frames(list(dict.fromkeys(told)), None))
     found = raw_table(df, keys or None, [column_of[key] for key in here], str(part.path), line, form.decimal)
@@ -349,7 +356,7 @@ def _of_columns(
 def _keys(part: _Part, stamps: Stamps) -> tuple[str, ...]:
     """Columns of the time stamps of a part; none where its index has them."""
     if stamps is None:
-        return tuple(part.names[:1]) if part.path.suffix.lower() not in _PARQUET else ()
+        return tuple(part.names[:1]) if part.path.suffix.lower() not in PARQUET else ()
     return (stamps,) if isinstance(stamps, str) else stamps
 
 
@@ -362,7 +369,33 @@ def _signals(part: _Part, stamps: Stamps, form: CsvFormat, table: TableForm) -> 
         keys = _keys(part, stamps)
         return {f"{name} {column}": column for column in part.names if column not in keys}
     values = (table.value,) if isinstance(table.value, str) else table.value or ()
-    return {name: column for column in reversed(values) if column in part.names}
+    given = [column for column in values if column in part.names]
+    return {name: given[0]} if given else {}
+
+
+def columns_of(
+    path: Path, names: list[str], stamps: Stamps, form: CsvFormat, table: TableForm, wanted: Sequence[str] | None
+) -> tuple[list[str], dict[str, str]]:
+    """Columns of the stamps of a file with columns `names`, and by signal (of `wanted`, None: all) its column.
+
+    Where each row is one reading, the columns of readings, by their own names.
+    """
+    part = _Part(path, names, lambda columns, rows: iter(()))
+    keys = _keys(part, stamps)
+    if table.point is not None:
+        points, values = ((one,) if isinstance(one, str) else one for one in (table.point, table.value or ()))
+        given = [key for key in values if key in names] or list(values[:1])
+        for key in (*keys, *points, *given):
+            known_column(key, pd.Index(names), str(path))
+        return list(keys), {key: key for key in given}
+    column_of = _signals(part, stamps, form, table)
+    for key in keys:
+        known_column(key, pd.Index(names), str(path))
+    here = column_of if wanted is None else {key: column_of[key] for key in wanted if key in column_of}
+    for key in here.values():
+        if names.count(key) > 1 and wanted is not None:
+            raise DataError(f"{path}: there are {names.count(key)} columns '{key}'; give each a name of its own")
+    return list(keys), here
 
 
 def _parquet(path: Path) -> _Part:
@@ -391,13 +424,11 @@ def _parquet(path: Path) -> _Part:
 
 
 def _workbook(path: Path, form: CsvFormat) -> _Part:
-    try:
-        import python_calamine  # noqa: F401
-    except ModuleNotFoundError as missing:
+    if importlib.util.find_spec("python_calamine") is None:
         raise DataError(
             f"{path}: workbooks are read with python-calamine: pip install 'thermoforce-mpc[workbook]', or save the "
             "sheet as CSV"
-        ) from missing
+        )
     check_regular(path, DataError)
     try:
         cells = pd.read_excel(path, sheet_name=form.sheet or 0, header=None, engine="calamine", dtype=object)
@@ -419,11 +450,11 @@ def _workbook(path: Path, form: CsvFormat) -> _Part:
 
 def _csv(path: Path, form: CsvFormat, *, scan: bool = True) -> list[_Part]:
     """The parts of a CSV file; without `scan` its first alone, whose lines are not checked."""
-    separator, names, header = _header(path, form)
+    separator, names, header = header_of(path, form)
     found: list[tuple[list[str], Array | None, int]] = [(names, None, len(names))]
     first = header + 1 + form.skip_after
     if scan:
-        with _reading(path, " as CSV"):
+        with reading(path, " as CSV"):
             found = _scanned(path, form, separator, names, first)
 
     def frames_of(names: list[str], lines: Any, cells: int, columns: Any, rows: int | None) -> Any:
@@ -447,7 +478,7 @@ def _csv(path: Path, form: CsvFormat, *, scan: bool = True) -> list[_Part]:
             df = df[[place for place in df.columns if place < len(names)]]
             return df.set_axis([names[place] for place in df.columns], axis=1)
 
-        with _reading(path, " as CSV"), warnings.catch_warnings():
+        with reading(path, " as CSV"), warnings.catch_warnings():
             warnings.simplefilter("ignore", pd.errors.ParserWarning)
             if lines is None:
                 try:
@@ -465,7 +496,7 @@ def _csv(path: Path, form: CsvFormat, *, scan: bool = True) -> list[_Part]:
                 read += len(piece)
 
     return [
-        _Part(path, names, partial(frames_of, names, lines, cells))  # type: ignore[misc]
+        _Part(path, names, partial(frames_of, names, lines, cells))
         for names, lines, cells in found
     ]
 
@@ -487,7 +518,7 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
     parts: list[tuple[list[str], list[Any]]] = [(names, [])]
     most = len(names)
     begun, may_begin = 0, False
-    with _opened(path, "rt", form.encoding) as lines:
+    with opened(path, "rt", form.encoding) as lines:
         while block := lines.readlines(_BLOCK):
             kept = np.ones(len(block), dtype=bool)
             kept[: max(0, first - begun)] = False
@@ -502,10 +533,14 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
                 cells = next(csv.reader([block[k].rstrip("\r\n")], delimiter=separator, skipinitialspace=True), [])
                 told = [cell.strip() for cell in cells]
                 current = parts[-1][0]
-                if told == current or (told == names):
+                if told in (current, names):
                     kept[k] = False
                     continue
-                if (after[k] or begins[k]) and len(set(told) & set(current)) > 1 and len(set(told) & set(current)) * 2 >= len(set(told)):
+                if (
+                    (after[k] or begins[k])
+                    and len(set(told) & set(current)) > 1
+                    and len(set(told) & set(current)) * 2 >= len(set(told))
+                ):
                     parts[-1][1].append(np.flatnonzero(kept[start:k]) + start + begun)
                     parts.append((told, []))
                     kept[k], start = False, k
@@ -517,7 +552,8 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
                 same = len(cells) in (0, expected) or (len(cells) == expected + 1 and not cells[-1]) or '"' in block[k]
                 if not same:
                     raise DataError(
-                        f"{path}, line {begun + k + 1}: has {len(cells)} cells, the line of column names {expected}: mend "
+                        f"{path}, line {begun + k + 1}: has {len(cells)} cells, the line of column names "
+                        f"{expected}: mend "
                         "or remove it (a decimal comma? a file that is still being written?)"
                     )
             parts[-1][1].append(np.flatnonzero(kept[start:]) + start + begun)
@@ -534,37 +570,38 @@ def _start(names: Sequence[str], separator: str) -> str:
     return separator.join(names[:2])
 
 
-def _header(path: Path, form: CsvFormat) -> tuple[str, list[str], int]:
+def header_of(path: Path, form: CsvFormat) -> tuple[str, list[str], int]:
     """Separator, names of the columns, and the line (from 0) where these stand."""
     at, header = form.skip_lines, ""
     try:
-        with _reading(path, but=(UnicodeError,)), _opened(path, "rt", form.encoding) as lines:
+        with reading(path, but=(UnicodeError,)), opened(path, "rt", form.encoding) as lines:
             parts = iter(lambda: lines.readline(_BLOCK), "")  # not the whole of a line without end
-            for at, line in enumerate(itertools.islice(parts, form.skip_lines, None), form.skip_lines):
+            for line in itertools.islice(parts, form.skip_lines, None):
                 header = line.lstrip("\ufeff").rstrip("\r\n")
                 if header.strip() and not (form.comment and header.startswith(form.comment)):
                     break
+                at += 1
             else:
                 raise DataError(
                     f"{path}: the file is empty" if not form.skip_lines and not header.strip() else
                     f"{path}, line {form.skip_lines + 1}: no names of columns; set csv.skip_lines of the map"
                 )  # fmt: skip
     except UnicodeError as error:
-        with _reading(path), _opened(path) as file:
+        with reading(path), opened(path) as file:
             _check_text(path, file.read(1000))
         raise DataError(
             f"{path}: is not {form.encoding} ({_short(error)}); set csv.encoding of the map: "
             "cp1252 for a file of Excel, utf-16 for its Unicode text"
         ) from error
     separator = form.separator or max(SEPARATORS, key=header.count)
-    with _reading(path, " as CSV"):
+    with reading(path, " as CSV"):
         names = next(csv.reader([header], delimiter=separator, skipinitialspace=True))
     return separator, [name.strip() for name in names], at
 
 
 def is_text(path: Path) -> bool:
     """Whether a file is read as text, by its suffix."""
-    return path.suffix.lower() not in (*_PARQUET, *_WORKBOOKS)
+    return path.suffix.lower() not in (*PARQUET, *_WORKBOOKS)
 
 
 def _check_text(path: Path, start: bytes) -> None:
@@ -580,7 +617,7 @@ def sample(path: Path) -> tuple[str, list[str]]:
 
     Raises `DataError` for one that is no text.
     """
-    with _reading(path), _opened(path) as file:
+    with reading(path), opened(path) as file:
         start = file.read(_BLOCK)
     _check_text(path, start)
     encoding = "utf-16" if start[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8"
@@ -592,12 +629,13 @@ def sample(path: Path) -> tuple[str, list[str]]:
     return encoding, lines if len(start) < _BLOCK else lines[:-1]
 
 
-def _opened(path: Path, mode: str = "rb", encoding: str | None = None) -> Any:
+def opened(path: Path, mode: str = "rb", encoding: str | None = None) -> Any:
+    """A file, opened as it is packed."""
     return _COMPRESSED.get(path.suffix, open)(path, mode, encoding=encoding)
 
 
 @contextmanager
-def _reading(path: Path, how: str = "", but: tuple[type[Exception], ...] = ()) -> Iterator[None]:
+def reading(path: Path, how: str = "", but: tuple[type[Exception], ...] = ()) -> Iterator[None]:
     """Say which file is damaged; errors `but` go through."""
     try:
         yield

@@ -17,12 +17,14 @@ class Clock(StrictModel):
 
     column: str | tuple[str, ...] | None = Field(
         None,
-        description="column of the time stamps; default: the first, or the table's index. [Date, Time] for a date and a "
+        description="column of the time stamps; default: the first, or the table's index. [Date, Time] for a date "
+        "and a "
         "time of day that stand in two columns",
     )
     format: str | None = Field(
         None,
-        description="strptime format, such as %d.%m.%Y %H:%M; default: ISO 8601. Names of months in English, German, French "
+        description="strptime format, such as %d.%m.%Y %H:%M; default: ISO 8601. Names of months in English, "
+        "German, French "
         "or Dutch are %b or %B; CET, CEST and the like are %z",
     )
     zone: str | None = Field(
@@ -99,7 +101,9 @@ class CsvFormat(StrictModel):
     skip_lines: int = Field(0, ge=0, description="lines before the line of column names")
     missing: tuple[str, ...] = Field((), description="texts that stand for an empty cell besides NaN, n/a and the like")
     skip_after: int = Field(0, ge=0, description="lines between that of column names and the first row, as of units")
-    comment: str | None = Field("#", min_length=1, description="lines that begin with this are left out; null: none are")
+    comment: str | None = Field(
+        "#", min_length=1, description="lines that begin with this are left out; null: none are"
+    )
     sheet: str | None = Field(None, description="sheet of a workbook; default: the first")
 
 

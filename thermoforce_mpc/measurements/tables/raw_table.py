@@ -16,11 +16,14 @@ from thermoforce_mpc.measurements.tables.forms import TableForm
 from thermoforce_mpc.scenario.settings import suggestion
 
 # Words of a column that says on or off, in the languages of the maps.
-SWITCH = dict.fromkeys(
-    ("on", "ein", "an", "true", "open", "opened", "auf", "offen", "ouvert", "marche", "aan", "active", "running", "yes"), 1.0
-) | dict.fromkeys(
-    ("off", "aus", "false", "closed", "zu", "geschlossen", "fermé", "arrêt", "uit", "inactive", "idle", "stopped", "no"), 0.0
+_ON = (
+    "on", "ein", "an", "true", "open", "opened", "auf", "offen", "ouvert", "marche", "aan", "active", "running", "yes",
 )  # fmt: skip
+_OFF = (
+    "off", "aus", "false", "closed", "zu", "geschlossen", "fermé", "arrêt", "uit", "inactive", "idle", "stopped", "no",
+)  # fmt: skip
+SWITCH = dict.fromkeys(_ON, 1.0) | dict.fromkeys(_OFF, 0.0)
+"""Numbers of words that say on or off."""
 # Words of programs for a reading that there is not, beside those that pandas knows.
 MISSING = ("unavailable", "unknown", "undefined", "undef", "uninitialized", "no data", "-", "--", "---")
 ISO = re.compile(r"\s*\d{4}-\d{2}-\d{2}")
@@ -37,8 +40,7 @@ class RawTable:
     `line`: that of its first row in file `name` (1 where rows are counted, as in Parquet files and data frames), or the
     lines of all rows (n,). Where each row is one reading, `points` names the signals and `codes` (n,) says whose a
     row's is; the one column is named ''. `beside`: first readings of other signals; `outages`: from when to when
-    nothing at all was stored, where the stamps are instants; `wordy`: signals that hold words. `beside`: first readings of other signals; `outages`: from when to when nothing
-    at all was stored, where the stamps are instants.
+    nothing at all was stored, where the stamps are instants; `wordy`: signals that hold words.
     """
 
     name: str
@@ -97,19 +99,43 @@ def raw_table(
 
 
 def tables_of(
-    df: pd.DataFrame, stamps: str | tuple[str, ...] | None, wanted: Sequence[str], form: TableForm, name: str
+    df: pd.DataFrame,
+    stamps: str | tuple[str, ...] | None,
+    wanted: Sequence[str],
+    form: TableForm,
+    name: str,
+    lines: NDArray[np.int64] | None = None,
+    *,
+    strict: bool = True,
 ) -> list[RawTable]:
-    """The time stamps and `wanted` signals of a data frame by its form; raises as `read_tables` does."""
+    """The time stamps and `wanted` signals of a data frame by its form; raises as `read_tables` does.
+
+    `lines` (n,): of the file where its rows stand. Where not `strict`, some signals may be missing.
+    """
     if form.point is None:
-        return [raw_table(df, stamps, wanted, name)]
+        return [raw_table(df, stamps, wanted, name, 1 if lines is None else lines)]
     table = readings_table(df, stamps, form, name, wanted=wanted)
-    for key in wanted:
+    for key in wanted if strict else ():
         known_column(key, pd.Index(table.points), name)
     assert table.codes is not None
+    beside = {
+        point: table.columns[""][table.codes == k][:2000] for k, point in enumerate(table.points) if point not in wanted
+    }
+    lines = np.arange(1, len(df) + 1) if lines is None else lines
     ours = np.array([point in wanted for point in table.points])[table.codes]
     codes = np.array([wanted.index(p) if p in wanted else -1 for p in table.points], dtype=np.int32)[table.codes]
     stamps_of = table.stamps[ours].reset_index(drop=True)
-    return [replace(table, stamps=stamps_of, columns={"": table.columns[""][ours]}, points=tuple(wanted), codes=codes[ours], line=np.flatnonzero(ours) + 1)]
+    return [
+        replace(
+            table,
+            stamps=stamps_of,
+            columns={"": table.columns[""][ours]},
+            points=tuple(wanted),
+            codes=codes[ours],
+            line=lines[ours],
+            beside=beside,
+        )
+    ]
 
 
 def readings_table(
@@ -161,7 +187,9 @@ def bad_status(df: pd.DataFrame, form: TableForm) -> NDArray[np.bool_]:
 
 def with_offset(text: pd.Series) -> NDArray[np.bool_]:
     """Which stamps (n,) end with a time of day and an offset from UTC."""
-    return np.asarray(text.str.contains(rf"(?::[0-9.,]+(?: ?[AaPp]\.?[Mm]\.?)?|T[0-9.]+) ?{OFFSET}", regex=True), dtype=bool)
+    return np.asarray(
+        text.str.contains(rf"(?::[0-9.,]+(?: ?[AaPp]\.?[Mm]\.?)?|T[0-9.]+) ?{OFFSET}", regex=True), dtype=bool
+    )
 
 
 def full_offsets(text: pd.Series) -> pd.Series:

@@ -1,4 +1,4 @@
-"""What a table of unknown form is taken for: how it is written, where the names of signals stand, how stamps are read."""
+"""What a table of unknown form is taken for: how it is written, where names of signals stand, how stamps are read."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.errors import DataError
@@ -24,8 +23,10 @@ ROWS = 2000
 _LINES, _MOST_HEAD = 400, 60
 # Headers of columns, by what they hold, in the languages of the maps.
 _TIME = re.compile(
-    r"(?i)^(<>)?(date|time|datetime|date[ /_-]*time|time ?stamp|timestamp|_time|start|end|from|to|ts|at|when|hour|datum|zeit|"
-    r"uhrzeit|zeitpunkt|zeitstempel|datum[ /]*zeit|datum[ /]*uhrzeit|heure|horodatage|horodate|moment|tijd|tijdstip|datumtijd|"
+    r"(?i)^(<>)?(date|time|datetime|date[ /_-]*time|time "
+    "?stamp|timestamp|_time|start|end|from|to|ts|at|when|hour|datum|zeit|"
+    r"uhrzeit|zeitpunkt|zeitstempel|datum[ /]*zeit|datum[ "
+    "/]*uhrzeit|heure|horodatage|horodate|moment|tijd|tijdstip|datumtijd|"
     r"last_(changed|updated)(_ts)?|time ?utc|utc|local ?time|recorded.*|logged.*|beginn|von|start_ts|created.*)\b"
 )
 _DAY = re.compile(r"(?i)^(<>)?(date|datum|day|tag|dag|jour)\b")
@@ -41,19 +42,28 @@ _VALUE = re.compile(
     r"avg|average|numeric_value|float_value|result|actual.?value|istwert|v|y)([ _]*[\[(].*)?$"
 )
 _STATUS = re.compile(r"(?i)^(status|quality|trend ?flags|reliability|qualit.*|flag|flags|statut)$")
+# What stands in a line of units below the names of columns.
+_UNIT = re.compile(
+    r"(?i)[\[(]?(°?[cfk]|deg ?[cf]|celsius|%|[kM]?W|[kM]?Wh|W/m.{1,2}|-|hh:mm|datetime|date|time|utc|iso.*|s|min|h|float|"
+    r"double|string|boolean|avg|smp|max|Pa|hPa|ppm|lx|m/s)?[\])]?"
+)
 _VALUES_OF = (("mean", "sum", "state"), ("state",), ("value",), ("_value",))
 _DAYS = (
-    "%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%m-%d-%Y", "%d/%m/%y", "%m/%d/%y", "%Y.%m.%d",
-    "%Y%m%d", "%d-%b-%y", "%d-%b-%Y", "%d %b %Y", "%d. %b %Y", "%d %b. %Y", "%d.%b.%Y", "%d.%b %Y", "%d/%b/%Y", "%d %b %y", "%b %d, %Y", "%b %d %Y",
+    "%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%m-%d-%Y", "%d/%m/%y", "%m/%d/%y",
+    "%Y.%m.%d",
+    "%Y%m%d", "%d-%b-%y", "%d-%b-%Y", "%d %b %Y", "%d. %b %Y", "%d %b. %Y", "%d.%b.%Y", "%d.%b %Y", "%d/%b/%Y",
+    "%d %b %y", "%b %d, %Y", "%b %d %Y",
     "%a %d %b %Y", "%a, %d %b %Y", "%d-%m-%y", "%Y-%m-%d",
 )  # fmt: skip
 _CLOCKS = (
-    "%H:%M", "%H:%M:%S", "%H:%M:%S.%f", "%I:%M %p", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M%p", "%I:%M:%S%p", "%H.%M", "%Hh%M",
+    "%H:%M", "%H:%M:%S", "%H:%M:%S.%f", "%I:%M %p", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M%p", "%I:%M:%S%p", "%H.%M",
+    "%Hh%M",
     "%H:%M:%S:%f", "%Hh", "%H%M%S", "%H%M",
 )  # fmt: skip
 # Zones of clocks by what they are called.
 _CALLED = (
-    ("CES?T|MES?Z", "Europe/Berlin"), ("BST|WES?T", "Europe/London"), ("EES?T", "Europe/Athens"), ("E[SD]T", "America/New_York"),
+    ("CES?T|MES?Z", "Europe/Berlin"), ("BST|WES?T", "Europe/London"), ("EES?T", "Europe/Athens"),
+    ("E[SD]T", "America/New_York"),
     ("C[SD]T", "America/Chicago"), ("M[SD]T", "America/Denver"), ("P[SD]T", "America/Los_Angeles"),
 )  # fmt: skip
 _BETWEEN = (" ", ", ", "T", " - ", ":")
@@ -96,7 +106,8 @@ def recognised(paths: Sequence[Path]) -> Recognised:
 
 
 def guessed_form(path: Path) -> CsvFormat:
-    """How a CSV file seems to be written: encoding, lines above the header, separator, decimal comma, lines of units."""
+    """How a CSV file seems to be written: encoding, lines above the header, separator, decimal comma, lines of "
+    "units."""
     if not is_text(path):
         return CsvFormat()
     encoding, text = sample(path)
@@ -121,7 +132,9 @@ def guessed_form(path: Path) -> CsvFormat:
         encoding=encoding,
         decimal="," if commas > points else ".",
         separator=None if max(",;\t|", key=header.count) == separator else separator,
-        skip_lines=skip if (not comment or not all(line.startswith(comment) or not line.strip() for line in lines[:skip])) else 0,
+        skip_lines=skip
+        if (not comment or not all(line.startswith(comment) or not line.strip() for line in lines[:skip]))
+        else 0,
         skip_after=after,
         comment=comment,
     )
@@ -145,7 +158,11 @@ def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
     if best[1] < 0:
         return 0, ",", "#"
     first = next(
-        (k for k, line in enumerate(lines) if abs(line.count(separator) - usual) <= 1 and not line.startswith("#") and line.strip()),
+        (
+            k
+            for k, line in enumerate(lines)
+            if abs(line.count(separator) - usual) <= 1 and not line.startswith("#") and line.strip()
+        ),
         0,
     )
     cells = _cells(lines[first], separator)
@@ -160,7 +177,9 @@ def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
         if any(_stamp(cell) for cell in ours):
             break
         if any(_stamp(cell) for cell in after):
-            named = [j for j in range(first, k + 1) if lines[j].count(separator) == usual and not lines[j].startswith("#")]
+            named = [
+                j for j in range(first, k + 1) if lines[j].count(separator) == usual and not lines[j].startswith("#")
+            ]
             units = len(named) > 1 and _is_units(ours) and not _is_units(_cells(lines[named[-2]], separator))
             return (named[-2] if units else named[-1]) if named else k, separator, "#"
     return first, separator, "#"
@@ -168,8 +187,7 @@ def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
 
 def _is_units(cells: Sequence[str]) -> bool:
     """Whether cells are those of a line of units, such as '°C' and '[kW]'."""
-    known = r"(?i)[\[(]?(°?[cfk]|deg ?[cf]|celsius|%|[kM]?W|[kM]?Wh|W/m.{1,2}|-|hh:mm|datetime|date|time|utc|iso.*|s|min|h|float|double|string|boolean|avg|smp|min|max|Pa|hPa|ppm|lx|m/s)?[\])]?"
-    return all(re.fullmatch(known, cell) for cell in cells) and any(cells)
+    return all(_UNIT.fullmatch(cell) for cell in cells) and any(cells)
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -193,7 +211,12 @@ def _clock(head: pd.DataFrame, path: Path) -> tuple[tuple[str, ...], Clock, str]
     columns = [str(column) for column in head.columns]
     dated = [c for c in columns if _dated(head[c])]
     days = [c for c in dated if _only(head[c], r"\d{1,2}:\d{2}", absent=True) and head[c].nunique() < len(head)]
-    hours = [c for c in columns if c not in dated and _only(head[c], r"\s*\d{1,2}[:.h]\d{2}([:.]\d{2})?(\s*[AaPp]\.?[Mm]\.?)?(\s*(Uhr|uur))?\s*")]
+    hours = [
+        c
+        for c in columns
+        if c not in dated
+        and _only(head[c], r"\s*\d{1,2}[:.h]\d{2}([:.]\d{2})?(\s*[AaPp]\.?[Mm]\.?)?(\s*(Uhr|uur))?\s*")
+    ]
     if days and hours and (head[days[0]].nunique() < 0.5 * len(head) or _DAY.match(days[0])):
         key = (days[0], hours[0])
         stamps = head[key[0]].astype(str).str.strip() + " " + head[key[1]].astype(str).str.strip()
@@ -213,7 +236,9 @@ def _clock(head: pd.DataFrame, path: Path) -> tuple[tuple[str, ...], Clock, str]
     if not len(text):
         raise DataError(f"{path}: no column holds time stamps")
     form, note = _stamp_format(text)
-    zone = _zone(text if with_offset(text).any() else stamps.dropna().astype(str).iloc[:1], str(stamps.dropna().iloc[0]))
+    zone = _zone(
+        text if with_offset(text).any() else stamps.dropna().astype(str).iloc[:1], str(stamps.dropna().iloc[0])
+    )
     return key, Clock(format=form, zone=zone) if form != "FILL IN" else Clock(zone=zone), note
 
 
@@ -224,8 +249,14 @@ def _dated(column: pd.Series) -> bool:
         return False
     told = column.dropna().astype(str).iloc[:50]
     return len(told) > 0 and bool(
-        told.str.contains(r"\d{4}-\d{2}-\d{2}|\d{1,2}[./]\d{1,2}[./]\d{2,4}|\d{4}/\d{1,2}/\d{1,2}|^\d{8}\b", regex=True).mean() > 0.9
-        or told.str.contains(r"\d{1,2}[ .-]+[A-Za-zäûéÄ]{3,9}\.?[ .-]+\d{2,4}|[A-Za-z]{3,9} \d{1,2},? \d{4}", regex=True).mean() > 0.9
+        told.str.contains(
+            r"\d{4}-\d{2}-\d{2}|\d{1,2}[./]\d{1,2}[./]\d{2,4}|\d{4}/\d{1,2}/\d{1,2}|^\d{8}\b", regex=True
+        ).mean()
+        > 0.9
+        or told.str.contains(
+            r"\d{1,2}[ .-]+[A-Za-zäûéÄ]{3,9}\.?[ .-]+\d{2,4}|[A-Za-z]{3,9} \d{1,2},? \d{4}", regex=True
+        ).mean()
+        > 0.9
     )
 
 
@@ -313,14 +344,17 @@ def _form_of(
     columns = [str(column) for column in head.columns if str(column) not in of_stamps and not _dated(head[str(column)])]
     of_readings = _of_readings(head, columns, of_stamps)
     if of_readings is not None:
-        what = {
-            "entity_id": "Home Assistant's history", "statistic_id": "Home Assistant's statistics",
-        }.get(str(of_readings.point), "InfluxDB's annotated CSV" if of_readings.value == "_value" else "a table")  # fmt: skip
+        otherwise = "InfluxDB's annotated CSV" if of_readings.value == "_value" else "a table"
+        programs = {"entity_id": "Home Assistant's history", "statistic_id": "Home Assistant's statistics"}
+        what = programs.get(str(of_readings.point), otherwise)
         return of_readings, f"{what} with one row per reading"
-    status = next((c for c in columns if c.lower() in ("status", "quality", "reliability") and not _numbers(head[c])), None)
+    status = next(
+        (c for c in columns if c.lower() in ("status", "quality", "reliability") and not _numbers(head[c])), None
+    )
     valued = [
-        [str(c) for c in one.columns if _numbers(one[c]) and not _STATUS.match(str(c)) and str(c) not in of_stamps] for one in heads
-    ]  # fmt: skip
+        [str(c) for c in one.columns if _numbers(one[c]) and not _STATUS.match(str(c)) and str(c) not in of_stamps]
+        for one in heads
+    ]
     each_one = all(len(of) == 1 for of in valued)
     values = tuple(dict.fromkeys(name for of in valued for name in of))
     told = named_after(paths[0], form) != named_after(paths[0], CsvFormat())
@@ -337,7 +371,9 @@ def _form_of(
 
 def _numbers(column: pd.Series) -> bool:
     known = column.dropna()
-    return len(known) > 0 and bool(as_numbers(known.iloc[:ROWS]).notna().mean() > 0.5 or as_numbers(known.iloc[:ROWS], ",").notna().mean() > 0.5)
+    return len(known) > 0 and bool(
+        as_numbers(known.iloc[:ROWS]).notna().mean() > 0.5 or as_numbers(known.iloc[:ROWS], ",").notna().mean() > 0.5
+    )
 
 
 def _at_the_same_time(heads: Sequence[pd.DataFrame]) -> bool:
@@ -362,7 +398,11 @@ def _at_the_same_time(heads: Sequence[pd.DataFrame]) -> bool:
 def _of_readings(head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]) -> TableForm | None:
     """Where the names of signals stand in a table of one reading a row; None for other tables."""
     if {"_value", "_field"} <= set(columns):
-        tags = [c for c in columns if c not in ("_value", "result", "table", "", "_start", "_stop") and head[c].nunique() > 1]
+        tags = [
+            c
+            for c in columns
+            if c not in ("_value", "result", "table", "", "_start", "_stop") and head[c].nunique() > 1
+        ]
         # A tag that another one tells already is not needed: the unit of an entity, its domain.
         named = sorted(tags, key=lambda c: (not _POINT.match(c) or c in ("_field", "_measurement"), -head[c].nunique()))
         point: list[str] = []
@@ -371,8 +411,16 @@ def _of_readings(head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]
             if not point or len(head[point].drop_duplicates()) < n:
                 point.append(key)
         if not point:
-            given = [c for c in columns if c not in ("_value", "result", "table", "", "_start", "_stop") and not _numbers(head[c])]
-            point = [c for c in given if c == "entity_id"] or [c for c in given if c not in ("_measurement", "host")] or given
+            given = [
+                c
+                for c in columns
+                if c not in ("_value", "result", "table", "", "_start", "_stop") and not _numbers(head[c])
+            ]
+            point = (
+                [c for c in given if c == "entity_id"]
+                or [c for c in given if c not in ("_measurement", "host")]
+                or given
+            )
         return TableForm(point=point[0] if len(point) == 1 else tuple(point), value="_value")
     values = [c for c in columns if _VALUE.match(c)]
     points = [c for c in columns if _POINT.match(c) and c not in values]
@@ -391,7 +439,12 @@ def _of_readings(head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]
     by_lower = {c.lower(): c for c in columns}
     value = [by_lower[k] for k in given if k in by_lower] if given else values[:1]
     ids = [c for c in points if re.search(r"(?i)name|entity|statistic|bezeichnung|naam|nom|tag|point|path", c)]
-    point = sorted(ids, key=lambda c: _numbers(head[c]))[:1] or [c for c in points if not _numbers(head[c])][:1] or repeated[:1] or points[:1]
+    point = (
+        sorted(ids, key=lambda c: _numbers(head[c]))[:1]
+        or [c for c in points if not _numbers(head[c])][:1]
+        or repeated[:1]
+        or points[:1]
+    )
     if not point:
         return None
     unique = head[[*point, *[c for c in of_stamps if c in head.columns]]].duplicated().mean() < 0.05

@@ -87,8 +87,8 @@ class BoundaryData:
 def read_table(content: bytes, source: str) -> dict[str, Series]:
     """Return the series of one CSV file; {} for a file without a `time` column, which BOPTEST also ignores.
 
-    A row in which all but the time is empty is left out. Raises `ConfigError`, which names file, column and row, for a truncated or malformed file, a cell that is no finite
-    number, or a time that does not increase.
+    A row in which all but the time is empty is left out. Raises `ConfigError`, which names file, column and row, for a
+    truncated or malformed file, a cell that is no finite number, or a time that does not increase.
     """
     _check_lines(content, source)
     columns: dict[str, list[Array]] = {}

@@ -1,0 +1,232 @@
+"""A table that a machine appends to: what cannot be read is left out, with a note that names line and reason.
+
+A power failure tears a line or leaves a block of NUL, a restart writes the header again or a stamp of 1970, a sensor
+writes ERR. A person who hands in a table mends it; here the rest goes on.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from thermoforce_mpc.errors import DataError, counted
+from thermoforce_mpc.measurements.tables.clock import parsed_or_nat
+from thermoforce_mpc.measurements.tables.files import columns_of, header_of, is_text, opened, read_tables, reading
+from thermoforce_mpc.measurements.tables.forms import Clock, CsvFormat, TableForm
+from thermoforce_mpc.measurements.tables.raw_table import (
+    MISSING,
+    RawTable,
+    as_numbers,
+    bad_status,
+    known_column,
+    raw_table,
+    tables_of,
+)
+
+# A stamp so far from its place in the file is none, s; after the clock it is none where few rows have such.
+_FAR_S, _FEW = 86400.0, 0.01
+# Where rows are not in the order of time, so far from most others.
+_FAR_FROM_MOST_S = 5 * 365 * 86400.0
+_EMPTY = frozenset(("", "nan", "NaN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", *MISSING))
+_SHOWN = 60
+
+
+@dataclass
+class _Left:
+    """What was left out of a file: lines and reasons."""
+
+    name: str
+    lines: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
+
+    def add(self, reason: str, line: int, what: str = "") -> None:
+        self.lines.setdefault(reason, []).append((line, what[:_SHOWN]))
+
+    def notes(self) -> list[str]:
+        """A note per reason, which names its last line."""
+        out = []
+        for reason, found in self.lines.items():
+            line, what = found[-1]
+            more = f" ({counted(len(found), 'such line')})" if len(found) > 1 else ""
+            out.append(f"{self.name}, line {line}: {reason}{f', {what!r}' if what else ''}{more}: left out")
+        return out
+
+
+def read_appended(
+    paths: Sequence[Path],
+    wanted: Sequence[str],
+    clock: Clock,
+    form: CsvFormat,
+    table: TableForm,
+    now: pd.Timestamp,
+    notes: list[str],
+) -> list[RawTable]:
+    """As `read_tables`, without the lines and cells that cannot be read; `notes` collects them.
+
+    Raises `DataError` where no row of a file is left, or a column is missing.
+    """
+    found: list[RawTable] = []
+    known: dict[str, None] = {}
+    for path in paths:
+        if not is_text(path):
+            found += read_tables([path], clock.column, wanted, form, table, notes)
+            known |= dict.fromkeys(name for one in found for name in one.names)
+            continue
+        here = _read(path, wanted, clock, form, table, now, notes, known)
+        if here is not None:
+            found.append(here)
+    for key in wanted:
+        known_column(key, pd.Index(list(known)), str(paths[0]))
+    return found
+
+
+def _read(
+    path: Path,
+    wanted: Sequence[str],
+    clock: Clock,
+    form: CsvFormat,
+    table: TableForm,
+    now: pd.Timestamp,
+    notes: list[str],
+    known: dict[str, None],
+) -> RawTable | None:
+    """The `wanted` signals of a file, None where it has none; `known` collects the names of its signals."""
+    with reading(path):
+        separator, names, header = header_of(path, form)
+        with opened(path) as file:
+            content = file.read()
+    stamps, values = columns_of(path, names, clock.column, form, table, wanted)
+    known |= dict.fromkeys(columns_of(path, names, clock.column, form, table, None)[1] if table.point is None else ())
+    if not values:
+        return None
+    points = (table.point,) if isinstance(table.point, str) else table.point or ()
+    status = [table.status] if table.status in names else []
+    keys = list(dict.fromkeys([*stamps, *points, *values.values(), *status]))
+    left = _Left(str(path))
+    lines, rows = _rows(content, form, header + 1 + form.skip_after, separator, names, left)
+    frame = pd.DataFrame(rows, columns=names, dtype=str)[keys]
+    frame = frame.mask(frame.isin({*_EMPTY, *form.missing}))
+    for key in dict.fromkeys(values.values()):
+        ours = _of_wanted(frame, points, wanted) if points else np.ones(len(frame), dtype=bool)
+        frame[key] = _numbers(frame[key], key, form.decimal, lines, left, ours)
+    at = frame[stamps[0]]
+    for more in stamps[1:]:
+        at = at + " " + frame[more]
+    keep = _with_stamps(at, clock, now, lines, left, in_order=not points)
+    frame, lines = frame[keep].reset_index(drop=True), lines[keep]
+    notes += left.notes()
+    if frame.empty:
+        raise DataError(f"{path}: no line of it can be read ({'; '.join(left.notes()[:3]) or 'it has no rows'})")
+    if clock.unit is not None:
+        frame[stamps[0]] = pd.to_numeric(frame[stamps[0]])
+    if points:
+        (one,) = tables_of(frame, tuple(stamps), wanted, table, str(path), lines, strict=False)
+        known |= dict.fromkeys([*one.points, *one.beside])
+        return one
+    one = raw_table(frame, tuple(stamps), list(dict.fromkeys(values.values())), str(path), lines)
+    bad = bad_status(frame, table)
+    return replace(one, columns={key: np.where(bad, np.nan, one.columns[of]) for key, of in values.items()})
+
+
+def _of_wanted(frame: pd.DataFrame, points: Sequence[str], wanted: Sequence[str]) -> NDArray[np.bool_]:
+    told = frame[points[0]].astype(str)
+    for more in points[1:]:
+        told = told + " " + frame[more].astype(str)
+    return np.asarray(told.isin(list(wanted)))
+
+
+def _rows(
+    content: bytes, form: CsvFormat, first: int, separator: str, names: list[str], left: _Left
+) -> tuple[NDArray[np.intp], list[list[str]]]:
+    """Line numbers and cells of the lines from `first` on that can be split into as many cells as there are `names`."""
+    rows: list[list[str]] = []
+    numbers: list[int] = []
+    text = content.decode(form.encoding, errors="replace")
+    for number, line in enumerate(io.StringIO(text, newline=None), start=1):
+        if number <= first or not line.strip() or (form.comment and line.startswith(form.comment)):
+            continue
+        line = line.rstrip("\n")
+        if "\x00" in line:
+            line = line.replace("\x00", "").lstrip("\ufeff")
+            left.add("NUL bytes", number, line)
+            if not line.strip():
+                continue
+        if "\ufffd" in line:
+            left.add(f"is not {form.encoding}", number, line)
+            continue
+        cells = line.split(separator) if '"' not in line else next(csv.reader([line], delimiter=separator), [])
+        if len(cells) == len(names) + 1 and not cells[-1].strip():
+            cells.pop()
+        cells = [cell.strip() for cell in cells]
+        if cells == names:
+            left.add("the header again", number)
+        elif len(cells) != len(names):
+            left.add(f"{counted(len(cells), 'cell')}, the header has {len(names)}", number, line)
+        else:
+            rows.append(cells)
+            numbers.append(number)
+    return np.array(numbers, dtype=np.intp), rows
+
+
+def _numbers(
+    column: pd.Series, key: str, decimal: str, lines: NDArray[np.intp], left: _Left, ours: NDArray[np.bool_]
+) -> pd.Series:
+    numbers = as_numbers(column, decimal)
+    for row in np.flatnonzero((numbers.isna() & column.notna()).to_numpy() & ours):
+        left.add(f"column '{key}' holds no number", int(lines[row]), str(column.iloc[row]))
+    return numbers.astype(float)
+
+
+def _with_stamps(
+    text: pd.Series, clock: Clock, now: pd.Timestamp, lines: NDArray[np.intp], left: _Left, *, in_order: bool
+) -> NDArray[np.bool_]:
+    """Which rows (n,) have a stamp that is a time, and not far from the rows before and after it, or from most."""
+    at = parsed_or_nat(text, clock)
+    keep = np.array(at.notna())
+    for row in np.flatnonzero(~keep):
+        left.add("no time stamp", int(lines[row]), str(text.iloc[row]) if isinstance(text.iloc[row], str) else "")
+    rows = np.flatnonzero(keep)
+    at_s = np.asarray((at[keep] - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), dtype=np.float64)
+    far = _far(at_s) if in_order else np.abs(at_s - np.median(at_s)) > _FAR_FROM_MOST_S
+    late = at_s > now.timestamp() + 2.0 * _FAR_S
+    if late.any() and late.sum() <= max(1, _FEW * late.size):
+        far |= late
+    for row in rows[far]:
+        left.add("a time far from those of the rows around", int(lines[row]), str(text.iloc[row]))
+    keep[rows[far]] = False
+    return keep
+
+
+def _far(at_s: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which times (n,) do not fit the longest rising sequence of days: more than a day before or after their place."""
+    if at_s.size < 2 or (np.diff(at_s) > -_FAR_S).all():
+        return np.zeros(at_s.size, dtype=bool)
+    day = np.floor(at_s / _FAR_S)
+    tails: list[float] = []
+    ends: list[int] = []
+    before = np.full(at_s.size, -1)
+    for i, value in enumerate(day.tolist()):
+        place = bisect_right(tails, value)
+        before[i] = ends[place - 1] if place else -1
+        if place == len(tails):
+            tails.append(value)
+            ends.append(i)
+        else:
+            tails[place], ends[place] = value, i
+    rising = np.zeros(at_s.size, dtype=bool)
+    i = ends[-1]
+    while i >= 0:
+        rising[i] = True
+        i = int(before[i])
+    places = np.flatnonzero(rising)
+    at = np.searchsorted(places, np.arange(at_s.size))
+    earlier = at_s[places[np.maximum(at - 1, 0)]]
+    later = at_s[places[np.minimum(at, places.size - 1)]]
+    return np.asarray(~rising & ((at_s < earlier - _FAR_S) | (at_s > later + _FAR_S)))
