@@ -7,9 +7,11 @@ import datetime
 import hashlib
 import re
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.boundary.weather.solar import sun_position
 from thermoforce_mpc.boundary.weather.year import LIMITS, STEFAN_BOLTZMANN_W_M2_K4, Weather, black_body_sky_C
@@ -269,7 +271,9 @@ def _bridged(values: Array) -> Array:
     return np.asarray(np.interp(hours, hours[known], values[known], period=float(values.size)))
 
 
-def _made_up(key: str, known: dict[str, Array], gaps: dict[str, Array], height_m: float) -> tuple[Array, str]:
+def _made_up(
+    key: str, known: dict[str, Array], gaps: Mapping[str, NDArray[np.bool_]], height_m: float
+) -> tuple[Array, str]:
     """A column with long gaps, and in words where the values there come from."""
     values = known[key]
     gap = ~np.isfinite(values)

@@ -27,6 +27,16 @@ _TOGETHER = 0.9
 _NO_ROOM = frozenset(
     ("outdoor", "supply", "return", "water", "hot water", "humidity", "power", "energy", "valve", "other", "sun")
 )
+_LOADS = ("W", "kW", "MW", "BTU/h", "Wh", "kWh", "MWh", "kJ", "MJ", "BTU")
+_OF_LOADS = frozenset(("energy", "power", "heat", "heating machine", "electric", "gas"))
+# Units of what a map has no place for, and words of numbers that count rows.
+_OTHER_UNITS = ("Hz", "ppm", "hPa", "Pa", "lx", "V", "A", "l/h", "m³", "m³/h", "cfm", "m/s", "km/h")
+# Heat rather than what a machine takes for it.
+_HEAT = re.compile(
+    r"(?i)^q[_ .-]|qdot|therm|w[aä]e?rme(menge|leist)|heat.?(meter|flow|output)|wmz|qh|^phi|^ph\b|heizleist|chaleur|"
+    r"warmte"
+)
+_IDS = frozenset(("id", "idx", "row", "uuid", "epoch", "unix"))
 _SHORT = ("znt", "spt", "rmt", "sat", "rat", "mat", "dat", "oat", "lwt", "ewt", "degc", "degf")
 _LEAST = 8
 
@@ -99,6 +109,11 @@ class _Look:
         self.few = self.rests and bool(v.size >= _LEAST and self.distinct.size <= max(4, min(14, v.size // 12 + 2)))
         self.is_row = bool(v.size >= _LEAST and self.whole and (steps == 1.0).mean() > 0.95)
 
+    @property
+    def is_temperature(self) -> bool:
+        """Whether a unit says so."""
+        return self.unit in ("°C", "°F", "K")
+
     def celsius(self, fahrenheit: bool) -> tuple[str, Array]:
         """The likely unit of a temperature, and its values, °C."""
         unit = self.unit if self.unit in ("°C", "°F", "K") else ""
@@ -136,97 +151,96 @@ def _fahrenheit(looks: Mapping[str, _Look]) -> bool:
 
 
 def _guess(look: _Look, fahrenheit: bool) -> Guess:
-    def told(role: str, unit: str = "", doubt: str = "") -> Guess:
-        return Guess(look.name, role, unit, doubt)
-
+    """What a signal is: of no use, of the weather or a tariff, what people set, what acts, or a temperature."""
+    if _of_no_use(look):
+        return Guess(look.name, "")
+    for asked in (_of_weather_and_price, _of_setpoints, _of_what_acts):
+        if (found := asked(look, fahrenheit)) is not None:
+            return found
     t = look.tags
-    if look.text:
-        return told("")
-    if look.is_row or (
-        set(words_of(look.name)) & {"id", "idx", "index", "row", "uuid", "epoch", "unix"} and look.whole
-    ):
-        return told("")
-    temperature = look.unit in ("°C", "°F", "K")
-    if "other" in t and not temperature and not ("temperature" in t and not _shares(look)):
-        return told("")
-    if look.unit in ("Hz", "ppm", "hPa", "Pa", "lx", "V", "A", "l/h", "m³", "m³/h", "cfm", "m/s", "km/h"):
-        return (
-            told("level", "%", "a frequency over its largest is a level (factor)")
-            if look.unit == "Hz" and t & {"level", "valve"} and look.most > 1.5
-            else told("")
-        )
-    if ("price" in t and not look.counts) or look.unit.startswith(("per ", "cent per ")):
-        return told("price", look.unit or ("per kWh" if abs(look.median) < 3.0 else "per MWh"))
-    if ("humidity" in t and not t & {"temperature"} - _abbreviated(look)) or ("humidity" in t and look.unit == "%"):
-        return told("humidity of outdoors" if "outdoor" in t else "humidity", "%" if look.most > 1.5 else "0-1")
-    if (
-        (
-            "part of the sun" in t
-            and t & {"sun", "part of the sun"}
-            and not temperature
-            and not t & {"price", "valve", "power"}
-        )
-        and ("sun" in t or re.search(r"(?i)d[nh]i|diffus", look.name))
-        and not re.search(r"(?i)global|ghi", look.name)
-    ):
-        return told("")
-    if "pv" in t or (
-        "sun" in t
-        and t & {"power", "energy"}
-        and look.unit not in ("W/m²", "kW/m²")
-        and "radiation" not in look.name.lower()
-    ):
-        return told("")
-    if "sun" in t and not temperature and not t & {"valve", "setpoint"} and look.unit in ("", "W/m²", "kW/m²", "W"):
-        if look.least >= -30.0 and look.most <= 1700.0 and not look.counts:
-            kilo = look.unit == "kW/m²" or (not look.unit and look.most < 2.0)
-            doubt = (
-                ""
-                if look.unit in ("W/m²", "kW/m²") or _by_day(look) or look.constant
-                else "it does not go to 0 at night"
-            )
-            return told("sun", "kW/m²" if kilo else "W/m²", doubt)
-        return told("", doubt="")
-    if look.unit in ("W", "kW", "MW", "BTU/h", "Wh", "kWh", "MWh", "kJ", "MJ", "BTU"):
-        return _load(look)
-    if "setpoint" in t and not _load_like(look, t):
-        if _setpoint(look, fahrenheit) or not _shares(look) or temperature:
-            unit, _ = look.celsius(fahrenheit)
-            return told(_bound(t), unit)
-        return (
-            told("")
-            if not look.text and not t & {"valve"}
-            else told("level", "%" if look.most > 1.5 else "0-1", "its name says set-point")
-        )
-    if look.counts and t & {"energy", "power", "heat", "heating machine", "electric", "gas"} and not temperature:
-        return _load(look)
-    valve = "valve" in t or ("level" in t and not t & {"power", "energy"})
-    if valve and not temperature and _shares(look) and not _temperature_word(look, t):
-        if _setpoint(look, fahrenheit) and "valve" not in t:
-            unit, _ = look.celsius(fahrenheit)
-            return told("setpoint", unit, "its values are those of a set-point, in half steps")
-        if look.constant and "valve" not in t:
-            return told("")
-        if "hot water" in t:
-            return told("")
-        if {"supply", "return"} & t and "valve" not in t and not look.binary:
-            return _temperature(look, fahrenheit)
-        return told("level", "%" if look.most > 1.5 or look.unit == "%" else "0-1")
-    if t & {"power", "energy", "heat"} and not temperature and not _temperature_word(look, t):
-        return _load(look)
-    if (t & {"outdoor", "room", "temperature", "supply", "return"}) or temperature:
+    if t & {"outdoor", "room", "temperature", "supply", "return"} or look.is_temperature:
         return _temperature(look, fahrenheit)
-    if "hot water" in t or "water" in t:
-        return told("")
+    if t & {"hot water", "water"}:
+        return Guess(look.name, "")
     if t & {"heating machine", "cooling"} and _shares(look) and not look.constant:
-        return told("level", "%" if look.most > 1.5 else "0-1")
+        return Guess(look.name, "level", _share_unit(look))
     return _by_values(look, fahrenheit)
 
 
-def _abbreviated(look: _Look) -> frozenset[str]:
-    """`temperature`, where no word of the name says it in full."""
-    full = any("temp" in word for word in words_of(look.name))
-    return frozenset() if full else frozenset({"temperature"})
+def _of_no_use(look: _Look) -> bool:
+    """Whether a signal is words, the number of a row, or one that no map has a place for."""
+    t, words = look.tags, set(words_of(look.name))
+    if look.text or look.is_row or (words & _IDS and look.whole):
+        return True
+    if look.unit in _OTHER_UNITS and not (look.unit == "Hz" and t & {"level", "valve"}):
+        return True
+    other = "other" in t and look.unit not in _LOADS and not look.is_temperature
+    # A window is on or off, where a room's temperature may be named by its window.
+    if other and not ("temperature" in t and not _shares(look)):
+        return True
+    of_part = "part of the sun" in t and bool("sun" in t or re.search(r"(?i)d[nh]i|diffus", look.name))
+    if of_part and not re.search(r"(?i)global|ghi", look.name) and not t & {"valve", "power", "price"}:
+        return True
+    of_sun = "sun" in t and t & {"power", "energy"} and look.unit not in ("W/m²", "kW/m²")
+    return "pv" in t or bool(of_sun and not re.search(r"(?i)radiation|irradi|strahl|rayonn", look.name))
+
+
+def _of_weather_and_price(look: _Look, fahrenheit: bool) -> Guess | None:
+    t = look.tags
+    if ("price" in t and not look.counts) or look.unit.startswith(("per ", "cent per ")):
+        told = look.unit if look.unit.startswith(("per ", "cent ")) else ""
+        return Guess(look.name, "price", told or ("per kWh" if abs(look.median) < 3.0 else "per MWh"))
+    in_full = any("temp" in word for word in words_of(look.name))
+    if "humidity" in t and "valve" not in t and (look.unit == "%" or not ("temperature" in t and in_full)):
+        return Guess(look.name, "humidity of outdoors" if "outdoor" in t else "humidity", _share_unit(look))
+    of_sun = "sun" in t and not t & {"valve", "setpoint", "temperature"} and look.unit in ("", "W/m²", "kW/m²", "W")
+    if not of_sun:
+        return None
+    if look.least < -30.0 or look.most > 1700.0 or look.counts:
+        return Guess(look.name, "")
+    kilo = look.unit == "kW/m²" or (not look.unit and look.most < 2.0)
+    sure = look.unit in ("W/m²", "kW/m²") or _by_day(look) or look.constant
+    return Guess(look.name, "sun", "kW/m²" if kilo else "W/m²", "" if sure else "it does not go to 0 at night")
+
+
+def _of_setpoints(look: _Look, fahrenheit: bool) -> Guess | None:
+    t = look.tags
+    if "setpoint" not in t or look.unit in _LOADS or (t & {"power", "energy"} and look.most > 60.0):
+        return None
+    if _setpoint(look, fahrenheit) or not _shares(look) or look.is_temperature:
+        return Guess(look.name, _bound(t), look.celsius(fahrenheit)[0])
+    if "valve" in t:
+        return Guess(look.name, "level", _share_unit(look), "its name says set-point")
+    warm = "temperature" in t and look.least > 1.0
+    return Guess(look.name, _bound(t), look.celsius(fahrenheit)[0]) if warm else Guess(look.name, "")
+
+
+def _of_what_acts(look: _Look, fahrenheit: bool) -> Guess | None:
+    """A level, a power or an energy; None for what is a temperature or nothing of these."""
+    t = look.tags
+    if look.unit in _LOADS or (look.counts and t & _OF_LOADS and not look.is_temperature):
+        return _load(look)
+    as_temperature = look.is_temperature or _temperature_word(look, t)
+    may_act = "valve" in t or ("level" in t and (look.unit == "%" or not t & {"power", "energy"}))
+    if look.unit == "Hz":
+        return Guess(look.name, "level", "%", "a frequency over its largest is a level (factor)")
+    if may_act and not as_temperature and _shares(look):
+        if _setpoint(look, fahrenheit) and "valve" not in t:
+            why = "its values are those of a set-point, in half steps"
+            return Guess(look.name, "setpoint", look.celsius(fahrenheit)[0], why)
+        if look.constant and "valve" not in t:
+            return Guess(look.name, "")
+        if {"supply", "return"} & t and "valve" not in t and not look.binary:
+            return _temperature(look, fahrenheit)
+        doubt = "of hot water for taps, or of the heating?" if "hot water" in t else ""
+        return Guess(look.name, "level", _share_unit(look), doubt)
+    if t & {"power", "energy", "heat"} and not as_temperature:
+        return _load(look)
+    return None
+
+
+def _share_unit(look: _Look) -> str:
+    return "%" if look.most > 1.5 or look.unit == "%" else "0-1"
 
 
 def _temperature_word(look: _Look, t: frozenset[str]) -> bool:
@@ -234,10 +248,6 @@ def _temperature_word(look: _Look, t: frozenset[str]) -> bool:
     return ("temperature" in t and any("temp" in word or word in _SHORT for word in words_of(look.name))) or (
         "temperature" in t and not t & {"power", "energy", "heat", "valve", "level"}
     )  # fmt: skip
-
-
-def _load_like(look: _Look, t: frozenset[str]) -> bool:
-    return bool(t & {"power", "energy"}) and look.most > 60.0
 
 
 def _shares(look: _Look) -> bool:
@@ -273,49 +283,27 @@ def _bound(t: frozenset[str]) -> str:
 def _load(look: _Look) -> Guess:
     """Power, energy per step or a counter, and of what."""
     t, unit = look.tags, look.unit
-    role = "power"
-    electric = "electric" in t
-    heat = ("heat" in t and not electric and "heating machine" not in t) or bool(
-        {"heat"} & t
-        and re.search(
-            r"(?i)thermal|thermi|w[aä]e?rmemenge|heat "
-            "?(meter|flow|output)|wmz|qh|phi|^ph\b|ph$|heizleist|w[aä]e?rmeleist|therm",
-            look.name,
-        )
-    )
-    if heat:
-        role = "heat"
-    if {"hot water", "gas", "pv"} & t or "other" in t:
-        return Guess(look.name, "gas" if "gas" in t and "hot water" not in t else "", "")
-    energy = unit in ("Wh", "kWh", "MWh", "kJ", "MJ", "BTU") or (
-        "energy" in t and unit not in ("W", "kW", "MW") and "power" not in t
-    )
-    doubt = ""
+    if t & {"hot water", "gas", "pv", "other"}:
+        return Guess(look.name, "gas" if "gas" in t and "hot water" not in t else "")
+    of_machine = t & {"electric", "heating machine"}
+    heat = "heat" in t and (not of_machine or bool(_HEAT.search(look.name)))
+    role = "heat" if heat else "power"
+    energies = ("Wh", "kWh", "MWh", "kJ", "MJ", "BTU")
     if look.counts:
-        kilo = unit if unit in ("Wh", "kWh", "MWh", "kJ", "MJ", "BTU") else "kWh" if look.most < 1e6 else "Wh"
-        doubt = (
-            ""
-            if unit in ("Wh", "kWh", "MWh", "kJ", "MJ", "BTU") or "energy" in t
-            else "it only rises: a counter, of kWh or Wh?"
-        )
-        return Guess(look.name, role, f"{kilo} counter", doubt)
-    if energy:
-        base = unit if unit in ("Wh", "kWh", "BTU", "kJ", "MJ") else ""
-        if not base:
-            base, doubt = ("kWh" if look.most < 50.0 else "Wh"), "energy without a unit"
-        return Guess(look.name, role, f"{base} per step", doubt)
+        counted = unit if unit in energies else "kWh" if look.most < 1e6 else "Wh"
+        sure = unit in energies or "energy" in t
+        return Guess(look.name, role, f"{counted} counter", "" if sure else "it only rises: a counter, of kWh or Wh?")
+    if unit in energies or ("energy" in t and unit not in _LOADS and "power" not in t):
+        if unit in energies and unit != "MWh":
+            return Guess(look.name, role, f"{unit} per step")
+        return Guess(look.name, role, f"{'kWh' if look.most < 50.0 else 'Wh'} per step", "energy without a unit")
     if not unit and look.binary:
         return Guess(look.name, "level", "0-1")
-    if look.least < -0.02 * max(look.most, 1.0) and role == "power" and not electric:
-        doubt = "it falls below 0"
-    if not unit and look.most <= 100.0 and look.most > 30.0 and not look.constant and not t & {"power"}:
+    if not unit and 30.0 < look.most <= 100.0 and not look.constant and "power" not in t:
         return Guess(look.name, "level", "%", "its values are between 0 and 100, its name is that of a load")
-    return Guess(
-        look.name,
-        role,
-        unit or ("W" if look.most > 60.0 else "kW"),
-        doubt or ("" if unit or look.most > 60.0 or look.constant else ""),
-    )
+    below = look.least < -0.02 * max(look.most, 1.0) and not heat and "electric" not in t
+    doubt = "it falls below 0" if below else ""
+    return Guess(look.name, role, unit or ("W" if look.most > 60.0 else "kW"), doubt)
 
 
 def _temperature(look: _Look, fahrenheit: bool) -> Guess:

@@ -37,10 +37,11 @@ _WORDS: dict[str, tuple[str, str]] = {
         "temperat temp",
     ),
     "setpoint": (
-        "sp spt stp setp set setpoint setpt stpt target targ soll sollwert solltemp consigne cons ingesteld "
-        "gewenst streefwaarde setpunt instelling desired wunsch csp hsp clgsp htgsp htsp clsp zsp tset thset "
-        "tcset tsp tsoll wunschtemperatur doel gewuenscht vorgabe occclgsp occhtgsp eff sptrn",
-        "setpoint sollwert solltemp consigne streef instelwaarde wunschtemp settemp targettemp tempset vorgabe",
+        "sp stp setp set setpoint setpt stpt target targ soll sollwert solltemp consigne cons ingesteld gewenst "
+        "streefwaarde setpunt instelling desired wunsch csp hsp clgsp htgsp htsp clsp zsp tset thset tcset tsp "
+        "tsoll wunschtemperatur doel gewuenscht vorgabe occclgsp occhtgsp eff sptrn sollt gewenste ingestelde",
+        "setpoint sollwert solltemp consigne streef instelwaarde wunschtemp settemp targettemp tempset vorgabe "
+        "gewenst ingesteld",
     ),
     "lower": (
         "lower min minimum tmin unten untere hsp htgsp htsp thset occhtgsp",
@@ -72,7 +73,7 @@ _WORDS: dict[str, tuple[str, str]] = {
     ),
     "valve": (
         "valve vlv vp ventil stellventil stellung stellwert stellgrosse stellgroesse stellsignal stellantrieb "
-        "vanne klep klepstand afsluiter trv opening ouverture oeffnung offnung hv rv htgvlv clgvlv reheat rhv vav "
+        "vanne klep klepstand afsluiter trv opening ouverture oeffnung offnung hv rv htgvlv clgvlv reheat rhv "
         "rhvlv ventilstellung ventilposition vannenposition servo actuator aktor vlvo",
         "ventil valve vanne klepst stellwert stellgr stellsig stellantr",
     ),
@@ -83,7 +84,7 @@ _WORDS: dict[str, tuple[str, str]] = {
         "active aktiv ove output fan boiler waermepumpe warmepumpe wp pac warmtepomp ketel chaudiere kessel "
         "heizung heizen chauffage verwarming heat heating htg stat status run running enable betrieb onoff on "
         "state signal cool cooling clg climatisation koeling kuhlung kuehlung kuehlen",
-        "modul verdicht compress drehzahl frequen brenner stufe pumpe burner circul umwalz umwaelz toerental",
+        "modul verdicht compress drehzahl frequen brenner stufe pumpe burner circul umwalz umwaelz toerental drehz",
     ),
     "power": (
         "power pwr p pel watt watts w kw leistung puissance vermogen php pwp elec electric electrical elektrisch "
@@ -123,7 +124,7 @@ _WORDS: dict[str, tuple[str, str]] = {
     "sun": (
         "sun solar irradiance irrad irradiation ghi glohor hglohor global radiation globalstrahlung strahlung "
         "einstrahlung sonne rayonnement ensoleillement straling zonnestraling instraling pyranometer pyrano ps "
-        "isol igh solrad solradiation solarradiation shortwave poa isolation glorad zon soleil is",
+        "isol igh solrad solradiation solarradiation shortwave poa isolation glorad zon soleil is sol gsol hsol",
         "irradi strahlung radiation rayonnement straling solar ensoleil",
     ),
     "part of the sun": (
@@ -149,11 +150,11 @@ _WORDS: dict[str, tuple[str, str]] = {
         "co2 voc tvoc pm ppm window fenster fenetre raam door tur tuer porte deur motion presence occupancy occ "
         "occupied bewegung praesenz battery batterie batterij accu rssi lqi linkquality light licht lux lumiere "
         "verlichting illuminance wind rain regen pluie neerslag precipitation pressure druck pression druk baro "
-        "dew dewpoint taupunkt cloud clouds bewolking snow alarm fault error mode modus id uid uuid idx index row "
-        "count counter record version uptime noise voltage spannung tension courant amps ampere contact kontakt "
-        "vibration smoke enthalpy enth cfm airflow volumenstrom durchfluss debit flowrate lpm speedwind fridge "
-        "freezer kuehlschrank gefrierschrank oven dryer washer tv computer nas server aquarium pool soil boden "
-        "cpu cop efficiency filter serial seq sequence line year month day hour minute weekday holiday lat lon "
+        "dew dewpoint taupunkt cloud clouds bewolking snow alarm fault error mode modus id uid uuid idx row "
+        "record version uptime noise voltage spannung tension courant amps ampere contact kontakt vibration smoke "
+        "enthalpy enth cfm airflow volumenstrom durchfluss debit flowrate lpm speedwind fridge freezer "
+        "kuehlschrank gefrierschrank oven dryer washer tv computer nas server aquarium pool soil boden cpu cop "
+        "efficiency filter serial seq sequence line year month day hour minute weekday holiday lat lon "
         "signalstrength staubsauger drucker phone motionsensor bewegungsmelder people persons personen starts "
         "hours betriebsstunden days license quality flags flag rev kitchenlights plug socket steckdose "
         "stopcontact prise",
@@ -215,6 +216,8 @@ def unit_of(name: str) -> str:
     for told in re.findall(r"[\[(]([^\])]*)[\])]", name):
         if (unit := _UNITS.get(told.strip().lower())) is not None:
             return unit
+    if re.search(r"(?i)w[/_ ]?m-?\^?[²2]", name):
+        return "W/m²"
     if match := re.search(r"(?:[ _\-/]|\bin )(%|°[CF]|[A-Za-z]+)$", name.strip()):
         told = match[1].lower()
         if told in _AT_END and (len(told) > 1 or told == "%" or match[1].isupper() or "_" in name):
@@ -230,7 +233,12 @@ def tags(name: str) -> frozenset[str]:
     for word in words:
         if len(word) > 4:
             found |= {tag for tag, parts in _PARTS.items() if any(part in word for part in parts)}
+    if any(len(word) > 3 and word.endswith(("sp", "stpt")) for word in words):  # as EFFSP
+        found.add("setpoint")
     pairs = {a + b for a, b in pairwise(words)}
+    # T_a and T_i are Ta and Ti.
+    of_two = {pair for pair in pairs if len(pair) == 2}
+    found |= {tag for tag in ("outdoor", "room", "temperature", "heat", "sun") if not of_two.isdisjoint(_WHOLE[tag])}
     return frozenset(found | {tag for pair, tag in _PAIRS.items() if pair in pairs})
 
 

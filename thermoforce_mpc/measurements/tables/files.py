@@ -475,8 +475,8 @@ def _csv(path: Path, form: CsvFormat, *, scan: bool = True) -> list[_Part]:
         }  # fmt: skip
 
         def renamed(df: pd.DataFrame) -> pd.DataFrame:
-            df = df[[place for place in df.columns if place < len(names)]]
-            return df.set_axis([names[place] for place in df.columns], axis=1)
+            places = [int(place) for place in df.columns if int(place) < len(names)]
+            return df[places].set_axis([names[place] for place in places], axis=1)
 
         with reading(path, " as CSV"), warnings.catch_warnings():
             warnings.simplefilter("ignore", pd.errors.ParserWarning)
@@ -495,10 +495,7 @@ def _csv(path: Path, form: CsvFormat, *, scan: bool = True) -> list[_Part]:
                 yield renamed(piece).reset_index(drop=True), lines[read : read + len(piece)] + 1
                 read += len(piece)
 
-    return [
-        _Part(path, names, partial(frames_of, names, lines, cells))
-        for names, lines, cells in found
-    ]
+    return [_Part(path, names, partial(frames_of, names, lines, cells)) for names, lines, cells in found]
 
 
 def _without_end(df: pd.DataFrame, lines: Any) -> tuple[pd.DataFrame, Lines]:
@@ -543,7 +540,7 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
                 ):
                     parts[-1][1].append(np.flatnonzero(kept[start:k]) + start + begun)
                     parts.append((told, []))
-                    kept[k], start = False, k
+                    kept[k], start = False, int(k)
                     continue
                 if not any(told):
                     kept[k] = False

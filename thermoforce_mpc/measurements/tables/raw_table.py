@@ -168,7 +168,7 @@ def readings_table(
         numbers, texts = _with_texts(df[key], decimal)
         wordy |= set(codes[texts].tolist())
         readings[empty] = numbers[empty]
-        of_wanted = [row for row in np.flatnonzero(texts) if table.points[codes[row]] in wanted]
+        of_wanted = [int(row) for row in np.flatnonzero(texts) if table.points[codes[row]] in wanted]
         if of_wanted:
             _refuse(df[key], of_wanted, table.points[codes[of_wanted[0]]], table, decimal)
     readings[bad_status(df, form)] = np.nan

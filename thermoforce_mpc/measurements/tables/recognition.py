@@ -44,10 +44,10 @@ _VALUE = re.compile(
 _STATUS = re.compile(r"(?i)^(status|quality|trend ?flags|reliability|qualit.*|flag|flags|statut)$")
 # What stands in a line of units below the names of columns.
 _UNIT = re.compile(
-    r"(?i)[\[(]?(°?[cfk]|deg ?[cf]|celsius|%|[kM]?W|[kM]?Wh|W/m.{1,2}|-|hh:mm|datetime|date|time|utc|iso.*|s|min|h|float|"
-    r"double|string|boolean|avg|smp|max|Pa|hPa|ppm|lx|m/s)?[\])]?"
+    r"(?i)[\[(]?(°?[cfk]|deg ?[cf]|celsius|%|[kM]?W|[kM]?Wh|W/m.{1,2}|-|hh:mm|datetime|date|time|utc|iso.*|s|min|h|"
+    r"float|double|string|boolean|avg|smp|max|Pa|hPa|ppm|lx|m/s)?[\])]?"
 )
-_VALUES_OF = (("mean", "sum", "state"), ("state",), ("value",), ("_value",))
+_VALUES_OF: tuple[tuple[str, ...], ...] = (("mean", "sum", "state"), ("state",), ("value",), ("_value",))
 _DAYS = (
     "%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%m-%d-%Y", "%d/%m/%y", "%m/%d/%y",
     "%Y.%m.%d",
@@ -123,11 +123,11 @@ def guessed_form(path: Path) -> CsvFormat:
         if any(_numeric(cell) or _stamp(cell) for cell in cells) or not any(cells[1:]) or line == header:
             break
         after += 1
-    cells = "\n".join(rows[after:])
+    below = "\n".join(rows[after:])
     number = rf"(?:^|[{re.escape(separator)}\"])[ ]*-?\d+{{}}\d+[ ]*(?=[{re.escape(separator)}\"\r\n]|$)"
-    points, commas = (len(re.findall(number.format(mark), cells, re.M)) for mark in (r"\.", ","))
+    points, commas = (len(re.findall(number.format(mark), below, re.M)) for mark in (r"\.", ","))
     if separator == ",":  # there a decimal comma needs quotes
-        commas = len(re.findall(r'"-?\d+,\d+"', cells))
+        commas = len(re.findall(r'"-?\d+,\d+"', below))
     return CsvFormat(
         encoding=encoding,
         decimal="," if commas > points else ".",
@@ -218,7 +218,7 @@ def _clock(head: pd.DataFrame, path: Path) -> tuple[tuple[str, ...], Clock, str]
         and _only(head[c], r"\s*\d{1,2}[:.h]\d{2}([:.]\d{2})?(\s*[AaPp]\.?[Mm]\.?)?(\s*(Uhr|uur))?\s*")
     ]
     if days and hours and (head[days[0]].nunique() < 0.5 * len(head) or _DAY.match(days[0])):
-        key = (days[0], hours[0])
+        key: tuple[str, ...] = (days[0], hours[0])
         stamps = head[key[0]].astype(str).str.strip() + " " + head[key[1]].astype(str).str.strip()
     else:
         named = [c for c in dated if _TIME.match(c)]
@@ -271,16 +271,16 @@ def _counted_clock(stamps: pd.Series) -> tuple[Clock, str]:
     first = float(stamps.dropna().iloc[0]) if stamps.notna().any() else 0.0
     for unit, scale in (("s", 1.0), ("ms", 1e3)):
         if 1e9 * scale < first < 2.5e9 * scale:
-            return Clock(unit=unit, since="1970-01-01T00:00Z", zone="UTC"), ""  # type: ignore[arg-type]
+            return Clock(unit=unit, since="1970-01-01T00:00Z", zone="UTC"), ""
     return Clock(), "? stamps are numbers: name their unit and what they count from"
 
 
 def _stamp_format(text: pd.Series) -> tuple[str | None, str]:
     """The `strptime` format of stamps, None for ISO 8601, and a note where another fits as well."""
     sample_of = text if len(text) <= 500 else text.iloc[:: len(text) // 500]
-    if ISO.match(str(text.iloc[0])):
-        if pd.to_datetime(sample_of, format="ISO8601", utc=True, errors="coerce").notna().all():
-            return None, ""
+    as_iso = bool(ISO.match(str(text.iloc[0])))
+    if as_iso and pd.to_datetime(sample_of, format="ISO8601", utc=True, errors="coerce").notna().all():
+        return None, ""
     fitting = []
     first = str(text.iloc[0]).strip()
     ends = (" %z", "%z") if with_offset(text.iloc[:1])[0] else ("",)
