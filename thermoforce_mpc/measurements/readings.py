@@ -36,8 +36,10 @@ _ZERO_OFFSET_W_M2, _DARK_W_M2 = 30.0, 1.0
 LEVEL_SLACK = 0.02
 # Stored on change: least readings and share of those that repeat the one before; share of the longest time without one
 # after which one repeats to show that it lives; steps that a value makes which stayed; share of gaps before which a
-# value is one of rest; share of gaps in which the value stayed; share of distances that are not the usual one.
-_LEAST_CHANGES, _MOST_SAME, _ALIVE, _STEPS, _RESTS, _STAYED, _IRREGULAR = 3, 0.02, 0.7, 3.0, 0.2, 0.7, 0.15
+# value is one of rest; share of gaps in which the value stayed; share of distances that are not the usual one,
+# or gaps, from which on readings do not come by the clock.
+_LEAST_CHANGES, _MOST_SAME, _ALIVE, _STEPS, _RESTS, _STAYED = 3, 0.02, 0.7, 3.0, 0.2, 0.7
+_IRREGULAR, _LEAST_GAPS = 0.15, 3
 # Set-points of rooms, °C and °F.
 _SETPOINTS = ((10.0, 32.0), (50.0, 90.0))
 # Longest time between readings that is no gap: this many times their 90th percentile.
@@ -270,7 +272,8 @@ def stored_on_change(time_s: Array, values: Array, breaks_s: Array, longest: flo
         if not seldom.all():
             return None
     long = apart > longest
-    if (np.abs(apart / np.median(apart) - 1.0) > 0.25).mean() < _IRREGULAR:
+    irregular = (np.abs(apart / np.median(apart) - 1.0) > 0.25).mean()
+    if irregular < _IRREGULAR and long.sum() < _LEAST_GAPS:
         return None
     steps = np.abs(change[~same])
     usual = float(np.median(steps))
@@ -351,6 +354,11 @@ def around(readings: Readings, at_s: Array, step_s: float, coverage: float) -> A
         return sampled(readings, at_s)
     # Readings are instants: each holds for half the time to the ones before and after it.
     after, before = (0.5 * durations_s(readings, marks) for marks in ("start", "end"))
+    if readings.held:  # but for one that stays, or ended when the signal was not available
+        reaches = np.append(readings.reaches, False)
+        after = np.where(reaches, after, 2.0 * after)
+        before = np.where(np.append(False, reaches[:-1]), before, 0.0)
+        after = np.minimum(after, at_s[-1] + step_s)
     edges = np.append(at_s - 0.5 * step_s, at_s[-1] + 0.5 * step_s)
     return means(readings.time_s - before, before + after, readings.values, edges, coverage)
 

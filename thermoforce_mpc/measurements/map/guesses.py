@@ -211,8 +211,9 @@ def _of_setpoints(look: _Look, fahrenheit: bool) -> Guess | None:
         return Guess(look.name, _bound(t), look.celsius(fahrenheit)[0])
     if "valve" in t:
         return Guess(look.name, "level", _share_unit(look), "its name says set-point")
-    warm = "temperature" in t and look.least > 1.0
-    return Guess(look.name, _bound(t), look.celsius(fahrenheit)[0]) if warm else Guess(look.name, "")
+    unit, celsius = look.celsius(fahrenheit)
+    warm = look.unit != "%" and celsius.min() > 4.0 and 10.0 < float(np.median(celsius)) < 32.0
+    return Guess(look.name, _bound(t), unit) if warm else Guess(look.name, "")
 
 
 def _of_what_acts(look: _Look, fahrenheit: bool) -> Guess | None:
@@ -356,7 +357,8 @@ def _by_day(look: _Look) -> bool:
     if look.values.size < 24:
         return True
     span = max(look.most - look.least, 1e-9)
-    return bool(((look.values - look.least) < 0.03 * span).mean() > 0.2)
+    lasts_s = np.append(np.diff(look.time_s), 0.0)
+    return bool(np.average((look.values - look.least) < 0.03 * span, weights=np.maximum(lasts_s, 1e-9)) > 0.2)
 
 
 def _by_values(look: _Look, fahrenheit: bool) -> Guess:

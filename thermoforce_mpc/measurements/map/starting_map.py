@@ -402,6 +402,6 @@ def _value(value: object) -> str:
 def _name(column: str) -> str:
     plain = re.sub(r"^(sensor|binary_sensor|climate|number|switch|input_number|valve)\.", "", column)
     plain = re.sub(r"[\[(].*?[\])]", "", plain).strip()
-    shorter = re.sub(r"[_ ]?(deg_?c|°c|temp\w*|ist|ist-?wert)$", "", plain, flags=re.I)
+    shorter = re.sub(r"[_ ]?(deg_?c|°c|temp[a-z]*|ist|ist-?wert)$", "", plain, flags=re.I)
     name = re.sub(r"\W+", "_", shorter or plain).strip("_").lower()
     return name or "zone"

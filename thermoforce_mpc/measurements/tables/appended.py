@@ -27,6 +27,7 @@ from thermoforce_mpc.measurements.tables.raw_table import (
     as_numbers,
     bad_status,
     known_column,
+    of_one_signal,
     raw_table,
     tables_of,
 )
@@ -132,7 +133,8 @@ def _read(
         return one
     one = raw_table(frame, tuple(stamps), list(dict.fromkeys(values.values())), str(path), lines)
     bad = bad_status(frame, table)
-    return replace(one, columns={key: np.where(bad, np.nan, one.columns[of]) for key, of in values.items()})
+    columns = {key: np.where(bad, np.nan, one.columns[of]) for key, of in values.items()}
+    return replace(one, columns=columns) if table.by_file != "point" else of_one_signal(one, *columns, columns)
 
 
 def _of_wanted(frame: pd.DataFrame, points: Sequence[str], wanted: Sequence[str]) -> NDArray[np.bool_]:

@@ -354,8 +354,8 @@ def timed(tables: Sequence[RawTable], clock: Clock, now: pd.Timestamp | None = N
         )  # fmt: skip
         index = index.tz_convert(stamps[0].dt.tz) if has[0] else index
         values = np.concatenate([one for _, one in pieces])
-        order = np.argsort(index.asi8, kind="stable")
-        order = order[np.append(np.diff(index.asi8[order]) > 0, True)]  # of two at one instant the last counts
+        order = np.lexsort((np.isfinite(values), index.asi8))
+        order = order[np.append(np.diff(index.asi8[order]) > 0, True)]  # of two at one instant the later reading counts
         own[name], columns[name] = index[order], values[order]
     outages = [one for table in tables for one in table.outages]
     for begin, end in outages:

@@ -34,6 +34,7 @@ from thermoforce_mpc.measurements.tables.raw_table import (
     RawTable,
     bad_status,
     known_column,
+    of_one_signal,
     raw_table,
     readings_table,
 )
@@ -58,7 +59,7 @@ _MAGIC = {
 # Rows that are read at once where each is one reading: their text takes ten times the memory of their numbers.
 _ROWS_AT_ONCE = 250_000
 # Readings that are kept of signals outside the map; from a gap of so long in all signals on the logger stood still.
-_FIRST, _LEAST_ROWS, _LEAST_OUTAGE_NS = 2000, 500, 7.2e12
+_FIRST, _LEAST_ROWS, _LEAST_OUTAGE_NS = 2000, 100, 7.2e12
 # Bytes of one value of a table; a Parquet file may pack a million equal ones into a few.
 _CELL = 8
 SEPARATORS = ",;\t|"
@@ -322,7 +323,7 @@ def _outages(stamps: Sequence[pd.Series]) -> tuple[tuple[pd.Timestamp, pd.Timest
     apart = np.diff(at)
     if apart.size < _LEAST_ROWS:
         return ()
-    most = max(_LEAST_OUTAGE_NS, 4.0 * float(np.percentile(apart, 99.9)), 60.0 * float(np.mean(apart)))
+    most = max(_LEAST_OUTAGE_NS, 4.0 * float(np.percentile(apart, 99.0)), 10.0 * float(np.median(apart)))
     return tuple(
         (pd.Timestamp(at[k], tz="UTC"), pd.Timestamp(at[k + 1], tz="UTC")) for k in np.flatnonzero(apart > most)
     )
@@ -350,7 +351,8 @@ def _of_columns(
     df, line = next(part.frames(list(dict.fromkeys(told)), None))
     found = raw_table(df, keys or None, [column_of[key] for key in here], str(part.path), line, form.decimal)
     bad = bad_status(df, table)
-    yield replace(found, columns={key: np.where(bad, np.nan, found.columns[column_of[key]]) for key in here})
+    columns = {key: np.where(bad, np.nan, found.columns[column_of[key]]) for key in here}
+    yield replace(found, columns=columns) if table.by_file != "point" else of_one_signal(found, here[0], columns)
 
 
 def _keys(part: _Part, stamps: Stamps) -> tuple[str, ...]:

@@ -175,6 +175,12 @@ def readings_table(
     return replace(table, wordy=tuple(table.points[k] for k in wordy))
 
 
+def of_one_signal(table: RawTable, name: str, columns: dict[str, Array]) -> RawTable:
+    """A table of one column as one of readings, each row a reading of the signal `name`."""
+    codes = np.zeros(len(table.stamps), dtype=np.int32)
+    return replace(table, columns={"": columns[name]}, points=(name,), codes=codes)
+
+
 def bad_status(df: pd.DataFrame, form: TableForm) -> NDArray[np.bool_]:
     """Which rows (n,) have a status that says that their reading is none."""
     if form.status is None or form.status not in df:

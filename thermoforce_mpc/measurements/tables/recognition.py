@@ -20,7 +20,7 @@ from thermoforce_mpc.measurements.tables.raw_table import ISO, SWITCH, as_number
 
 ROWS = 2000
 """Rows of a table that are looked at."""
-_LINES, _MOST_HEAD = 400, 60
+_LINES, _MOST_HEAD, _MOST_PAIRS = 400, 60, 50
 # Headers of columns, by what they hold, in the languages of the maps.
 _TIME = re.compile(
     r"(?i)^(<>)?(date|time|datetime|date[ /_-]*time|time "
@@ -359,8 +359,8 @@ def _form_of(
     values = tuple(dict.fromkeys(name for of in valued for name in of))
     told = named_after(paths[0], form) != named_after(paths[0], CsvFormat())
     said = each_one and all(_VALUE.match(name) for name in values)
-    alike = [{str(c) for c in one.columns} for one in heads]
-    shared = len(paths) > 1 and all(set(valued[0]) & names for names in alike) and _at_the_same_time(heads)
+    pairs = [(i, j) for j in range(len(heads)) for i in range(j) if set(valued[i]) & set(valued[j])]
+    shared = any(_at_the_same_time(heads[i], heads[j]) for i, j in pairs[:_MOST_PAIRS])
     if each_one and (said or told or status is not None or (shared and len(values) == 1)):
         by_file = TableForm(by_file="point", value=values[0] if len(values) == 1 else values, status=status)
         return by_file, "one file per signal"
@@ -376,13 +376,13 @@ def _numbers(column: pd.Series) -> bool:
     )
 
 
-def _at_the_same_time(heads: Sequence[pd.DataFrame]) -> bool:
-    """Whether stamps of the first two files are of the same time, rather than one after the other."""
-    first, second = ({str(one) for one in head.iloc[:, 0].astype(str)} for head in heads[:2])
+def _at_the_same_time(*heads: pd.DataFrame) -> bool:
+    """Whether stamps of two files are of the same time, rather than one after the other."""
+    first, second = ({str(one) for one in head.iloc[:, 0].astype(str)} for head in heads)
     if len(first & second) > 0.3 * min(len(first), len(second)):
         return True
     ranges = []
-    for head in heads[:2]:
+    for head in heads:
         text = plain(head.iloc[:, 0].dropna().astype(str))
         form, _ = _stamp_format(text) if len(text) else (None, "")
         if form == "FILL IN":
