@@ -64,15 +64,11 @@ rows = []
 for entity, told in states.items():
     kept = told.copy()
     for begin, end in ((begin, end) for name, begin, end in away if name == entity):
-        before = kept[:begin]
-        kept = pd.concat([
-            before, pd.Series("unavailable", index=[begin]), pd.Series(before.iloc[-1], index=[end]), kept[kept.index > end]
-        ])  # fmt: skip
+        before, gone = kept[:begin], pd.Series("unavailable", index=[begin])
+        kept = pd.concat([before, gone, pd.Series(before.iloc[-1], index=[end]), kept[kept.index > end]])
     stamps = kept.index + pd.to_timedelta(rng.integers(0, 900, len(kept)), unit="ms")
     text = stamps.strftime("%Y-%m-%dT%H:%M:%S.%f").str[:-3] + "Z"
     rows.append(pd.DataFrame({"entity_id": entity, "state": kept.to_numpy(), "last_changed": text}))
 export = pd.concat(rows)
 export.to_csv(folder / "history.csv", index=False)
-print(
-    f"{folder / 'history.csv'}: {len(export)} rows of {len(states)} entities, {minutes[0]:%Y-%m-%d} to {minutes[-1]:%Y-%m-%d}"
-)
+print(f"{folder / 'history.csv'}: {len(export)} rows of {len(states)} entities, 30 days from {minutes[0]:%Y-%m-%d} on")
