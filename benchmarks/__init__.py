@@ -4,3 +4,5 @@ A room a subject: `controller`, `closed_loop`, `zones`, `fleet`, `faults`, `plan
 `measured_rooms`, `free_response`. The paper's suites are `factual` and `interventions`, `chaos` makes troubles on
 purpose, `pretraining` trains the shipped forecaster, and `cli` has the commands `tf-mpc bench NAME` and `tf-mpc chaos`.
 """
+
+import thermoforce_mpc  # noqa: F401  # its switches, before any bench imports a dependency

@@ -18,12 +18,9 @@ minutes = pd.date_range("2026-01-05", periods=30 * 1440, freq="1min", tz="UTC")
 hour = (minutes.hour + minutes.minute / 60).to_numpy()
 day = np.arange(minutes.size) // 1440
 
-# A house: air and mass, a heat pump of 7 kW that a thermostat with a night setback switches; people turn it up and down.
-outdoor = (
-    1
-    + np.interp(np.arange(minutes.size), np.arange(31) * 1440, rng.normal(0, 4, 31))
-    + 3 * np.sin((hour - 9) / 12 * np.pi)
-)
+# A house: air and mass, a heat pump that a thermostat with a night setback switches; people turn it up and down.
+slow = np.interp(np.arange(minutes.size), np.arange(31) * 1440, rng.normal(0, 4, 31))
+outdoor = 1 + slow + 3 * np.sin((hour - 9) / 12 * np.pi)
 clouds = rng.uniform(0.2, 1.0, 30)[day]
 sun = np.maximum(0, 380 * np.sin((hour - 7) / 9 * np.pi)) * ((hour > 7) & (hour < 16)) * clouds
 wanted = np.where((hour > 6) & (hour < 21), 21.0, 18.5) + rng.choice([-0.5, 0.0, 0.5, 1.0], 30)[day]

@@ -41,7 +41,7 @@ def interval_runs(sources: Sequence[Source], progress: Callable[[str], None]) ->
         if source.history.step_s != HOUR_S or len(origins) < _LEAST_STEPS:
             continue
         method = build_free_response("residual")
-        inside = score(method, source, origins, ForecastError(_LEVEL, _ERROR_SEED)).inside[_SETTLING_STEPS:]
+        inside = score(method, source, origins, ForecastError(_LEVEL, _LEVEL, _ERROR_SEED)).inside[_SETTLING_STEPS:]
         share = float(inside.mean())
         ahead = {f"held_{hours}h_ahead": float(inside[:, hours - 1].mean()) for hours in _LEADS_H}
         rows.append(

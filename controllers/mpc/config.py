@@ -102,6 +102,7 @@ class DeadlineConfig(StrictModel):
 
     forecast_s: float = Field(60.0, gt=0, description="free forecasts of all zones of a step, s")
     solve_s: float = Field(60.0, gt=0, description="solve of a step, s; solvers have limits of their own as well")
+    look_s: float = Field(20.0, gt=0, description="look for sun on the zone sensors, at night, s")
 
 
 class MoveBlockingConfig(StrictModel):
@@ -143,6 +144,9 @@ class MPCConfig(StrictModel):
     backoff_max_K: float = Field(0.6, ge=0, description="largest back-off from a comfort bound, K")
     offset_h: float | None = Field(
         6.0, gt=0, description="time over which the mean error of one-step predictions is added to them, h; null: never"
+    )
+    unused_capacity: bool = Field(
+        True, description="leave a share of a machine that several feed on unused, where it was found at its limit"
     )
     solver: Literal["auto", "ipopt", "qp", "sqp", "milp"] = Field(
         "auto",

@@ -29,7 +29,7 @@ from controllers.mpc.planner import (
 from controllers.mpc.prediction import Failure, Forecast, Prediction, WatchedPredictions
 from controllers.mpc.readings import Readings, ReadingsFilter, joined
 from controllers.mpc.realisation import Realisation
-from controllers.mpc.solved import Solved, first_demands, power_limit, solved_plan
+from controllers.mpc.solved import Solved, beyond_rooms, first_demands, power_limit, solved_plan
 from controllers.mpc.state import MPCState
 from controllers.optimisation.plan_model import Evaluation, Evaluator
 from controllers.optimisation.problem import MPCProblem
@@ -47,7 +47,7 @@ from controllers.safety.overrides import (
     WatchAlarm,
     decide,
 )
-from thermoforce_mpc.data import Array, Observation, Plan, Record
+from thermoforce_mpc.data import HOUR_S, Array, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
@@ -224,7 +224,7 @@ class ThermoForceMPC(ActuatedController):
 
     def _step(self, observation: Observation, state: MPCState) -> Computation[Plan]:
         """One control step: each line a station, from what is believed to what is applied."""
-        readings, state = self._clean(observation, state)
+        readings, state = yield from self._clean(observation, state)
         state = yield from self._watch(readings, state)
         situation = Situation(readings.observation, readings.zones, state.watch)
         overrides = decide(self._overrides, situation)
@@ -238,7 +238,7 @@ class ThermoForceMPC(ActuatedController):
             plan = self._realise(result, readings, overrides, situation)
         return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
 
-    def _clean(self, observation: Observation, state: MPCState) -> tuple[Readings, MPCState]:
+    def _clean(self, observation: Observation, state: MPCState) -> Computation[tuple[Readings, MPCState]]:
         """What is believed; a model that may not act says nothing of readings."""
         as_identified = self._planners.of(state.adaptation) is self._planners.base
         return self._readings.clean(
@@ -313,10 +313,13 @@ class ThermoForceMPC(ActuatedController):
         if brought is None or brought.broken:
             why = refused or f"the solver's levels leave a limit: {brought.broken if brought else ''}"
             return Failure(why, forecast.state, solution.status, seconds)
+        if beyond := beyond_rooms(instance.problem, brought, readings.observation.names.zones):
+            return Failure(beyond, forecast.state, solution.status, seconds)
         if self.config.whole_runs and not overrides.keys() >= set(self._in_runs):
             solution, brought = self._with_runs(instance, solution, brought, forecast, list(overrides))
         limit = power_limit(instance, solution, brought, planner.evaluator)
-        return Solved(solved_plan(instance, solution, brought, seconds, forecast, readings), limit)
+        free_steps = max(1, round(self.config.move_blocking.free_h * HOUR_S / self.step_s))
+        return Solved(solved_plan(instance, solution, brought, seconds, forecast, readings, free_steps), limit)
 
     @property
     def _in_runs(self) -> list[int]:

@@ -10,7 +10,7 @@ from one_zone_kpis import compute_kpis
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.plants.embedded.schedule import bounds_C
+from thermoforce_mpc.plants.embedded.cases import HEAT_PUMP
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess, peak_power, window_means, zone_kpis
 
 TIME = np.arange(0, 7200 + 1, 30.0)
@@ -55,8 +55,15 @@ def test_air_quality_counts_above_the_limit_only():
 
 
 def test_the_peak_is_a_quarter_hour_mean():
-    power = np.where((TIME > 900) & (TIME <= 1350), 4000.0, 0.0)  # half of the second quarter
-    assert peak_power(TIME, power) == pytest.approx(2000.0, rel=0.04)
+    power = np.where((TIME >= 900) & (TIME < 1350), 4000.0, 0.0)  # half of the second quarter
+    assert peak_power(TIME, power) == pytest.approx(2000.0)
+
+
+def test_the_last_window_counts_for_the_peak_as_at_the_service_however_short():
+    power = np.where(TIME[-1] <= TIME, 3000.0, np.where(TIME < 900, 1000.0, 0.0))
+    assert peak_power(TIME, power) == pytest.approx(3000.0), "the last sample begins a window"
+    assert peak_power(TIME, power, open_end=False) == pytest.approx(1000.0)
+    assert peak_power(TIME[:5], power[-5:]) == pytest.approx(600.0), "samples of one window"
 
 
 def test_prices_are_weighted_by_power():
@@ -107,7 +114,7 @@ def test_a_recorded_trajectory_has_the_kpis_published_for_it(
     step_end = np.searchsorted(real.time, time_s)
     power = (real.reaPHeaPum_y + real.reaPFan_y + real.reaPPumEmi_y).to_numpy()[step_end]
     T = np.interp(time_s, real.time, real.reaTZon_y)
-    lower, upper = bounds_C(time_s)
+    lower, upper = HEAT_PUMP.schedule.bounds_C(time_s)
     for tariff, cost in ((tariffs.constant, cost_constant), (tariffs.dynamic, cost_dynamic)):
         found = compute_kpis(
             time_s, power_W=power, T_operative_C=T, lower_C=lower, upper_C=upper,
@@ -127,7 +134,7 @@ def test_comfort_bounds_are_held_until_the_next_quarter_of_an_hour(shared):
     record = pd.read_csv(shared / "boptest_hp" / "thermostat_setback_peak.csv.gz")
     time_s = np.arange(record.time.iloc[0], record.time.iloc[-1] + 1.0, 30.0)
     T = np.interp(time_s, record.time, record.Top_C)
-    discomfort = np.trapezoid(excess(T, *bounds_C(time_s)), time_s / 3600.0)
+    discomfort = np.trapezoid(excess(T, *HEAT_PUMP.schedule.bounds_C(time_s)), time_s / 3600.0)
     assert discomfort == pytest.approx(0.24, abs=0.01)
 
 

@@ -21,6 +21,7 @@ from thermoforce_mpc.data import cache
 from thermoforce_mpc.errors import ArtifactError, ConfigError
 from thermoforce_mpc.experiment import outside
 from thermoforce_mpc.experiment import run as experiment_run
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.explaining import alternatives_of, decision_at
 from thermoforce_mpc.experiment.run_book import RunBook
 from thermoforce_mpc.plants.testcases import load_scenario
@@ -46,7 +47,9 @@ def sent(folder: Path, **settings: object) -> Path:
     """A folder whose run was killed before its plant was there."""
     folder.mkdir()
     scenario = load_scenario(None, {"testcase": TESTCASE, "baselines": [], "days": 0.25, **settings})
-    RunBook.begin(folder, scenario, ["tf-mpc", "run"]).journal.close()
+    # What it names is not looked up here.
+    theirs = replace(Experiment.of(load_scenario(None, {"testcase": TESTCASE})), written=scenario)
+    RunBook.begin(folder, theirs, ["tf-mpc", "run"]).journal.close()
     return folder
 
 
@@ -102,8 +105,8 @@ def test_an_address_in_a_journal_gets_no_request_and_no_token_until_it_is_given(
 def test_an_fmu_in_a_journal_is_not_opened_until_it_is_given_or_the_one_of_before(monkeypatch, tmp_path):
     opened: list[str] = []
 
-    def build(spec, *_: object) -> SimpleHouse:
-        opened.append(spec.path)
+    def build(experiment, *_: object) -> SimpleHouse:
+        opened.append(experiment.plant.spec.path)
         return SimpleHouse()
 
     monkeypatch.setattr(experiment_run, "build_plant", build)
@@ -173,6 +176,20 @@ def test_no_setting_of_a_journal_runs_python(tmp_path, settings):
     for command in ("explain", "report", "watch"):
         assert call(command, folder).exit_code != 0
     assert not mark.exists()
+
+
+@pytest.mark.parametrize("name", ["somebody/chronos-new", "chronos-2"])
+def test_a_hub_is_not_asked_for_the_forecaster_of_a_journal_until_it_is_given(monkeypatch, tmp_path, name):
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")  # the message says when it would have been asked
+    folder = sent(tmp_path / "sent", controller={"options": {"free_response": {"options": {"backbone": name}}}})
+    error = str(call("resume", folder).exception)
+    assert f"backbone: {name} (a model hub is asked for it)" in error
+    assert f"--forecaster {name}" in error
+    assert "HF_HUB_OFFLINE" in str(call("resume", folder, "--forecaster", name).exception)
+    assert "HF_HUB_OFFLINE" in str(call("resume", folder).exception), "it was given once"
+    assert f"its run has the forecaster '{name}', not 'other/one'" in str(
+        call("resume", folder, "--forecaster", "other/one").exception
+    )
 
 
 def test_a_controller_that_only_a_step_names_is_not_loaded_by_explain(run, tmp_path):

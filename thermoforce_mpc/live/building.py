@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,11 @@ class LiveBuilding:
     and `DataError` where its tables cannot be used.
     """
 
-    def __init__(self, connection: Connection, rules: MeasurementMap, step_s: float) -> None:
+    def __init__(
+        self, connection: Connection, rules: MeasurementMap, step_s: float, prices: Path | None = None
+    ) -> None:
+        """`prices`: a file of them, read anew in each step, in the place of those of the map."""
+        self._prices = prices
         self.connection, self._rules, self._step_s = connection, rules, step_s
         self._origin: pd.Timestamp | None = None
         self._measured: Measurements | None = None
@@ -51,6 +56,7 @@ class LiveBuilding:
         # Levels are written, and given back, also while a table is still waited for.
         self._reader, self._writer = object(), object()
         self.left_out: tuple[str, ...] = ()
+        self._now: pd.Timestamp | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -94,7 +100,7 @@ class LiveBuilding:
             DataError: it cannot be used, ends more than a day before, or has readings of times to come.
             PlantError: the connection failed.
         """
-        now = instant if now is None else now
+        self._now = now = instant if now is None else now
         measured = read_measurements(
             self._call("measurements"), self._rules, step_s=self._step_s, at=instant, now=now
         ).served()
@@ -131,8 +137,17 @@ class LiveBuilding:
         """The forecast from the last `record` on; see `Plant.forecast`."""
         assert self._measured is not None
         try:
-            n = round(horizon_s / interval_s)
-            return read_forecast(self._call("forecast"), self._measured, least_steps=n).head(n)
+            n, left_out = round(horizon_s / interval_s), list[str]()
+            ahead = read_forecast(
+                self._call("forecast"),
+                self._measured,
+                least_steps=n,
+                prices=self._prices,
+                now=self._now,
+                left_out=left_out,
+            )
+            self.left_out = (*self.left_out, *left_out)
+            return ahead.head(n)
         except (InputError, PlantError) as error:
             raise NoForecast(str(error)) from error
 

@@ -9,15 +9,17 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary
-from thermoforce_mpc.data.dataframes import seconds_since
+from thermoforce_mpc.data.dataframes import seconds_since, stamps
 from thermoforce_mpc.data.limits import BRIDGED_GAP_H
 from thermoforce_mpc.data.series import at_instants
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.load import Measurements, sunlight
 from thermoforce_mpc.measurements.map.entries import Signal
 from thermoforce_mpc.measurements.map.mapping import MappedMachine
+from thermoforce_mpc.measurements.prices import prices_over_steps
 from thermoforce_mpc.measurements.readings import BOUND, OUTDOOR
 from thermoforce_mpc.measurements.signals import SignalReader
+from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import timed
 from thermoforce_mpc.measurements.tables.files import found_files, read_tables
 from thermoforce_mpc.measurements.tables.forms import TableForm
@@ -26,9 +28,19 @@ from thermoforce_mpc.measurements.tables.recognition import recognised
 
 # Days before now whose hours tell what a price or bound is likely to be.
 _DAYS = 7
+# A single row of a forecast so far ahead has a wrong stamp.
+_LATEST = pd.Timedelta("60D")
 
 
-def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements, *, least_steps: int = 0) -> Boundary:
+def read_forecast(
+    file: str | Path | pd.DataFrame,
+    measured: Measurements,
+    *,
+    least_steps: int = 0,
+    prices: Path | None = None,
+    now: pd.Timestamp | None = None,
+    left_out: list[str] | None = None,
+) -> Boundary:
     """The conditions from the end of `measured` to that of the forecast, at the step of the record.
 
     Temperatures and irradiance go straight between two rows, bounds hold until the next one, prices are means over a
@@ -36,6 +48,12 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements, *, le
     numbers in the map hold throughout. Each column ends where it ends, at `least_steps` at least: a price is then the
     mean of the same hour of the last days that are known, here or in `measured`, a bound that of the week or day before
     (`Boundary.guessed`); weather is NaN (`model.forecast_gaps` bridges it), and what has no such hour.
+
+    `prices`: a file of them for all machines (`measurements.prices`), in the place of those of the map; `left_out` says
+    how it was read.
+
+    With the time `now` a file that a machine writes is read: what cannot be read is left out and said in `left_out`,
+    as by `read_measurements`.
 
     Raises `DataError`, naming file, column and time, for several files, a forecast that begins more than 6 h after the
     end of the record or ends before it, and a column without any value.
@@ -47,12 +65,18 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements, *, le
     zones = [rules.zones[name] for name in names.zones]
     bounds = {name: [overrides.get(name, getattr(zone, name)) for zone in zones] for name in ("lower", "upper")}
     machines = [rules.machines.get(name, MappedMachine()) for name in names.machines]
-    prices = [overrides.get("price", machine.price) for machine in machines]
+    tariffs = [0.0 if prices else overrides.get("price", machine.price) for machine in machines]
     weather = [ours.outdoor, *([s for s in (ours.sun.signal, ours.sun.humidity) if s] if ours.sun else [])]
-    signals = [s for s in (*weather, *bounds["lower"], *bounds["upper"], *prices) if isinstance(s, Signal)]
+    signals = [s for s in (*weather, *bounds["lower"], *bounds["upper"], *tariffs) if isinstance(s, Signal)]
     columns = [column for signal in signals for column in signal.columns]
+    clock, notes = ours.time, [] if left_out is None else left_out
+    if now is not None:
+        clock, latest = clock.lenient(), now + _LATEST
     if isinstance(file, pd.DataFrame):
-        tables = tables_of(file, ours.time.column, columns, rules.forecast.table or TableForm(), "forecast")
+        if now is None:
+            tables = tables_of(file, clock.column, columns, rules.forecast.table or TableForm(), "forecast")
+        else:
+            tables = [frame_appended(file, columns, clock, latest, notes)]
     else:
         paths = found_files([file])
         if len(paths) > 1:
@@ -63,9 +87,15 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements, *, le
             form, csv = rules.forecast.table or taken.table, rules.forecast.csv or taken.csv
             if rules.forecast.time is None:
                 zone = taken.clock.zone or rules.time.zone
-                ours = ours.model_copy(update={"time": taken.clock.model_copy(update={"zone": zone})})
-        tables = read_tables(paths, ours.time.column, columns, csv, form, [])
-    table, rows = tables[0], timed(tables, ours.time)
+                clock = taken.clock.model_copy(update={"zone": zone})
+                clock = clock if now is None else clock.lenient()
+        if now is None:
+            tables = read_tables(paths, clock.column, columns, csv, form, [])
+        else:
+            tables = read_appended(paths, columns, clock, csv, form, latest, notes)
+    table, rows = tables[0], timed(tables, clock, now)
+    if now is not None:
+        notes += rows.notes
     time_s = seconds_since(record.origin, rows.index, table.name)
     now_s, step_s = float(record.time_s[-1]), record.step_s
     if time_s[0] > now_s + BRIDGED_GAP_H * HOUR_S or time_s[-1] < now_s + step_s:
@@ -78,7 +108,7 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements, *, le
     back = min(round(_DAYS * DAY_S / step_s), int((now_s - time_s[0]) / step_s) if time_s[0] < now_s else 0)
     back = max(back, min(round(_DAYS * DAY_S / step_s), record.n_steps))
     grid_s = now_s + np.arange(-back, ahead + 1.0) * step_s
-    reader = SignalReader(rows, time_s, grid_s, step_s, ours)
+    reader = SignalReader(rows, time_s, grid_s, step_s, ours, refuse=now is None)
     outdoor = reader.sampled("outdoor", ours.outdoor, OUTDOOR)
     solar, _ = sunlight(ours, reader, grid_s, record.origin)
 
@@ -88,8 +118,17 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements, *, le
         return source
 
     of_zones, of_machines = "zones, or forecast for all zones", "machines or forecast"
+    by_schedule: dict[str, Array] = {}
+    if rules.comfort is not None:
+        mapped, at = list(rules.zones), pd.DatetimeIndex(stamps(grid_s, record.origin))
+        rows_of_zones = [mapped.index(zone) for zone in names.zones]
+        for name, of_all in zip(("lower", "upper"), rules.comfort.bounds_at(at, mapped), strict=True):
+            if name not in overrides:
+                by_schedule[name] = of_all[rows_of_zones]
     lower, upper = (
-        np.array(
+        by_schedule[name]
+        if name in by_schedule
+        else np.array(
             [
                 reader.scheduled(f"{name} of {zone}", found(f"{name} of {zone}", source, of_zones), BOUND)
                 for zone, source in zip(names.zones, sources, strict=True)
@@ -100,9 +139,13 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements, *, le
     price = np.array(
         [
             reader.price(f"price of {machine}", found(f"price of {machine}", tariff, of_machines))
-            for machine, tariff in zip(names.machines, prices, strict=True)
+            for machine, tariff in zip(names.machines, tariffs, strict=True)
         ]
     )
+    if prices is not None:
+        of_file, read = prices_over_steps(prices, ours.time, record.origin, grid_s, step_s)
+        price = np.tile(of_file, (len(names.machines), 1))
+        notes.append(read)
     values, guessed = {"lower_C": lower, "upper_C": upper, "price_per_kWh": price}, {}
     for name, rows_of in values.items():
         past = getattr(measured.conditions, name)
@@ -147,13 +190,13 @@ def _as_days_before(
 
 def _check_known(boundary: Boundary, measured: Measurements, name: str) -> None:
     """Refuse a forecast in which a column has no value at all, or bounds leave no band; raises `DataError`."""
-    stamps = pd.DatetimeIndex(measured.record.origin + pd.to_timedelta(boundary.time_s, unit="s"))
+    at = stamps(boundary.time_s, measured.record.origin)
     for signal in ("T_out_C", "solar_W_m2", "lower_C", "upper_C", "price_per_kWh"):
         if not np.isfinite(np.atleast_2d(getattr(boundary, signal))).any(axis=1).all():
             raise DataError(
-                f"{name}: {signal} has no value from {stamps[0]} to {stamps[-1]}: fill its column, or name another one"
+                f"{name}: {signal} has no value from {at[0]} to {at[-1]}: fill its column, or name another one"
             )
     crossed = (boundary.lower_C > boundary.upper_C).any(axis=0)
     if crossed.any():
         row = int(np.argmax(crossed))
-        raise DataError(f"{name}: at {stamps[row]} the lower bound is above the upper one (lower and upper of the map)")
+        raise DataError(f"{name}: at {at[row]} the lower bound is above the upper one (lower and upper of the map)")

@@ -17,10 +17,10 @@ from thermoforce_mpc.measurements import readings
 from thermoforce_mpc.measurements.map.guesses import rooms_beside
 from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, MappedActuator, MeasurementMap, load_map
 from thermoforce_mpc.measurements.signals import SignalReader
-from thermoforce_mpc.measurements.tables.appended import read_appended
+from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
 from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, head_of, read_tables
-from thermoforce_mpc.measurements.tables.forms import Clock, TableForm
+from thermoforce_mpc.measurements.tables.forms import TableForm
 from thermoforce_mpc.measurements.tables.raw_table import RawTable, as_numbers, tables_of
 from thermoforce_mpc.measurements.understood import Understood, missing, of_changes, of_clock
 from thermoforce_mpc.scenario.settings import validate
@@ -36,6 +36,8 @@ _STEPS_S = (900.0, 3600.0)
 _LEAST_STEPS = 2
 # Rows that are looked at for rooms outside the map.
 _ROWS = 2000
+# A single reading so long after the clock has a wrong stamp.
+_LATEST = pd.Timedelta("2D")
 # A stamp is beside a minute by this share of the usual distance of rows at most; rows are dense from so many steps on
 # apart; of rows denser than this the last boundary is a whole multiple of it, s.
 _BESIDE, _DENSE, _WHOLE_S = 0.05, 0.5, 300.0
@@ -207,39 +209,33 @@ def read_measurements(
     """
     rules, left_out, notes = _rules(map), list[str](), list[str]()
     columns = [column for _, signal in rules.signals() for column in signal.columns]
-    clock = rules.time if now is None else _lenient(rules.time)
+    clock = rules.time if now is None else rules.time.lenient()
+    head = None
     if isinstance(files, pd.DataFrame):
-        tables = tables_of(files, clock.column, columns, rules.table, "table")
+        if now is None or rules.table != TableForm():
+            tables = tables_of(files, clock.column, columns, rules.table, "table")
+        else:
+            tables = [frame_appended(files, columns, clock, now + _LATEST, left_out)]
         head = files.iloc[:_ROWS]
     else:
         patterns = [files] if isinstance(files, str | Path) else list(files)
         paths = found_files(patterns, most_bytes)
         if now is None:
             tables = read_tables(paths, clock.column, columns, rules.csv, rules.table, notes)
+            head = head_of(paths[0], _ROWS, rules.csv) if rules.table == TableForm() else None
         else:
-            tables = read_appended(paths, columns, clock, rules.csv, rules.table, now, left_out)
-        head = head_of(paths[0], _ROWS, rules.csv) if rules.table == TableForm() else pd.DataFrame()
+            tables = read_appended(paths, columns, clock, rules.csv, rules.table, now + _LATEST, left_out)
     rows = timed(tables, clock, now)
     rows = replace(rows, notes=(*notes, *rows.notes))
     found = _from_table(tables, rows, rules, step_s, at, refuse=now is None)
     if now is not None:
         left_out += [*rows.notes, *_refused(found, now)]
     beside = dict(rows.beside)
-    if rules.table.point is None:
+    if head is not None and rules.table.point is None:
         named = head.columns.drop_duplicates(keep=False)
         beside = {str(name): as_numbers(head[name], rules.csv.decimal).to_numpy() for name in named}
     understood = replace(found.understood, beside=rooms_beside(beside, rules))
     return replace(found, understood=understood, left_out=tuple(left_out))
-
-
-def _lenient(clock: Clock) -> Clock:
-    """The clock of a table that a machine appends to: what a person would be asked is decided."""
-    chosen = {
-        "order": "sort",
-        "duplicates": "last" if clock.duplicates == "refuse" else clock.duplicates,
-        "nonexistent": "gap",
-    }
-    return clock.model_copy(update=chosen)
 
 
 def _refused(found: Measurements, now: pd.Timestamp) -> list[str]:
@@ -313,8 +309,7 @@ def _from_table(
         T_out,
         solar,
         np.zeros(T_zone.shape),
-        np.array([reader.scheduled(f"zones.{name}.lower", z.lower, readings.BOUND) for name, z in zones]),
-        np.array([reader.scheduled(f"zones.{name}.upper", z.upper, readings.BOUND) for name, z in zones]),
+        *_bounds_C(rules, reader, origin),
         np.array([reader.price(f"machines.{name}.price", m.price) for name, m in machines] or none * np.nan),
         none,
         names=names,
@@ -335,6 +330,22 @@ def _from_table(
         missing(rules, record, conditions),
     )
     return Measurements(record, layout, conditions, understood, rules)
+
+
+def _bounds_C(rules: MeasurementMap, reader: SignalReader, origin: pd.Timestamp) -> tuple[Array, Array]:
+    """Lower and upper comfort bounds of the zones (Z, n + 1), °C; NaN where the map has none."""
+    if rules.comfort is not None:
+        return rules.comfort.bounds_at(pd.DatetimeIndex(stamps(reader.grid_s, origin)), tuple(rules.zones))
+    lower, upper = (
+        np.array(
+            [
+                reader.scheduled(f"zones.{name}.{bound}", getattr(zone, bound), readings.BOUND)
+                for name, zone in rules.zones.items()
+            ]
+        )
+        for bound in ("lower", "upper")
+    )
+    return lower, upper
 
 
 def _at_s(time_s: Array, rows_every_s: float, step_s: float, at: Literal["begin", "end"]) -> float:

@@ -16,12 +16,13 @@ the step around each boundary. Readings farther apart than the longest time with
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, limits
+from thermoforce_mpc.data.limits import SignalRule
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.map.entries import Signal, likelier
 
@@ -46,40 +47,25 @@ _SETPOINTS = ((10.0, 32.0), (50.0, 90.0))
 LOOSE, _PERCENTILE = 1.5, 90.0
 
 
-@dataclass(frozen=True)
-class Rules:
-    """Rules of one kind of signal: what it is, its unit inside, range, spike and stuck time, and its usual values."""
-
-    kind: str
-    unit: str
-    range: tuple[float, float] = (-np.inf, np.inf)
-    spike: float = np.inf
-    stuck_h: float = 0.0
-    usual: tuple[float, float] = (-np.inf, np.inf)
-
-    def of(self, signal: Signal) -> Rules:
-        """These rules with what the map sets for `signal`."""
-        return Rules(
-            self.kind,
-            self.unit,
-            signal.range or self.range,
-            signal.spike or self.spike,
-            self.stuck_h if signal.stuck_h is None else signal.stuck_h,
-            self.usual,
-        )
+def with_map(rule: SignalRule, signal: Signal) -> SignalRule:
+    """`rule` with what the map sets for `signal`."""
+    return replace(
+        rule,
+        range=signal.range or rule.range,
+        spike=signal.spike or rule.spike,
+        stuck_h=rule.stuck_h if signal.stuck_h is None else signal.stuck_h,
+    )
 
 
-ZONE = Rules("temperature", "°C", limits.ZONE_C, 5.0, 48.0, (5.0, 40.0))
-OUTDOOR = Rules("temperature", "°C", limits.OUTDOOR_C, 10.0, 24.0, (-30.0, 45.0))
-WATER = Rules("temperature", "°C", limits.RETURN_WATER_C, usual=(5.0, 90.0))
-# Nights of 18 h and more read the zero offset of the sensor, so below that a day and more must be alike.
-SOLAR = Rules("irradiance", "W/m²", limits.SOLAR_W_M2, stuck_h=6.0, usual=(0.0, 1200.0))
-LEVEL = Rules("level", "", (-LEVEL_SLACK, 1.0 + LEVEL_SLACK), usual=(0.05, 1.0))
-SIGNED_LEVEL = Rules("level", "", (-1.0 - LEVEL_SLACK, 1.0 + LEVEL_SLACK), usual=(0.05, 1.0))
-HUMIDITY = Rules("level", "", (0.0, 1.0 + LEVEL_SLACK), usual=(0.05, 1.0))
-POWER = Rules("power", "W")
-BOUND = Rules("temperature", "°C", limits.ZONE_C, usual=(5.0, 40.0))
-PRICE = Rules("price", "per kWh")
+# Of signals that a record has, by its names, and of others that a table may have. A level of a table may be off by its
+# calibration.
+ZONE, OUTDOOR, WATER = (limits.RULES[name] for name in ("T_zone_C", "T_out_C", "T_return_C"))
+SOLAR, POWER = (limits.RULES[name] for name in ("solar_W_m2", "power_W"))
+LEVEL = replace(limits.RULES["u"], range=(-LEVEL_SLACK, 1.0 + LEVEL_SLACK))
+SIGNED_LEVEL = replace(LEVEL, range=(-1.0 - LEVEL_SLACK, 1.0 + LEVEL_SLACK))
+HUMIDITY = replace(LEVEL, range=(0.0, 1.0 + LEVEL_SLACK))
+BOUND = SignalRule("temperature", "°C", ZONE.range, ZONE.usual)
+PRICE = SignalRule("price", "per kWh")
 
 
 @dataclass(frozen=True)
@@ -100,7 +86,7 @@ def screened(
     time_s: Array,
     values: Array,
     raw: Array,
-    rules: Rules,
+    rules: SignalRule,
     name: str,
     declared: str,
     where: Callable[[int], str],

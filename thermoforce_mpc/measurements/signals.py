@@ -9,6 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data.limits import SignalRule
 from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.errors import counted
 from thermoforce_mpc.measurements.map.entries import COUNTER, PER_STEP, Irradiance, Power, Signal, converted
@@ -20,7 +21,6 @@ from thermoforce_mpc.measurements.readings import (
     SOLAR,
     Flag,
     Readings,
-    Rules,
     around,
     durations_s,
     ends_s,
@@ -32,6 +32,7 @@ from thermoforce_mpc.measurements.readings import (
     screened,
     stored_on_change,
     usual_s,
+    with_map,
 )
 from thermoforce_mpc.measurements.tables.clock import Timed
 from thermoforce_mpc.measurements.understood import SignalSummary
@@ -63,7 +64,7 @@ class SignalReader:
         self._marks, self._coverage = rules.time.marks, rules.coverage
         self.on_change: list[str] = []
 
-    def sampled(self, key: str, signal: Signal, rules: Rules) -> Array:
+    def sampled(self, key: str, signal: Signal, rules: SignalRule) -> Array:
         """A signal at the boundaries (n + 1,)."""
         readings, unit, flags = self._readings(key, signal, rules)
         return self._summarised(key, signal, unit, readings, sampled(readings, self.grid_s), flags)
@@ -74,7 +75,7 @@ class SignalReader:
         values = around(readings, self.grid_s, self._step_s, self._coverage)
         return self._summarised("sun", signal, unit, readings, values, flags)
 
-    def scheduled(self, key: str, source: float | Signal | None, rules: Rules) -> Array:
+    def scheduled(self, key: str, source: float | Signal | None, rules: SignalRule) -> Array:
         """A bound or price at the boundaries (n + 1,): a number, the last reading of a column, or NaN for None."""
         if not isinstance(source, Signal):
             return np.full(self.grid_s.size, np.nan if source is None else float(source))
@@ -99,7 +100,7 @@ class SignalReader:
             return np.empty(0)
         return np.minimum(durations_s(readings, marks), max(self.grid_s[-1], self._time_s[-1]) + self._step_s)
 
-    def mean(self, key: str, signal: Signal | None, rules: Rules) -> Array:
+    def mean(self, key: str, signal: Signal | None, rules: SignalRule) -> Array:
         """Means of a signal over the steps (n,); NaN where it is not measured."""
         if signal is None:
             return np.full(self.grid_s.size - 1, np.nan)
@@ -109,10 +110,10 @@ class SignalReader:
         values = means(starts, lasts, readings.values, self.grid_s, self._coverage)
         return self._summarised(key, signal, unit, readings, values, flags)
 
-    def _readings(self, key: str, signal: Signal, rules: Rules) -> tuple[Readings, Rules, tuple[Flag, ...]]:
+    def _readings(self, key: str, signal: Signal, rules: SignalRule) -> tuple[Readings, SignalRule, tuple[Flag, ...]]:
         """The readings of a signal that hold, in the unit inside, its rules, and what was flagged."""
         declared = getattr(signal, "unit", "")
-        rules = rules.of(signal)
+        rules = with_map(rules, signal)
         raw, time_s = self._raw(signal)
         raw = raw * signal.factor
         values = converted(raw, declared)
@@ -174,7 +175,7 @@ class SignalReader:
         return np.asarray(self._time_s[0] + apart)
 
     def _stored_on_change(
-        self, time_s: Array, values: Array, breaks_s: Array, longest: float, rules: Rules, *, own: bool
+        self, time_s: Array, values: Array, breaks_s: Array, longest: float, rules: SignalRule, *, own: bool
     ) -> Array | None:
         """See `stored_on_change`; a signal of few readings is one where other columns have rows between them."""
         most_s = {"temperature": max(rules.stuck_h, 24.0) * HOUR_S, "irradiance": 24.0 * HOUR_S}.get(rules.kind, np.inf)
@@ -194,7 +195,7 @@ class SignalReader:
         return self._at(min(int(np.searchsorted(self._time_s, at_s)), self._time_s.size - 1))
 
     def _summarised(
-        self, key: str, signal: Signal, rules: Rules, readings: Readings, values: Array, flags: tuple[Flag, ...]
+        self, key: str, signal: Signal, rules: SignalRule, readings: Readings, values: Array, flags: tuple[Flag, ...]
     ) -> Array:
         finite = np.isfinite(values)
         least, median, most = (
@@ -226,7 +227,7 @@ class SignalReader:
         return values
 
 
-def _doubt(signal: Signal, rules: Rules, readings: Readings, median: float, most: float) -> str:
+def _doubt(signal: Signal, rules: SignalRule, readings: Readings, median: float, most: float) -> str:
     """What is odd about readings that were accepted, '' if nothing."""
     if (
         isinstance(signal, Power)

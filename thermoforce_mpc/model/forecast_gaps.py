@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record
-from thermoforce_mpc.data.limits import BRIDGED_GAP_H, OUTDOOR_C, SOLAR_W_M2
+from thermoforce_mpc.data.limits import BRIDGED_GAP_H, RULES
 from thermoforce_mpc.data.series import WEATHER, at_instants, gap_s
 
-_RANGES = {"T_out_C": OUTDOOR_C, "solar_W_m2": SOLAR_W_M2}
 # Instants nearer than this are the same, s.
 _SAME_S = 1.0
 # How a source of data fills what follows a schedule.
@@ -56,9 +55,10 @@ def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tup
         for row, guessed in enumerate(rows)
         if guessed.any() and not (name == "heating_price_per_kWh" and "price_per_kWh" in boundary.guessed)
     ]
+    labels: set[str] = {note.partition(" ")[0] for note in notes}
     for name in CONDITIONS[1:]:
         rows = np.atleast_2d(getattr(boundary, name))
-        low, high = _RANGES[name] if name in WEATHER else (-np.inf, np.inf)
+        low, high = RULES[name].range if name in WEATHER else (-np.inf, np.inf)
         missing = ~(np.isfinite(rows) & (rows >= low) & (rows <= high))
         if not missing.any():
             continue
@@ -70,6 +70,9 @@ def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tup
             if how:
                 out[row] = complete
                 label = boundary.names.label(name, row) if np.ndim(getattr(boundary, name)) == 2 else name
+                if name == "heating_price_per_kWh" and label.replace("heating_", "", 1) in labels:
+                    continue  # the same price
+                labels.add(label)
                 notes.append(f"{label} at {missing[row].sum()} of {missing[row].size} instants by {how}")
         filled[name] = out.reshape(np.shape(getattr(boundary, name)))
     return (replace(boundary, **filled) if filled else boundary), f"forecast: {', '.join(notes)}" if notes else ""

@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.cli.building.courses import on_clock, write_picture, write_table
 from thermoforce_mpc.cli.building.identify import NOT_COMPETENT
-from thermoforce_mpc.cli.options import FiniteRange, map_option, model_option, out_option, plot_option
+from thermoforce_mpc.cli.options import (
+    FiniteRange,
+    map_option,
+    model_option,
+    out_option,
+    own_prices_option,
+    plot_option,
+)
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Plan
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError
@@ -36,6 +43,7 @@ _LEAST_STEP_S = 300.0
 @click.option("--data", "files", required=True, multiple=True, metavar="FILE", help="Recent measurements; repeatable.")
 @map_option
 @click.option("--forecast", required=True, metavar="FILE", help="Weather, prices and bounds from their end on.")
+@own_prices_option
 @click.option("--step", default="60min", help="Step of the plan, 5min to 1h.")
 @click.option("--hours", type=FiniteRange(_LEAST_H, 96.0), help="Length.  [default: the forecast's, up to 48]")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any option of the controller.")
@@ -46,6 +54,7 @@ def plan(
     files: tuple[str, ...],
     map_file: Path,
     forecast: str,
+    prices: Path | None,
     step: str,
     hours: float | None,
     assignments: tuple[str, ...],
@@ -83,7 +92,8 @@ def plan(
     measured = read_measurements(files, map_file, step_s=step_s, at="end").served()
     record = measured.record
     check_same_building(f"--model {model}:", thermal.names, str(map_file), record.names)
-    ahead = read_forecast(forecast, measured)
+    notes: list[str] = []
+    ahead = read_forecast(forecast, measured, prices=prices, left_out=notes)
     there_h = ahead.n_steps * step_s / HOUR_S
     horizon_h = min(_USUAL_H, there_h) if hours is None else hours
     if there_h < (hours or _LEAST_H):
@@ -106,6 +116,8 @@ def plan(
     plan = controller.plan(Observation(history, ahead))
     display.say(f"Plan from {record.stamps()[-1]} for {horizon_h:.4g} h: {plan.why}")
     display.say(f"Actuation: {controller.actuation_in_words}")
+    for note in notes:
+        display.say(f"Prices: {note}")
     if not plan.u.size:
         display.say("There is no plan: leave the building to its own control.")
         click.get_current_context().exit(NOT_COMPETENT if plan.status == "gate" else 1)
@@ -179,7 +191,7 @@ def _show(plan: Plan, table: pd.DataFrame, layout: Layout, display: RunDisplay) 
     zones = [f"{zone}, °C{' (80 % band)' if one_zone else ''}" for zone in names.zones]
     bounds = ["bounds, °C"] if one_zone else []
     shown = plain_table(["from", *names.actuators, *zones, *bounds, "power, kW", "price", "cost"], title)
-    prices = names.columns(price_per_kWh=plan.power_W)
+    machines = names.columns(price_per_kWh=plan.power_W)
     day, power_W = "", plan.power_W[machines_told]
     for k, (at, row) in enumerate(table.iterrows()):
         cells = [f"{at:%a %d %b %H:%M}" if f"{at:%j}" != day else f"{at:%H:%M}"]
@@ -191,7 +203,7 @@ def _show(plan: Plan, table: pd.DataFrame, layout: Layout, display: RunDisplay) 
         else:
             cells += [f"{T:.1f}" if told else "–" for T, told in zip(plan.T_zone_C[:, k], zones_told, strict=True)]
         cells.append(f"{power_W[:, k].sum() / 1000:.2f}" if machines_told.any() else "–")
-        cells.append(", ".join(f"{price:.3f}" for price in dict.fromkeys(row[name] for name in prices)))
+        cells.append(", ".join(f"{price:.3f}" for price in dict.fromkeys(row[name] for name in machines)))
         shown.add_row(*cells, f"{row['cost']:.2f}" if machines_told.any() else "–")
     print_whole(shown, display.console)
     step_h = (table.index[1] - table.index[0]).total_seconds() / HOUR_S if len(table) > 1 else float("nan")

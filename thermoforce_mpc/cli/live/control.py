@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option, model_option
+from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option, model_option, own_prices_option
 from thermoforce_mpc.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ _SAID_AGAIN = timedelta(days=1)
 @click.command()
 @model_option
 @map_option
+@own_prices_option
 @click.option("--connection", default="files", metavar="NAME", help="See `tf-mpc connections`.")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="connection.KEY or controller.KEY.")
 @click.option("--dry-run", is_flag=True, help="Decide once, set nothing.")
@@ -40,6 +41,7 @@ _SAID_AGAIN = timedelta(days=1)
 def control(
     model: Path,
     map_file: Path,
+    prices: Path | None,
     connection: str,
     assignments: tuple[str, ...],
     dry_run: bool,
@@ -55,6 +57,8 @@ def control(
     goes on from what was measured, and from what it knew, which is kept in state.npz in --out for a day (faults
     noticed, highest power, levels set).
 
+    One controller at a time: a second one of what the connection sets is refused, whatever its --out.
+
     Exit code 3 where the building cannot be reached at the start, or does not take its levels back at the end.
 
     \b
@@ -67,6 +71,7 @@ def control(
     from controllers.state_classes import controller_key
     from thermoforce_mpc.cli import hangup_ends
     from thermoforce_mpc.connections.registry import build_connection
+    from thermoforce_mpc.connections.sole import set_by
     from thermoforce_mpc.files import storage_errors
     from thermoforce_mpc.live import KeptState, LiveBuilding, control
     from thermoforce_mpc.measurements.map.mapping import load_map
@@ -93,13 +98,14 @@ def control(
         say(f"Control of {', '.join(thermal.names.actuators)} by connection {connection}; log: {out}/log.jsonl")
         say(f"Actuation: {mpc.actuation_in_words}")
         control(
-            LiveBuilding(building, rules, mpc.step_s),
+            LiveBuilding(building, rules, mpc.step_s, prices),
             mpc,
             steps=steps,
             delay_s=0.0 if dry_run else delay_s,
             dry=dry_run,
             kept=None if dry_run else KeptState(out / "state.npz", controller_key(thermal, mpc.config)),
             told=_told(say),
+            sets=set_by(building, connection, chosen.get("connection", {})),
         )
 
 

@@ -36,7 +36,7 @@ from thermoforce_mpc.measurements.tables.raw_table import (
 _FAR_S, _FEW = 86400.0, 0.01
 # Where rows are not in the order of time, so far from most others.
 _FAR_FROM_MOST_S = 5 * 365 * 86400.0
-_EMPTY = frozenset(("", "nan", "NaN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", *MISSING))
+_EMPTY = frozenset(("", "nan", "NaN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A", *MISSING))
 _SHOWN = 60
 
 
@@ -45,6 +45,7 @@ class _Left:
     """What was left out of a file: lines and reasons."""
 
     name: str
+    unit: str = "line"
     lines: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
 
     def add(self, reason: str, line: int, what: str = "") -> None:
@@ -55,8 +56,8 @@ class _Left:
         out = []
         for reason, found in self.lines.items():
             line, what = found[-1]
-            more = f" ({counted(len(found), 'such line')})" if len(found) > 1 else ""
-            out.append(f"{self.name}, line {line}: {reason}{f', {what!r}' if what else ''}{more}: left out")
+            more = f" ({counted(len(found), f'such {self.unit}')})" if len(found) > 1 else ""
+            out.append(f"{self.name}, {self.unit} {line}: {reason}{f', {what!r}' if what else ''}{more}: left out")
         return out
 
 
@@ -66,12 +67,13 @@ def read_appended(
     clock: Clock,
     form: CsvFormat,
     table: TableForm,
-    now: pd.Timestamp,
+    latest: pd.Timestamp,
     notes: list[str],
 ) -> list[RawTable]:
     """As `read_tables`, without the lines and cells that cannot be read; `notes` collects them.
 
-    Raises `DataError` where no row of a file is left, or a column is missing.
+    Of rows stamped after `latest` few are wrong, and many left as they are. Raises `DataError` where no row of a file
+    is left, or a column is missing.
     """
     found: list[RawTable] = []
     known: dict[str, None] = {}
@@ -80,7 +82,7 @@ def read_appended(
             found += read_tables([path], clock.column, wanted, form, table, notes)
             known |= dict.fromkeys(name for one in found for name in one.names)
             continue
-        here = _read(path, wanted, clock, form, table, now, notes, known)
+        here = _read(path, wanted, clock, form, table, latest, notes, known)
         if here is not None:
             found.append(here)
     for key in wanted:
@@ -94,7 +96,7 @@ def _read(
     clock: Clock,
     form: CsvFormat,
     table: TableForm,
-    now: pd.Timestamp,
+    latest: pd.Timestamp,
     notes: list[str],
     known: dict[str, None],
 ) -> RawTable | None:
@@ -120,11 +122,11 @@ def _read(
     at = frame[stamps[0]]
     for more in stamps[1:]:
         at = at + " " + frame[more]
-    keep = _with_stamps(at, clock, now, lines, left, in_order=not points)
+    keep = _with_stamps(at, clock, latest, lines, left, in_order=not points)
     frame, lines = frame[keep].reset_index(drop=True), lines[keep]
     notes += left.notes()
     if frame.empty:
-        raise DataError(f"{path}: no line of it can be read ({'; '.join(left.notes()[:3]) or 'it has no rows'})")
+        raise DataError(f"{path}: nothing of it can be read ({'; '.join(left.notes()[:3]) or 'it has no rows'})")
     if clock.unit is not None:
         frame[stamps[0]] = pd.to_numeric(frame[stamps[0]])
     if points:
@@ -135,6 +137,36 @@ def _read(
     bad = bad_status(frame, table)
     columns = {key: np.where(bad, np.nan, one.columns[of]) for key, of in values.items()}
     return replace(one, columns=columns) if table.by_file != "point" else of_one_signal(one, *columns, columns)
+
+
+def frame_appended(
+    df: pd.DataFrame, columns: Sequence[str], clock: Clock, latest: pd.Timestamp, notes: list[str]
+) -> RawTable:
+    """As `raw_table` of a data frame, without the rows and cells that cannot be read; `notes` collects them."""
+    of_stamps = isinstance(df.index, pd.DatetimeIndex) or not pd.api.types.is_numeric_dtype(df.index)
+    if of_stamps and clock.column in (None, df.index.name):
+        df = df.rename_axis(index=str(df.index.name or "time")).reset_index()
+    elif not len(df.columns):
+        raise DataError("table: the table has no columns")
+    given = str(df.columns[0]) if clock.column is None else clock.column
+    stamps = (given,) if isinstance(given, str) else given
+    keys = [known_column(key, df.columns, "table") for key in dict.fromkeys([*stamps, *columns])]
+    frame, left, rows = df[keys].reset_index(drop=True).copy(), _Left("table", "row"), np.arange(1, len(df) + 1)
+    for key in keys[len(stamps) :]:
+        if not pd.api.types.is_numeric_dtype(frame[key]):
+            cells = frame[key].mask(frame[key].isin(_EMPTY))
+            frame[key] = _numbers(cells, key, ".", rows, left, np.ones(len(frame), dtype=bool))
+    at = frame[stamps[0]]
+    for more in stamps[1:]:
+        at = at.astype(str) + " " + frame[more].astype(str)
+    keep = _with_stamps(at, clock, latest, rows, left, in_order=True)
+    frame = frame[keep].reset_index(drop=True)
+    notes += left.notes()
+    if frame.empty:
+        raise DataError(f"table: nothing of it can be read ({'; '.join(left.notes()[:3]) or 'it has no rows'})")
+    if clock.unit is not None:
+        frame[stamps[0]] = pd.to_numeric(frame[stamps[0]])
+    return raw_table(frame, stamps, columns, "table")
 
 
 def _of_wanted(frame: pd.DataFrame, points: Sequence[str], wanted: Sequence[str]) -> NDArray[np.bool_]:
@@ -187,17 +219,20 @@ def _numbers(
 
 
 def _with_stamps(
-    text: pd.Series, clock: Clock, now: pd.Timestamp, lines: NDArray[np.intp], left: _Left, *, in_order: bool
+    text: pd.Series, clock: Clock, latest: pd.Timestamp, lines: NDArray[np.intp], left: _Left, *, in_order: bool
 ) -> NDArray[np.bool_]:
     """Which rows (n,) have a stamp that is a time, and not far from the rows before and after it, or from most."""
-    at = parsed_or_nat(text, clock)
+    if pd.api.types.is_datetime64_any_dtype(text):
+        at = text.dt.tz_localize("UTC") if text.dt.tz is None else text.dt.tz_convert("UTC")
+    else:
+        at = parsed_or_nat(text, clock)
     keep = np.array(at.notna())
     for row in np.flatnonzero(~keep):
         left.add("no time stamp", int(lines[row]), str(text.iloc[row]) if isinstance(text.iloc[row], str) else "")
     rows = np.flatnonzero(keep)
     at_s = np.asarray((at[keep] - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), dtype=np.float64)
     far = _far(at_s) if in_order else np.abs(at_s - np.median(at_s)) > _FAR_FROM_MOST_S
-    late = at_s > now.timestamp() + 2.0 * _FAR_S
+    late = at_s > latest.timestamp()
     if late.any() and late.sum() <= max(1, _FEW * late.size):
         far |= late
     for row in rows[far]:

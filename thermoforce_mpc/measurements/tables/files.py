@@ -510,7 +510,7 @@ def _without_end(df: pd.DataFrame, lines: Any) -> tuple[pd.DataFrame, Lines]:
 def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], first: int) -> list[Any]:
     """Names, places of lines and most cells of each part of a CSV file, whose rows begin at line `first` (from 0).
 
-    Left out are empty lines, those of comment, and headers that come again; another header, behind a comment or an
+    Left out are empty lines, those of comment, and headers that come again behind these; another header, behind a comment or an
     empty line, begins another part. Refuses rows with more or fewer cells than their header, whose values would land in
     wrong columns.
     """
@@ -532,7 +532,7 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
                 cells = next(csv.reader([block[k].rstrip("\r\n")], delimiter=separator, skipinitialspace=True), [])
                 told = [cell.strip() for cell in cells]
                 current = parts[-1][0]
-                if told in (current, names):
+                if told in (current, names) and after[k]:  # of a table of its own, as InfluxDB writes them
                     kept[k] = False
                     continue
                 if (
