@@ -218,13 +218,16 @@ def _other(rng: np.random.Generator, label: str, time_s: Array) -> Array:
     low = label.lower()
     hour = time_s / 3600.0 % 24.0
     if "co2" in low:
-        return np.round(650.0 + 250.0 * np.sin((hour - 4.0) / 12.0 * np.pi) + rng.normal(0.0, 20.0, time_s.size))
+        return np.asarray(
+            np.round(650.0 + 250.0 * np.sin((hour - 4.0) / 12.0 * np.pi) + rng.normal(0.0, 20.0, time_s.size)),
+            dtype=np.float64,
+        )
     if any(word in low for word in ("row", "idx", "stunden")):
         return np.arange(time_s.size) + float(rng.integers(0, 5000))
     if any(word in low for word in ("pres", "druk", "druck")):
-        return np.round(1013.0 + 8.0 * np.sin(time_s / 2e5), 1)
+        return np.asarray(np.round(1013.0 + 8.0 * np.sin(time_s / 2e5), 1), dtype=np.float64)
     if any(word in low for word in ("batter", "quality")):
-        return np.round(100.0 - time_s / 5e5)
+        return np.asarray(np.round(100.0 - time_s / 5e5), dtype=np.float64)
     if any(word in low for word in ("wind", "vent", "licht", "light", "spd")):
-        return np.round(np.abs(rng.normal(4.0, 3.0, time_s.size)), 1)
+        return np.asarray(np.round(np.abs(rng.normal(4.0, 3.0, time_s.size)), 1), dtype=np.float64)
     return (rng.random(time_s.size) < 0.1).astype(float)

@@ -136,7 +136,9 @@ def _read(
     one = raw_table(frame, tuple(stamps), list(dict.fromkeys(values.values())), str(path), lines)
     bad = bad_status(frame, table)
     columns = {key: np.where(bad, np.nan, one.columns[of]) for key, of in values.items()}
-    return replace(one, columns=columns) if table.by_file != "point" else of_one_signal(one, *columns, columns)
+    return (
+        replace(one, columns=columns) if table.by_file != "point" else of_one_signal(one, next(iter(columns)), columns)
+    )
 
 
 def frame_appended(

@@ -510,9 +510,8 @@ def _without_end(df: pd.DataFrame, lines: Any) -> tuple[pd.DataFrame, Lines]:
 def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], first: int) -> list[Any]:
     """Names, places of lines and most cells of each part of a CSV file, whose rows begin at line `first` (from 0).
 
-    Left out are empty lines, those of comment, and headers that come again behind these; another header, behind a comment or an
-    empty line, begins another part. Refuses rows with more or fewer cells than their header, whose values would land in
-    wrong columns.
+    Left out are empty lines, those of comment, and headers that come again behind these. Another header there begins
+    another part. Refuses rows with more or fewer cells than their header, whose values would land in wrong columns.
     """
     parts: list[tuple[list[str], list[Any]]] = [(names, [])]
     most = len(names)
@@ -536,7 +535,7 @@ def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], firs
                     kept[k] = False
                     continue
                 if (
-                    (after[k] or begins[k])
+                    after[k]
                     and len(set(told) & set(current)) > 1
                     and len(set(told) & set(current)) * 2 >= len(set(told))
                 ):

@@ -435,12 +435,14 @@ def _of_readings(head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]
         if not (len(numeric) == 1 and (repeated or points) and again):
             return None
         values = numeric
-    given = next((keys for keys in _VALUES_OF if set(keys[:1]) <= {v.lower() for v in values}), None)
+    first = {v.lower() for v in values}
+    ours = [keys for keys in _VALUES_OF if keys[0] in first]
     by_lower = {c.lower(): c for c in columns}
-    value = [by_lower[k] for k in given if k in by_lower] if given else values[:1]
+    value = [by_lower[k] for k in ours[0] if k in by_lower] if ours else values[:1]
     ids = [c for c in points if re.search(r"(?i)name|entity|statistic|bezeichnung|naam|nom|tag|point|path", c)]
     point = (
-        sorted(ids, key=lambda c: _numbers(head[c]))[:1]
+        [c for c in ids if not _numbers(head[c])][:1]
+        or ids[:1]
         or [c for c in points if not _numbers(head[c])][:1]
         or repeated[:1]
         or points[:1]
