@@ -223,7 +223,7 @@ def _other(rng: np.random.Generator, label: str, time_s: Array) -> Array:
             dtype=np.float64,
         )
     if any(word in low for word in ("row", "idx", "stunden")):
-        return np.arange(time_s.size) + float(rng.integers(0, 5000))
+        return np.asarray(np.arange(time_s.size) + float(rng.integers(0, 5000)), dtype=np.float64)
     if any(word in low for word in ("pres", "druk", "druck")):
         return np.asarray(np.round(1013.0 + 8.0 * np.sin(time_s / 2e5), 1), dtype=np.float64)
     if any(word in low for word in ("batter", "quality")):
