@@ -28,6 +28,7 @@ for _command in (
     models.saving_command,
     models.rooms_command,
     models.records_command,
+    models.names_command,
     models.free_response_command,
     models.backbones_command,
     speed.plant_command,

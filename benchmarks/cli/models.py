@@ -193,6 +193,22 @@ def rooms_command(
     show(found, json_file)
 
 
+@click.command("names")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of the draws.")
+@click.option("--buildings", type=click.IntRange(1), default=1000, show_default=True, help="Number of buildings.")
+@QUICK
+@JSON
+def names_command(seed: int, buildings: int, quick: bool, json_file: Path | None) -> None:
+    """Draw names and records of buildings, and count the signals that `tf-mpc data map` takes for what they are.
+
+    Names of eleven styles: Home Assistant, point lists, KNX, spreadsheets in four languages, grey-box models. Wrong and
+    unmarked is what is wrong without a mark in the map.
+    """
+    from benchmarks.names.bench import run_names_bench
+
+    show(run_names_bench(seed=seed, buildings=buildings, quick=quick, progress=say), json_file)
+
+
 @click.command("records")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of the population.")
 @click.option("--houses", type=click.IntRange(1), default=40, show_default=True, help="Houses of each operation.")

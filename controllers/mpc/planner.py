@@ -135,8 +135,11 @@ def actuations_of(config: MPCConfig, model: ThermalModel, layout: Layout) -> lis
     for a, (actuator, lowest) in enumerate(zip(layout.names.actuators, layout.lowest, strict=True)):
         zone = model.actuator(a)
         assert zone.power is not None  # `check_power`
+        actuation = config.actuation_of(actuator)
+        if actuation.mode == "auto" and lowest < 0.0:  # what heats and cools is asked for by a set-point
+            actuation = actuation.model_copy(update={"mode": "room_setpoints"})
         choice = choose_actuation(
-            config.actuation_of(actuator),
+            actuation,
             zone.power,
             zone.operator.heat_input,
             level_costs(zone.card.uncertainty),
@@ -144,7 +147,13 @@ def actuations_of(config: MPCConfig, model: ThermalModel, layout: Layout) -> lis
         )
         if choice.actuation.by_rooms != (lowest < 0.0):
             raise ControllerConfigError(
-                "controller.options.actuation.mode: room_setpoints and a model of heating and cooling belong together"
+                f"controller.options.actuation.mode: {actuation.mode}: {actuator} "
+                + (
+                    "heats and cools, which is done by set-points of the room: leave mode out, or set room_setpoints "
+                    "(tf-mpc plan --set actuation.mode=room_setpoints)"
+                    if lowest < 0.0
+                    else "does not both heat and cool: leave mode out, or set duty or modulating"
+                )
             )
         choices.append(choice)
     return choices

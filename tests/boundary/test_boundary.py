@@ -41,7 +41,7 @@ def test_a_tariff_of_ones_own_is_held_forward(tmp_path):
         ("a,b\n1,2\n", "columns 'time'"),
         ("time,price\n0,x\n", r"line 2, column 'price': 'x' is not a finite number"),
         ("time,price\n0,1\n60,nan\n", r"line 3, column 'price': 'nan'"),
-        ("time,price\n0,1\n60\n", r"line 3, column 'price': None"),
+        ("time,price\n0,1\n60\n", r"line 3, column 'price': '' is not"),
         ("time,cost\n0,1\n60,1\n", "PriceElectricPowerHighlyDynamic"),
         ("time,price\n0,1\n", "only one price"),
         ("time,price\n3600,1\n7200,1\n", "start at 0"),

@@ -14,9 +14,9 @@ import yaml
 
 import thermoforce_mpc as tf
 from thermoforce_mpc.errors import ConfigError, DataError
-from thermoforce_mpc.measurements.map.entries import CsvFormat
 from thermoforce_mpc.measurements.map.starting_map import starting_map
-from thermoforce_mpc.measurements.tables.files import read_table
+from thermoforce_mpc.measurements.tables.files import read_tables
+from thermoforce_mpc.measurements.tables.forms import CsvFormat, TableForm
 
 BASE = {
     "outdoor": "out",
@@ -340,10 +340,10 @@ def test_what_is_no_number_beside_decimal_commas_is_named(tmp_path):
     df = house()
     path, _ = written(tmp_path, df, sep=";", decimal=",")
     text = path.read_text()
-    path.write_text(text.replace(";20,04;", ";---;", 1))
-    with pytest.raises(DataError, match=r"line 6: column 'T' holds '---', which is no number; if it stands for"):
+    path.write_text(text.replace(";20,04;", ";***;", 1))
+    with pytest.raises(DataError, match=r"line 6: column 'T' holds '\*\*\*', which is no number; if it stands for"):
         tf.read_measurements(path, COMMA)
-    found = tf.read_measurements(path, COMMA | {"csv": {"decimal": ",", "missing": ["---"]}})
+    found = tf.read_measurements(path, COMMA | {"csv": {"decimal": ",", "missing": ["***"]}})
     np.testing.assert_allclose(found.record.T_zone_C[0, 5], 20.05)
     for counts, first in (([f"{0.998 + k / 1000:.3f}" for k in range(192)], "0.998"), (["1.002,5"] * 192, "1.002,5")):
         df.assign(P=counts).to_csv(path, sep=";", decimal=",", index=False)
@@ -529,4 +529,4 @@ def test_parquet_without_pyarrow_says_what_to_install(tmp_path, monkeypatch):
     with pytest.raises(
         DataError, match=r"house\.parquet: Parquet needs pyarrow.*pip install 'thermoforce-mpc.parquet.'"
     ):
-        read_table(tmp_path / "house.parquet", None, ["T"], CsvFormat())
+        read_tables([tmp_path / "house.parquet"], None, ["T"], CsvFormat(), TableForm(), [])

@@ -98,8 +98,10 @@ def test_a_thermostat_that_writes_on_and_off_has_a_level(tmp_path):
     ("first", "expected"),
     [
         ("13/02/2025 08:00", ["format: '%d/%m/%Y %H:%M'\n"]),
-        ("02/03/2025 08:00", ["format: '%d/%m/%Y %H:%M'  # or '%m/%d/%Y %H:%M'"]),
-        ("2025.02.13 08h00", ["format: FILL IN", "2025.02.13 08h00"]),
+        ("02/03/2025 08:00", ["format: '%d/%m/%Y %H:%M'  # CHECK: or '%m/%d/%Y %H:%M'"]),
+        ("2025.02.13 08h00", ["format: '%Y.%m.%d %Hh%M'\n"]),
+        ("13. Mär 2025 08:00 Uhr", ["format: '%d. %b %Y %H:%M'\n"]),
+        ("13 of 2 2025 at 8", ["format: FILL IN", "13 of 2 2025"]),
     ],
 )
 def test_a_starting_map_says_how_it_read_the_stamps(tmp_path, first, expected):

@@ -6,12 +6,14 @@ import csv
 import gzip
 import io
 import math
+import re
 import warnings
 import zlib
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array
 from thermoforce_mpc.errors import ConfigError
@@ -29,7 +31,22 @@ _MOST_PRICES = 600_000
 _MOST_PRICE = 1e5
 # Means of energy that is sold in EUR or USD: gas in the cheapest years, and electricity in the dearest.
 _USUAL_PRICES, _USUAL_IN = (0.01, 2.0), ("EUR", "USD")
-_PRICE_COLUMNS = ("price", "PriceElectricPowerHighlyDynamic")
+_PRICE_COLUMNS = (
+    "price",
+    "PriceElectricPowerHighlyDynamic",
+    "preis",
+    "strompreis",
+    "prix",
+    "prijs",
+    "tarif",
+    "tariff",
+    "spot",
+)
+_TIME_COLUMNS = (
+    "time", "timestamp", "date", "datetime", "datum", "zeit", "zeitpunkt", "von", "start", "from", "heure", "tijd",
+    "date/time",
+    "horodatage",
+)  # fmt: skip
 
 Tariff = Callable[[Array], Array]
 
@@ -101,8 +118,9 @@ def synthetic_spot() -> Tariff:
 def tariff_from_file(path: Path) -> Tariff:
     """Read a tariff from a CSV file (or .csv.gz); each price holds until the next time.
 
-    Columns: `time`, s since 1 January, increasing from 0, and `price` per kWh, or BOPTEST's
-    PriceElectricPowerHighlyDynamic. A file of a whole year (365 days) repeats; a shorter one is valid until its end.
+    Columns: `time`, s since 1 January increasing from 0, or stamps from 1 January on, and `price` per kWh or BOPTEST's
+    PriceElectricPowerHighlyDynamic; with comma, semicolon or tab, decimal commas behind the latter two, and lines of
+    comment (#). A file of a whole year (365 days) repeats; a shorter one is valid until its end.
     The 366th day of a leap year is read with a `DoubtfulInput` warning and not used. Raises `ConfigError` for a file
     that is missing, damaged or has other columns, and for values that are no numbers, do not rise or leave the year.
     """
@@ -187,37 +205,90 @@ def _text(path: Path) -> str:
 
 def _read_prices(path: Path, text: str) -> tuple[Array, Array]:
     """Return times, s, and prices, (n,) each; raises `ConfigError` naming the line of an invalid value."""
-    reader = csv.reader(io.StringIO(text, newline=""))
-    rows: list[tuple[float, float]] = []
+    lines = text.splitlines()
+    comments = [line.startswith("#") or not line.strip() for line in lines]
+    if all(comments):
+        _price_columns(path, [])
+    first = comments.index(False)
+    separator = max(",;\t", key=lines[first].count)
+    decimal = separator != "," and any("," in line for line in lines[first + 1 : first + 50])
+    rows: list[tuple[str, str]] = []
+    numbers: list[int] = []
+    # Comments stay as empty lines, so that the reader's count is that of the file.
+    kept = ("" if comment else line for line, comment in zip(lines, comments, strict=True))
+    reader = csv.reader(kept, delimiter=separator)
     try:
-        header = next(reader, [])
-        name = next((name for name in _PRICE_COLUMNS if name in header), None)
-        if name is None or "time" not in header:
-            raise ConfigError(
-                f"{path}: expected a CSV file with columns 'time' (s since 1 January) and "
-                f"{' or '.join(_PRICE_COLUMNS)} (per kWh)"
-            )
-        columns = (header.index("time"), header.index(name))
+        header: list[str] = []
         for row in reader:
+            if not any(cell.strip() for cell in row):
+                continue
+            if not header:
+                header = [cell.strip() for cell in row]
+                columns = _price_columns(path, header)
+                continue
             if len(rows) > _MOST_PRICES:
                 raise ConfigError(f"{path}: more than {_MOST_PRICES:,} prices, one for each minute of a year")
-            if row:
-                time_s, price = (_number(path, reader.line_num, row, header, column) for column in columns)
-                rows.append((time_s, price))
+            time, price = (row[column].strip() if column < len(row) else "" for column in columns)
+            rows.append((time, price.replace(",", ".") if decimal else price))
+            numbers.append(reader.line_num)
     except csv.Error as error:
         raise ConfigError(f"{path}: line {reader.line_num}: not CSV ({error})") from error
-    table = np.array(rows, dtype=np.float64).reshape(-1, 2)
-    return table[:, 0], table[:, 1]
+    named = [header[column] for column in columns]
+    prices = [_number(path, line, price, named[1]) for line, (_, price) in zip(numbers, rows, strict=True)]
+    times = [time for time, _ in rows]
+    if times and _is_stamp(times[0]):
+        return _seconds(path, times, numbers, named[0]), np.array(prices, dtype=np.float64)
+    seconds = [
+        _number(path, line, time.replace(",", ".") if decimal else time, named[0])
+        for line, time in zip(numbers, times, strict=True)
+    ]
+    return np.array(seconds, dtype=np.float64), np.array(prices, dtype=np.float64)
 
 
-def _number(path: Path, line: int, row: list[str], header: list[str], column: int) -> float:
-    text = row[column] if column < len(row) else None
+def _price_columns(path: Path, header: list[str]) -> tuple[int, int]:
+    """Places of the times and the prices: by their names, or the first and the second of two columns."""
+    low = [re.sub(r"\W*[\[(].*", "", name).strip().lower() for name in header]
+    time = next((k for k, name in enumerate(low) if name in _TIME_COLUMNS), None)
+    price = next((low.index(name.lower()) for name in _PRICE_COLUMNS if name.lower() in low), None)
+    if time is None or price is None:
+        raise ConfigError(
+            f"{path}: expected a CSV file with columns 'time' (s since 1 January, or stamps such as 2025-01-01 "
+            "00:00) and "
+            f"one of {', '.join(_PRICE_COLUMNS)} (per kWh); there {'is' if len(header) == 1 else 'are'} "
+            f"{', '.join(header)[:200] or 'none'}"
+        )
+    return time, price
+
+
+def _is_stamp(text: str) -> bool:
+    return bool(re.match(r"\d{4}-\d{2}-\d{2}|\d{1,2}[./]\d{1,2}[./]\d{4}", text))
+
+
+def _seconds(path: Path, times: list[str], numbers: list[int], name: str) -> Array:
+    """Seconds of stamps (n,) since the beginning of the year of the first one, by their clock."""
+    form = "ISO8601" if re.match(r"\d{4}-", times[0]) else "%d.%m.%Y %H:%M" if "." in times[0] else None
+    if form is None:
+        raise ConfigError(
+            f"{path}: line {numbers[0]}, column '{name}': day or month first in {times[0]!r:.60}? write 2025-01-31 "
+            "14:30"
+        )
+    stamps = pd.to_datetime(
+        pd.Series(times).str.replace(r"[+-]\d{2}:?\d{2}$|Z$", "", regex=True), format=form, errors="coerce"
+    )
+    if (wrong := np.flatnonzero(stamps.isna())).size:
+        row = int(wrong[0])
+        raise ConfigError(f"{path}: line {numbers[row]}, column '{name}': {times[row]!r:.60} is no time")
+    year = pd.Timestamp(year=stamps.iloc[0].year, month=1, day=1)
+    return np.asarray((stamps - year).dt.total_seconds(), dtype=np.float64)
+
+
+def _number(path: Path, line: int, text: str, column: str) -> float:
     try:
-        value = plain_number(text or "")
+        value = plain_number(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ConfigError(f"{path}: line {line}, column '{header[column]}': {text!r:.60} is not a finite number")
+        raise ConfigError(f"{path}: line {line}, column '{column}': {text!r:.60} is not a finite number")
     return value
 
 

@@ -86,10 +86,13 @@ _show_otherwise = warnings.showwarning
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *place: Any, **further: Any) -> None:
-    """Doubtful input in one line, without the place in our source; other warnings as usual."""
+    """Doubtful input in one line, without the place in our source.
+
+    Warnings of libraries are for developers: they are shown where Python is asked for them (-W, PYTHONWARNINGS).
+    """
     if issubclass(category, DoubtfulInput):
         click.echo(f"Warning: {message}", err=True)
-    else:
+    elif sys.warnoptions:
         _show_otherwise(message, category, *place, **further)
 
 

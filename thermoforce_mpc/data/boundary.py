@@ -92,6 +92,8 @@ class Boundary:
                 one
                 instant, or a bound is no room temperature in °C or the lower one above the upper one.
         """
+        import pandas as pd
+
         from thermoforce_mpc.data.dataframes import seconds_since, series, stamps
 
         if record.origin is None:
@@ -103,9 +105,17 @@ class Boundary:
             raise DataError("forecast: it needs two rows or more, in order of time; use df.sort_index()")
         now_s, step_s = float(record.time_s[-1]), record.step_s
         if not at_s[0] <= now_s + CLOCK_ROUNDING_S < at_s[-1]:
+            now = (
+                ". A record ends with a row of now, in which temperatures and weather are known and levels and "
+                "power are "
+                f"empty: append one at {record.stamps()[-1] + pd.Timedelta(seconds=step_s)} to the table, e.g. "
+                "df.loc[now] = {zone: T, outdoor: T_out, ...}"
+                if abs(at_s[0] - now_s - step_s) <= CLOCK_ROUNDING_S
+                else ""
+            )
             raise DataError(
                 f"forecast: it goes from {df.index[0]} to {df.index[-1]}, the record ends at {record.stamps()[-1]}: "
-                "the rows must begin there (or before) and go on"
+                f"the rows must begin there (or before) and go on{now}"
             )
         steps = np.arange(np.floor((at_s[-1] - now_s + CLOCK_ROUNDING_S) / step_s) + 1.0)
         time_s = now_s + steps * step_s

@@ -17,12 +17,14 @@ from thermoforce_mpc.measurements.load import Measurements, sunlight
 from thermoforce_mpc.measurements.map.entries import Signal
 from thermoforce_mpc.measurements.map.mapping import MappedMachine
 from thermoforce_mpc.measurements.prices import prices_over_steps
+from thermoforce_mpc.measurements.readings import BOUND, OUTDOOR
 from thermoforce_mpc.measurements.signals import SignalReader
 from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import timed
-from thermoforce_mpc.measurements.tables.files import found_files, read_table
-from thermoforce_mpc.measurements.tables.raw_table import raw_table
-from thermoforce_mpc.measurements.tables.readings import BOUND, OUTDOOR
+from thermoforce_mpc.measurements.tables.files import found_files, read_tables
+from thermoforce_mpc.measurements.tables.forms import TableForm
+from thermoforce_mpc.measurements.tables.raw_table import tables_of
+from thermoforce_mpc.measurements.tables.recognition import recognised
 
 # Days before now whose hours tell what a price or bound is likely to be.
 _DAYS = 7
@@ -71,21 +73,27 @@ def read_forecast(
     if now is not None:
         clock, latest = clock.lenient(), now + _LATEST
     if isinstance(file, pd.DataFrame):
-        table = (
-            raw_table(file, clock.column, columns, "forecast")
-            if now is None
-            else frame_appended(file, columns, clock, latest, notes)
-        )
+        if now is None:
+            tables = tables_of(file, clock.column, columns, rules.forecast.table or TableForm(), "forecast")
+        else:
+            tables = [frame_appended(file, columns, clock, latest, notes)]
     else:
         paths = found_files([file])
         if len(paths) > 1:
             raise DataError(f"{file}: names {len(paths)} files, a forecast is one: name the latest")
-        table = (
-            read_table(paths[0], clock.column, columns, rules.csv)
-            if now is None
-            else read_appended(paths[0], columns, clock, rules.csv, latest, notes)
-        )
-    rows = timed([table], clock, now)
+        form, csv = rules.forecast.table or TableForm(), rules.forecast.csv or rules.csv
+        if rules.table != TableForm():  # a forecast is a table of another form than the measurements
+            taken = recognised(paths)
+            form, csv = rules.forecast.table or taken.table, rules.forecast.csv or taken.csv
+            if rules.forecast.time is None:
+                zone = taken.clock.zone or rules.time.zone
+                clock = taken.clock.model_copy(update={"zone": zone})
+                clock = clock if now is None else clock.lenient()
+        if now is None:
+            tables = read_tables(paths, clock.column, columns, csv, form, [])
+        else:
+            tables = read_appended(paths, columns, clock, csv, form, latest, notes)
+    table, rows = tables[0], timed(tables, clock, now)
     if now is not None:
         notes += rows.notes
     time_s = seconds_since(record.origin, rows.index, table.name)

@@ -13,15 +13,16 @@ import pandas as pd
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
 from thermoforce_mpc.data.dataframes import new_year, seconds_at, seconds_since, stamps
 from thermoforce_mpc.errors import ConfigError, DataError, counted
+from thermoforce_mpc.measurements import readings
+from thermoforce_mpc.measurements.map.guesses import rooms_beside
 from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, MappedActuator, MeasurementMap, load_map
-from thermoforce_mpc.measurements.map.starting_map import ROWS, rooms_beside
 from thermoforce_mpc.measurements.signals import SignalReader
-from thermoforce_mpc.measurements.tables import readings
 from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
-from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, head_of, read_table
-from thermoforce_mpc.measurements.tables.raw_table import RawTable, raw_table
-from thermoforce_mpc.measurements.understood import Understood, missing, of_clock
+from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, head_of, read_tables
+from thermoforce_mpc.measurements.tables.forms import TableForm
+from thermoforce_mpc.measurements.tables.raw_table import RawTable, as_numbers, tables_of
+from thermoforce_mpc.measurements.understood import Understood, missing, of_changes, of_clock
 from thermoforce_mpc.scenario.settings import validate
 
 if TYPE_CHECKING:  # pvlib is loaded only where an estimate is needed
@@ -33,6 +34,8 @@ _FULL, _RUNNING = 99.0, 0.05
 # Step of a record where the map has none: the usual distance of the rows, within these, s.
 _STEPS_S = (900.0, 3600.0)
 _LEAST_STEPS = 2
+# Rows that are looked at for rooms outside the map.
+_ROWS = 2000
 # A single reading so long after the clock has a wrong stamp.
 _LATEST = pd.Timedelta("2D")
 # A stamp is beside a minute by this share of the usual distance of rows at most; rows are dense from so many steps on
@@ -204,29 +207,34 @@ def read_measurements(
         ConfigError: the map is wrong, or without a zone for `at`; names the key.
         DataError: the table cannot be used; names file, line or column, and what to do.
     """
-    rules, left_out = _rules(map), list[str]()
+    rules, left_out, notes = _rules(map), list[str](), list[str]()
     columns = [column for _, signal in rules.signals() for column in signal.columns]
     clock = rules.time if now is None else rules.time.lenient()
     head = None
     if isinstance(files, pd.DataFrame):
-        if now is None:
-            tables = [raw_table(files, clock.column, columns, "table")]
+        if now is None or rules.table != TableForm():
+            tables = tables_of(files, clock.column, columns, rules.table, "table")
         else:
             tables = [frame_appended(files, columns, clock, now + _LATEST, left_out)]
-        head = files.iloc[:ROWS]
+        head = files.iloc[:_ROWS]
     else:
         patterns = [files] if isinstance(files, str | Path) else list(files)
         paths = found_files(patterns, most_bytes)
         if now is None:
-            tables = [read_table(path, clock.column, columns, rules.csv) for path in paths]
-            head = head_of(paths[0], ROWS, rules.csv)
+            tables = read_tables(paths, clock.column, columns, rules.csv, rules.table, notes)
+            head = head_of(paths[0], _ROWS, rules.csv) if rules.table == TableForm() else None
         else:
-            tables = [read_appended(path, columns, clock, rules.csv, now + _LATEST, left_out) for path in paths]
+            tables = read_appended(paths, columns, clock, rules.csv, rules.table, now + _LATEST, left_out)
     rows = timed(tables, clock, now)
+    rows = replace(rows, notes=(*notes, *rows.notes))
     found = _from_table(tables, rows, rules, step_s, at, refuse=now is None)
     if now is not None:
         left_out += [*rows.notes, *_refused(found, now)]
-    understood = replace(found.understood, beside=() if head is None else rooms_beside(head, rules))
+    beside = dict(rows.beside)
+    if head is not None and rules.table.point is None:
+        named = head.columns.drop_duplicates(keep=False)
+        beside = {str(name): as_numbers(head[name], rules.csv.decimal).to_numpy() for name in named}
+    understood = replace(found.understood, beside=rooms_beside(beside, rules))
     return replace(found, understood=understood, left_out=tuple(left_out))
 
 
@@ -262,7 +270,7 @@ def _from_table(
     if isinstance(at, pd.Timestamp) and origin.tz is None:
         raise ConfigError("map: time.zone: name the zone of the time stamps; the clock has one")
     time_s = seconds_since(origin, table.index, tables[0].name)
-    rows_every_s = readings.usual_s(time_s)
+    rows_every_s = table.every_s
     if step_s is None:
         step_s = pd.Timedelta(rules.step).total_seconds() if rules.step else _step_s(rows_every_s)
     if not LEAST_STEP_S <= step_s <= MOST_STEP_S:
@@ -309,8 +317,8 @@ def _from_table(
     instants = stamps(grid_s, origin)
     zone = "" if table.index.tz is None else str(table.index.tz)
     understood = Understood(
-        tuple(t.name for t in tables),
-        len(time_s),
+        tuple(dict.fromkeys(t.name for t in tables)),
+        sum(len(t.stamps) for t in tables) if table.own else len(time_s),
         str(instants[0]),
         str(instants[-1]),
         float(grid_s[-1] - grid_s[0]) / DAY_S,
@@ -318,7 +326,7 @@ def _from_table(
         rows_every_s,
         step_s,
         tuple(reader.summaries),
-        (*table.notes, *of_clock(zone, rows_every_s, step_s), *of_sun, *of_levels),
+        (*table.notes, *of_clock(zone, rows_every_s, step_s), *of_sun, *of_levels, *of_changes(reader.on_change)),
         missing(rules, record, conditions),
     )
     return Measurements(record, layout, conditions, understood, rules)

@@ -73,7 +73,7 @@ def measurements_figure(measured: Measurements, title: str = "") -> Figure:
     panels[-1].set_xlabel(
         f"{first} to {last}{_zone(measured)}; shaded: gaps; crosses: flagged readings", fontsize="small", wrap=True
     )
-    dates = AutoDateLocator(maxticks=8)
+    dates = AutoDateLocator(minticks=3, maxticks=8)
     panels[-1].xaxis.set_major_locator(dates)
     panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(dates, show_offset=False))
     for panel in panels:

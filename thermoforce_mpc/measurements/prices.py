@@ -12,10 +12,12 @@ from thermoforce_mpc.boundary.tariffs import price_doubt, tariff_from_file
 from thermoforce_mpc.data import YEAR_S, Array
 from thermoforce_mpc.data.dataframes import new_year, seconds_since, stamps
 from thermoforce_mpc.errors import ConfigError, DataError
-from thermoforce_mpc.measurements.map.entries import Clock
+from thermoforce_mpc.measurements.readings import Readings, durations_s, ends_s, held, longest_s, means
 from thermoforce_mpc.measurements.tables.clock import timed
-from thermoforce_mpc.measurements.tables.files import guessed_form, head_of, read_table
-from thermoforce_mpc.measurements.tables.readings import Readings, durations_s, held, longest_s, means
+from thermoforce_mpc.measurements.tables.files import head_of, read_tables
+from thermoforce_mpc.measurements.tables.forms import Clock, TableForm
+from thermoforce_mpc.measurements.tables.raw_table import as_numbers
+from thermoforce_mpc.measurements.tables.recognition import guessed_form, recognised
 
 # What a column of prices is called, and what its name says of the unit: prices are divided by this.
 _PRICE = re.compile(r"price|preis|prix|prijs|tarif|spot|epex|nordpool|day.?ahead", re.IGNORECASE)
@@ -39,14 +41,16 @@ def prices_over_steps(
         raise DataError(f"{path}: has one column; expected a time and a price per kWh")
     if pd.api.types.is_numeric_dtype(head.iloc[:, 0]):
         return _of_year(path, origin, grid_s), f"{path}: prices of a year, which repeats"
-    numeric = [name for name in names[1:] if pd.to_numeric(head[name], errors="coerce").notna().any()]
+    numeric = [name for name in names[1:] if as_numbers(head[name], form.decimal).notna().any()]
     named = [name for name in numeric if _PRICE.search(name)] or numeric
     if len(named) != 1:
         raise DataError(
             f"{path}: which column is the price? there are {', '.join(names[1:])}; keep one, or call one 'price'"
         )
-    table = read_table(path, names[0], named, form)
-    rows = timed([table], Clock(zone=clock.zone, order="sort", duplicates="last"))
+    stamped = recognised([path]).clock
+    own = {"zone": clock.zone or stamped.zone, "order": "sort", "duplicates": "last"}
+    tables = read_tables([path], stamped.column, named, form, TableForm(), [])
+    rows = timed(tables, stamped.model_copy(update=own))
     values = rows.columns[named[0]]
     known = np.isfinite(values)
     factor, unit = next(
@@ -57,10 +61,11 @@ def prices_over_steps(
             f"{path}, column '{named[0]}': {doubt} Say the unit in its name, as 'price per MWh' or 'ct/kWh'"
         )
     time_s = seconds_since(origin, rows.index[known], str(path))
-    readings = Readings(time_s, values[known] / factor, longest_s(time_s, step_s, None))
+    ends = ends_s(time_s, longest_s(time_s, step_s, None), np.empty(0))
+    readings = Readings(time_s, values[known] / factor, ends)
     price = held(readings, grid_s)
     if time_s.size > 1:
-        lasts = durations_s(time_s, readings.longest_s, "start")
+        lasts = durations_s(readings, "start")
         over_step = means(time_s, lasts, readings.values, np.append(grid_s, grid_s[-1] + step_s), _SHARE)
         price = np.where(np.isfinite(over_step), over_step, price)
     return price, f"{path}: column {unit}, per kWh"

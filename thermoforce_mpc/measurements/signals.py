@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
@@ -13,9 +14,8 @@ from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.errors import counted
 from thermoforce_mpc.measurements.map.entries import COUNTER, PER_STEP, Irradiance, Power, Signal, converted
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
-from thermoforce_mpc.measurements.map.starting_map import kind_of
-from thermoforce_mpc.measurements.tables.clock import Timed
-from thermoforce_mpc.measurements.tables.readings import (
+from thermoforce_mpc.measurements.map.words import tags
+from thermoforce_mpc.measurements.readings import (
     EXCURSION_S,
     PRICE,
     SOLAR,
@@ -23,18 +23,24 @@ from thermoforce_mpc.measurements.tables.readings import (
     Readings,
     around,
     durations_s,
+    ends_s,
     held,
     longest_s,
+    looks_like_setpoints,
     means,
     sampled,
     screened,
+    stored_on_change,
     usual_s,
     with_map,
 )
+from thermoforce_mpc.measurements.tables.clock import Timed
 from thermoforce_mpc.measurements.understood import SignalSummary
 
 # A counter that rises by this many times the 99th percentile of its rises did not count energy.
 _UNUSUAL = 10.0
+# A signal of so few readings, of a table with so many rows for each of them, is stored when it changes.
+_FEW, _ROWS_BESIDE = 8, 5
 
 
 class SignalReader:
@@ -56,6 +62,7 @@ class SignalReader:
         self.grid_s, self.summaries, self._refuse = grid_s, list[SignalSummary](), refuse
         self._table, self._time_s, self._step_s = table, time_s, step_s
         self._marks, self._coverage = rules.time.marks, rules.coverage
+        self.on_change: list[str] = []
 
     def sampled(self, key: str, signal: Signal, rules: SignalRule) -> Array:
         """A signal at the boundaries (n + 1,)."""
@@ -82,18 +89,23 @@ class SignalReader:
         readings, unit, flags = self._readings(key, source, PRICE)
         values = held(readings, self.grid_s)
         if readings.values.size > 1 and self.grid_s.size > 1:
-            lasts = durations_s(readings.time_s, readings.longest_s, "start")
             edges = np.append(self.grid_s, self.grid_s[-1] + self._step_s)
-            over_step = means(readings.time_s, lasts, readings.values, edges, self._coverage)
+            over_step = means(readings.time_s, self._lasts_s(readings, "start"), readings.values, edges, self._coverage)
             values = np.where(np.isfinite(over_step), over_step, values)
         return self._summarised(key, source, unit, readings, values, flags)
+
+    def _lasts_s(self, readings: Readings, marks: str) -> Array:
+        """See `durations_s`; a reading that holds for ever lasts beyond the end of the record."""
+        if not readings.values.size:
+            return np.empty(0)
+        return np.minimum(durations_s(readings, marks), max(self.grid_s[-1], self._time_s[-1]) + self._step_s)
 
     def mean(self, key: str, signal: Signal | None, rules: SignalRule) -> Array:
         """Means of a signal over the steps (n,); NaN where it is not measured."""
         if signal is None:
             return np.full(self.grid_s.size - 1, np.nan)
         readings, unit, flags = self._readings(key, signal, rules)
-        lasts = durations_s(readings.time_s, readings.longest_s, self._marks) if readings.values.size else np.empty(0)
+        lasts = self._lasts_s(readings, self._marks)
         starts = readings.time_s - (lasts if self._marks == "end" else 0.0)
         values = means(starts, lasts, readings.values, self.grid_s, self._coverage)
         return self._summarised(key, signal, unit, readings, values, flags)
@@ -102,32 +114,85 @@ class SignalReader:
         """The readings of a signal that hold, in the unit inside, its rules, and what was flagged."""
         declared = getattr(signal, "unit", "")
         rules = with_map(rules, signal)
-        raw = np.sum([self._table.columns[column] for column in signal.columns], axis=0) * signal.factor
-        values, time_s = converted(raw, declared), self._time_s
+        raw, time_s = self._raw(signal)
+        raw = raw * signal.factor
+        values = converted(raw, declared)
         if declared.endswith(PER_STEP):
             values = values / _intervals_s(time_s, np.isfinite(values), signal.hold_h, self._marks)
         flags: list[Flag] = []
         if (endless := np.isinf(values)).any():
-            flags.append(Flag("range", int(endless.sum()), f"an infinite one at {self._at(int(np.argmax(endless)))}"))
+            row = time_s[int(np.argmax(endless))]
+            flags.append(Flag("range", int(endless.sum()), f"an infinite one at {self._when(row)}"))
         finite = np.isfinite(values)
+        own = all(column in self._table.own for column in signal.columns)
+        breaks_s = time_s[np.isnan(values)] if own else np.empty(0)
         values, time_s, raw = values[finite], time_s[finite], raw[finite]
-        if declared.endswith(COUNTER) and values.size > 1:
+        is_counter = declared.endswith(COUNTER)
+        stored_s = time_s
+        if is_counter and values.size > 1:
             values, time_s, raw, of_counter = _from_counter(values, time_s, raw, self._marks, self._when)
             flags += of_counter
         name = f"{key} (column {' + '.join(signal.columns)})"
+        longest = longest_s(time_s, self._step_s, signal.hold_h)
+        ends, holds = ends_s(time_s, longest, breaks_s), signal.hold_h is not None
+        if holds and time_s.size > 1:  # of what stays away for longer nobody knows how long it held
+            gone = np.flatnonzero(np.diff(time_s) > longest)
+            ends[gone] = np.minimum(ends[gone], time_s[gone] + usual_s(time_s))
+        if signal.hold_h is None and not declared.endswith(PER_STEP):
+            stored = self._stored_on_change(time_s, values, breaks_s, longest, rules, own=own)
+            if is_counter:  # power between two readings is known until the later one
+                stored = None if stored_s.size < 2 else np.append(time_s[1:], time_s[-1:] + longest)
+                stored = np.maximum(ends, stored) if own and stored is not None and values.size else None
+            if stored is not None:
+                ends, holds = stored, not is_counter
+                self.on_change += [] if is_counter else [key]
         if values.size:
-            holds, flagged = screened(
-                time_s, values, raw, rules, name, declared or rules.unit, self._at, refuse=self._refuse
-            )
-            values, time_s = values[holds], time_s[holds]
+            believed, flagged = screened(
+                time_s, values, raw, rules, name, declared or rules.unit, lambda row: self._when(time_s[row]),
+                refuse=self._refuse,
+            )  # fmt: skip
+            values, time_s, ends = values[believed], time_s[believed], ends[believed]
             flags += flagged
-        return Readings(time_s, values, longest_s(time_s, self._step_s, signal.hold_h)), rules, tuple(flags)
+        return Readings(time_s, values, ends, holds), rules, tuple(flags)
+
+    def _raw(self, signal: Signal) -> tuple[Array, Array]:
+        """Readings (n,) of a signal in its unit, and their instants, s; of columns apart the sum of what holds."""
+        table, names = self._table, signal.columns
+        if not any(name in table.own for name in names):
+            return np.sum([table.columns[name] for name in names], axis=0), self._time_s
+        at = [self._seconds(table.at(name)) for name in names]
+        if len(names) == 1:
+            return table.columns[names[0]], at[0]
+        every = np.unique(np.concatenate(at))
+        total = np.zeros(every.size)
+        for time_s, name in zip(at, names, strict=True):
+            last = np.searchsorted(time_s, every, side="right") - 1
+            total += np.where(last >= 0, table.columns[name][np.maximum(last, 0)], np.nan)
+        return total, every
+
+    def _seconds(self, index: pd.DatetimeIndex) -> Array:
+        apart = (index - self._table.index[0]).total_seconds().to_numpy()
+        return np.asarray(self._time_s[0] + apart)
+
+    def _stored_on_change(
+        self, time_s: Array, values: Array, breaks_s: Array, longest: float, rules: SignalRule, *, own: bool
+    ) -> Array | None:
+        """See `stored_on_change`; a signal of few readings is one where other columns have rows between them."""
+        most_s = {"temperature": max(rules.stuck_h, 24.0) * HOUR_S, "irradiance": 24.0 * HOUR_S}.get(rules.kind, np.inf)
+        found = stored_on_change(time_s, values, breaks_s, longest, most_s)
+        if found is not None or not values.size:
+            return found
+        few = values.size <= _FEW and (np.diff(values) != 0.0).all()
+        beside = self._table.index.size >= _ROWS_BESIDE * values.size
+        if few and (own or (values.size > 1 and beside)):
+            return ends_s(time_s, most_s, breaks_s)
+        return None
 
     def _at(self, row: int) -> str:
         return str(self._table.index[row])
 
     def _when(self, at_s: float) -> str:
-        return self._at(int(np.searchsorted(self._time_s, at_s)))
+        return self._at(min(int(np.searchsorted(self._time_s, at_s)), self._time_s.size - 1))
 
     def _summarised(
         self, key: str, signal: Signal, rules: SignalRule, readings: Readings, values: Array, flags: tuple[Flag, ...]
@@ -137,6 +202,9 @@ class SignalReader:
             np.quantile(values[finite], (0.0, 0.5, 1.0)).tolist() if finite.any() else (float("nan"),) * 3
         )
         doubt = _doubt(signal, rules, readings, median, most) if finite.any() else "never measured: check the column"
+        in_percent = rules.kind == "level" and getattr(signal, "unit", "") == "%"
+        if finite.any() and in_percent and looks_like_setpoints(100.0 * readings.values / signal.factor):
+            doubt = "these look like set-points in °C or °F, and a set-point is no level: name what the machine did"
         longest_gap = max((stop - start for start, stop in stretches(~finite)), default=0)
         self.summaries.append(
             SignalSummary(
@@ -161,13 +229,17 @@ class SignalReader:
 
 def _doubt(signal: Signal, rules: SignalRule, readings: Readings, median: float, most: float) -> str:
     """What is odd about readings that were accepted, '' if nothing."""
-    if isinstance(signal, Power) and "unit" not in signal.model_fields_set and "energy" in map(kind_of, signal.columns):
+    if (
+        isinstance(signal, Power)
+        and "unit" not in signal.model_fields_set
+        and any("energy" in tags(name) for name in signal.columns)
+    ):
         return "read as W, and its name says energy: name the unit (W, Wh per step, kWh counter, …)"
     if rules.kind == "temperature" and not rules.usual[0] <= median <= rules.usual[1]:
         return f"a median of {median:.1f} °C is unusual: check the unit"
     if rules.kind == "level" and 0.0 < most < rules.usual[0]:
         return f"never above {most:.3g}: check the unit, 0-1 is likelier than %"
-    changes = np.diff(readings.values)[np.diff(readings.time_s) <= readings.longest_s]
+    changes = np.diff(readings.values)[readings.reaches]
     jumps = np.abs(changes) > rules.spike
     if jumps.any():
         return (
@@ -183,13 +255,18 @@ def _intervals_s(time_s: Array, measured: NDArray[np.bool_], hold_h: float | Non
     An interval reaches from row to row where cells beside are empty by chance, and from reading to reading where other
     columns have rows of their own: of both what is nearer to the column's usual distance.
     """
-    rows = durations_s(time_s, longest_s(time_s, 0.0, hold_h), marks)
+    rows = _lasting_s(time_s, hold_h, marks)
     read_s = time_s[measured]
     if read_s.size < 2:
         return rows
-    own, usual = durations_s(read_s, longest_s(read_s, 0.0, hold_h), marks), usual_s(read_s)
+    own, usual = _lasting_s(read_s, hold_h, marks), usual_s(read_s)
     rows[measured] = np.where(np.abs(own - usual) < np.abs(rows[measured] - usual), own, rows[measured])
     return rows
+
+
+def _lasting_s(time_s: Array, hold_h: float | None, marks: str) -> Array:
+    longest = longest_s(time_s, 0.0, hold_h)
+    return durations_s(Readings(time_s, time_s, ends_s(time_s, longest, np.empty(0))), marks)
 
 
 def _from_counter(

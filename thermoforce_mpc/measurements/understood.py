@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, Boundary, Record
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
-from thermoforce_mpc.measurements.tables.readings import Flag
+from thermoforce_mpc.measurements.readings import Flag
 
 # About three days: a table of three has a step less.
 _ABOUT_THREE_DAYS_H = 70.0
@@ -84,6 +85,12 @@ def of_clock(zone: str, rows_every_s: float, step_s: float) -> list[str]:
             f"rows come every {rows_every_s / 60.0:g} min, the step is {step_s / 60.0:g} min: fast effects are not seen"
         )
     return notes
+
+
+def of_changes(on_change: Sequence[str]) -> list[str]:
+    """What is assumed of signals that are stored when they change, in words."""
+    keys = ", ".join(dict.fromkeys(on_change))
+    return [f"stored only when they change, so a reading holds until the next one: {keys} (hold_h)"] if keys else []
 
 
 def missing(rules: MeasurementMap, record: Record, conditions: Boundary) -> tuple[str, ...]:

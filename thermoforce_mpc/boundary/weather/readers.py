@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import codecs
 import datetime
 import hashlib
+import re
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.boundary.weather.solar import sun_position
-from thermoforce_mpc.boundary.weather.year import Weather
-from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.boundary.weather.year import LIMITS, STEFAN_BOLTZMANN_W_M2_K4, Weather, black_body_sky_C
+from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array
 from thermoforce_mpc.errors import WeatherError
 from thermoforce_mpc.files import DoubtfulInput, plain_number, read_bounded
 
@@ -23,6 +27,8 @@ _DARK_DEG = -12.0
 _MOST_IN_THE_DARK = 0.01
 _STUCK_H = 72
 _HOURS = 8760
+# Rows more that a leap year has, with and without midnight of the next one.
+_LEAP = (24, 25)
 # A year of EPW has 1.6 MB.
 _MOST_BYTES = 10_000_000
 _MOST_LINES = 20_000
@@ -34,6 +40,27 @@ _COLUMNS = {
     "normal_W_m2": 9, "diffuse_W_m2": 10, "wind_from_rad": 15, "wind_m_s": 16, "total_cover": 17, "opaque_cover": 18,
     "ceiling_m": 20,
 }  # fmt: skip
+# What stands for a missing value (EnergyPlus, Auxiliary Programs, "EPW CSV Format"), and the range of others, both in
+# the units of the files.
+_MISSING = {
+    "T_dry_C": 99.9, "T_dew_C": 99.9, "relative_humidity": 999.0, "pressure_Pa": 999999.0, "infrared_W_m2": 9999.0,
+    "global_W_m2": 9999.0, "normal_W_m2": 9999.0, "diffuse_W_m2": 9999.0, "wind_from_rad": 999.0, "wind_m_s": 999.0,
+    "total_cover": 99.0, "opaque_cover": 99.0, "ceiling_m": 99999.0,
+}  # fmt: skip
+_CALLED = {
+    "T_dry_C": "dry bulb", "T_dew_C": "dew point", "relative_humidity": "relative humidity", "pressure_Pa": "pressure",
+    "infrared_W_m2": "infrared", "global_W_m2": "global irradiance", "normal_W_m2": "direct irradiance",
+    "diffuse_W_m2": "diffuse irradiance", "wind_from_rad": "wind direction", "wind_m_s": "wind speed",
+    "total_cover": "total cover", "opaque_cover": "opaque cover", "ceiling_m": "ceiling",
+}  # fmt: skip
+# Scales from the units of files to those inside.
+_SCALE = {"wind_from_rad": np.pi / 180.0, "opaque_cover": 0.1, "total_cover": 0.1, "relative_humidity": 0.01}
+# What the building feels most is bridged for so many hours and never made up.
+_NEEDED, _BRIDGED_H = ("T_dry_C", "global_W_m2", "normal_W_m2", "diffuse_W_m2"), 12
+# Columns that no building model uses: nothing is said of them.
+_UNUSED = ("relative_humidity", "infrared_W_m2", "total_cover", "ceiling_m")
+# Taken for a column that is missing throughout: half a cover, and a light wind from the south-west.
+_COVER, _WIND_M_S, _WIND_FROM_DEG = 5.0, 3.0, 225.0
 _MOS_COLUMNS = {"time_s": 0, **_COLUMNS}
 _EPW_COLUMNS = {"month": 1, "day": 2, "hour": 3, **{name: place + 5 for name, place in _COLUMNS.items()}}
 
@@ -88,7 +115,7 @@ def load_weather(path: Path) -> Weather:
     readers = {".mos": _read_mos, ".epw": _read_epw}
     if path.suffix.lower() not in readers:
         raise WeatherError(f"{path}: weather files end in .mos (Modelica TMY3) or .epw (EnergyPlus)")
-    raw = read_bounded(path, _MOST_BYTES, WeatherError)
+    raw = read_bounded(path, _MOST_BYTES, WeatherError).removeprefix(codecs.BOM_UTF8)
     name = f"{path.name} (sha256 {hashlib.sha256(raw).hexdigest()[:12]})"
     if (count := raw.count(b"\n") + raw.count(b"\r")) > 2 * _MOST_LINES:
         raise WeatherError(f"{path}: {count} lines, a year has {_HOURS} hours; this reader needs hourly rows")
@@ -106,22 +133,30 @@ def _read_mos(path: Path, name: str, lines: list[str]) -> Weather:
         raise WeatherError(f"{path}: no '#LOCATION' line, so latitude and longitude are unknown")
     rows = (line.split(None, _MOST_CELLS) for line in lines if line[:1].isdigit() or line[:1] == "-")
     columns = _columns(path, list(rows), _MOS_COLUMNS)
-    time_s = columns["time_s"]
-    # Some files repeat midnight of the next 1 January as a last row.
-    columns = {key: values[:_HOURS] for key, values in columns.items()}
-    hourly = np.arange(_HOURS) * HOUR_S
-    wrong = np.flatnonzero(~np.isclose(columns.pop("time_s"), hourly))
-    if wrong.size:
-        row = int(wrong[0])
+    time_s = columns.pop("time_s")
+    first = round(float(time_s[0]) / HOUR_S)
+    hourly = (first + np.arange(time_s.size)) * HOUR_S
+    wrong = np.flatnonzero(~np.isclose(time_s, hourly))
+    if wrong.size or abs(first) > 1:
+        row = int(wrong[0]) if wrong.size else 0
         raise WeatherError(
-            f"{path}: hourly row {row + 1} is at {time_s[row]:.10g} s, expected {hourly[row]:.10g}; this reader needs "
-            "8760 hourly rows from 0 s"
+            f"{path}: hourly row {row + 1} is at {time_s[row]:.10g} s, expected "
+            f"{hourly[row] if not abs(first) > 1 else 0.0:.10g}; "
+            "this reader needs 8760 hourly rows from 0 s or 3600 s"
         )
-    if time_s.size > _HOURS + 1:
+    if time_s.size - _HOURS in _LEAP:
         raise WeatherError(
             f"{path}: {time_s.size} hourly rows, a year has {_HOURS}; of a leap year leave out 29 February"
         )
-    return _weather(path, name, location, columns)
+    if time_s.size > _HOURS + 1:  # many files repeat midnight of the next 1 January
+        beyond = time_s.size - _HOURS
+        warnings.warn(
+            f"{path}: {beyond} rows beyond the year, from {time_s[_HOURS]:.10g} s on, are not used",
+            DoubtfulInput,
+            stacklevel=4,
+        )
+    # A year is periodic: what stands at its end is its first hour.
+    return _weather(path, name, location, {key: np.roll(values[:_HOURS], first) for key, values in columns.items()})
 
 
 def _read_epw(path: Path, name: str, lines: list[str]) -> Weather:
@@ -178,7 +213,107 @@ def _weather(path: Path, name: str, location: str, columns: dict[str, Array]) ->
         raise WeatherError(
             f"{path}: latitude, longitude or time zone missing or no number in '{location[:80]}'"
         ) from error
-    columns["wind_from_rad"] = np.deg2rad(columns["wind_from_rad"])
-    for key, scale in (("opaque_cover", 10.0), ("total_cover", 10.0), ("relative_humidity", 100.0)):
-        columns[key] = columns[key] / scale
+    height_m = float(cells[9]) if len(cells) > 9 and re.fullmatch(r"-?[0-9.]+", cells[9]) else 0.0
+    columns = _without_missing(path, columns, height_m)
+    for key, (low, high) in LIMITS.items():
+        scale = _SCALE.get(key, 1.0)
+        bad = np.flatnonzero(~((columns[key] * scale >= low) & (columns[key] * scale <= high)))
+        if bad.size:
+            hour = int(bad[0])
+            raise WeatherError(
+                f"{path}: {key} is {columns[key][hour]:g} at day {hour // 24 + 1}, hour {hour % 24} "
+                f"({_CALLED[key]}), expected "
+                f"{low / scale:g} to {high / scale:g}, or {_MISSING[key]:g} where it is missing ({bad.size} such "
+                "rows); "
+                "repair the file or use another"
+            )
+    columns = {key: values * _SCALE.get(key, 1.0) for key, values in columns.items()}
     return Weather(name=name, latitude_deg=latitude, longitude_deg=longitude, timezone_h=zone, **columns)
+
+
+def _without_missing(path: Path, columns: dict[str, Array], height_m: float) -> dict[str, Array]:
+    """Columns (8760,) in the units of files, without the codes for missing values; `DoubtfulInput` says what was done.
+
+    Short gaps are bridged on a straight line. A dew point comes from the humidity, a pressure from the height, an
+    opaque
+    cover from the total one or the infrared irradiance. Raises `WeatherError` for longer gaps of what cannot be made
+    up.
+    """
+    gaps = {key: np.isclose(columns[key], code) for key, code in _MISSING.items()}
+    gaps = {key: gap for key, gap in gaps.items() if gap.any()}
+    known = dict(columns)
+    for key, gap in gaps.items():
+        known[key] = np.where(gap, np.nan, columns[key])
+    told = []
+    for key, gap in gaps.items():
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], gap.astype(int), [0]])))
+        longest = int((edges[1::2] - edges[::2]).max())
+        what = f"{_CALLED[key]} is missing ({_MISSING[key]:g}) in {int(gap.sum())} hours"
+        if longest <= _BRIDGED_H:
+            known[key], how = _bridged(known[key]), "bridged"
+        elif key in _NEEDED:
+            first = int(edges[::2][np.argmax(edges[1::2] - edges[::2])])
+            raise WeatherError(
+                f"{path}: {what}, {longest} of them from day {first // 24 + 1}, hour {first % 24} on: "
+                f"{_MISSING[key]:g} is the "
+                f"code for missing, and at most {_BRIDGED_H} hours are bridged; use another file"
+            )
+        else:
+            known[key], how = _made_up(key, known, gaps, height_m)
+        if key not in _UNUSED:
+            told.append(f"{what}: {how}")
+    if told:
+        warnings.warn(f"{path}: {'; '.join(told)}", DoubtfulInput, stacklevel=5)
+    return known
+
+
+def _bridged(values: Array) -> Array:
+    """Values (8760,) of a periodic year with NaN replaced on straight lines."""
+    hours, known = np.arange(values.size, dtype=np.float64), np.isfinite(values)
+    return np.asarray(np.interp(hours, hours[known], values[known], period=float(values.size)))
+
+
+def _made_up(
+    key: str, known: dict[str, Array], gaps: Mapping[str, NDArray[np.bool_]], height_m: float
+) -> tuple[Array, str]:
+    """A column with long gaps, and in words where the values there come from."""
+    values = known[key]
+    gap = ~np.isfinite(values)
+    if key == "T_dew_C" and np.isfinite(known["relative_humidity"]).mean() > 0.9:
+        humidity = np.clip(_bridged(known["relative_humidity"]), 1.0, 110.0)
+        T = _bridged(known["T_dry_C"])
+        # Magnus formula over water (WMO, Guide to Instruments and Methods of Observation, annex 4.B).
+        gamma = np.log(humidity / 100.0) + 17.62 * T / (243.12 + T)
+        return np.where(gap, 243.12 * gamma / (17.62 - gamma), values), "from the relative humidity"
+    if key == "pressure_Pa":
+        standard = 101325.0 * (1.0 - 2.25577e-5 * height_m) ** 5.25588  # ICAO standard atmosphere
+        return np.where(gap, standard, values), f"{standard:.0f} Pa, that of {height_m:g} m"
+    if key in ("opaque_cover", "total_cover"):
+        other = {"opaque_cover": "total_cover", "total_cover": "opaque_cover"}[key]
+        if other not in gaps:
+            return np.where(gap, known[other], values), f"the {_CALLED[other]}"
+        if "infrared_W_m2" not in gaps and (known["infrared_W_m2"] > 50.0).mean() > 0.9 and "T_dew_C" not in gaps:
+            return np.where(gap, _cover(known), values), "from the infrared irradiance"
+        return np.where(gap, _COVER, values), f"{_COVER:g} tenths"
+    if np.isfinite(values).mean() > 0.5:
+        return _bridged(values), "bridged"
+    constant = {
+        "wind_m_s": _WIND_M_S,
+        "wind_from_rad": _WIND_FROM_DEG,
+        "relative_humidity": 75.0,
+        "T_dew_C": np.nan,
+    }.get(key, 0.0)
+    if key == "T_dew_C":
+        return np.where(gap, _bridged(known["T_dry_C"]) - 5.0, values), "5 K below the dry bulb"
+    return np.where(gap, constant, values), f"{constant:g}"
+
+
+def _cover(columns: dict[str, Array]) -> Array:
+    """Opaque cover (8760,), tenths, with which a sky has the infrared irradiance of `columns`; see "
+    "`black_body_sky_C`."""
+    tenths: Array = np.linspace(0.0, 10.0, 101)
+    T, dew = columns["T_dry_C"], columns["T_dew_C"]
+    clear = black_body_sky_C(T, dew, np.zeros(T.size)) + ZERO_C_K
+    infrared = (columns["infrared_W_m2"] / STEFAN_BOLTZMANN_W_M2_K4) ** 0.25
+    factor = 1.0 + 0.0224 * tenths - 0.0035 * tenths**2 + 0.00028 * tenths**3
+    return np.asarray(np.interp((infrared / clear) ** 4, factor, tenths))

@@ -17,8 +17,7 @@ STEFAN_BOLTZMANN_W_M2_K4 = 5.670374419e-8
 _RADIATION_SHIFT_S = 1800.0
 _RADIATION = ("global_W_m2", "normal_W_m2", "diffuse_W_m2")
 
-# Valid range (lowest, highest) per column.
-_LIMITS = {
+LIMITS = {
     "T_dry_C": (-70.0, 60.0),
     "T_dew_C": (-80.0, 50.0),
     "global_W_m2": (0.0, 1500.0),
@@ -29,6 +28,7 @@ _LIMITS = {
     "opaque_cover": (0.0, 1.0),
     "pressure_Pa": (50_000.0, 110_000.0),
 }
+"""Lowest and highest value of each column that counts."""
 _PLACE = {"latitude_deg": (-90.0, 90.0), "longitude_deg": (-180.0, 180.0), "timezone_h": (-12.0, 14.0)}
 # Columns that no building model uses; only reported. They are clipped as in the test case's reader, so that missing
 # values (a ceiling of 99999 m, a cover of 99) do not make a file unusable.
@@ -74,14 +74,14 @@ class Weather:
             if not least <= getattr(self, key) <= most:
                 raise WeatherError(f"{self.name}: {key} is {getattr(self, key):g}, expected {least:g} to {most:g}")
         for item in fields(self):
-            if item.name not in _LIMITS and item.name not in _REPORTED:
+            if item.name not in LIMITS and item.name not in _REPORTED:
                 continue
             column = np.array(getattr(self, item.name), dtype=np.float64)
             if column.shape != (_HOURS,):
                 raise WeatherError(f"{self.name}: {item.name} has {column.size} rows, a year has {_HOURS}")
             if item.name in _REPORTED:
                 column = np.clip(column, *_REPORTED[item.name])
-            low, high = (_LIMITS | _REPORTED)[item.name]
+            low, high = (LIMITS | _REPORTED)[item.name]
             bad = np.flatnonzero(~((column >= low) & (column <= high)))
             if bad.size:
                 hour = int(bad[0])
@@ -97,7 +97,7 @@ class Weather:
         """Hash of values and site, twelve hexadecimal digits; not of the file format and of what is only reported."""
         digest = hashlib.sha256()
         place = np.array([self.latitude_deg, self.longitude_deg, self.timezone_h])
-        for values in (place, *(getattr(self, name) for name in _LIMITS)):
+        for values in (place, *(getattr(self, name) for name in LIMITS)):
             digest.update((np.round(values, 6) + 0.0).astype("<f8").tobytes())  # adding zero turns -0.0 into 0.0
         return digest.hexdigest()[:12]
 
@@ -108,7 +108,7 @@ class Weather:
         """
         shift = _RADIATION_SHIFT_S if column in _RADIATION else 0.0
         values = self._spline(column)(np.mod(np.asarray(time_s, dtype=np.float64) + shift, YEAR_S))
-        low, high = (_LIMITS | _REPORTED)[column]
+        low, high = (LIMITS | _REPORTED)[column]
         return np.asarray(np.clip(values, low, high))
 
     def _spline(self, column: str) -> Akima1DInterpolator:

@@ -38,17 +38,24 @@ def data() -> None:
 
 
 _MOST_FILES = 5
+# Share of a signal that is known from which its gaps are no matter, and how many with less are named.
+_WHOLE, _MOST_HOLED = 0.97, 4
 FILES = click.argument("files", nargs=-1, required=True, metavar="FILE...")
 MAP = click.option("--map", "map_file", required=True, type=PATH, help="Map of the table (YAML).")
 
 
 @data.command("map")
-@click.argument("file", metavar="FILE")
-def map_of(file: str) -> None:
-    """Print a map for FILE, guessed from names and sizes of its columns, to be checked line by line."""
+@FILES
+def map_of(files: tuple[str, ...]) -> None:
+    """Print a map for FILE (several of one building, or a pattern in quotes), to be checked line by line.
+
+    Recognises one column per signal, one row per reading (Home Assistant, InfluxDB and the like), one file per signal
+    or room; how the file is written and stamped; and by names and values what each signal is. What is not certain is
+    marked by CHECK.
+    """
     from thermoforce_mpc.measurements.map.starting_map import starting_map
 
-    click.echo(starting_map(file), nl=False)
+    click.echo(starting_map(files), nl=False)
 
 
 @data.command("check")
@@ -282,16 +289,32 @@ def show_findings(measured: Measurements, display: RunDisplay, doubts: Sequence[
     if note:
         display.say(f"  {note}")
     found = findings(record, served.layout)
+    gaps = gaps_in_words(measured) if not all(finding.competent for finding in found) else ""
     for finding in found:
         display.say(f"  {finding.actuator}: {finding.words}")
         for advice in finding.advice:
             display.say(f"    advice: {advice}")
+    if gaps:
+        display.say(f"  {gaps}")
     if doubts and any(finding.competent for finding in found):
         display.say("  first mend what is doubtful above: the model takes the record as it is")
     if not all(finding.competent for finding in found):
         display.say("  `tf-mpc data probe-plan` writes a probing by hand that would tell")
     headline = "; ".join(f"{f.actuator} {f.words if f.competent else 'cannot be told'}" for f in found)
     return {"headline": headline, "part": note, "found": [asdict(finding) for finding in found]}
+
+
+def gaps_in_words(measured: Measurements) -> str:
+    """Which signals split the record by their gaps, and the remedy; '' where none does."""
+    holed = sorted((s for s in measured.understood.signals if s.longest_gap_h > 0.0), key=lambda s: s.measured)
+    split = [s for s in holed if s.measured < _WHOLE][:_MOST_HOLED]
+    if not split:
+        return ""
+    told = ", ".join(f"{s.key} (known {100 * s.measured:.0f} %, longest gap {s.longest_gap_h:.3g} h)" for s in split)
+    return (
+        f"gaps split the record: {told}. Where readings are stored only when they change set hold_h of the signal, the "
+        "longest time that one holds; else give a part without gaps"
+    )
 
 
 def _time(seconds: float) -> str:

@@ -72,6 +72,13 @@ def _of_meter(
         (share, left), least = explained(columns, meter_W[rows]), _LEAST_BY_HEAT
     beside = np.full(record.n_steps, np.nan)
     beside[rows] = left
+    if _counts(meter_W):
+        return Remark(
+            "unit of power",
+            where,
+            f"it only rises, from {np.nanmin(meter_W):.4g} to {np.nanmax(meter_W):.4g}: a counter of energy, no power",
+            "set unit: kWh counter (or Wh counter) in the map",
+        )
     energy, times = _while_off(u, meter_W, rows)
     at_rest = energy > _LEAST_ENERGY and times >= _LEAST_TIMES
     if not at_rest and (of_heat or share >= least):
@@ -97,6 +104,15 @@ def _of_meter(
         f"{says}, and what flows beside warms no room",
         "take the other load (hot water, the household) off, meter it apart, or name the standing load as off_W",
         float(np.sqrt(rows.sum() * max(1.0 - share, 0.0))),
+    )
+
+
+def _counts(meter_W: Array) -> bool:
+    """Whether a meter (n,) only rises, and again and again, as a counter does and no power."""
+    known = meter_W[np.isfinite(meter_W)]
+    changes = np.diff(known)
+    return bool(
+        known.size >= _LEAST_ROWS and (changes >= 0.0).mean() > 0.995 and (changes > 0.0).sum() > known.size / 20
     )
 
 

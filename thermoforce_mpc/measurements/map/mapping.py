@@ -14,8 +14,6 @@ from thermoforce_mpc.data import Layout, Names
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.measurements.map.entries import (
     Bound,
-    Clock,
-    CsvFormat,
     OfLevel,
     OfPower,
     OfPrice,
@@ -23,6 +21,7 @@ from thermoforce_mpc.measurements.map.entries import (
     OfTemperature,
     Signal,
 )
+from thermoforce_mpc.measurements.tables.forms import Clock, CsvFormat, TableForm
 from thermoforce_mpc.scenario.comfort import OfComfort
 from thermoforce_mpc.scenario.settings import StrictModel, read_yaml, validate
 
@@ -84,6 +83,8 @@ class ForecastMap(StrictModel):
     """Where a forecast file differs from the table of measurements; what is left out stands there by the same key."""
 
     time: Clock | None = None
+    csv: CsvFormat | None = None
+    table: TableForm | None = None
     outdoor: OfTemperature | None = None
     sun: OfSun | None = None
     price: OfPrice | None = Field(None, description="price of all machines")
@@ -96,6 +97,7 @@ class MeasurementMap(StrictModel):
 
     time: Clock = Clock()
     csv: CsvFormat = CsvFormat()
+    table: TableForm = TableForm()
     step: str | None = Field(
         None, description="step of the record, such as 15min; default: the usual distance of the rows, 15 min to 1 h"
     )

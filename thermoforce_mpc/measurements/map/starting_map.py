@@ -1,4 +1,4 @@
-"""What columns probably are, by name and size: a commented map to start from, and rooms that a map leaves out."""
+"""A commented map to start from: what files are taken for, and what their signals probably are."""
 
 from __future__ import annotations
 
@@ -8,203 +8,400 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import yaml
 
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.map.entries import CsvFormat, converted
-from thermoforce_mpc.measurements.map.mapping import MeasurementMap
-from thermoforce_mpc.measurements.tables.files import found_files, guessed_form, head_of
-from thermoforce_mpc.measurements.tables.raw_table import as_numbers
+from thermoforce_mpc.measurements.map.guesses import Column, Guess, guesses
+from thermoforce_mpc.measurements.map.words import tags, unit_of, words_of
+from thermoforce_mpc.measurements.tables.clock import all_year, instants
+from thermoforce_mpc.measurements.tables.files import all_readings, found_files, head_of, named_after, stamps_of
+from thermoforce_mpc.measurements.tables.forms import Clock, CsvFormat, TableForm
+from thermoforce_mpc.measurements.tables.raw_table import RawTable, as_numbers, bad_status, raw_table
+from thermoforce_mpc.measurements.tables.recognition import Recognised, recognised
 
-# Words in names of columns, by what they probably are; the first match counts.
-_WORDS = (
-    ("humidity", r"^rh|hum|feuchte"),
-    ("sun", r"sun|solar|irrad|ghi|glohor|radiation|i_sol|strahlung|w/m"),
-    ("outdoor", r"out|ext|ambient|aussen|außen|dry.?bulb|tdrybul"),
-    ("price", r"price|tariff|preis|prix"),
-    ("lower", r"lower|t_?min|heating.?set"),
-    ("upper", r"upper|t_?max|cooling.?set"),
-    ("other", r"set.?point|(^|[_ ])set([_ ]|$)|target|soll|supply|return|vorlauf|rücklauf|ruecklauf|\b[vr]l\b"),
-    ("level", r"^u$|level|valve|position|signal|modul|speed|compressor|duty|ove|ventil|stell|drehzahl|verdichter"),
-    ("energy", r"k?wh|energ|btu"),
-    ("power", r"^p(_|el|$)|power|watt|_w$|_kw$|heat|leistung|[\[(]k?w[\])]"),
-    ("temperature", r"^t\d*([ _]|$)|temp|room|zone|living|kitchen|bath|deg|°|_[cfk]$|raum|zimmer"),
-)
-# What is only on or off acts where its column is named so.
-_SWITCHED = r"heat|heiz|boiler|burner|brenner|pump|cool|kühl|relay|relais"
-# Stamps that are not ISO 8601; of those that fit all rows, in the order of time, the first counts.
-_STAMPS = tuple(
-    f"{day} {clock}"
-    for day in ("%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d")
-    for clock in ("%H:%M", "%H:%M:%S", "%I:%M %p", "%I:%M:%S %p")
-)
-ROWS = 2000
-"""Rows of a table that are looked at."""
-_COUNTED = "  unit: s  # stamps are numbers\n  since: FILL IN  # what they count from, such as 2016-01-01"
-# Median of the temperature of a room that is lived in, °C.
-_ROOM_C = (14.0, 30.0)
+# Rows of a file that are looked at where its columns are signals, and readings of a signal where rows are readings.
+_ROWS, _READINGS = 20_000, 5_000
+_CHECK = "CHECK: "
+# Zones of time of people who write so.
+_ZONES = {
+    "de": "Europe/Berlin", "fr": "Europe/Paris", "nl": "Europe/Amsterdam", "en": "Europe/Brussels",
+    "°F": "America/New_York",
+}  # fmt: skip
+_LANGUAGES = {
+    "de": "zimmer|aussen|temperatur$|vorlauf|raum|ventil|leistung|strahlung|feucht|datum|zeit|pumpe|kuche|buro|wohn",
+    "fr": "exterieur|chambre|salon|puissance|vanne|consigne|cuisine|sejour|horodat|ensoleil|chauffage",
+    "nl": "buiten|kamer|temperatuur|vermogen|klep|keuken|verbruik|tijd|straling|vocht|badkamer",
+}
+_PUT_LAST = re.compile(r"pump|pomp|fan|relay|switch|status|stat$|enable", re.I)
 
 
-def starting_map(file: str | Path) -> str:
-    """The text of a map for the first columns that look like each signal; everything else stands in comments.
+def starting_map(files: str | Path | Sequence[str | Path]) -> str:
+    """The text of a map for files of one building, with what is not certain marked by CHECK.
 
-    Raises `DataError` where the file cannot be read, or no column looks like a temperature.
+    Raises `DataError` where a file cannot be read, or nothing in it looks like a temperature.
     """
-    path = found_files([file])[0]
-    form = guessed_form(path)
-    head = head_of(path, ROWS, form)
-    if head.columns.has_duplicates:
-        name = head.columns[head.columns.duplicated()][0]
-        raise DataError(f"{path}: there is more than one column '{name}'; give each a name of its own")
-    if head.empty:
-        raise DataError(f"{path}: the table has no rows")
-    stamps, *columns = [str(column) for column in head.columns]
-    by_kind: dict[str, list[str]] = {kind: [] for kind, _ in _WORDS}
-    for column in columns:
-        numbers = as_numbers(head[column], form.decimal)
-        kind = kind_of(column)
-        if kind in (None, "power") and set(numbers.dropna()) == {0.0, 1.0}:
-            kind = "level" if re.search(_SWITCHED, column.lower()) else kind
-        if kind is not None and numbers.notna().any():
-            by_kind[kind].append(column)
-    if not by_kind["temperature"] and not by_kind["outdoor"]:
-        raise DataError(f"{path}: none of {', '.join(columns)} looks like a temperature: write the map by hand")
-    return _text(path, stamps, head, form, by_kind)
+    paths = found_files([files] if isinstance(files, str | Path) else list(files))
+    taken = recognised(paths)
+    columns = _columns(taken)
+    found = guesses(columns)
+    if not any(guess.role in ("zone", "outdoor") for guess in found):
+        names = ", ".join(column.name for column in columns[:20]) + (", …" if len(columns) > 20 else "")
+        raise DataError(
+            f"{paths[0]}: taken for {taken.words}; none of {names} looks like a temperature of a room or outdoors: "
+            "write the map by hand"
+        )
+    return _Text(taken, columns, found).written()
 
 
-def kind_of(column: str) -> str | None:
-    """What a column probably is, by its name."""
-    return next((kind for kind, words in _WORDS if re.search(words, column.lower())), None)
+def _columns(taken: Recognised) -> list[Column]:
+    """First readings of all signals of files."""
+    if taken.table.point is not None:
+        return [
+            Column(name, at[:: -(-at.size // _READINGS)], values[:: -(-at.size // _READINGS)], text)
+            for name, (at, values, text) in all_readings(taken.paths, taken.clock, taken.csv, taken.table).items()
+            if at.size
+        ]
+    found: dict[str, Column] = {}
+    for path in taken.paths:
+        head = head_of(path, _ROWS, taken.csv)
+        table = raw_table(head, taken.clock.column, [], str(path))
+        time_s = _seconds(table, taken.clock)
+        bad = bad_status(head, taken.table)
+        stamps = taken.clock.column or str(head.columns[0])
+        beside = {stamps} if isinstance(stamps, str) else set(stamps)
+        for name in map(str, head.columns):
+            if name in beside or name == taken.table.status or not name:
+                continue
+            numbers = as_numbers(head[name], taken.csv.decimal).to_numpy(dtype=np.float64)
+            filled = head[name].notna().to_numpy()
+            words = bool(filled.any() and np.isfinite(numbers[filled]).mean() < 0.5)
+            numbers = np.where(bad[: numbers.size], np.nan, numbers)
+            key = _key(name, path, taken)
+            if key is not None and key not in found:
+                found[key] = Column(key, time_s, numbers, words, unit_of(name))
+    return list(found.values())
 
 
-def _text(path: Path, stamps: str, head: pd.DataFrame, form: CsvFormat, by_kind: dict[str, list[str]]) -> str:
-    def temperature(column: str) -> str:
-        return f"{{column: {_quoted(column)}, unit: '{_degrees(head[column])}'}}"
-
-    has_offset = bool(re.search(r"([+-]\d{2}:?\d{2}|Z)$", str(head.iloc[0, 0]).strip()))
-    zone = "  # stamps carry an offset; name the building's zone all the same" if has_offset else ""
-    outdoor = by_kind["outdoor"][:1]
-    counted = pd.api.types.is_numeric_dtype(head.iloc[:, 0])
-    lines = [
-        f"# Map of {path.name}, guessed from names and sizes of its columns: check every line, then",
-        f"#   tf-mpc data check {path.name} --map map.yaml",
-        "time:",
-        f"  column: {_quoted(stamps)}",
-        f"  zone: Europe/Brussels  # FILL IN; Etc/GMT-1 for a clock without summer time{zone}",
-        *([_COUNTED] if counted else _stamp_format(head.iloc[:, 0])),
-        "  marks: start  # a row's powers, energies and levels hold from its stamp on (end: until it)",
-        *_written(form),
-        "# site: {latitude: 50.8, longitude: 4.4}  # for an estimate of the sun",
-        f"outdoor: {temperature(outdoor[0]) if outdoor else 'FILL IN  # outdoor temperature'}",
-    ]
-    if by_kind["sun"]:
-        lines.append(f"sun: {{column: {_quoted(by_kind['sun'][0])}, unit: W/m²}}")
-    elif by_kind["humidity"]:
-        lines.append(f"# sun: {{estimate: humidity, humidity: {_quoted(by_kind['humidity'][0])}}}  # needs site")
-    else:
-        lines.append("# sun: {estimate: clear_sky}  # needs site")
-    lines.append("zones:")
-    rooms = by_kind["temperature"] or ["FILL_IN"]
-    for k, column in enumerate(rooms):
-        lines.append(f"  {_name(column)}:")
-        lines.append(f"    temperature: {temperature(column) if column in head else column}")
-        for key in ("lower", "upper"):
-            value = _quoted(by_kind[key][0]) if by_kind[key] else {"lower": 20, "upper": 24}[key]
-            lines.append(f"    {key}: {value}{'' if k else '  # comfort bound, °C or a column'}")
-    acts, power = by_kind["level"][:1], (by_kind["power"] + by_kind["energy"])[:1]
-    lines += ["actuators:", "  heater:"]
-    if len(rooms) > 1:
-        lines.append(f"    zone: {_name(rooms[0])}  # the zone that it serves")
-    lines.append("    mode: heating  # or cooling")
-    if acts:
-        unit = "'%'" if as_numbers(head[acts[0]], form.decimal).max() > 1.5 else "0-1"
-        lines.append(f"    level: {{column: {_quoted(acts[0])}, unit: {unit}}}")
-    else:
-        lines.append("    # level: {column: ..., unit: '%'}  # without it, power over its 99th percentile")
-    lines += ["machines:", "  machine:"]
-    if power:
-        unit = "W" if power[0] in by_kind["power"] else "Wh counter" if _counts(head[power[0]]) else "Wh per step"
-        unit = "k" + unit if "kw" in power[0].lower() else unit
-        lines.append(f"    power: {{column: {_quoted(power[0])}, unit: {unit}}}  # electric power that is paid for")
-    else:
-        lines.append("    # power: {column: ..., unit: W}  # without it nothing can be planned; without a meter take")
-        lines.append("    #   the column of the level, with factor: the W of a reading of 1")
-    price = f"{_quoted(by_kind['price'][0])}" if by_kind["price"] else "0.30"
-    lines.append(f"    price: {price}  # per kWh, a number or a column")
-    text = "\n".join(lines)
-    spare = [column for column in head.columns[1:] if str(column) not in text]
-    if spare:
-        lines.append(f"# not used: {', '.join(map(str, spare))}")
-    return "\n".join(lines) + "\n"
+def _key(column: str, path: Path, taken: Recognised) -> str | None:
+    if taken.table.by_file == "prefix":
+        return f"{named_after(path, taken.csv)} {column}"
+    if taken.table.by_file == "point":
+        values = taken.table.value
+        return named_after(path, taken.csv) if column == values or (values and column in values) else None
+    return column
 
 
-def _stamp_format(column: pd.Series) -> list[str]:
-    """The line for stamps that are not ISO 8601; none for those that are."""
-    stamps = column.dropna()
-    if pd.to_datetime(stamps, format="ISO8601", utc=True, errors="coerce").notna().all():
-        return []
-    fitting = []
-    for form in _STAMPS:
-        times = pd.to_datetime(stamps, format=form, errors="coerce")
-        if times.notna().all() and (times.diff() < pd.Timedelta(0)).sum() <= 1:  # the end of summer time goes back
-            fitting.append(form)
-    if not fitting:
-        return [f"  format: FILL IN  # of stamps such as {stamps.iloc[0]}: %d day, %m month, %Y year, %H:%M"]
-    other = f"  # or '{fitting[1]}': both fit" if fitting[1:] else ""
-    return [f"  format: '{fitting[0]}'{other}"]
+def _seconds(table: RawTable, clock: Clock) -> np.ndarray:
+    try:
+        at = pd.DatetimeIndex(
+            instants(table, clock.model_copy(update={"ambiguous": "first", "nonexistent": "gap"}), [])
+        )
+    except DataError:  # a form that is still to be filled in
+        return np.arange(len(table.stamps)) * 900.0
+    seconds = np.asarray((at - at[0]).total_seconds(), dtype=np.float64)
+    return seconds if seconds.size == len(table.stamps) else np.arange(len(table.stamps)) * 900.0
 
 
-def _written(form: CsvFormat) -> list[str]:
-    """The line on how the file is written, where that is not the default."""
-    other = {"decimal": f"'{form.decimal}'", "encoding": form.encoding}
-    options = [f"{key}: {value}" for key, value in other.items() if getattr(form, key) != getattr(CsvFormat(), key)]
-    return [f"csv: {{{', '.join(options)}}}"] if options else []
+class _Text:
+    """The lines of a map."""
+
+    def __init__(self, taken: Recognised, columns: Sequence[Column], found: Sequence[Guess]) -> None:
+        self.taken, self.found = taken, list(found)
+        self.column = {column.name: column for column in columns}
+        self.used: set[str] = set()
+
+    def of(self, *roles: str) -> list[Guess]:
+        """Guesses of these roles, the sure ones first."""
+        return sorted((g for g in self.found if g.role in roles), key=lambda g: (roles.index(g.role), not g.sure))
+
+    def written(self) -> str:
+        names = ", ".join(path.name for path in self.taken.paths[:4]) + (" …" if len(self.taken.paths) > 4 else "")
+        quoted = " ".join(f"'{p.name}'" if " " in p.name else p.name for p in self.taken.paths[:4])
+        signals = f", {len(self.found)} signals" if len(self.found) > 1 else ""
+        lines = [
+            f"# Map of {names}, taken for: {self.taken.words}{signals}. Guessed from names and values: check every "
+            "line,",
+            f"# above all those with {_CHECK.strip(': ')}, then",
+            f"#   tf-mpc data check {quoted} --map map.yaml",
+            *self._time(),
+            *self._files(),
+            "# site: {latitude: 50.8, longitude: 4.4}  # for an estimate of the sun",
+            *self._weather(),
+            *self._zones(),
+            *self._acting(),
+        ]
+        spare = [guess.name for guess in self.found if guess.name not in self.used]
+        if spare:
+            lines.append(f"# not used: {', '.join(spare)}")
+        return "\n".join(lines) + "\n"
+
+    def _time(self) -> list[str]:
+        clock, note = self.taken.clock, self.taken.notes["time"]
+        lines = ["time:"]
+        if clock.column is not None:
+            told = (
+                _quoted(clock.column) if isinstance(clock.column, str) else f"[{', '.join(map(_quoted, clock.column))}]"
+            )
+            lines.append(f"  column: {told}")
+        if clock.unit is not None:
+            lines += [f"  unit: {clock.unit}  # stamps are numbers", f"  since: '{clock.since}'"]
+        elif note.startswith("? stamps are numbers"):
+            lines += ["  unit: s  # stamps are numbers", "  since: FILL IN  # what they count from, such as 2016-01-01"]
+        if clock.zone is not None:
+            lines.append(
+                f"  zone: {clock.zone}  # of the stamps; name the building's all the same, such as Europe/Brussels"
+            )
+        else:
+            zone, why = self._zone()
+            lines.append(f"  zone: {zone}  # {_CHECK}{why}")
+        if note.startswith("? stamps such"):
+            lines.append(f"  format: FILL IN  # of {note[2:]}")
+        elif clock.format is not None:
+            lines.append(f"  format: '{clock.format}'" + (f"  # {_CHECK}{note}" if note else ""))
+        lines.append("  marks: start  # a row's powers, energies and levels hold from its stamp on (end: until it)")
+        return lines
+
+    def _zone(self) -> tuple[str, str]:
+        """The zone of stamps without one, by the language, and how certain it is by the changes of summer time."""
+        zone, clock = self._of_language(), self.taken.clock
+        certain = "the building's; Etc/GMT-1 for a clock without summer time"
+        if clock.unit is not None or self.taken.notes["time"].startswith("?"):
+            return zone, certain
+        try:
+            for path in self.taken.paths:
+                table = stamps_of(path, clock.column, self.taken.csv)
+                instants(table, clock.model_copy(update={"zone": zone, "ambiguous": "first"}), [])
+        except DataError as error:
+            if "does not exist" in str(error):
+                first = pd.Timestamp("2025-01-01")
+                return all_year(zone, first), f"the stamps know no summer time; {zone} where a row is wrong"
+        return zone, certain
+
+    def _of_language(self) -> str:
+        if any(guess.unit == "°F" for guess in self.found):
+            return _ZONES["°F"]
+        words = [word for guess in self.found for word in words_of(guess.name)]
+        counts = {code: sum(bool(re.search(told, word)) for word in words) for code, told in _LANGUAGES.items()}
+        best = max(counts, key=lambda code: counts[code])
+        return _ZONES[best if counts[best] > 0 else "en"]
+
+    def _files(self) -> list[str]:
+        form, table, lines = self.taken.csv, self.taken.table, []
+        options = {
+            "separator": form.separator, "decimal": form.decimal, "encoding": form.encoding,
+            "skip_lines": form.skip_lines,
+            "skip_after": form.skip_after, "comment": form.comment,
+        }  # fmt: skip
+        other = [f"{key}: {_value(value)}" for key, value in options.items() if value != getattr(CsvFormat(), key)]
+        if other:
+            note = self.taken.notes["csv"]
+            lines.append(f"csv: {{{', '.join(other)}}}" + (f"  # {_CHECK}{note[2:]}" if note else ""))
+        told = [
+            f"{key}: {_value(getattr(table, key))}"
+            for key in ("point", "value", "by_file", "status")
+            if getattr(table, key) != getattr(TableForm(), key)
+        ]
+        if told:
+            lines.append(f"table: {{{', '.join(told)}}}")
+        return lines
+
+    def _signal(self, guess: Guess, *more: str) -> str:
+        self.used.add(guess.name)
+        unit = [f"unit: '{guess.unit}'"] if guess.unit and guess.unit != "0-1" else []
+        told = ", ".join([f"column: {_quoted(guess.name)}", *unit, *more])
+        return f"{{{told}}}"
+
+    def _weather(self) -> list[str]:
+        lines = []
+        outdoor = self.of("outdoor")
+        if outdoor:
+            others = [g.name for g in outdoor[1:]]
+            note = outdoor[0].doubt or (f"or {', '.join(others)}" if others else "")
+            lines.append(f"outdoor: {self._signal(outdoor[0])}{_comment(note)}")
+        else:
+            lines.append(f"outdoor: FILL IN  # {_CHECK}no column looks like the outdoor temperature")
+        sun = self.of("sun")
+        if sun:
+            others = [g.name for g in sun[1:]]
+            lines.append(
+                f"sun: {self._signal(sun[0])}{_comment(sun[0].doubt or ('or ' + ', '.join(others) if others else ''))}"
+            )
+        elif humidity := self.of("humidity of outdoors"):
+            lines.append(f"# sun: {{estimate: humidity, humidity: {_quoted(humidity[0].name)}}}  # needs site")
+        else:
+            lines.append("# sun: {estimate: clear_sky}  # needs site")
+        return lines
+
+    def _zones(self) -> list[str]:
+        lines = ["zones:"]
+        self.zones: dict[str, Guess] = {}
+        for guess in (g for g in self.found if g.role == "zone"):
+            name = _name(guess.name)
+            while name in self.zones:
+                name += "_"
+            self.zones[name] = guess
+        for k, (name, guess) in enumerate(self.zones.items()):
+            lines += [f"  {_value(name)}:", f"    temperature: {self._signal(guess)}{_comment(guess.doubt)}"]
+            for key, number in (("lower", 20), ("upper", 24)):
+                bound = [g for g in self.of(key) if g.sure and (len(self.zones) == 1 or g.place & guess.place)]
+                told = self._signal(bound[0]) if bound else str(number)
+                lines.append(f"    {key}: {told}{'' if k else '  # comfort bound, °C or a column'}")
+        if not self.zones:
+            lines += ["  room:", f"    temperature: FILL IN  # {_CHECK}no column looks like the temperature of a room"]
+        return lines
+
+    def _acting(self) -> list[str]:
+        acting = self._actuators()
+        machines = self._machines(acting)
+        lines: list[str] = []
+        if acting:
+            lines.append("actuators:")
+            for name, (zone, guess, power) in acting.items():
+                lines.append(f"  {_value(name)}:")
+                if len(self.zones) > 1:
+                    shared = "" if self._match(guess or power, zone) else f"  # {_CHECK}the zone that it serves"
+                    lines.append(f"    zone: {_value(zone)}{shared}")
+                if len(machines) > 1:
+                    lines.append(f"    machine: {_value(self._machine_of(zone, machines))}")
+                lines.append(f"    mode: {self._mode(guess)}  # heating, cooling or both")
+                if guess is None:
+                    lines.append("    # level: {column: ..., unit: '%'}  # without it, power over its 99th percentile")
+                else:
+                    key = "heat" if guess.role == "heat" else "level"
+                    lines.append(f"    {key}: {self._signal(guess, *self._factor(guess))}{_comment(guess.doubt)}")
+        else:
+            lines.append("# actuators: {heater: {level: {column: ..., unit: '%'}}}  # nothing looks like what acts")
+        price = self.of("price")
+        cost = self._signal(price[0]) if price and not price[0].unit.startswith("cent") else "0.30"
+        if price and price[0].unit.startswith("cent"):
+            cost = self._signal(Guess(price[0].name, "price"), "factor: 0.01")
+        lines.append("machines:")
+        for name, power in machines.items():
+            lines.append(f"  {_value(name)}:")
+            if power is not None:
+                lines.append(
+                    f"    power: {self._signal(power)}{_comment(power.doubt) or '  # electric power that is paid for'}"
+                )
+            else:
+                lines.append(
+                    "    # power: {column: ..., unit: W}  # without it nothing can be planned; without a meter take"
+                )
+                lines.append("    #   the column of the level, with factor: the W of a reading of 1")
+            lines.append(f"    price: {cost}  # per kWh, a number or a column")
+        return lines
+
+    def _factor(self, guess: Guess) -> list[str]:
+        most = float(np.nanmax(self.column[guess.name].values))
+        return [f"factor: {100.0 / most:.4g}"] if guess.role == "level" and guess.unit == "%" and most > 100.5 else []
+
+    def _actuators(self) -> dict[str, tuple[str, Guess | None, Guess | None]]:
+        """Actuators by name: the zone, what tells its level (None: the power of its machine), and that power."""
+        levels = [g for g in self.of("level") if not self._still(g)]
+        heats = self.of("heat")
+        zones = list(self.zones)
+        found: dict[str, tuple[str, Guess | None, Guess | None]] = {}
+        if not zones:
+            return found
+        for candidates in (levels, heats):
+            for zone in zones:
+                if any(zone == taken for taken, _, _ in found.values()):
+                    continue
+                ours = [g for g in candidates if self._match(g, zone) and len(zones) > 1]
+                if ours:
+                    best = max(ours, key=lambda g: (self._worth(g), len(g.place & self.zones[zone].place), g.sure))
+                    found[self._unique(_name(best.name), found)] = (zone, best, None)
+        if found:
+            return found
+        powers = self.of("power")
+        each = {z: p for z in zones for p in powers if len(zones) > 1 and self._match(p, z)}
+        if len(each) > 1:
+            return {self._unique(f"{zone}_heater", found): (zone, None, power) for zone, power in each.items()}
+        best_of = sorted([*levels, *heats], key=lambda g: -self._worth(g))
+        if best_of:
+            return {_name(best_of[0].name): (zones[0], best_of[0], None)}
+        if powers:
+            return {"heater": (zones[0], None, None)}
+        return {}
+
+    def _unique(self, name: str, taken: dict[str, tuple[str, Guess | None, Guess | None]]) -> str:
+        while name in taken:
+            name += "_"
+        return name
+
+    def _still(self, guess: Guess) -> bool:
+        values = self.column[guess.name].values
+        known = values[np.isfinite(values)]
+        return bool(not known.size or np.ptp(known) == 0.0)
+
+    def _worth(self, guess: Guess) -> float:
+        """How much a signal tells of what acts: a valve or a machine more than a pump."""
+        t = tags(guess.name)
+        last = bool(_PUT_LAST.search(guess.name))
+        machine = bool(re.search(r"(?i)compress|verdicht|modul|heiz|heat|burner|brenn|chauff|wp|hp", guess.name))
+        return (
+            3.0 * ("valve" in t)
+            + 2.0 * machine
+            + 1.0 * guess.sure
+            - 1.5 * last
+            - 2.0 * ("cooling" in t)
+            - 1.0 * ("other" in t)
+        )
+
+    def _match(self, guess: Guess | None, zone: str) -> bool:
+        return guess is not None and zone in self.zones and bool(guess.place & self.zones[zone].place)
+
+    def _machines(self, acting: dict[str, tuple[str, Guess | None, Guess | None]]) -> dict[str, Guess | None]:
+        each = {f"{zone}_meter": power for zone, _, power in acting.values() if power is not None}
+        if each:
+            return dict(each)
+
+        def worth(guess: Guess) -> tuple[float, ...]:
+            t = tags(guess.name)
+            return (
+                "heating machine" in t,
+                not any(self._match(guess, zone) for zone in self.zones),
+                guess.sure,
+                not guess.unit.endswith("counter"),
+                "electric" in t,
+            )
+
+        powers = sorted(self.of("power"), key=worth, reverse=True)
+        return {"machine": powers[0] if powers else None}
+
+    def _machine_of(self, zone: str, machines: dict[str, Guess | None]) -> str:
+        return f"{zone}_meter" if f"{zone}_meter" in machines else next(iter(machines))
+
+    def _mode(self, guess: Guess | None) -> str:
+        if guess is None:
+            return "heating"
+        least = float(np.nanmin(self.column[guess.name].values))
+        if guess.role == "level" and least < -0.05:
+            return "both"
+        t = tags(guess.name)
+        warms = bool(re.search(r"(?i)heat|htg|heiz|hw|warm|chauff|radiat|boiler|burner|verwarm", guess.name))
+        return "cooling" if "cooling" in t and not warms else "heating"
 
 
-def _counts(column: pd.Series) -> bool:
-    """Whether an energy is the reading of a counter, which only rises, rather than one per step."""
-    numbers = pd.to_numeric(column, errors="coerce").dropna()
-    return bool(len(numbers) > 10 and numbers.is_monotonic_increasing and numbers.iloc[-1] > numbers.iloc[0])
-
-
-def _degrees(column: pd.Series) -> str:
-    middle = float(np.nanmedian(pd.to_numeric(column, errors="coerce")))
-    return "K" if middle > 200.0 else "°F" if middle > 45.0 else "°C"
+def _comment(doubt: str) -> str:
+    return f"  # {_CHECK}{doubt}" if doubt else ""
 
 
 def _quoted(column: str) -> str:
-    return column if re.fullmatch(r"[A-Za-z_][\w ]*", column) else "'" + column.replace("'", "''") + "'"
+    plain = re.fullmatch(r"[A-Za-z_][\w .]*", column) and not column.endswith(" ") and yaml.safe_load(column) == column
+    return column if plain else "'" + column.replace("'", "''") + "'"
+
+
+def _value(value: object) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(_quoted(str(one)) for one in value)}]"
+    if value is None:
+        return "null"
+    return _quoted(value) if isinstance(value, str) else str(value)
 
 
 def _name(column: str) -> str:
-    plain = re.sub(r"[\[(].*?[\])]", "", column).strip()
-    plain = re.sub(r"[_ ]?(deg_?c|°c|temp\w*|ist|ist-?wert)$", "", plain, flags=re.I)
-    return re.sub(r"\W+", "_", plain).strip("_").lower() or "zone"
-
-
-def rooms_beside(head: pd.DataFrame, rules: MeasurementMap) -> tuple[str, ...]:
-    """What the first rows of a table tell of rooms outside the map, in words, by names and size of readings."""
-    named = {column for _, signal in rules.signals() for column in signal.columns}
-    units: set[str] = {zone.temperature.unit for zone in rules.zones.values()}
-    rooms = [
-        str(column)
-        for column in head.columns.drop_duplicates(keep=False)
-        if str(column) not in named and kind_of(str(column)) == "temperature" and _of_a_room(head[column], rules, units)
-    ]
-    return (_of_rooms(rooms, list(rules.zones)),) if rooms else ()
-
-
-def _of_a_room(column: pd.Series, rules: MeasurementMap, units: set[str]) -> bool:
-    numbers = np.asarray(as_numbers(column, rules.csv.decimal), dtype=np.float64)
-    known = numbers[np.isfinite(numbers)]
-    if not known.size or np.ptp(known) == 0.0:
-        return False
-    return any(_ROOM_C[0] <= converted(np.array([np.median(known)]), unit)[0] <= _ROOM_C[1] for unit in units)
-
-
-def _of_rooms(rooms: Sequence[str], zones: Sequence[str]) -> str:
-    many = len(rooms) > 1
-    return (
-        f"neighbours left out: {', '.join(rooms)} {'look like rooms' if many else 'looks like a room'} beside "
-        f"{', '.join(zones)} and stand{'' if many else 's'} outside the map: where {'they are' if many else 'it is'} "
-        "heated, that heat is taken for the own; name them as zones, with what heats them"
-    )
+    plain = re.sub(r"^(sensor|binary_sensor|climate|number|switch|input_number|valve)\.", "", column)
+    plain = re.sub(r"[\[(].*?[\])]", "", plain).strip()
+    shorter = re.sub(r"[_ ]?(deg_?c|°c|temp[a-z]*|ist|ist-?wert)$", "", plain, flags=re.I)
+    name = re.sub(r"\W+", "_", shorter or plain).strip("_").lower()
+    return name or "zone"

@@ -10,7 +10,7 @@ import csv
 import io
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,16 +18,26 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from thermoforce_mpc.errors import DataError, counted
-from thermoforce_mpc.measurements.map.entries import Clock, CsvFormat
 from thermoforce_mpc.measurements.tables.clock import parsed_or_nat
-from thermoforce_mpc.measurements.tables.files import PARQUET, header_of, opened, read_table, reading
-from thermoforce_mpc.measurements.tables.raw_table import RawTable, as_numbers, known_column, raw_table
+from thermoforce_mpc.measurements.tables.files import columns_of, header_of, is_text, opened, read_tables, reading
+from thermoforce_mpc.measurements.tables.forms import Clock, CsvFormat, TableForm
+from thermoforce_mpc.measurements.tables.raw_table import (
+    MISSING,
+    RawTable,
+    as_numbers,
+    bad_status,
+    known_column,
+    of_one_signal,
+    raw_table,
+    tables_of,
+)
 
 # A stamp so far from its place in the file is none, s; after the clock it is none where few rows have such.
 _FAR_S, _FEW = 86400.0, 0.01
+# Where rows are not in the order of time, so far from most others.
+_FAR_FROM_MOST_S = 5 * 365 * 86400.0
+_EMPTY = frozenset(("", "nan", "NaN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A", *MISSING))
 _SHOWN = 60
-# Cells that are empty, in the words of pandas and of databases.
-_EMPTY = ("", "nan", "NaN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A")
 
 
 @dataclass
@@ -35,7 +45,7 @@ class _Left:
     """What was left out of a file: lines and reasons."""
 
     name: str
-    unit: str
+    unit: str = "line"
     lines: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
 
     def add(self, reason: str, line: int, what: str = "") -> None:
@@ -52,79 +62,131 @@ class _Left:
 
 
 def read_appended(
-    path: Path, columns: Sequence[str], clock: Clock, form: CsvFormat, latest: pd.Timestamp, notes: list[str]
-) -> RawTable:
-    """As `read_table`, without the lines and cells that cannot be read; `notes` collects them.
+    paths: Sequence[Path],
+    wanted: Sequence[str],
+    clock: Clock,
+    form: CsvFormat,
+    table: TableForm,
+    latest: pd.Timestamp,
+    notes: list[str],
+) -> list[RawTable]:
+    """As `read_tables`, without the lines and cells that cannot be read; `notes` collects them.
 
-    Of rows stamped after `latest` few are wrong, and many left as they are.
-
-    Raises `DataError` where no row is left, or a column is missing.
+    Of rows stamped after `latest` few are wrong, and many left as they are. Raises `DataError` where no row of a file
+    is left, or a column is missing.
     """
-    if path.suffix in PARQUET:
-        return read_table(path, clock.column, columns, form)
+    found: list[RawTable] = []
+    known: dict[str, None] = {}
+    for path in paths:
+        if not is_text(path):
+            found += read_tables([path], clock.column, wanted, form, table, notes)
+            known |= dict.fromkeys(name for one in found for name in one.names)
+            continue
+        here = _read(path, wanted, clock, form, table, latest, notes, known)
+        if here is not None:
+            found.append(here)
+    for key in wanted:
+        known_column(key, pd.Index(list(known)), str(paths[0]))
+    return found
+
+
+def _read(
+    path: Path,
+    wanted: Sequence[str],
+    clock: Clock,
+    form: CsvFormat,
+    table: TableForm,
+    latest: pd.Timestamp,
+    notes: list[str],
+    known: dict[str, None],
+) -> RawTable | None:
+    """The `wanted` signals of a file, None where it has none; `known` collects the names of its signals."""
     with reading(path):
-        separator, names, keys = header_of(path, clock.column, columns, form)
+        separator, names, header = header_of(path, form)
         with opened(path) as file:
             content = file.read()
-    left = _Left(str(path), "line")
-    lines, rows = _rows(content, form, separator, names, left)
+    stamps, values = columns_of(path, names, clock.column, form, table, wanted)
+    known |= dict.fromkeys(columns_of(path, names, clock.column, form, table, None)[1] if table.point is None else ())
+    if not values:
+        return None
+    points = (table.point,) if isinstance(table.point, str) else table.point or ()
+    status = [table.status] if table.status in names else []
+    keys = list(dict.fromkeys([*stamps, *points, *values.values(), *status]))
+    left = _Left(str(path))
+    lines, rows = _rows(content, form, header + 1 + form.skip_after, separator, names, left)
     frame = pd.DataFrame(rows, columns=names, dtype=str)[keys]
     frame = frame.mask(frame.isin({*_EMPTY, *form.missing}))
-    return _cleaned(frame, keys[0], columns, clock, latest, lines, left, notes, form.decimal)
+    for key in dict.fromkeys(values.values()):
+        ours = _of_wanted(frame, points, wanted) if points else np.ones(len(frame), dtype=bool)
+        frame[key] = _numbers(frame[key], key, form.decimal, lines, left, ours)
+    at = frame[stamps[0]]
+    for more in stamps[1:]:
+        at = at + " " + frame[more]
+    keep = _with_stamps(at, clock, latest, lines, left, in_order=not points)
+    frame, lines = frame[keep].reset_index(drop=True), lines[keep]
+    notes += left.notes()
+    if frame.empty:
+        raise DataError(f"{path}: nothing of it can be read ({'; '.join(left.notes()[:3]) or 'it has no rows'})")
+    if clock.unit is not None:
+        frame[stamps[0]] = pd.to_numeric(frame[stamps[0]])
+    if points:
+        (one,) = tables_of(frame, tuple(stamps), wanted, table, str(path), lines, strict=False)
+        known |= dict.fromkeys([*one.points, *one.beside])
+        return one
+    one = raw_table(frame, tuple(stamps), list(dict.fromkeys(values.values())), str(path), lines)
+    bad = bad_status(frame, table)
+    columns = {key: np.where(bad, np.nan, one.columns[of]) for key, of in values.items()}
+    return (
+        replace(one, columns=columns) if table.by_file != "point" else of_one_signal(one, next(iter(columns)), columns)
+    )
 
 
 def frame_appended(
     df: pd.DataFrame, columns: Sequence[str], clock: Clock, latest: pd.Timestamp, notes: list[str]
 ) -> RawTable:
     """As `raw_table` of a data frame, without the rows and cells that cannot be read; `notes` collects them."""
-    of_stamps = isinstance(df.index, pd.DatetimeIndex) or df.index.dtype.kind == "O"
+    of_stamps = isinstance(df.index, pd.DatetimeIndex) or not pd.api.types.is_numeric_dtype(df.index)
     if of_stamps and clock.column in (None, df.index.name):
         df = df.rename_axis(index=str(df.index.name or "time")).reset_index()
     elif not len(df.columns):
         raise DataError("table: the table has no columns")
-    stamps = str(df.columns[0]) if clock.column is None else clock.column
-    keys = [known_column(key, df.columns, "table") for key in dict.fromkeys([stamps, *columns])]
-    left = _Left("table", "row")
-    return _cleaned(
-        df[keys].reset_index(drop=True), stamps, columns, clock, latest, np.arange(1, len(df) + 1), left, notes, "."
-    )
-
-
-def _cleaned(
-    frame: pd.DataFrame,
-    stamps: str,
-    columns: Sequence[str],
-    clock: Clock,
-    latest: pd.Timestamp,
-    lines: NDArray[np.intp],
-    left: _Left,
-    notes: list[str],
-    decimal: str,
-) -> RawTable:
-    """The rows of `frame`, which stand at `lines` (n,), whose time can be read, and what is a number in them."""
-    frame = frame.copy()
-    for key in frame.columns:
-        if key != stamps and not pd.api.types.is_numeric_dtype(frame[key]):
-            frame[key] = _numbers(frame[key], key, decimal, lines, left)
-    keep = _with_stamps(frame[stamps], clock, latest, lines, left)
-    frame, lines = frame[keep].reset_index(drop=True), lines[keep]
+    given = str(df.columns[0]) if clock.column is None else clock.column
+    stamps = (given,) if isinstance(given, str) else given
+    keys = [known_column(key, df.columns, "table") for key in dict.fromkeys([*stamps, *columns])]
+    frame, left, rows = df[keys].reset_index(drop=True).copy(), _Left("table", "row"), np.arange(1, len(df) + 1)
+    for key in keys[len(stamps) :]:
+        if not pd.api.types.is_numeric_dtype(frame[key]):
+            cells = frame[key].mask(frame[key].isin(_EMPTY))
+            frame[key] = _numbers(cells, key, ".", rows, left, np.ones(len(frame), dtype=bool))
+    at = frame[stamps[0]]
+    for more in stamps[1:]:
+        at = at.astype(str) + " " + frame[more].astype(str)
+    keep = _with_stamps(at, clock, latest, rows, left, in_order=True)
+    frame = frame[keep].reset_index(drop=True)
     notes += left.notes()
     if frame.empty:
-        raise DataError(f"{left.name}: nothing of it can be read ({'; '.join(left.notes()[:3]) or 'it has no rows'})")
+        raise DataError(f"table: nothing of it can be read ({'; '.join(left.notes()[:3]) or 'it has no rows'})")
     if clock.unit is not None:
-        frame[stamps] = pd.to_numeric(frame[stamps])
-    return raw_table(frame, stamps, columns, left.name, lines if left.unit == "line" else 1)
+        frame[stamps[0]] = pd.to_numeric(frame[stamps[0]])
+    return raw_table(frame, stamps, columns, "table")
+
+
+def _of_wanted(frame: pd.DataFrame, points: Sequence[str], wanted: Sequence[str]) -> NDArray[np.bool_]:
+    told = frame[points[0]].astype(str)
+    for more in points[1:]:
+        told = told + " " + frame[more].astype(str)
+    return np.asarray(told.isin(list(wanted)))
 
 
 def _rows(
-    content: bytes, form: CsvFormat, separator: str, names: list[str], left: _Left
+    content: bytes, form: CsvFormat, first: int, separator: str, names: list[str], left: _Left
 ) -> tuple[NDArray[np.intp], list[list[str]]]:
-    """Line numbers and cells of the lines that can be split into as many cells as there are `names`."""
+    """Line numbers and cells of the lines from `first` on that can be split into as many cells as there are `names`."""
     rows: list[list[str]] = []
     numbers: list[int] = []
     text = content.decode(form.encoding, errors="replace")
     for number, line in enumerate(io.StringIO(text, newline=None), start=1):
-        if number <= form.skip_lines + 1 or not line.strip():
+        if number <= first or not line.strip() or (form.comment and line.startswith(form.comment)):
             continue
         line = line.rstrip("\n")
         if "\x00" in line:
@@ -149,18 +211,19 @@ def _rows(
     return np.array(numbers, dtype=np.intp), rows
 
 
-def _numbers(column: pd.Series, key: str, decimal: str, lines: NDArray[np.intp], left: _Left) -> pd.Series:
-    column = column.mask(column.isin(_EMPTY))
+def _numbers(
+    column: pd.Series, key: str, decimal: str, lines: NDArray[np.intp], left: _Left, ours: NDArray[np.bool_]
+) -> pd.Series:
     numbers = as_numbers(column, decimal)
-    for row in np.flatnonzero((numbers.isna() & column.notna()).to_numpy()):
+    for row in np.flatnonzero((numbers.isna() & column.notna()).to_numpy() & ours):
         left.add(f"column '{key}' holds no number", int(lines[row]), str(column.iloc[row]))
     return numbers.astype(float)
 
 
 def _with_stamps(
-    text: pd.Series, clock: Clock, latest: pd.Timestamp, lines: NDArray[np.intp], left: _Left
+    text: pd.Series, clock: Clock, latest: pd.Timestamp, lines: NDArray[np.intp], left: _Left, *, in_order: bool
 ) -> NDArray[np.bool_]:
-    """Which rows (n,) have a stamp that is a time, and not far from the rows before and after it."""
+    """Which rows (n,) have a stamp that is a time, and not far from the rows before and after it, or from most."""
     if pd.api.types.is_datetime64_any_dtype(text):
         at = text.dt.tz_localize("UTC") if text.dt.tz is None else text.dt.tz_convert("UTC")
     else:
@@ -170,7 +233,7 @@ def _with_stamps(
         left.add("no time stamp", int(lines[row]), str(text.iloc[row]) if isinstance(text.iloc[row], str) else "")
     rows = np.flatnonzero(keep)
     at_s = np.asarray((at[keep] - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), dtype=np.float64)
-    far = _far(at_s)
+    far = _far(at_s) if in_order else np.abs(at_s - np.median(at_s)) > _FAR_FROM_MOST_S
     late = at_s > latest.timestamp()
     if late.any() and late.sum() <= max(1, _FEW * late.size):
         far |= late

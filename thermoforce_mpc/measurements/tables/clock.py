@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -13,19 +14,31 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.measurements.map.entries import Clock
-from thermoforce_mpc.measurements.tables.raw_table import RawTable
+from thermoforce_mpc.measurements.tables.forms import Clock
+from thermoforce_mpc.measurements.tables.raw_table import ISO, OFFSET, RawTable, full_offsets, with_offset
 
-_ISO = re.compile(r"\s*\d{4}-\d{2}-\d{2}")
-_OFFSET = "(?:[+-][0-9]{2}:?[0-9]{2}|Z) *$"
-# An offset in whole hours after a time of day, as PostgreSQL, TimescaleDB and DuckDB write them.
-_WHOLE_HOURS = r":[0-9]{2}(?:[.,][0-9]+)? ?[+-][0-9]{2} *$"
-# Rows looked at for such an offset before all are read.
-_LOOKED_AT = 1000
+# Months by how their names begin, in English, German, French and Dutch, without accents.
+_MONTHS = (
+    "jan", "feb|fev", "mar|maa|mrt|mae", "apr|avr", "may|mai|mei", "jun|juin", "jul|juil", "aug|aou", "sep", "oct|okt",
+    "nov", "dec|dez",
+)  # fmt: skip
+_ENGLISH = (
+    "January", "February", "March", "April", "May", "June", "July", "August", "September", "October", "November",
+    "December",
+)  # fmt: skip
+# Hours ahead of UTC of what clocks are called.
+_CLOCKS = {
+    "UTC": 0, "GMT": 0, "WET": 0, "WEST": 1, "BST": 1, "CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2, "EET": 2, "EEST": 3,
+    "EST": -5, "EDT": -4, "CST": -6, "CDT": -5, "MST": -7, "MDT": -6, "PST": -8, "PDT": -7,
+}  # fmt: skip
+# More ends than this are ends of intervals; offsets from UTC are fewer.
+_MOST_OFFSETS = 4
 _AN_HOUR = pd.Timedelta("1h")
 _MOST_YEARS = 20
 # The clock of a table that is being written may be ahead of ours by so much.
 _AHEAD = pd.Timedelta("5min")
+# Share of the stamps of two files from which they stand beside one another rather than overlap at their ends.
+_MOST_SHARED = 0.5
 
 
 def instants(table: RawTable, clock: Clock, notes: list[str], now: pd.Timestamp | None = None) -> pd.Series:
@@ -44,7 +57,7 @@ def instants(table: RawTable, clock: Clock, notes: list[str], now: pd.Timestamp 
     elif pd.api.types.is_datetime64_any_dtype(stamps):
         times = stamps
     else:
-        times = _parsed(table, stamps.astype(str), clock)
+        times = _parsed(table, plain(stamps.astype(str), clock.format), clock)
     if times.dt.tz is not None:
         if clock.zone is not None:
             return times.dt.tz_convert(clock.zone)
@@ -77,21 +90,17 @@ def _counted(table: RawTable, clock: Clock) -> pd.Series:
 
 def _parsed(table: RawTable, text: pd.Series, clock: Clock) -> pd.Series:
     form = clock.format or "ISO8601"
-    if _in_whole_hours(text.iloc[:: max(1, len(text) // _LOOKED_AT)]):
-        text = _with_minutes(text)
-    if clock.format is None and not _ISO.match(text.iloc[0]):
+    if clock.format is None and not ISO.match(text.iloc[0]):
         raise DataError(
             f"{table.where(0)}: the time stamp {text.iloc[0]!r} is not of the form 2025-01-31 14:30; set time.format, "
             "such as '%d/%m/%Y %H:%M' (day first) or '%m/%d/%Y %I:%M %p', or name another column as time.column"
         )
     # With daylight saving, offsets differ: those with a zone to come to are read as instants at once.
-    as_instants = clock.zone is not None and bool(_with_offset(text.iloc[:1])[0]) and bool(_with_offset(text).all())
+    as_instants = clock.zone is not None and bool(with_offset(text.iloc[:1])[0]) and bool(with_offset(text).all())
     try:
         return pd.to_datetime(text, format=form, utc=as_instants)
     except (ValueError, OverflowError) as error:
-        if _in_whole_hours(text):
-            return _parsed(table, _with_minutes(text), clock)
-        with_one = _with_offset(text)
+        with_one = with_offset(text)
         if with_one.any() and not with_one.all():
             other = int(np.argmax(with_one != with_one[0]))
             words = ("has none", "has a time zone") if with_one[0] else ("has a time zone", "has none")
@@ -107,7 +116,7 @@ def _parsed(table: RawTable, text: pd.Series, clock: Clock) -> pd.Series:
                 f"{clock.format or '2025-01-31 14:30'} ({wrong.size} such rows); mend the row, or set time.format"
             ) from error
         if clock.zone is None:
-            kinds = text.str.extract(f"({_OFFSET})", expand=False).str.strip().drop_duplicates()
+            kinds = text.str.extract(f"({OFFSET})", expand=False).str.strip().drop_duplicates()
             second = int(kinds.index[1])
             raise DataError(
                 f"{table.where(second)}: the time stamps have the offsets {kinds.iloc[0]} and {kinds.iloc[1]}: "
@@ -129,29 +138,64 @@ def parsed_or_nat(text: pd.Series, clock: Clock) -> pd.Series:
         since = since.tz_localize("UTC") if since.tz is None else since.tz_convert("UTC")
         elapsed = pd.to_timedelta(numbers.where(within), unit=clock.unit, errors="coerce")
         return pd.Series(since + elapsed)
-    text = _with_minutes(text.astype(object).where(text.notna(), "").astype(str))
+    text = text.astype(object).where(text.notna(), "").astype(str)
+    text = plain(text, clock.format) if len(text) else text
     if clock.format is None:
-        text = text.where(text.str.match(_ISO), "")
+        text = text.where(text.str.match(ISO), "")
     at = pd.to_datetime(text, format=clock.format or "ISO8601", utc=True, errors="coerce")
-    offset = _with_offset(text)
+    offset = with_offset(text)
     read = at.notna().to_numpy()
     fewer = offset if 2 * int((offset & read).sum()) < int(read.sum()) else ~offset
     return at.mask(fewer)
 
 
-def _in_whole_hours(text: pd.Series) -> bool:
-    return bool(text.str.contains(_WHOLE_HOURS, regex=True).any())
+def plain(text: pd.Series, form: str | None = None) -> pd.Series:
+    """Stamps (n,) of text as `strptime` knows them: of intervals the beginning, months in English, offsets in digits.
+
+    Midnight at the end of a day, 24:00, becomes 00:00 of the next one where the day is written as in 2025-01-31. Months
+    have three letters, or with %B in `form` all of them.
+    """
+    first = str(text.iloc[0])
+    if re.search(r":\d\d\D*(?:-|–|—|/| to | bis | tot | à | t/m )\D*\d", first):
+        text = _beginnings(text)
+        first = str(text.iloc[0])
+    if re.search(r"[A-Za-zäéûô]{3,}", first):
+        told = pd.unique(text.str.replace(r"[^A-Za-zÀ-ÿ]+", " ", regex=True))
+        words = dict.fromkeys(word for one in told for word in str(one).split() if len(word) > 2)
+        for word in words:
+            if (other := _in_digits(word, form)) is not None:
+                text = text.str.replace(rf"\b{word}\b\.?" if other.isalpha() else rf" ?\b{word}\b", other, regex=True)
+    late = text.str.contains(r"[ T]24:00(?::00)?", regex=True)
+    if late.any():
+        days = pd.to_datetime(text[late].str.extract(r"(\d{4}-\d{2}-\d{2})", expand=False), errors="coerce")
+        known = days[days.notna()]
+        text = text.copy()
+        text[known.index] = (known + pd.Timedelta("1D")).dt.strftime("%Y-%m-%d 00:00:00")
+    return full_offsets(text)
 
 
-def _with_minutes(text: pd.Series) -> pd.Series:
-    """Stamps (n,) whose offset in whole hours has minutes: '+01' as '+01:00'."""
-    whole = text.str.contains(_WHOLE_HOURS, regex=True)
-    return text.where(~whole, text.str.rstrip().str.replace(" +", "+", regex=False).str.replace(" -", "-") + ":00")
+def _beginnings(text: pd.Series) -> pd.Series:
+    """The first of two times in each stamp; stamps with an offset from UTC are left as they are."""
+    parts = text.str.extract(
+        r"^(.*?\d:\d\d(?::\d\d)?(?: ?[AaPp]\.?[Mm]\.?)?)\s*(?:-|–|—|/|to|bis|tot|à|t/m)\s*([^+-]*\d.*)$"
+    )
+    if parts[0].isna().any() or parts[1].nunique() <= min(_MOST_OFFSETS, len(text) - 1):
+        return text
+    tail = parts[1].str.extract(r"\(?([A-Z]{3,4})\)?$", expand=False)
+    return parts[0].str.cat(tail, sep=" ") if tail.notna().all() else parts[0]
 
 
-def _with_offset(text: pd.Series) -> NDArray[np.bool_]:
-    """Which stamps (n,) end with an offset from UTC."""
-    return np.asarray(text.str.contains(_OFFSET, regex=True), dtype=bool)
+def _in_digits(word: str, form: str | None) -> str | None:
+    """What `strptime` knows for the name of a month or a clock, None for other words."""
+    if word.upper() in _CLOCKS and word.isupper():
+        return f" {_CLOCKS[word]:+03d}00"
+    if word.lower() in ("uhr", "heure", "uur"):
+        return ""
+    bare = word.lower().translate(str.maketrans("äéèûôç", "aeeuoc"))
+    for month, begins in zip(_ENGLISH, _MONTHS, strict=True):
+        if re.match(begins, bare):
+            return month if form is not None and "%B" in form else month[:3]
+    return None
 
 
 def _localised(
@@ -168,7 +212,7 @@ def _localised(
         )
         if clock.nonexistent == "refuse":
             raise DataError(
-                f"{what}; a clock without summer time is time.zone: {_all_year(zone, times.iloc[0])}, "
+                f"{what}; a clock without summer time is time.zone: {all_year(zone, times.iloc[0])}, "
                 "time.nonexistent: gap leaves the rows out"
             )
         notes.append(f"{what}: left out")
@@ -185,7 +229,7 @@ def _localised(
         raise DataError(
             f"{table.where(row)}: {times.loc[row]} comes twice in {zone}, where summer time ends, and the order of the "
             "rows does not tell which it is; set time.ambiguous: first, second or gap, or, for a clock without summer "
-            f"time, time.zone: {_all_year(zone, times.iloc[0])}"
+            f"time, time.zone: {all_year(zone, times.iloc[0])}"
         ) from error
     unclear = int(local.isna().sum())
     if unclear:
@@ -218,7 +262,7 @@ def _by_the_clock(table: RawTable, times: pd.Series, zone: str, notes: list[str]
     return times.dt.tz_localize(zone, ambiguous=~later)
 
 
-def _all_year(zone: str, stamp: pd.Timestamp) -> str:
+def all_year(zone: str, stamp: pd.Timestamp) -> str:
     """The name of the clock that keeps the standard time of `zone` all year."""
     offsets = [pd.Timestamp(year=stamp.year, month=month, day=1, tz=zone).utcoffset() for month in (1, 7)]
     hours = min(offset.total_seconds() for offset in offsets if offset is not None) / 3600.0
@@ -229,23 +273,45 @@ def _all_year(zone: str, stamp: pd.Timestamp) -> str:
 
 @dataclass(frozen=True)
 class Timed:
-    """Columns of tables by name (n,) over increasing instants; `notes`: what was done to rows, in words."""
+    """Columns of tables by name over increasing instants; `notes`: what was done to rows, in words.
+
+    `columns` (n,) stand at `index` (n,), but for those with instants of their `own`, of which each row is a reading:
+    NaN says there that the signal was not available from then on. `beside`: first readings of signals that the map does
+    not name, where each row is one reading.
+    """
 
     index: pd.DatetimeIndex
     columns: dict[str, Array]
     notes: tuple[str, ...] = field(default=())
+    own: dict[str, pd.DatetimeIndex] = field(default_factory=dict)
+    beside: dict[str, Array] = field(default_factory=dict)
+
+    def at(self, name: str) -> pd.DatetimeIndex:
+        """The instants of a column."""
+        return self.own.get(name, self.index)
+
+    @property
+    def every_s(self) -> float:
+        """Usual distance of rows, s: of columns with instants of their own, that of the densest; NaN for one row."""
+        of = list(self.own.values()) or [self.index]
+        usual = [np.median(np.diff(one.as_unit("ns").asi8)) / 1e9 for one in of if len(one) > 1]
+        return float(min(usual, default=np.nan))
 
 
 def timed(tables: Sequence[RawTable], clock: Clock, now: pd.Timestamp | None = None) -> Timed:
     """The rows of `tables` in the order of time, in the zone of the map, without a zone where there is none.
 
+    Tables with the same columns follow one another; others stand beside, and their columns keep instants of their own.
     `now`: the time, of tables that are being written (`instants`).
 
     Raises `DataError`, with file, line and what to do, for a stamp that cannot be read, is out of order, comes twice or
     does not exist, and for zones that differ.
     """
     notes: list[str] = []
-    stamps = [instants(table, clock, notes, now) for table in tables]
+    stamps = [
+        _instants_of_readings(t, clock, notes, now) if t.codes is not None else instants(t, clock, notes, now)
+        for t in tables
+    ]
     has = [stamp.dt.tz is not None for stamp in stamps]
     if len(set(has)) > 1:
         naive, aware = tables[has.index(False)].name, tables[has.index(True)].name
@@ -259,8 +325,78 @@ def timed(tables: Sequence[RawTable], clock: Clock, now: pd.Timestamp | None = N
             f"{other}: its time stamps have the offset {zones[1]}, those of {tables[0].name} {zones[0]}: daylight "
             "saving, or two time zones; name the building's as time.zone, such as Europe/Brussels"
         )
+    alike: dict[tuple[str, ...], list[int]] = {}
+    for i, table in enumerate(tables):
+        if table.codes is None:
+            alike.setdefault(tuple(table.columns), []).append(i)
+    parts = [
+        _after_one_another([tables[i] for i in of], [stamps[i] for i in of], clock, notes) for of in alike.values()
+    ]
+    if len(parts) == 1 and len(alike) and all(table.codes is None for table in tables):
+        index, columns = parts[0]
+        _check_years(index, tables[0].name)
+        return Timed(index, columns, tuple(notes))
+    found: dict[str, list[tuple[pd.DatetimeIndex, Array]]] = {}
+    for index, columns in parts:
+        for name, values in columns.items():
+            known = np.isfinite(values)  # an empty cell of a wide table says nothing
+            found.setdefault(name, []).append((index[known], values[known]))
+    for table, stamp in zip(tables, stamps, strict=True):
+        if table.codes is not None:
+            codes, values, index = table.codes[stamp.index], table.columns[""][stamp.index], pd.DatetimeIndex(stamp)
+            for k, name in enumerate(table.points):
+                found.setdefault(name, []).append((index[codes == k], values[codes == k]))
+    own: dict[str, pd.DatetimeIndex] = {}
+    columns = {}
+    for name, pieces in found.items():
+        index = pd.DatetimeIndex(np.concatenate([one.as_unit("ns") for one, _ in pieces]), tz="UTC") if has[0] else (
+            pd.DatetimeIndex(np.concatenate([one.as_unit("ns") for one, _ in pieces]))
+        )  # fmt: skip
+        index = index.tz_convert(stamps[0].dt.tz) if has[0] else index
+        values = np.concatenate([one for _, one in pieces])
+        order = np.lexsort((np.isfinite(values), index.asi8))
+        order = order[np.append(np.diff(index.asi8[order]) > 0, True)]  # of two at one instant the later reading counts
+        own[name], columns[name] = index[order], values[order]
+    outages = [one for table in tables for one in table.outages]
+    for begin, end in outages:
+        notes.append(f"{tables[0].name}: nothing at all was stored from {begin} to {end}: a gap of every signal")
+        for name, index in own.items():
+            k = int(index.searchsorted(begin, side="right"))
+            if k and (k == len(index) or index[k] >= end):
+                own[name] = index.insert(k, begin + pd.Timedelta("1ms"))
+                columns[name] = np.insert(columns[name], k, np.nan)
+    union = pd.DatetimeIndex(np.unique(np.concatenate([one.asi8 for one in own.values()])))
+    union = union.tz_localize("UTC").tz_convert(stamps[0].dt.tz) if has[0] else union
+    if not len(union):
+        raise DataError(f"{tables[0].name}: the columns of the map hold no reading")
+    _check_years(union, tables[0].name)
+    beside = {name: values for table in tables for name, values in table.beside.items() if name not in own}
+    return Timed(union, columns, tuple(notes), own, beside)
+
+
+def _instants_of_readings(table: RawTable, clock: Clock, notes: list[str], now: pd.Timestamp | None) -> pd.Series:
+    """Instants of a table of one reading a row; each signal's rows tell which of the two hours in autumn they mean."""
+    of_wall_clock = not pd.api.types.is_numeric_dtype(table.stamps) and clock.zone is not None
+    if not of_wall_clock or getattr(table.stamps.dtype, "tz", None) is not None or table.codes is None:
+        return instants(table, clock, notes, now)
+    rows = [np.flatnonzero(table.codes == k) for k in range(len(table.points))]
+    lines = table.line if not isinstance(table.line, int) else table.line + np.arange(len(table.stamps))
+    found = []
+    for of in rows:
+        if of.size:
+            one = replace(table, stamps=table.stamps.iloc[of].reset_index(drop=True), line=lines[of])
+            at = instants(one, clock, notes, now)
+            found.append(at.set_axis(of[at.index]))
+    return pd.concat(found).sort_index()
+
+
+def _after_one_another(
+    tables: Sequence[RawTable], stamps: Sequence[pd.Series], clock: Clock, notes: list[str]
+) -> tuple[pd.DatetimeIndex, dict[str, Array]]:
+    """Instants and columns of tables with the same columns."""
     order = sorted(range(len(stamps)), key=lambda i: stamps[i].iloc[0])
     tables, stamps = [tables[i] for i in order], [stamps[i] for i in order]
+    _check_beside(tables, stamps)
     index = pd.DatetimeIndex(pd.concat(stamps, ignore_index=True))
     columns = {
         name: np.concatenate([t.columns[name][s.index] for t, s in zip(tables, stamps, strict=True)])
@@ -269,13 +405,29 @@ def timed(tables: Sequence[RawTable], clock: Clock, now: pd.Timestamp | None = N
     keep = _in_order(index, clock, partial(_place, tables, stamps), notes)
     if keep is not None:
         index, columns = index[keep], {name: values[keep] for name, values in columns.items()}
+    return index, columns
+
+
+def _check_beside(tables: Sequence[RawTable], stamps: Sequence[pd.Series]) -> None:
+    """Refuse files with the same columns at the same times, which are different rooms or points."""
+    for k in range(1, len(tables)):
+        shared = stamps[k].isin(stamps[k - 1]).sum()
+        if tables[k].name != tables[k - 1].name and shared > _MOST_SHARED * min(len(stamps[k]), len(stamps[k - 1])):
+            raise DataError(
+                f"{tables[k].name} and {tables[k - 1].name} have the same columns at the same times: they are of "
+                "different rooms or points. Set table: {by_file: prefix} in the map, and name a column with its file, "
+                f"as in '{Path(tables[k].name).stem} {next(iter(tables[k].columns))}'; `tf-mpc data map` of all files "
+                "writes it"
+            )
+
+
+def _check_years(index: pd.DatetimeIndex, name: str) -> None:
     if (years := (index[-1] - index[0]).days / 365.0) > _MOST_YEARS:
         row = int(np.argmax(np.diff(index.asi8)))
         raise DataError(
-            f"{tables[0].name}: {years:.0f} years from {index[0]} to {index[-1]}, the longest gap from {index[row]} to "
+            f"{name}: {years:.0f} years from {index[0]} to {index[-1]}, the longest gap from {index[row]} to "
             f"{index[row + 1]}: mend the time stamp that is wrong, or give {_MOST_YEARS} years at most"
         )
-    return Timed(index, columns, tuple(notes))
 
 
 def _place(tables: Sequence[RawTable], stamps: Sequence[pd.Series], row: int) -> str:
@@ -309,6 +461,12 @@ def _in_order(
         first, second = (int(keep[same[0] + i]) for i in (0, 1))
         what = f"{where(second)}: {index[second]} stands at {where(first)} too; {same.size} such rows"
         if clock.duplicates == "refuse":
+            if not (index[keep] != index[keep].normalize()).any() and same.size > at.size / 2:
+                raise DataError(
+                    f"{what}: the stamps of a day are all the same. Where the time of day stands in a column of "
+                    "its own, "
+                    "name both: time.column: [Date, Time]"
+                )
             raise DataError(f"{what}: remove one of them, or set time.duplicates: first or last")
         drop = same + 1 if clock.duplicates == "first" else same
         keep = np.delete(keep, drop)

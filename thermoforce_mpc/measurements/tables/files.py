@@ -1,4 +1,4 @@
-"""Files of measurements to columns of numbers: CSV and Parquet, one file or many, bounded in size."""
+"""Files of measurements to columns of numbers: CSV, Parquet and workbooks, one file or many, bounded in size."""
 
 from __future__ import annotations
 
@@ -7,31 +7,63 @@ import codecs
 import csv
 import glob
 import gzip
+import importlib.util
 import itertools
 import lzma
 import re
+import warnings
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
+from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import check_regular, pyarrow_for
-from thermoforce_mpc.measurements.map.entries import CsvFormat
-from thermoforce_mpc.measurements.tables.raw_table import RawTable, known_column, raw_table
+from thermoforce_mpc.measurements.tables.clock import instants
+from thermoforce_mpc.measurements.tables.forms import Clock, CsvFormat, TableForm
+from thermoforce_mpc.measurements.tables.raw_table import (
+    MISSING,
+    RawTable,
+    bad_status,
+    known_column,
+    of_one_signal,
+    raw_table,
+    readings_table,
+)
+
+Stamps: TypeAlias = str | tuple[str, ...] | None
+Lines: TypeAlias = int | NDArray[np.int64]
 
 # What is read at once, bytes when unpacked: about 15 million rows of six columns, in 4 GB of memory.
 MOST_BYTES = 1_000_000_000
 _COMPRESSED: dict[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
 _BLOCK = 1_000_000
 PARQUET = (".parquet", ".pq")
+_WORKBOOKS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
+# How files begin that are no text, and what they are.
+_MAGIC = {
+    b"\x89PNG": "a picture (PNG)", b"\xff\xd8\xff": "a picture (JPEG)", b"GIF8": "a picture (GIF)", b"%PDF": "a PDF",
+    b"SQLite format 3": "a database (SQLite): export its readings as CSV", b"\x89HDF": "an HDF5 file",
+    b"PAR1": "a Parquet file: name it .parquet", b"PK\x03\x04": "a workbook or an archive: name it .xlsx, or unpack it",
+    b"\x1f\x8b": "packed (gzip): name it .csv.gz", b"BZh": "packed (bzip2): name it .csv.bz2",
+    b"\xfd7zXZ": "packed (xz): name it .csv.xz", b"\xd0\xcf\x11\xe0": "an old workbook: name it .xls",
+}  # fmt: skip
+# Rows that are read at once where each is one reading: their text takes ten times the memory of their numbers.
+_ROWS_AT_ONCE = 250_000
+# Readings that are kept of signals outside the map; from a gap of so long in all signals on the logger stood still.
+_FIRST, _LEAST_ROWS, _LEAST_OUTAGE_NS = 2000, 100, 7.2e12
 # Bytes of one value of a table; a Parquet file may pack a million equal ones into a few.
 _CELL = 8
-_SEPARATORS = ",;\t"
+SEPARATORS = ",;\t|"
+"""What may stand between the cells of a line."""
 # What reading a damaged file raises: the errors of pandas and of text that cannot be decoded are ValueErrors.
 _DAMAGED = (ValueError, OSError, EOFError, LookupError, csv.Error, lzma.LZMAError, zlib.error, MemoryError)
 
@@ -79,160 +111,520 @@ def _unpacked_bytes(path: Path, most_bytes: int) -> int:
     return n
 
 
-def read_table(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> RawTable:
-    """The time stamps (column `stamps`, by default the first or the index) and `columns` of a file.
+def named_after(path: Path, form: CsvFormat) -> str:
+    """The name that a file gives its readings: that of a line `history:` above its header, else its own."""
+    stem = path.name
+    while Path(stem).suffix.lower() in (*_COMPRESSED, *PARQUET, *_WORKBOOKS, ".csv", ".txt", ".tsv"):
+        stem = Path(stem).stem
+    if path.suffix.lower() in (*PARQUET, *_WORKBOOKS) or not form.skip_lines:
+        return stem
+    with reading(path), opened(path, "rt", form.encoding) as lines:
+        for line in itertools.islice(iter(lambda: lines.readline(_BLOCK), ""), form.skip_lines):
+            told = re.match(r"\W*history:([^,;\t]*)", line, re.I)
+            if told and (name := told[1].strip(' "\r\n/').rpartition("/")[2]):
+                return name
+    return stem
 
-    Raises `DataError`, with column and line, for one that cannot be read, is empty, lacks a column or holds text in
-    one.
+
+def read_tables(
+    paths: Sequence[Path],
+    stamps: Stamps,
+    wanted: Sequence[str],
+    form: CsvFormat,
+    table: TableForm,
+    notes: list[str],
+) -> list[RawTable]:
+    """The time stamps (columns `stamps`, by default the first or the index) and `wanted` signals of files.
+
+    A file need not hold all of them; `notes` is told of one that holds none. Raises `DataError`, with column and line,
+    for one that cannot be read, is empty, or holds text in one, and where one of `wanted` is in no file.
     """
-    if path.suffix in PARQUET:
-        df, line = _parquet(path, stamps, columns), 1
-    else:
-        df, line = _csv(path, stamps, columns, form)
-    return raw_table(df, stamps, columns, str(path), line, form.decimal)
+    tables: list[RawTable] = []
+    known: dict[str, None] = {}
+    for path in paths:
+        found: list[RawTable] = []
+        for part in _parts(path, form):
+            if table.point is not None:
+                found += _of_readings(part, stamps, wanted, form, table)
+                known |= dict.fromkeys(name for one in found for name in (*_present(one), *one.beside))
+            else:
+                column_of = _signals(part, stamps, form, table)
+                known |= dict.fromkeys(column_of)
+                found += _of_columns(part, stamps, wanted, column_of, form, table)
+        if not found and len(paths) > 1:
+            notes.append(f"{path}: holds none of the columns of the map: left out")
+        tables += [one for one in found if len(one.stamps)]
+    for key in wanted:
+        known_column(key, pd.Index(list(known)), str(paths[0]))
+    if not tables:
+        raise DataError(f"{paths[0]}: the map names no column")
+    return tables
 
 
-def check_columns(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> None:
-    """Refuse a file that lacks a column or is too large; raises `DataError` as `found_files` and `read_table`."""
-    found_files([path])
-    if path.suffix not in PARQUET:
-        header_of(path, stamps, columns, form)
-        return
-    pyarrow = pyarrow_for(path, DataError)
-    try:
-        names = pyarrow.parquet.read_schema(path).names
-    except (pyarrow.ArrowException, OSError, ValueError) as error:
-        raise DataError(f"{path}: no Parquet file that can be read ({_short(error)})") from error
-    for key in (*([stamps] if stamps else []), *columns):
-        known_column(key, pd.Index(names), str(path))
+def _present(table: RawTable) -> list[str]:
+    """Signals of a table of one reading a row that have one."""
+    return [table.points[k] for k in np.unique(table.codes if table.codes is not None else [])]
 
 
-def _parquet(path: Path, stamps: str | None, columns: Sequence[str] | None) -> pd.DataFrame:
-    """The table with time stamps (or index) and `columns`; None: all of them."""
-    pyarrow = pyarrow_for(path, DataError)
-    try:
-        told = pyarrow.parquet.read_metadata(path)
-        schema = told.schema.to_arrow_schema()
-        # The index of a data frame stands among the columns of its file.
-        index = [name for name in (schema.pandas_metadata or {}).get("index_columns", []) if isinstance(name, str)]
-        stamp_columns = [stamps] if stamps else index or schema.names[:1]
-        columns = schema.names if columns is None else columns
-        present = [name for name in dict.fromkeys([*stamp_columns, *columns]) if name in schema.names]
-        if told.num_rows * len(present) * _CELL > MOST_BYTES:
-            raise DataError(
-                f"{path}: {told.num_rows:,} rows, more than {MOST_BYTES / 1e9:.0f} GB; write means or a part"
-            )
-        table = pyarrow.parquet.read_table(path, columns=present).to_pandas()
-    except (pyarrow.ArrowException, OSError, ValueError) as error:
-        raise DataError(f"{path}: no Parquet file that can be read ({_short(error)})") from error
-    missing = [name for name in columns if name not in schema.names]
-    if missing:
-        known_column(missing[0], pd.Index(schema.names), str(path))
-    return table
+def stamps_of(path: Path, stamps: Stamps, form: CsvFormat) -> RawTable:
+    """The time stamps of a file alone."""
+    part = _parts(path, form)[0]
+    keys = _keys(part, stamps)
+    df, line = next(part.frames(list(keys), None))
+    return raw_table(df, keys or None, [], str(path), line)
 
 
-def _csv(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> tuple[pd.DataFrame, int]:
-    separator, names, keys = header_of(path, stamps, columns, form)
-    places = sorted(names.index(key) for key in keys)
-    with reading(path, " as CSV"):
-        _check_lines(path, form, separator, len(names))
-    # Blank lines are kept, so that the number of a row tells its line.
-    more: dict[str, Any] = {
-        "usecols": places,
-        "na_values": list(form.missing),
-        "skip_blank_lines": False,
-        "low_memory": False,
+def all_readings(
+    paths: Sequence[Path], clock: Clock, form: CsvFormat, table: TableForm
+) -> dict[str, tuple[Array, Array, bool]]:
+    """Seconds and values of every signal of files of one reading a row, and whether it holds words; for a first look.
+
+    Stamps that cannot be read count as a quarter of an hour apart.
+    """
+    names: dict[str, int] = {}
+    wordy: set[str] = set()
+    pieces = []
+    for path in paths:
+        for part in _parts(path, form):
+            points, values = ((one,) if isinstance(one, str) else one for one in (table.point or (), table.value or ()))
+            given = [key for key in values if key in part.names]
+            keys = _keys(part, clock.column)
+            told = [*keys, *points, *given, *([table.status] if table.status in part.names else [])]
+            for df, line in part.frames(list(dict.fromkeys(told)), _ROWS_AT_ONCE):
+                piece = readings_table(df, keys or None, table, str(path), line, form.decimal).with_instants()
+                assert piece.codes is not None
+                codes = np.array([names.setdefault(name, len(names)) for name in piece.points])[piece.codes]
+                wordy |= set(piece.wordy)
+                at = piece.stamps
+                if not pd.api.types.is_datetime64_any_dtype(at):
+                    try:
+                        at = instants(piece, clock.model_copy(update={"zone": None}), [])
+                    except DataError:
+                        at = pd.Series(
+                            pd.Timestamp("2025-01-01") + pd.to_timedelta(np.arange(len(at)) * 900.0, unit="s")
+                        )
+                at = at.dt.tz_localize(None) if getattr(at.dtype, "tz", None) is not None else at
+                pieces.append((codes, at.astype("datetime64[ns]").to_numpy().astype("int64") / 1e9, piece.columns[""]))
+    codes, time_s, readings = (np.concatenate(column) for column in zip(*pieces, strict=True))
+    order = np.lexsort((time_s, codes))
+    codes, time_s, readings = codes[order], time_s[order], readings[order]
+    edges = np.searchsorted(codes, np.arange(len(names) + 1))
+    return {
+        name: (time_s[a:b], readings[a:b], name in wordy)
+        for name, a, b in zip(names, edges[:-1], edges[1:], strict=True)
     }
-    df = _frame(path, form, separator, **more).set_axis([names[place] for place in places], axis=1)
-    filled = df.notna().any(axis=1).to_numpy().nonzero()[0]
-    return df.iloc[: filled[-1] + 1 if filled.size else 0], form.skip_lines + 2
 
 
-def header_of(
-    path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat
-) -> tuple[str, list[str], list[str]]:
-    """Separator and names of the columns, and those that are read; raises `DataError` where one is not there."""
-    separator, names = _header(path, form)
-    keys = list(dict.fromkeys([names[0] if stamps is None else stamps, *columns]))
-    for key in keys:
-        known_column(key, pd.Index(names), str(path))
-        if names.count(key) > 1:
-            raise DataError(f"{path}: there are {names.count(key)} columns '{key}'; give each a name of its own")
-    return separator, names, keys
+def signal_names(path: Path, stamps: Stamps, form: CsvFormat, table: TableForm) -> list[str]:
+    """Names of the signals of a file whose columns are signals."""
+    return list(dict.fromkeys(name for part in _parts(path, form) for name in _signals(part, stamps, form, table)))
 
 
-def _check_lines(path: Path, form: CsvFormat, separator: str, n: int) -> None:
-    """Refuse lines with more or fewer than `n` cells, whose values would land in wrong columns."""
-    with opened(path, "rt", form.encoding) as lines:
-        begun = 1
-        while block := lines.readlines(_BLOCK):
-            for k in np.flatnonzero(np.array([line.count(separator) for line in block]) != n - 1):
-                cells = next(csv.reader([block[k].rstrip("\r\n")], delimiter=separator), [])
-                same = len(cells) in (0, n) or (len(cells) == n + 1 and not cells[-1]) or '"' in block[k]
-                if begun + k > form.skip_lines + 1 and not same:
-                    raise DataError(
-                        f"{path}, line {begun + k}: has {len(cells)} cells, the line of column names {n}: mend or "
-                        "remove it (a decimal comma? a file that is still being written?)"
-                    )
-            begun += len(block)
+def check_columns(
+    paths: Sequence[str | Path], stamps: Stamps, wanted: Sequence[str], form: CsvFormat, table: TableForm
+) -> None:
+    """Refuse files that lack a column or are too large; raises `DataError` as `found_files` and `read_tables`.
+
+    Where each row is one reading the signals are known only when all is read.
+    """
+    found = found_files(paths)
+    if table.point is not None:
+        of_readings = (table.point,) if isinstance(table.point, str) else table.point
+        for path in found:
+            for key in of_readings:
+                known_column(key, pd.Index(_parts(path, form, scan=False)[0].names), str(path))
+        return
+    known = dict.fromkeys(
+        name
+        for path in found
+        for part in _parts(path, form, scan=False)
+        for name in _signals(part, stamps, form, table)
+    )
+    for key in wanted:
+        known_column(key, pd.Index(list(known)), str(found[0]))
 
 
 def head_of(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
     """The first `rows` rows of a file with all its columns, stamps (or index) first; raises `DataError`."""
-    if path.suffix in PARQUET:
-        df = _parquet(path, None, None).iloc[:rows]
-        return df.reset_index() if isinstance(df.index, pd.DatetimeIndex) else df
-    separator, names = _header(path, form)
-    with reading(path, " as CSV"):  # its columns may be fewer than the names
-        return _frame(path, form, separator, nrows=rows, index_col=False).set_axis(names, axis=1)
-
-
-def _frame(path: Path, form: CsvFormat, separator: str, **more: Any) -> pd.DataFrame:
+    part = _parts(path, form, scan=False)[0]
     with reading(path, " as CSV"):
-        rules: dict[str, Any] = {"decimal": form.decimal, "encoding": form.encoding, "skiprows": form.skip_lines}
-        return pd.read_csv(path, sep=separator, **rules, **more)
+        df, _ = next(part.frames(None, rows))
+    df = df.iloc[:rows]
+    return df.reset_index() if isinstance(df.index, pd.DatetimeIndex) else df
 
 
-def guessed_form(path: Path) -> CsvFormat:
-    """How a CSV file seems to be written: UTF-8, else UTF-16 or the code page of Excel; decimal point or comma."""
-    if path.suffix in PARQUET:
-        return CsvFormat()
-    with reading(path), opened(path) as file:
-        start = file.read(_BLOCK)
-    encoding = "utf-16" if start[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8"
-    decoder = codecs.getincrementaldecoder(encoding)
+@dataclass(frozen=True)
+class _Part:
+    """Rows of a file under one line of column `names`; `frames` gives some of its columns, with the lines of rows.
+
+    All of them for None, and at most so many rows at once.
+    """
+
+    path: Path
+    names: list[str]
+    frames: Callable[[Sequence[str] | None, int | None], Iterator[tuple[pd.DataFrame, Lines]]]
+
+
+def _parts(path: Path, form: CsvFormat, *, scan: bool = True) -> list[_Part]:
+    suffix = path.suffix.lower()
+    if suffix in PARQUET:
+        return [_parquet(path)]
+    if suffix in _WORKBOOKS:
+        return [_workbook(path, form)]
+    return _csv(path, form, scan=scan)
+
+
+def _of_readings(
+    part: _Part, stamps: Stamps, wanted: Sequence[str], form: CsvFormat, table: TableForm
+) -> Iterator[RawTable]:
+    """A table of one reading a row, of the `wanted` signals; its stamps become instants early, since text is large."""
+    points, values = ((one,) if isinstance(one, str) else one for one in (table.point or (), table.value or ()))
+    keys = _keys(part, stamps)
+    given = [key for key in values if key in part.names] or list(values[:1])
+    for key in (*keys, *points, *given):
+        known_column(key, pd.Index(part.names), str(part.path))
+    told = [*keys, *points, *given, *([table.status] if table.status in part.names else [])]
+    pieces, beside = [], dict[str, Array]()
+    code_of = {name: k for k, name in enumerate(dict.fromkeys(wanted))}
+    at: list[pd.Series] = []
+    for df, line in part.frames(list(dict.fromkeys(told)), _ROWS_AT_ONCE):
+        piece = readings_table(df, keys or None, table, str(part.path), line, form.decimal, wanted).with_instants()
+        assert piece.codes is not None
+        for k, name in enumerate(piece.points):
+            if name not in code_of and len(beside.get(name, ())) < _FIRST:
+                first = piece.columns[""][piece.codes == k][:_FIRST]
+                beside[name] = np.concatenate([beside.get(name, np.empty(0)), first])
+        codes = np.array([code_of.get(name, -1) for name in piece.points], dtype=np.int32)[piece.codes]
+        ours = codes >= 0
+        at.append(piece.stamps)
+        lines = piece.line[ours] if not isinstance(piece.line, int) else piece.line + np.flatnonzero(ours)
+        stamps_of = piece.stamps[ours].reset_index(drop=True)
+        pieces.append((stamps_of, piece.columns[""][ours], lines, codes[ours]))
+    stamps_of_all = [piece[0] for piece in pieces]
+    if len({str(one.dtype) for one in at}) > 1:  # some stamps are of another form: messages name them
+        stamps_of_all, at = [one.astype(str) for one in stamps_of_all], []
+    yield RawTable(
+        str(part.path),
+        pd.concat(stamps_of_all, ignore_index=True),
+        {"": np.concatenate([piece[1] for piece in pieces])},
+        np.concatenate([piece[2] for piece in pieces]),
+        tuple(code_of),
+        np.concatenate([piece[3] for piece in pieces]),
+        beside,
+        _outages(at),
+    )
+
+
+def _outages(stamps: Sequence[pd.Series]) -> tuple[tuple[pd.Timestamp, pd.Timestamp], ...]:
+    """From when to when no signal at all has a reading: the logger stood still, not the values."""
+    if not stamps or getattr(stamps[0].dtype, "tz", None) is None:
+        return ()
+    at = np.unique(np.concatenate([pd.DatetimeIndex(one).as_unit("ns").asi8 for one in stamps]))
+    apart = np.diff(at)
+    if apart.size < _LEAST_ROWS:
+        return ()
+    most = max(_LEAST_OUTAGE_NS, 4.0 * float(np.percentile(apart, 99.0)), 10.0 * float(np.median(apart)))
+    return tuple(
+        (pd.Timestamp(at[k], tz="UTC"), pd.Timestamp(at[k + 1], tz="UTC")) for k in np.flatnonzero(apart > most)
+    )
+
+
+def _of_columns(
+    part: _Part,
+    stamps: Stamps,
+    wanted: Sequence[str],
+    column_of: dict[str, str],
+    form: CsvFormat,
+    table: TableForm,
+) -> Iterator[RawTable]:
+    here = [key for key in dict.fromkeys(wanted) if key in column_of]
+    if not here:
+        return
+    keys = _keys(part, stamps)
+    for key in (*keys, *(column_of[key] for key in here)):
+        known_column(key, pd.Index(part.names), str(part.path))
+        if part.names.count(key) > 1:
+            raise DataError(
+                f"{part.path}: there are {part.names.count(key)} columns '{key}'; give each a name of its own"
+            )
+    told = [*keys, *(column_of[key] for key in here), *([table.status] if table.status in part.names else [])]
+    df, line = next(part.frames(list(dict.fromkeys(told)), None))
+    found = raw_table(df, keys or None, [column_of[key] for key in here], str(part.path), line, form.decimal)
+    bad = bad_status(df, table)
+    columns = {key: np.where(bad, np.nan, found.columns[column_of[key]]) for key in here}
+    yield replace(found, columns=columns) if table.by_file != "point" else of_one_signal(found, here[0], columns)
+
+
+def _keys(part: _Part, stamps: Stamps) -> tuple[str, ...]:
+    """Columns of the time stamps of a part; none where its index has them."""
+    if stamps is None:
+        return tuple(part.names[:1]) if part.path.suffix.lower() not in PARQUET else ()
+    return (stamps,) if isinstance(stamps, str) else stamps
+
+
+def _signals(part: _Part, stamps: Stamps, form: CsvFormat, table: TableForm) -> dict[str, str]:
+    """Columns of a part by the names of its signals."""
+    if table.by_file is None:
+        return {name: name for name in part.names}
+    name = named_after(part.path, form)
+    if table.by_file == "prefix":
+        keys = _keys(part, stamps)
+        return {f"{name} {column}": column for column in part.names if column not in keys}
+    values = (table.value,) if isinstance(table.value, str) else table.value or ()
+    given = [column for column in values if column in part.names]
+    return {name: given[0]} if given else {}
+
+
+def columns_of(
+    path: Path, names: list[str], stamps: Stamps, form: CsvFormat, table: TableForm, wanted: Sequence[str] | None
+) -> tuple[list[str], dict[str, str]]:
+    """Columns of the stamps of a file with columns `names`, and by signal (of `wanted`, None: all) its column.
+
+    Where each row is one reading, the columns of readings, by their own names.
+    """
+    part = _Part(path, names, lambda columns, rows: iter(()))
+    keys = _keys(part, stamps)
+    if table.point is not None:
+        points, values = ((one,) if isinstance(one, str) else one for one in (table.point, table.value or ()))
+        given = [key for key in values if key in names] or list(values[:1])
+        for key in (*keys, *points, *given):
+            known_column(key, pd.Index(names), str(path))
+        return list(keys), {key: key for key in given}
+    column_of = _signals(part, stamps, form, table)
+    for key in keys:
+        known_column(key, pd.Index(names), str(path))
+    here = column_of if wanted is None else {key: column_of[key] for key in wanted if key in column_of}
+    for key in here.values():
+        if names.count(key) > 1 and wanted is not None:
+            raise DataError(f"{path}: there are {names.count(key)} columns '{key}'; give each a name of its own")
+    return list(keys), here
+
+
+def _parquet(path: Path) -> _Part:
+    pyarrow = pyarrow_for(path, DataError)
     try:
-        text = decoder().decode(start)  # the last character may be cut
-    except UnicodeError:
-        encoding, text = "cp1252", start.decode("cp1252", errors="replace")
-    form = CsvFormat(encoding=encoding)
-    separator, _ = _header(path, form)
-    cells = "" if separator == "," else text.partition("\n")[2]
-    cell = rf"(?:^|[{separator}\"])-?\d+{{}}\d+(?=[{separator}\"\r\n]|$)"
-    points, commas = (len(re.findall(cell.format(mark), cells, re.M)) for mark in (r"\.", ","))
-    return CsvFormat(encoding=encoding, decimal="," if commas > points else ".")
+        told = pyarrow.parquet.read_metadata(path)
+        schema = told.schema.to_arrow_schema()
+    except (pyarrow.ArrowException, OSError, ValueError) as error:
+        raise DataError(f"{path}: no Parquet file that can be read ({_short(error)})") from error
+    # The index of a data frame stands among the columns of its file.
+    index = [name for name in (schema.pandas_metadata or {}).get("index_columns", []) if isinstance(name, str)]
+
+    def frames(columns: Sequence[str] | None, rows: int | None) -> Iterator[tuple[pd.DataFrame, Lines]]:
+        stamps = index or schema.names[:1]
+        present = list(dict.fromkeys([*stamps, *(schema.names if columns is None else columns)]))
+        if told.num_rows * len(present) * _CELL > MOST_BYTES:
+            raise DataError(
+                f"{path}: {told.num_rows:,} rows, more than {MOST_BYTES / 1e9:.0f} GB; write means or a part"
+            )
+        try:
+            yield pyarrow.parquet.read_table(path, columns=present).to_pandas(), 1
+        except (pyarrow.ArrowException, OSError, ValueError) as error:
+            raise DataError(f"{path}: no Parquet file that can be read ({_short(error)})") from error
+
+    return _Part(path, list(schema.names), frames)
 
 
-def _header(path: Path, form: CsvFormat) -> tuple[str, list[str]]:
+def _workbook(path: Path, form: CsvFormat) -> _Part:
+    if importlib.util.find_spec("python_calamine") is None:
+        raise DataError(
+            f"{path}: workbooks are read with python-calamine: pip install 'thermoforce-mpc[workbook]', or save the "
+            "sheet as CSV"
+        )
+    check_regular(path, DataError)
+    try:
+        cells = pd.read_excel(path, sheet_name=form.sheet or 0, header=None, engine="calamine", dtype=object)
+    except Exception as error:  # calamine raises its own errors, and those of damaged archives
+        raise DataError(f"{path}: no workbook that can be read ({_short(error)})") from error
+    if len(cells) <= form.skip_lines:
+        raise DataError(f"{path}: the sheet is empty; name another as csv.sheet")
+    names = [str(name).strip() for name in cells.iloc[form.skip_lines].fillna("")]
+    first = form.skip_lines + 1 + form.skip_after
+    rows = cells.iloc[first:].dropna(how="all").set_axis(names, axis=1)
+    lines = rows.index.to_numpy() + 1
+    rows = rows.reset_index(drop=True).infer_objects()
+
+    def frames(columns: Sequence[str] | None, most: int | None) -> Iterator[tuple[pd.DataFrame, Lines]]:
+        yield (rows if columns is None else rows[list(columns)]), lines
+
+    return _Part(path, names, frames)
+
+
+def _csv(path: Path, form: CsvFormat, *, scan: bool = True) -> list[_Part]:
+    """The parts of a CSV file; without `scan` its first alone, whose lines are not checked."""
+    separator, names, header = header_of(path, form)
+    found: list[tuple[list[str], Array | None, int]] = [(names, None, len(names))]
+    first = header + 1 + form.skip_after
+    if scan:
+        with reading(path, " as CSV"):
+            found = _scanned(path, form, separator, names, first)
+
+    def frames_of(names: list[str], lines: Any, cells: int, columns: Any, rows: int | None) -> Any:
+        if lines is not None and not lines.size:
+            raise DataError(f"{path}: the table has no rows")
+        told = names if columns is None else list(columns)
+        # Cells of a longer row, as behind a separator at its end, are left out.
+        more: dict[str, Any] = {"header": None, "index_col": False}
+        skipped: Any = first
+        if lines is not None and lines.size != lines[-1] + 1 - first:
+            skipped = np.setdiff1d(np.arange(lines[-1] + 1), lines, assume_unique=True)
+        if lines is not None:
+            more |= {"nrows": int(lines.size), "names": range(cells), "usecols": [names.index(name) for name in told]}
+        rules: dict[str, Any] = {
+            "sep": separator, "decimal": form.decimal, "encoding": form.encoding, "skiprows": skipped,
+            "na_values": [*MISSING, *form.missing], "skip_blank_lines": False, "low_memory": False,
+            "skipinitialspace": True, "on_bad_lines": "skip" if lines is None else "error", **more,
+        }  # fmt: skip
+
+        def renamed(df: pd.DataFrame) -> pd.DataFrame:
+            places = [int(place) for place in df.columns if int(place) < len(names)]
+            return df[places].set_axis([names[place] for place in places], axis=1)
+
+        with reading(path, " as CSV"), warnings.catch_warnings():
+            warnings.simplefilter("ignore", pd.errors.ParserWarning)
+            if lines is None:
+                try:
+                    yield renamed(pd.read_csv(path, **rules | {"nrows": rows})), first + 1
+                except pd.errors.EmptyDataError as error:
+                    raise DataError(f"{path}: the table has no rows") from error
+                return
+            if rows is None:
+                df = renamed(pd.read_csv(path, **rules))
+                yield _without_end(df, lines)
+                return
+            read = 0
+            for piece in pd.read_csv(path, chunksize=rows, **rules):
+                yield renamed(piece).reset_index(drop=True), lines[read : read + len(piece)] + 1
+                read += len(piece)
+
+    return [_Part(path, names, partial(frames_of, names, lines, cells)) for names, lines, cells in found]
+
+
+def _without_end(df: pd.DataFrame, lines: Any) -> tuple[pd.DataFrame, Lines]:
+    """A table without empty rows at its end, and the lines of its rows (which a cell over two lines shifts)."""
+    filled = df.notna().any(axis=1).to_numpy().nonzero()[0]
+    df = df.iloc[: filled[-1] + 1 if filled.size else 0]
+    return df, lines[: len(df)] + 1
+
+
+def _scanned(path: Path, form: CsvFormat, separator: str, names: list[str], first: int) -> list[Any]:
+    """Names, places of lines and most cells of each part of a CSV file, whose rows begin at line `first` (from 0).
+
+    Left out are empty lines, those of comment, and headers that come again behind these. Another header there begins
+    another part. Refuses rows with more or fewer cells than their header, whose values would land in wrong columns.
+    """
+    parts: list[tuple[list[str], list[Any]]] = [(names, [])]
+    most = len(names)
+    begun, may_begin = 0, False
+    with opened(path, "rt", form.encoding) as lines:
+        while block := lines.readlines(_BLOCK):
+            kept = np.ones(len(block), dtype=bool)
+            kept[: max(0, first - begun)] = False
+            n = np.array([line.count(separator) for line in block])
+            special = np.array([line[:1] in "\r\n" or line.startswith(form.comment or "\n") for line in block])
+            begins = np.array([line.startswith(_start(parts[-1][0], separator)) for line in block])
+            after = np.append(may_begin, special[:-1])
+            may_begin = bool(special[-1])
+            kept &= ~special
+            start = 0
+            for k in np.flatnonzero(kept & (begins | after | (n != len(parts[-1][0]) - 1))):
+                cells = next(csv.reader([block[k].rstrip("\r\n")], delimiter=separator, skipinitialspace=True), [])
+                told = [cell.strip() for cell in cells]
+                current = parts[-1][0]
+                if told in (current, names) and after[k]:  # of a table of its own, as InfluxDB writes them
+                    kept[k] = False
+                    continue
+                if (
+                    after[k]
+                    and len(set(told) & set(current)) > 1
+                    and len(set(told) & set(current)) * 2 >= len(set(told))
+                ):
+                    parts[-1][1].append(np.flatnonzero(kept[start:k]) + start + begun)
+                    parts.append((told, []))
+                    kept[k], start = False, int(k)
+                    continue
+                if not any(told):
+                    kept[k] = False
+                    continue
+                expected = len(current)
+                same = len(cells) in (0, expected) or (len(cells) == expected + 1 and not cells[-1]) or '"' in block[k]
+                if not same:
+                    raise DataError(
+                        f"{path}, line {begun + k + 1}: has {len(cells)} cells, the line of column names "
+                        f"{expected}: mend "
+                        "or remove it (a decimal comma? a file that is still being written?)"
+                    )
+            parts[-1][1].append(np.flatnonzero(kept[start:]) + start + begun)
+            most = max(most, int(n[kept].max(initial=0)) + 1)
+            begun += len(block)
+    return [
+        (told, np.concatenate([np.empty(0, dtype=np.int64), *rows]), min(most, max(len(told), len(names)) + 1))
+        for told, rows in parts
+    ]
+
+
+def _start(names: Sequence[str], separator: str) -> str:
+    """How a header that comes again begins."""
+    return separator.join(names[:2])
+
+
+def header_of(path: Path, form: CsvFormat) -> tuple[str, list[str], int]:
+    """Separator, names of the columns, and the line (from 0) where these stand."""
+    at, header = form.skip_lines, ""
     try:
         with reading(path, but=(UnicodeError,)), opened(path, "rt", form.encoding) as lines:
             parts = iter(lambda: lines.readline(_BLOCK), "")  # not the whole of a line without end
-            header = next(itertools.islice(parts, form.skip_lines, None), "").lstrip("\ufeff").rstrip("\r\n")
-            if not header.strip():
-                if not any(line.strip() for line in lines):
-                    raise DataError(f"{path}: the file is empty")
+            for line in itertools.islice(parts, form.skip_lines, None):
+                header = line.lstrip("\ufeff").rstrip("\r\n")
+                if header.strip() and not (form.comment and header.startswith(form.comment)):
+                    break
+                at += 1
+            else:
                 raise DataError(
+                    f"{path}: the file is empty" if not form.skip_lines and not header.strip() else
                     f"{path}, line {form.skip_lines + 1}: no names of columns; set csv.skip_lines of the map"
-                )
+                )  # fmt: skip
     except UnicodeError as error:
+        with reading(path), opened(path) as file:
+            _check_text(path, file.read(1000))
         raise DataError(
             f"{path}: is not {form.encoding} ({_short(error)}); set csv.encoding of the map: "
             "cp1252 for a file of Excel, utf-16 for its Unicode text"
         ) from error
-    separator = form.separator or max(_SEPARATORS, key=header.count)
+    separator = form.separator or max(SEPARATORS, key=header.count)
     with reading(path, " as CSV"):
         names = next(csv.reader([header], delimiter=separator, skipinitialspace=True))
-    return separator, [name.strip() for name in names]
+    return separator, [name.strip() for name in names], at
+
+
+def is_text(path: Path) -> bool:
+    """Whether a file is read as text, by its suffix."""
+    return path.suffix.lower() not in (*PARQUET, *_WORKBOOKS)
+
+
+def _check_text(path: Path, start: bytes) -> None:
+    """Refuse what is no text and says so by how it begins: a picture is no code page."""
+    if what := next((what for magic, what in _MAGIC.items() if start.startswith(magic)), ""):
+        raise DataError(f"{path}: is no table but {what}")
+    if start[:2] not in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) and start[:1000].count(b"\0") > 20:
+        raise DataError(f"{path}: is no text: a table is CSV, Parquet or a workbook")
+
+
+def sample(path: Path) -> tuple[str, list[str]]:
+    """Encoding and first lines of a text file: UTF-8, else UTF-16 or the code page of Excel.
+
+    Raises `DataError` for one that is no text.
+    """
+    with reading(path), opened(path) as file:
+        start = file.read(_BLOCK)
+    _check_text(path, start)
+    encoding = "utf-16" if start[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8"
+    try:
+        text = codecs.getincrementaldecoder(encoding)().decode(start)  # the last character may be cut
+    except UnicodeError:
+        encoding, text = "cp1252", start.decode("cp1252", errors="replace")
+    lines = text.lstrip("\ufeff").splitlines()
+    return encoding, lines if len(start) < _BLOCK else lines[:-1]
 
 
 def opened(path: Path, mode: str = "rb", encoding: str | None = None) -> Any:

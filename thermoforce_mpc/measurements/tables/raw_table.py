@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -12,55 +12,221 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.measurements.tables.forms import TableForm
 from thermoforce_mpc.scenario.settings import suggestion
 
-# Words of a column that says on or off.
-_SWITCH = {"on": 1.0, "off": 0.0, "ein": 1.0, "an": 1.0, "aus": 0.0, "true": 1.0, "false": 0.0}
+# Words of a column that says on or off, in the languages of the maps.
+_ON = (
+    "on", "ein", "an", "true", "open", "opened", "auf", "offen", "ouvert", "marche", "aan", "active", "running", "yes",
+)  # fmt: skip
+_OFF = (
+    "off", "aus", "false", "closed", "zu", "geschlossen", "fermé", "arrêt", "uit", "inactive", "idle", "stopped", "no",
+)  # fmt: skip
+SWITCH = dict.fromkeys(_ON, 1.0) | dict.fromkeys(_OFF, 0.0)
+"""Numbers of words that say on or off."""
+# Words of programs for a reading that there is not, beside those that pandas knows.
+MISSING = ("unavailable", "unknown", "undefined", "undef", "uninitialized", "no data", "-", "--", "---")
+ISO = re.compile(r"\s*\d{4}-\d{2}-\d{2}")
+"""How stamps begin that are of the form 2025-01-31T14:30."""
+OFFSET = "(?:[+-][0-9]{2}(?::?[0-9]{2})?|Z) *$"
+"""How stamps end that have an offset from UTC; databases leave minutes out where there are none."""
+_NONE = frozenset((*MISSING, "", "nan", "null", "none", "n/a", "na"))
 
 
 @dataclass(frozen=True)
 class RawTable:
     """Columns of one file as they stand there: `stamps` (n,) of any kind, `columns` by name (n,) numbers.
 
-    `line`: that of its first row in file `name` (1 where rows are counted, as in Parquet files and data frames), or of
-    each row (n,).
+    `line`: that of its first row in file `name` (1 where rows are counted, as in Parquet files and data frames), or the
+    lines of all rows (n,). Where each row is one reading, `points` names the signals and `codes` (n,) says whose a
+    row's is; the one column is named ''. `beside`: first readings of other signals; `outages`: from when to when
+    nothing at all was stored, where the stamps are instants; `wordy`: signals that hold words.
     """
 
     name: str
     stamps: pd.Series
     columns: dict[str, Array]
-    line: int | NDArray[np.intp]
+    line: int | NDArray[np.int64] = 1
+    points: tuple[str, ...] = ()
+    codes: NDArray[np.int32] | None = None
+    beside: dict[str, Array] = field(default_factory=dict)
+    outages: tuple[tuple[pd.Timestamp, pd.Timestamp], ...] = ()
+    wordy: tuple[str, ...] = ()
 
     def where(self, row: int) -> str:
         """Name of the file and place of a row in it."""
-        if isinstance(self.line, np.ndarray):
-            return f"{self.name}, line {self.line[row]}"
-        return f"{self.name}, {'row' if self.line == 1 else 'line'} {row + self.line}"
+        if isinstance(self.line, int):
+            return f"{self.name}, {'row' if self.line == 1 else 'line'} {row + self.line}"
+        return f"{self.name}, line {self.line[row]}"
+
+    def with_instants(self) -> RawTable:
+        """This table with stamps of the form 2025-01-31T14:30 as instants, which take a tenth of the memory of text."""
+        if pd.api.types.is_numeric_dtype(self.stamps) or pd.api.types.is_datetime64_any_dtype(self.stamps):
+            return self
+        text = self.stamps.astype(str)
+        if not ISO.match(str(text.iloc[0])):
+            return self
+        offsets = with_offset(text)
+        if not (offsets.all() or not offsets.any()):
+            return self
+        try:
+            return replace(self, stamps=pd.to_datetime(full_offsets(text), format="ISO8601", utc=bool(offsets.all())))
+        except (ValueError, OverflowError):
+            return self
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its signals."""
+        return tuple(self.columns) if self.codes is None else self.points
 
 
 def raw_table(
     df: pd.DataFrame,
-    stamps: str | None,
+    stamps: str | tuple[str, ...] | None,
     columns: Sequence[str],
     name: str,
-    line: int | NDArray[np.intp] = 1,
+    line: int | NDArray[np.int64] = 1,
     decimal: str = ".",
 ) -> RawTable:
-    """The time stamps and `columns` of a data frame (text with the mark `decimal`); raises as `read_table` does."""
-    # A column of stamps whose offset changes, as with summer time, is left as text by pandas.
-    of_stamps = isinstance(df.index, pd.DatetimeIndex) or df.index.dtype.kind == "O"
-    if of_stamps and (stamps is None or stamps == df.index.name):
-        at = df.index.to_series().reset_index(drop=True)
-    elif not len(df.columns):
-        raise DataError(f"{name}: the table has no columns")
-    else:
-        at = df[known_column(str(df.columns[0]) if stamps is None else stamps, df.columns, name)].reset_index(drop=True)
+    """The time stamps and `columns` of a data frame (text with the mark `decimal`); raises as `read_tables` does."""
+    at = _stamps(df, stamps, name)
     if not len(df):
         raise DataError(f"{name}: the table has no rows")
     table = RawTable(name, at, {}, line)
     for key in dict.fromkeys(columns):
         table.columns[key] = _numbers(df[known_column(key, df.columns, name)], key, table, decimal)
     return table
+
+
+def tables_of(
+    df: pd.DataFrame,
+    stamps: str | tuple[str, ...] | None,
+    wanted: Sequence[str],
+    form: TableForm,
+    name: str,
+    lines: NDArray[np.int64] | None = None,
+    *,
+    strict: bool = True,
+) -> list[RawTable]:
+    """The time stamps and `wanted` signals of a data frame by its form; raises as `read_tables` does.
+
+    `lines` (n,): of the file where its rows stand. Where not `strict`, some signals may be missing.
+    """
+    if form.point is None:
+        return [raw_table(df, stamps, wanted, name, 1 if lines is None else lines)]
+    table = readings_table(df, stamps, form, name, wanted=wanted)
+    for key in wanted if strict else ():
+        known_column(key, pd.Index(table.points), name)
+    assert table.codes is not None
+    beside = {
+        point: table.columns[""][table.codes == k][:2000] for k, point in enumerate(table.points) if point not in wanted
+    }
+    lines = np.arange(1, len(df) + 1) if lines is None else lines
+    ours = np.array([point in wanted for point in table.points])[table.codes]
+    codes = np.array([wanted.index(p) if p in wanted else -1 for p in table.points], dtype=np.int32)[table.codes]
+    stamps_of = table.stamps[ours].reset_index(drop=True)
+    return [
+        replace(
+            table,
+            stamps=stamps_of,
+            columns={"": table.columns[""][ours]},
+            points=tuple(wanted),
+            codes=codes[ours],
+            line=lines[ours],
+            beside=beside,
+        )
+    ]
+
+
+def readings_table(
+    df: pd.DataFrame,
+    stamps: str | tuple[str, ...] | None,
+    form: TableForm,
+    name: str,
+    line: int | NDArray[np.int64] = 1,
+    decimal: str = ".",
+    wanted: Sequence[str] = (),
+) -> RawTable:
+    """A data frame in which each row is one reading; raises `DataError` where one of a `wanted` signal is text."""
+    assert form.point is not None
+    points, values = ((one,) if isinstance(one, str) else one for one in (form.point, form.value or ()))
+    for key in (*points, *values[:1]):
+        known_column(key, df.columns, name)
+    at = _stamps(df, stamps, name)
+    if not len(df):
+        raise DataError(f"{name}: the table has no rows")
+    told = df[points[0]].astype(str).str.strip()
+    for more in points[1:]:
+        told = told + " " + df[more].astype(str).str.strip()
+    codes, names = pd.factorize(told)
+    readings, wordy = np.full(len(df), np.nan), set[int]()
+    table = RawTable(name, at, {"": readings}, line, tuple(map(str, names)), codes.astype(np.int32))
+    for key in values:
+        if key not in df:
+            continue
+        empty = np.isnan(readings)
+        numbers, texts = _with_texts(df[key], decimal)
+        wordy |= set(codes[texts].tolist())
+        readings[empty] = numbers[empty]
+        of_wanted = [int(row) for row in np.flatnonzero(texts) if table.points[codes[row]] in wanted]
+        if of_wanted:
+            _refuse(df[key], of_wanted, table.points[codes[of_wanted[0]]], table, decimal)
+    readings[bad_status(df, form)] = np.nan
+    return replace(table, wordy=tuple(table.points[k] for k in wordy))
+
+
+def of_one_signal(table: RawTable, name: str, columns: dict[str, Array]) -> RawTable:
+    """A table of one column as one of readings, each row a reading of the signal `name`."""
+    codes = np.zeros(len(table.stamps), dtype=np.int32)
+    return replace(table, columns={"": columns[name]}, points=(name,), codes=codes)
+
+
+def bad_status(df: pd.DataFrame, form: TableForm) -> NDArray[np.bool_]:
+    """Which rows (n,) have a status that says that their reading is none."""
+    if form.status is None or form.status not in df:
+        return np.zeros(len(df), dtype=bool)
+    codes, told = pd.factorize(df[form.status].astype(str))
+    bad = {word.lower() for word in form.bad}
+    are = [not bad.isdisjoint(re.findall(r"\w+", str(words).lower())) for words in told]
+    return np.asarray(np.array([*are, False])[codes])
+
+
+def with_offset(text: pd.Series) -> NDArray[np.bool_]:
+    """Which stamps (n,) end with a time of day and an offset from UTC."""
+    return np.asarray(
+        text.str.contains(rf"(?::[0-9.,]+(?: ?[AaPp]\.?[Mm]\.?)?|T[0-9.]+) ?{OFFSET}", regex=True), dtype=bool
+    )
+
+
+def full_offsets(text: pd.Series) -> pd.Series:
+    """Stamps whose offsets have minutes, as +01:00 for +01: pandas reads no others over a change of summer time."""
+    hours = text.str.contains("[:T][0-9.]+ ?[+-][0-9]{2} *$", regex=True)
+    return text.where(~hours, text.str.rstrip() + ":00") if hours.any() else text
+
+
+def _stamps(df: pd.DataFrame, stamps: str | tuple[str, ...] | None, name: str) -> pd.Series:
+    # A column of stamps whose offset changes, as with summer time, is left as text by pandas.
+    of_stamps = isinstance(df.index, pd.DatetimeIndex) or not pd.api.types.is_numeric_dtype(df.index)
+    if of_stamps and (stamps is None or stamps == df.index.name):
+        return df.index.to_series().reset_index(drop=True)
+    if not len(df.columns):
+        raise DataError(f"{name}: the table has no columns")
+    keys = (str(df.columns[0]) if stamps is None else stamps,) if not isinstance(stamps, tuple) else stamps
+    parts = [df[known_column(key, df.columns, name)].reset_index(drop=True) for key in keys]
+    if len(parts) == 1:
+        return parts[0]
+    empty = pd.concat(parts, axis=1).isna().any(axis=1)
+    joined = _day(parts[0])
+    for part in parts[1:]:
+        joined = joined + " " + part.astype(str).str.strip()
+    return joined.mask(empty)
+
+
+def _day(column: pd.Series) -> pd.Series:
+    """The days of a column as text; a workbook has them as instants, at midnight."""
+    if pd.api.types.is_datetime64_any_dtype(column):
+        return column.dt.strftime("%Y-%m-%d")
+    return column.astype(str).str.strip().str.removesuffix(" 00:00:00")
 
 
 def known_column(key: str, columns: pd.Index, name: str) -> str:
@@ -80,31 +246,46 @@ def as_numbers(column: pd.Series, decimal: str = ".") -> pd.Series:
 
     With the mark ',' a point is none of a number: it may stand between thousands.
     """
-    switch = column.dropna().astype(str).str.strip().str.lower()
-    if len(switch) and switch.isin(_SWITCH).all():
-        return column.astype(str).str.strip().str.lower().map(_SWITCH)
-    if decimal == "," and not pd.api.types.is_numeric_dtype(column):
+    return pd.Series(_with_texts(column, decimal)[0], index=column.index)
+
+
+def _with_texts(column: pd.Series, decimal: str) -> tuple[Array, NDArray[np.bool_]]:
+    """Numbers (n,) of a column, and which of its cells hold text that is no number, no on or off and not 'missing'."""
+    if pd.api.types.is_bool_dtype(column):
+        column = column.astype(float)
+    if pd.api.types.is_numeric_dtype(column):
+        return np.asarray(column.to_numpy(dtype=np.float64, na_value=np.nan)), np.zeros(len(column), dtype=bool)
+    if pd.api.types.is_datetime64_any_dtype(column):
+        return np.full(len(column), np.nan), column.notna().to_numpy()
+    text = column
+    if decimal == ",":
         text = column.astype(str)
-        column = text.str.replace(",", ".").where(column.notna() & ~text.str.contains(".", regex=False))
-    return pd.to_numeric(column, errors="coerce")
+        text = text.str.replace(",", ".").where(column.notna() & ~text.str.contains(".", regex=False))
+    numbers = np.array(pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan))
+    rest = np.flatnonzero(np.isnan(numbers) & column.notna().to_numpy())
+    texts = np.zeros(len(column), dtype=bool)
+    if rest.size:
+        codes, words = pd.factorize(column.iloc[rest].astype(str).str.strip().str.lower())
+        numbers[rest] = np.array([SWITCH.get(word, np.nan) for word in words])[codes]
+        texts[rest] = np.array([word not in SWITCH and word not in _NONE for word in words])[codes]
+    return numbers, texts
 
 
 def _numbers(column: pd.Series, key: str, table: RawTable, decimal: str) -> Array:
     if isinstance(column, pd.DataFrame):
         raise DataError(f"{table.name}: there are {column.shape[1]} columns '{key}'; give each a name of its own")
-    if pd.api.types.is_numeric_dtype(column):
-        return np.asarray(column.to_numpy(dtype=np.float64, na_value=np.nan))
-    numbers = as_numbers(column, decimal)
-    wrong = np.flatnonzero((numbers.isna() & column.notna()).to_numpy())
-    if wrong.size:
-        more = f" ({wrong.size} such cells)" if wrong.size > 1 else ""
-        first = str(column.iloc[wrong[0]])
-        advice = "if it stands for an empty cell, name it in csv.missing of the map"
-        if decimal == "." and re.fullmatch(r"\s*-?\d+,\d+\s*", first):
-            advice = "a decimal comma: set csv: {decimal: ','} in the map"
-        elif re.fullmatch(r"\s*-?\d+([.,' ]\d+)+\s*", first):
-            advice = f"write numbers without marks between thousands, with '{decimal}' as decimal mark (csv.decimal)"
-        raise DataError(
-            f"{table.where(int(wrong[0]))}: column '{key}' holds {first!r}, which is no number{more}; {advice}"
-        )
-    return np.asarray(numbers.to_numpy(dtype=np.float64, na_value=np.nan))
+    numbers, texts = _with_texts(column, decimal)
+    if texts.any():
+        _refuse(column, np.flatnonzero(texts).tolist(), key, table, decimal)
+    return numbers
+
+
+def _refuse(column: pd.Series, rows: Sequence[int], key: str, table: RawTable, decimal: str) -> None:
+    more = f" ({len(rows)} such cells)" if len(rows) > 1 else ""
+    first = str(column.iloc[rows[0]])
+    advice = "if it stands for an empty cell, name it in csv.missing of the map"
+    if decimal == "." and re.fullmatch(r"\s*-?\d+,\d+\s*", first):
+        advice = "a decimal comma: set csv: {decimal: ','} in the map"
+    elif re.fullmatch(r"\s*-?\d+([.,' ]\d+)+\s*", first):
+        advice = f"write numbers without marks between thousands, with '{decimal}' as decimal mark (csv.decimal)"
+    raise DataError(f"{table.where(int(rows[0]))}: column '{key}' holds {first!r}, which is no number{more}; {advice}")

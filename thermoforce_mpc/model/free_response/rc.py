@@ -37,6 +37,10 @@ _SQUARE_W_M2 = 300.0
 _ROUNDING = 1e-6
 
 
+# Least pole, that of a mode which is over within a step.
+_FASTEST = 1e-12
+
+
 @dataclass(frozen=True)
 class RcParameters:
     """Parameters of the free part of the grey-box model; raises `DataError` naming the field that is not allowed.
@@ -66,7 +70,7 @@ class RcParameters:
             if name.endswith("_K2") and np.linalg.eigvalsh(array)[0] < -_ROUNDING * np.abs(array).max():
                 raise DataError(f"free model: {name} is {array.tolist()}, which is no covariance")
         if not ((self.poles > 0) & (self.poles < 1)).all():
-            raise DataError(f"free model: poles {self.poles.tolist()} leave (0, 1)")
+            raise DataError(f"free model: a mode has no time constant (poles {self.poles.tolist()}, not all in (0, 1))")
         if not (self.step_s > 0 and self.sensor_sd_K > 0):
             raise DataError("free model: step_s and sensor_sd_K must be positive")
 
@@ -85,7 +89,7 @@ class RcParameters:
         ratio = step_s / self.step_s
         if ratio == 1.0:
             return self
-        poles = self.poles**ratio
+        poles = np.maximum(self.poles**ratio, _FASTEST)  # a fast mode is 0 in a long step but for rounding
         scale = (1.0 - poles) / (1.0 - self.poles)
         # The process noise is scaled to keep the stationary covariance of the modes.
         spread = (1.0 - np.outer(poles, poles)) / (1.0 - np.outer(self.poles, self.poles))

@@ -87,8 +87,8 @@ class BoundaryData:
 def read_table(content: bytes, source: str) -> dict[str, Series]:
     """Return the series of one CSV file; {} for a file without a `time` column, which BOPTEST also ignores.
 
-    Raises `ConfigError`, which names file, column and row, for a truncated or malformed file, a cell that is no finite
-    number, or a time that does not increase.
+    A row in which all but the time is empty is left out. Raises `ConfigError`, which names file, column and row, for a
+    truncated or malformed file, a cell that is no finite number, or a time that does not increase.
     """
     _check_lines(content, source)
     columns: dict[str, list[Array]] = {}
@@ -104,6 +104,8 @@ def read_table(content: bytes, source: str) -> dict[str, Series]:
             for part in parts:
                 if "time" not in part:
                     return {}
+                # A row without any value says nothing; BOPTEST goes on with the one before it.
+                part = part[part.drop(columns="time").notna().any(axis=1) | (part.columns.size == 1)]
                 for name in part.columns:
                     columns.setdefault(str(name), []).append(_numbers(part[name], source))
     except pd.errors.ParserWarning as error:

@@ -35,6 +35,14 @@ _SHOWN = 200
 _ZERO_OFFSET_W_M2, _DARK_W_M2 = 30.0, 1.0
 # A level may lie outside its range by this much from calibration; it is cut, not refused.
 LEVEL_SLACK = 0.02
+# Stored on change: least readings and share of those that repeat the one before; share of the longest time without one
+# after which one repeats to show that it lives; steps that a value makes which stayed; share of gaps before which a
+# value is one of rest; share of gaps in which the value stayed; share of distances that are not the usual one,
+# or gaps, from which on readings do not come by the clock.
+_LEAST_CHANGES, _MOST_SAME, _ALIVE, _STEPS, _RESTS, _STAYED = 3, 0.02, 0.7, 3.0, 0.2, 0.7
+_IRREGULAR, _LEAST_GAPS = 0.15, 3
+# Set-points of rooms, °C and °F.
+_SETPOINTS = ((10.0, 32.0), (50.0, 90.0))
 # Longest time between readings that is no gap: this many times their 90th percentile.
 LOOSE, _PERCENTILE = 1.5, 90.0
 
@@ -109,6 +117,13 @@ def screened(
     if refuse and outside.mean() > _MOST_REFUSED:
         unit = likelier(raw, declared, rules.kind, rules.usual)
         hint = f"they look like {unit}: set unit: '{unit}'" if unit else "check column, unit and factor"
+        if rules.kind == "level" and looks_like_setpoints(raw):
+            hint = (
+                "these look like set-points in °C or °F, and a set-point is no level: name what the machine did "
+                "(valve, "
+                "speed, on and off), or leave the level out, and the power of its machine over the full one is "
+                "taken for it"
+            )
         raise DataError(
             f"{name}: {100 * outside.mean():.0f} % of the readings are no {rules.kind} between {low:g} and {high:g} "
             f"{rules.unit} (first {values[int(np.argmax(outside))]:.4g} at {where(int(np.argmax(outside)))}, read as "
@@ -131,6 +146,21 @@ def screened(
     holds = np.zeros(values.size, dtype=bool)
     holds[kept] = True
     return holds, tuple(flags)
+
+
+def looks_like_setpoints(values: Array) -> bool:
+    """Whether levels (n,) are rather set-points: few values in half or fifth degrees, between 10 and 32 °C or in °F.
+
+    Off or fully on is never among them.
+    """
+    distinct = np.unique(values)
+    if distinct.size > max(4, min(20, values.size // 8)) or distinct.size < 2:
+        return False
+    steps = np.allclose(2.0 * distinct, np.round(2.0 * distinct)) or np.allclose(
+        5.0 * distinct, np.round(5.0 * distinct)
+    )
+    low, high = float(distinct[0]), float(distinct[-1])
+    return bool(steps and any(least <= low and high <= most for least, most in _SETPOINTS))
 
 
 def _excursions(time_s: Array, values: Array, most: float) -> NDArray[np.bool_]:
@@ -161,16 +191,26 @@ def _stuck(time_s: Array, values: Array, most_s: float) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Readings:
-    """Readings of one signal: `time_s` (n,) s, increasing; `values` (n,), finite; `longest_s`: no gap until then."""
+    """Readings of one signal: `time_s` (n,) s, increasing; `values` (n,), finite.
+
+    `ends_s` (n,): until when each says something, where none comes before; `held`: whether it holds for so long, as
+    where changes are stored, and does not merely bridge.
+    """
 
     time_s: Array
     values: Array
-    longest_s: float
+    ends_s: Array
+    held: bool = False
 
     @property
     def usual_s(self) -> float:
         """Usual time between two readings, s."""
         return usual_s(self.time_s)
+
+    @property
+    def reaches(self) -> NDArray[np.bool_]:
+        """Which readings (n - 1,) hold until the next one: those before no gap."""
+        return np.asarray(self.time_s[1:] <= self.ends_s[:-1] + 1e-3)
 
 
 def usual_s(time_s: Array) -> float:
@@ -187,12 +227,66 @@ def longest_s(time_s: Array, step_s: float, hold_h: float | None) -> float:
     return max(LOOSE * float(np.percentile(np.diff(time_s), _PERCENTILE)), step_s)
 
 
-def durations_s(time_s: Array, longest: float, marks: str) -> Array:
+def ends_s(time_s: Array, longest: float, breaks_s: Array) -> Array:
+    """Until when readings at `time_s` (n,) say something, s: `longest`, or until the signal was not available."""
+    ends = time_s + longest
+    if breaks_s.size:
+        after = np.searchsorted(breaks_s, time_s, side="right")
+        ends = np.minimum(ends, np.append(breaks_s, np.inf)[after])
+    return np.asarray(ends)
+
+
+def stored_on_change(time_s: Array, values: Array, breaks_s: Array, longest: float, most: float) -> Array | None:
+    """Until when readings hold (n,), s, of a signal that is stored only when it changes; None where it is not.
+
+    Its signature: a reading does not repeat the one before (but to show that it lives, after a long time without
+    change), and where none was stored for long the value stayed: it goes on by a step as small as any, or leaves a
+    value at which the signal rests. Where it goes on by more, readings are missing. `longest`: time without a gap by
+    the usual distances, `most`: the longest that is believed, s.
+    """
+    apart, change = np.diff(time_s), np.diff(values)
+    if breaks_s.size:  # the first reading after it may repeat the last
+        broken = np.searchsorted(breaks_s, time_s[1:]) > np.searchsorted(breaks_s, time_s[:-1])
+        apart, change = apart[~broken], change[~broken]
+    if apart.size < _LEAST_CHANGES:
+        return None
+    same = change == 0.0
+    alive_s = np.inf
+    if same.mean() > _MOST_SAME:
+        alive_s = float(np.max(apart)) * LOOSE
+        seldom = apart[same] >= _ALIVE * np.max(apart)
+        if not seldom.all():
+            return None
+    long = apart > longest
+    irregular = (np.abs(apart / np.median(apart) - 1.0) > 0.25).mean()
+    if irregular < _IRREGULAR and long.sum() < _LEAST_GAPS:
+        return None
+    steps = np.abs(change[~same])
+    usual = float(np.median(steps))
+    whole = np.flatnonzero(np.diff(time_s) > longest)
+    before, jump = values[whole], np.abs(np.diff(values)[whole])
+    rest, times = np.unique(before, return_counts=True)
+    rests = {float(values.min()), float(values.max()), *rest[times >= max(2.0, _RESTS * before.size)].tolist()}
+    stayed = (jump <= _STEPS * usual) | np.isin(before, list(rests))
+    if long.any() and stayed.mean() < _STAYED:
+        return None
+    ends = ends_s(time_s, min(most, alive_s), breaks_s)
+    ends[whole[~stayed]] = time_s[whole[~stayed]] + min(usual_s(time_s), longest)
+    return ends
+
+
+def durations_s(readings: Readings, marks: str) -> Array:
     """Length of the interval of each reading (n,), s: to the next one (marks start) or from the one before (end)."""
-    usual = min(usual_s(time_s), longest) if time_s.size > 1 else longest
-    between = np.diff(time_s)
-    between = np.where(between <= longest, between, usual)
-    return np.append(between, usual) if marks == "start" else np.insert(between, 0, usual)
+    time_s = readings.time_s
+    reaches, between, room = readings.reaches, np.diff(time_s), readings.ends_s - time_s
+    usual = np.minimum(usual_s(time_s) if time_s.size > 1 else room, room)
+    if marks == "end":
+        return np.insert(np.where(reaches, between, usual[:-1]), 0, usual[0])
+    # A reading that holds does so until it was not available, and to the end of the record.
+    lasts = np.append(np.where(reaches, between, np.where(room[:-1] < between, usual[:-1], between)), usual[-1])
+    if readings.held:
+        lasts[-1] = room[-1]
+    return lasts
 
 
 def means(starts_s: Array, lasts_s: Array, values: Array, edges_s: Array, coverage: float) -> Array:
@@ -217,7 +311,7 @@ def means(starts_s: Array, lasts_s: Array, values: Array, edges_s: Array, covera
 def sampled(readings: Readings, at_s: Array) -> Array:
     """Values (m,) at `at_s` on the line between the readings around, NaN in gaps.
 
-    The last one holds until the next would be there.
+    The last one holds until the next would be there, and longer where changes are stored.
     """
     time_s, values = readings.time_s, readings.values
     if not values.size:
@@ -226,13 +320,18 @@ def sampled(readings: Readings, at_s: Array) -> Array:
     before = np.maximum(np.where(time_s[after] > at_s, after - 1, after), 0)
     inside = (time_s[before] <= at_s) & (at_s <= time_s[after])
     line = np.interp(at_s, time_s, values)
-    bridged = inside & (time_s[after] - time_s[before] <= readings.longest_s)
+    bridged = inside & ((before == after) | np.append(readings.reaches, True)[before])
     # Clocks that are off by a little: the nearest reading, within a quarter of the usual distance and of the step.
     step_s = float(at_s[1] - at_s[0]) if at_s.size > 1 else np.inf
     nearest = np.where(np.abs(at_s - time_s[before]) <= np.abs(time_s[after] - at_s), before, after)
-    near = np.abs(time_s[nearest] - at_s) <= 0.25 * min(readings.longest_s, readings.usual_s or 0.0, step_s)
-    newest = (at_s > time_s[-1]) & (at_s - time_s[-1] < readings.usual_s - 1.0)
-    return np.where(bridged, line, np.where(near | newest, values[nearest], np.nan))
+    room = float(np.median(readings.ends_s - time_s))
+    near = np.abs(time_s[nearest] - at_s) <= 0.25 * min(room, readings.usual_s or 0.0, step_s)
+    newest = (at_s > time_s[-1]) & (at_s - time_s[-1] < min(readings.usual_s, readings.ends_s[-1] - time_s[-1]) - 1.0)
+    found = np.where(bridged, line, np.where(near | newest, values[nearest], np.nan))
+    if not readings.held:
+        return found
+    holds = (time_s[before] <= at_s) & (at_s < readings.ends_s[before]) & ~bridged
+    return np.where(holds, values[before], found)
 
 
 def around(readings: Readings, at_s: Array, step_s: float, coverage: float) -> Array:
@@ -240,7 +339,12 @@ def around(readings: Readings, at_s: Array, step_s: float, coverage: float) -> A
     if not readings.values.size or not readings.usual_s <= 0.5 * step_s:
         return sampled(readings, at_s)
     # Readings are instants: each holds for half the time to the ones before and after it.
-    after, before = (0.5 * durations_s(readings.time_s, readings.longest_s, marks) for marks in ("start", "end"))
+    after, before = (0.5 * durations_s(readings, marks) for marks in ("start", "end"))
+    if readings.held:  # but for one that stays, or ended when the signal was not available
+        reaches = np.append(readings.reaches, False)
+        after = np.where(reaches, after, 2.0 * after)
+        before = np.where(np.append(False, reaches[:-1]), before, 0.0)
+        after = np.minimum(after, at_s[-1] + step_s)
     edges = np.append(at_s - 0.5 * step_s, at_s[-1] + 0.5 * step_s)
     return means(readings.time_s - before, before + after, readings.values, edges, coverage)
 
@@ -250,5 +354,5 @@ def held(readings: Readings, at_s: Array) -> Array:
     if not readings.values.size:
         return np.full(at_s.size, np.nan)
     last = np.searchsorted(readings.time_s, at_s, side="right") - 1
-    fresh = (last >= 0) & (at_s - readings.time_s[np.maximum(last, 0)] <= readings.longest_s)
+    fresh = (last >= 0) & (at_s <= readings.ends_s[np.maximum(last, 0)])
     return np.where(fresh, readings.values[np.maximum(last, 0)], np.nan)

@@ -1,0 +1,262 @@
+"""Words in names of signals: English, German, French and Dutch, and the abbreviations of building automation.
+
+Abbreviations are those of ASHRAE's and Project Haystack's point lists (OA-T, ZN-T, SAT, VLV), grey-box models write Ti,
+Ta, Ph and Ps (Bacher and Madsen 2011, doi 10.1016/j.enbuild.2011.02.005).
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from functools import lru_cache
+from itertools import pairwise
+
+# Tag: (whole words, beginnings or ends and parts of compound words of five letters and more).
+_WORDS: dict[str, tuple[str, str]] = {
+    "outdoor": (
+        "out outdoor outdoors outside oa oat oda osa osat ambient amb ext exterior external extern exterieur "
+        "exterieure aussen aussenluft ta te tout toa tamb text tex tdb drybulb weather wetter meteo weer buiten "
+        "oataverage toutdoor outdoortemp tdrybul at dehors gevel",
+        "aussen buiten exterieur outdoor outside ambient drybul weather witterung wetter",
+    ),
+    "room": (
+        "room rooms zone zn znt rm rmt space spt indoor inside innen inne interior interieur int in tin tint ti "
+        "tr traum binnen raum zimmer living kitchen bath bad bed bedroom bathroom office hall hallway salon "
+        "sejour chambre cuisine bureau couloir woonkamer slaapkamer keuken badkamer kantoor kamer zolder attic "
+        "keller basement studio nursery guest gast dining lounge corridor lobby meeting conference classroom "
+        "stube eg og dg ug cellar loft tzone troom tair tz zat sdb wohnen schlafen kuche kueche buro buero flur "
+        "diele house home maison huis haus building apartment wohnung flat tenant suite lab library lib kids "
+        "child children parents eltern piece thermostat ambiance ambiante woning interne",
+        "zimmer wohn schlaf kinder kuche kueche badezimmer bureau chambre kamer keuken room raum buero innen "
+        "binnen interieur indoor spacetemp office kitchen",
+    ),
+    "temperature": (
+        "t temp temps temperature temperatur temperatuur tmp ti ta te tin tout tint text tamb tz tr th degc degf "
+        "celsius rt sat rat mat dat oat lwt ewt znt rmt spt zat tzone troom tair tdb toa tex traum tdrybul thermo "
+        "hws hwr chws chwr tsup tret tvl trl istwert",
+        "temperat temp",
+    ),
+    "setpoint": (
+        "sp stp setp set setpoint setpt stpt target targ soll sollwert solltemp consigne cons ingesteld gewenst "
+        "streefwaarde setpunt instelling desired wunsch csp hsp clgsp htgsp htsp clsp zsp tset thset tcset tsp "
+        "tsoll wunschtemperatur doel gewuenscht vorgabe occclgsp occhtgsp eff sptrn sollt gewenste ingestelde",
+        "setpoint sollwert solltemp consigne streef instelwaarde wunschtemp settemp targettemp tempset vorgabe "
+        "gewenst ingesteld",
+    ),
+    "lower": (
+        "lower min minimum tmin unten untere hsp htgsp htsp thset occhtgsp",
+        "lower minimal",
+    ),
+    "upper": (
+        "upper max maximum tmax obere csp clgsp clsp tcset occclgsp",
+        "upper maximal",
+    ),
+    "supply": (
+        "supply sup sat sa dat da flow vorlauf vl depart aller aanvoer lwt hws chws leaving discharge zuluft "
+        "inlet tsup tvl flowtemp soufflage inblaas pulsion",
+        "vorlauf aanvoer supply zuluft discharge soufflage pulsion flowtemp",
+    ),
+    "return": (
+        "return ret retour rat ra rl rucklauf ruecklauf hwr chwr ewt entering abluft tret trl returntemp reprise",
+        "rucklauf ruecklauf retour return abluft",
+    ),
+    "water": (
+        "water wasser eau buffer puffer tank brine sole evaporator evap condenser cond refrigerant kaeltemittel "
+        "hotgas heissgas heater hhw chw hw mixed mat ma exhaust fortluft abgas flue slab ballon speicher storage "
+        "hx coil outlet mixing source quelle glycol collector kollektor cellartank",
+        "puffer speicher wasser water ballon buffer heissgas fortluft condens verdampf brine",
+    ),
+    "hot water": (
+        "dhw ww warmwasser ecs tapwater brauchwasser trinkwasser warmwater sww boilerwater dhwt cylinder geyser "
+        "legionella shower dusche",
+        "warmwasser brauchwasser trinkwasser tapwater warmwater hotwater warmtapwater eauchaude",
+    ),
+    "valve": (
+        "valve vlv vp ventil stellventil stellung stellwert stellgrosse stellgroesse stellsignal stellantrieb "
+        "vanne klep klepstand afsluiter trv opening ouverture oeffnung offnung hv rv htgvlv clgvlv reheat rhv "
+        "rhvlv ventilstellung ventilposition vannenposition servo actuator aktor vlvo",
+        "ventil valve vanne klepst stellwert stellgr stellsig stellantr",
+    ),
+    "level": (
+        "u level modulation modul mod modulating stage stufe demand cmd command co lvl duty speed drehzahl freq "
+        "frequency frequenz frequence toerental vitesse compressor verdichter compresseur pump pumpe pompe pomp "
+        "burner brenner bruleur brander relay relais switch schalter position pos heater heizstab hp heatpump "
+        "active aktiv ove output fan boiler waermepumpe warmepumpe wp pac warmtepomp ketel chaudiere kessel "
+        "heizung heizen chauffage verwarming heat heating htg stat status run running enable betrieb onoff on "
+        "state signal cool cooling clg climatisation koeling kuhlung kuehlung kuehlen",
+        "modul verdicht compress drehzahl frequen brenner stufe pumpe burner circul umwalz umwaelz toerental drehz",
+    ),
+    "power": (
+        "power pwr p pel watt watts w kw leistung puissance vermogen php pwp elec electric electrical elektrisch "
+        "electrique load last strom stroom wattage pe phvac pheat pheating pcomp aufnahmeleistung "
+        "verbrauchsleistung demandkw draw",
+        "power leistung puissance vermogen",
+    ),
+    "energy": (
+        "energy energie kwh wh mwh btu verbrauch consumption consommation verbruik conso zahler zaehler compteur "
+        "meter teller meterstand zahlerstand zaehlerstand arbeit total totalizer kwhtot",
+        "energy energie zaehler zahlerst meterst verbrauch consomm verbruik",
+    ),
+    "heat": (
+        "heat warme waerme chaleur warmte thermal thermisch thermique q qh qheat phi ph heatflow heizleistung wmz "
+        "heatmeter qdot pth phea qhea thermischvermogen",
+        "warmemeng waermemeng heizleist waermeleist warmeleist heatout thermal calor",
+    ),
+    "gas": (
+        "gas gaz erdgas gasmeter gaszaehler",
+        "erdgas gasz",
+    ),
+    "electric": (
+        "el elec electric electrical elektrisch electrique pel stroom strom php pwp pe",
+        "elektr electr strom",
+    ),
+    "heating machine": (
+        "hp heatpump wp warmepumpe waermepumpe pac warmtepomp heater heating heizung chauffage verwarming boiler "
+        "kessel ketel chaudiere heizstab hvac ahu compressor verdichter baseboard radiator convector heat furnace "
+        "ac split klima clim airco chiller php pwp phvac pheat pheating pcomp htg",
+        "pompe warmepump waermepump heatpump warmtepomp heizung chauffage verwarm radiat klima",
+    ),
+    "cooling": (
+        "cool cooling clg chw kuhlung kuehlung kuehlen kuhlen kuhl kalte kaelte froid climatisation clim koeling "
+        "koel airco ac chiller klima clgvlv",
+        "kuhl kuehl koel froid climatis kaelte",
+    ),
+    "sun": (
+        "sun solar irradiance irrad irradiation ghi glohor hglohor global radiation globalstrahlung strahlung "
+        "einstrahlung sonne rayonnement ensoleillement straling zonnestraling instraling pyranometer pyrano ps "
+        "isol igh solrad solradiation solarradiation shortwave poa isolation glorad zon soleil is sol gsol hsol",
+        "irradi strahlung radiation rayonnement straling solar ensoleil",
+    ),
+    "part of the sun": (
+        "dni dhi diffuse diffus diffuus direct direkt beam normal azimuth elevation zenith altitude above rising "
+        "setting",
+        "diffus azimut",
+    ),
+    "pv": (
+        "pv photovoltaic photovoltaik wechselrichter inverter einspeisung erzeugung ertrag production yield "
+        "zonnepanelen panneaux opbrengst feedin export array",
+        "photovol wechselr zonnepan einspeis erzeug",
+    ),
+    "humidity": (
+        "rh hum humidity feuchte luftfeuchte luftfeuchtigkeit humidite hr vocht luchtvochtigheid vochtigheid "
+        "moisture relhum",
+        "feucht humid vocht",
+    ),
+    "price": (
+        "price tariff preis prix tarif prijs tarief spot epex cost kosten strompreis dayahead",
+        "preis price tarif",
+    ),
+    "other": (
+        "co2 voc tvoc pm ppm window fenster fenetre raam door tur tuer porte deur motion presence occupancy occ "
+        "occupied bewegung praesenz battery batterie batterij accu rssi lqi linkquality light licht lux lumiere "
+        "verlichting illuminance wind rain regen pluie neerslag precipitation pressure druck pression druk baro "
+        "dew dewpoint taupunkt cloud clouds bewolking snow alarm fault error mode modus id uid uuid idx row "
+        "record version uptime noise voltage spannung tension courant amps ampere contact kontakt vibration smoke "
+        "enthalpy enth cfm airflow volumenstrom durchfluss debit flowrate lpm speedwind fridge freezer "
+        "kuehlschrank gefrierschrank oven dryer washer tv computer nas server aquarium pool soil boden cpu cop "
+        "efficiency filter serial seq sequence line year month day hour minute weekday holiday lat lon "
+        "signalstrength staubsauger drucker phone motionsensor bewegungsmelder people persons personen starts "
+        "hours betriebsstunden days license quality flags flag rev kitchenlights plug socket steckdose "
+        "stopcontact prise",
+        "fenster bewegung batter humidex pressure steckdose kuehlschr kuhlschr gefrier luftdruck taupunkt "
+        "dewpoint illumin linkqual windspeed betriebsstund durchfluss volumenstr occupan",
+    ),
+}
+_WHOLE = {tag: frozenset(whole.split()) for tag, (whole, _) in _WORDS.items()}
+_PARTS = {tag: tuple(parts.split()) for tag, (_, parts) in _WORDS.items()}
+# Tags of two words that follow one another.
+_PAIRS = {
+    "hotwater": "hot water", "eauchaude": "hot water", "domesticwater": "hot water", "warmwater": "hot water",
+    "drybulb": "outdoor", "setpoint": "setpoint", "setpt": "setpoint", "heatpump": "heating machine",
+    "outsideair": "outdoor", "outdoorair": "outdoor", "supplyair": "supply", "returnair": "return",
+    "linkquality": "other", "dewpoint": "other", "spacetemp": "room", "feedin": "pv", "warmtepomp": "heating machine",
+}  # fmt: skip
+# Words that say nothing of where a signal is.
+_GENERAL = frozenset(
+    (
+        *("sensor", "binary", "climate", "switch", "number", "input", "state", "value", "wert", "valeur", "waarde"),
+        *("reading", "ist", "istwert", "actual", "current", "av", "ai", "ao", "bi", "bo", "bv", "pv", "act", "avg"),
+        *("mean", "average", "trend", "log", "point", "data", "present", "analog", "device", "temp", "celsius"),
+        *("fahrenheit", "the", "of", "de", "la", "le", "les", "des", "du", "d", "l", "het", "een", "der", "die", "das"),
+        *("deg", "c", "f", "k", "w", "kw", "pct", "in", "o"),
+    )
+)
+_UNITS = {
+    "°c": "°C", "degc": "°C", "deg c": "°C", "c": "°C", "celsius": "°C", "grad c": "°C", "°f": "°F", "degf": "°F",
+    "deg f": "°F", "f": "°F", "fahrenheit": "°F", "k": "K", "kelvin": "K", "%": "%", "percent": "%", "pct": "%",
+    "prozent": "%", "w": "W", "watt": "W", "kw": "kW", "mw": "MW", "btu/h": "BTU/h", "wh": "Wh", "kwh": "kWh",
+    "mwh": "MWh", "kj": "kJ", "mj": "MJ", "btu": "BTU", "w/m²": "W/m²", "w/m2": "W/m²", "w m-2": "W/m²",
+    "w/m^2": "W/m²",
+    "kw/m²": "kW/m²", "kw/m2": "kW/m²", "hz": "Hz", "ppm": "ppm", "hpa": "hPa", "pa": "Pa", "lx": "lx", "v": "V",
+    "a": "A", "l/h": "l/h", "m³": "m³", "m3": "m³", "m³/h": "m³/h", "cfm": "cfm", "m/s": "m/s", "km/h": "km/h",
+    "eur/kwh": "per kWh", "€/kwh": "per kWh", "ct/kwh": "cent per kWh", "cent/kwh": "cent per kWh",
+    "eur/mwh": "per MWh", "€/mwh": "per MWh", "usd/kwh": "per kWh", "$/kwh": "per kWh", "°": "°C", "deg": "°C",
+}  # fmt: skip
+# Units at the end of a name, behind a space or underscore.
+_AT_END = (
+    "degc", "degf", "celsius", "fahrenheit", "kwh", "wh", "mwh", "kw", "w", "pct", "percent", "c", "f", "k", "btu", "%",
+    "°c", "°f",
+)  # fmt: skip
+
+
+@lru_cache(maxsize=100_000)
+def words_of(name: str) -> tuple[str, ...]:
+    """The words of a name in lower case without accents; numbers stand apart, units in brackets are left out."""
+    plain = re.sub(r"[\[(][^\])]*[\])]", " ", name)
+    plain = re.sub(r"(?<![A-Za-z])([kM]?)(Wh|W|J)(?![a-z])", lambda m: m[0].lower(), plain)
+    plain = re.sub(r"deg ?([CFK])(?![a-z])|[\b_]([CFK])$", " ", plain)
+    plain = re.sub(r"(?<=[a-zà-ÿ])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})", " ", plain)
+    folded = "".join(c for c in unicodedata.normalize("NFKD", plain.lower()) if not unicodedata.combining(c))
+    folded = folded.replace("ß", "ss")
+    return tuple(re.findall(r"co2|[a-z]+|\d+", folded))
+
+
+def unit_of(name: str) -> str:
+    """The unit that a name tells, such as '°F' of 'ZN-T (deg F)'; '' where it tells none."""
+    for told in re.findall(r"[\[(]([^\])]*)[\])]", name):
+        if (unit := _UNITS.get(told.strip().lower())) is not None:
+            return unit
+    if re.search(r"(?i)w[/_ ]?m-?\^?[²2]", name):
+        return "W/m²"
+    if match := re.search(r"(?:[ _\-/]|\bin )(%|°[CF]|[A-Za-z]+)$", name.strip()):
+        told = match[1].lower()
+        if told in _AT_END and (len(told) > 1 or told == "%" or match[1].isupper() or "_" in name):
+            return _UNITS[told]
+    return ""
+
+
+@lru_cache(maxsize=100_000)
+def tags(name: str) -> frozenset[str]:
+    """What the words of a name say of its signal."""
+    words = words_of(name)
+    found = {tag for tag, whole in _WHOLE.items() if not whole.isdisjoint(words)}
+    for word in words:
+        if len(word) > 4:
+            found |= {tag for tag, parts in _PARTS.items() if any(part in word for part in parts)}
+    if any(len(word) > 3 and word.endswith(("sp", "stpt")) for word in words):  # as EFFSP
+        found.add("setpoint")
+    pairs = {a + b for a, b in pairwise(words)}
+    # T_a and T_i are Ta and Ti.
+    of_two = {pair for pair in pairs if len(pair) == 2}
+    found |= {tag for tag in ("outdoor", "room", "temperature", "heat", "sun") if not of_two.isdisjoint(_WHOLE[tag])}
+    return frozenset(found | {tag for pair, tag in _PAIRS.items() if pair in pairs})
+
+
+def place_of(name: str) -> frozenset[str]:
+    """The words of a name that say where or of what its signal is: those without a tag, and names of rooms."""
+    words = [word for word in words_of(name) if word not in _GENERAL]
+    kept = [
+        word
+        for word in words
+        if word.isdigit()
+        or word
+        in _WHOLE["room"] - {"t", "ti", "in", "int", "znt", "spt", "rmt", "zn", "zone", "room", "space", "rm", "raum"}
+        or (len(word) > 4 and any(part in word for part in _PARTS["room"]))
+        or (
+            not any(word in whole for whole in _WHOLE.values())
+            and not (len(word) > 4 and any(part in word for parts in _PARTS.values() for part in parts))
+        )
+    ]
+    return frozenset(
+        re.sub(r"(temperat\w*|temp|ventil\w*|soll\w*|ist\w*|feucht\w*)$", "", word) or word for word in kept
+    )

@@ -1,0 +1,462 @@
+"""What a table of unknown form is taken for: how it is written, where names of signals stand, how stamps are read."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import pandas as pd
+
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.measurements.tables.clock import plain
+from thermoforce_mpc.measurements.tables.files import SEPARATORS, head_of, is_text, named_after, sample
+from thermoforce_mpc.measurements.tables.forms import Clock, CsvFormat, TableForm
+from thermoforce_mpc.measurements.tables.raw_table import ISO, SWITCH, as_numbers, with_offset
+
+ROWS = 2000
+"""Rows of a table that are looked at."""
+_LINES, _MOST_HEAD, _MOST_PAIRS = 400, 60, 50
+# Headers of columns, by what they hold, in the languages of the maps.
+_TIME = re.compile(
+    r"(?i)^(<>)?(date|time|datetime|date[ /_-]*time|time "
+    "?stamp|timestamp|_time|start|end|from|to|ts|at|when|hour|datum|zeit|"
+    r"uhrzeit|zeitpunkt|zeitstempel|datum[ /]*zeit|datum[ "
+    "/]*uhrzeit|heure|horodatage|horodate|moment|tijd|tijdstip|datumtijd|"
+    r"last_(changed|updated)(_ts)?|time ?utc|utc|local ?time|recorded.*|logged.*|beginn|von|start_ts|created.*)\b"
+)
+_DAY = re.compile(r"(?i)^(<>)?(date|datum|day|tag|dag|jour)\b")
+_OF_DAY = re.compile(r"(?i)^(time|uhrzeit|zeit|heure|tijd|uur|hour|time of day|clock)\b")
+_POINT = re.compile(
+    r"(?i)^(entity_?id|statistic_?id|metadata_?id|point|point.?(name|id)|name|sensor|sensor.?(name|id)|tag|tag.?name|device.*|"
+    r"topic|signal|variable|metric|parameter|channel|object.?name|object|item|id|series|datapoint|data.?point|measurement|"
+    r"register|messstelle|datenpunkt|kanal|bezeichnung|messpunkt|capteur|grandeur|mesure|punt|meetpunt|naam|nom|room|_field|"
+    r"_measurement|field|trend|trendlog|quantity|key|path|name.path.reference|address|source|ort|raum|type|kind)$"
+)
+_VALUE = re.compile(
+    r"(?i)^(value|state|_value|mean|wert|messwert|valeur|waarde|meetwaarde|reading|val|present.?value|object.?value|data|sum|"
+    r"avg|average|numeric_value|float_value|result|actual.?value|istwert|v|y)([ _]*[\[(].*)?$"
+)
+_STATUS = re.compile(r"(?i)^(status|quality|trend ?flags|reliability|qualit.*|flag|flags|statut)$")
+# What stands in a line of units below the names of columns.
+_UNIT = re.compile(
+    r"(?i)[\[(]?(°?[cfk]|deg ?[cf]|celsius|%|[kM]?W|[kM]?Wh|W/m.{1,2}|-|hh:mm|datetime|date|time|utc|iso.*|s|min|h|"
+    r"float|double|string|boolean|avg|smp|max|Pa|hPa|ppm|lx|m/s)?[\])]?"
+)
+_VALUES_OF: tuple[tuple[str, ...], ...] = (("mean", "sum", "state"), ("state",), ("value",), ("_value",))
+_DAYS = (
+    "%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%m-%d-%Y", "%d/%m/%y", "%m/%d/%y",
+    "%Y.%m.%d",
+    "%Y%m%d", "%d-%b-%y", "%d-%b-%Y", "%d %b %Y", "%d. %b %Y", "%d %b. %Y", "%d.%b.%Y", "%d.%b %Y", "%d/%b/%Y",
+    "%d %b %y", "%b %d, %Y", "%b %d %Y",
+    "%a %d %b %Y", "%a, %d %b %Y", "%d-%m-%y", "%Y-%m-%d",
+)  # fmt: skip
+_CLOCKS = (
+    "%H:%M", "%H:%M:%S", "%H:%M:%S.%f", "%I:%M %p", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M%p", "%I:%M:%S%p", "%H.%M",
+    "%Hh%M",
+    "%H:%M:%S:%f", "%Hh", "%H%M%S", "%H%M",
+)  # fmt: skip
+# Zones of clocks by what they are called.
+_CALLED = (
+    ("CES?T|MES?Z", "Europe/Berlin"), ("BST|WES?T", "Europe/London"), ("EES?T", "Europe/Athens"),
+    ("E[SD]T", "America/New_York"),
+    ("C[SD]T", "America/Chicago"), ("M[SD]T", "America/Denver"), ("P[SD]T", "America/Los_Angeles"),
+)  # fmt: skip
+_BETWEEN = (" ", ", ", "T", " - ", ":")
+
+
+@dataclass(frozen=True)
+class Recognised:
+    """What files are taken for; `notes`: in words, for comments of a map, of which a line with '?' is not certain."""
+
+    paths: tuple[Path, ...]
+    csv: CsvFormat
+    table: TableForm
+    clock: Clock
+    words: str
+    notes: dict[str, str]
+
+
+def recognised(paths: Sequence[Path]) -> Recognised:
+    """What files of one building are taken for; raises `DataError` for one that is no table."""
+    forms = [guessed_form(path) for path in paths]
+    heads = [head_of(path, ROWS, form) for path, form in zip(paths, forms, strict=True)]
+    for path, head in zip(paths, heads, strict=True):
+        if head.empty:
+            raise DataError(f"{path}: the table has no rows")
+        if head.columns.has_duplicates:
+            name = head.columns[head.columns.duplicated()][0]
+            raise DataError(f"{path}: there is more than one column '{name}'; give each a name of its own")
+    form, others = forms[0], [f"{path}" for path, one in zip(paths, forms, strict=True) if one != forms[0]]
+    notes = {"csv": f"? {', '.join(others[:3])} seem to be written otherwise" if others else ""}
+    head = heads[0]
+    column, clock, notes["time"] = _clock(head, paths[0])
+    same = all(not column or set(column) <= set(map(str, one.columns)) for one in heads)
+    first = len(column) == 1 and all(str(one.columns[0]) == column[0] for one in heads)
+    if not same or (first and len(paths) > 1):
+        column = ()
+    clock = clock.model_copy(update={"column": column if len(column) > 1 else (column[0] if column else None)})
+    of_stamps = set(column or [str(head.columns[0])])
+    table, words = _form_of(paths, heads, of_stamps, form)
+    return Recognised(tuple(paths), form, table, clock, words, notes)
+
+
+def guessed_form(path: Path) -> CsvFormat:
+    """How a CSV file seems to be written: encoding, lines above the header, separator, decimal comma, lines of "
+    "units."""
+    if not is_text(path):
+        return CsvFormat()
+    encoding, text = sample(path)
+    lines = text[:_LINES]
+    skip, separator, comment = _header_at(lines)
+    rows = [line for line in lines[skip + 1 :] if line.strip() and not (comment and line.startswith(comment))]
+    after = 0
+    header = next((line for line in lines[skip:] if line.strip() and not (comment and line.startswith(comment))), "")
+    for line in lines[skip + 1 : skip + 3]:
+        if not (line.strip() and rows and comment and not line.startswith(comment)):
+            break
+        cells = _cells(line, separator)
+        if any(_numeric(cell) or _stamp(cell) for cell in cells) or not any(cells[1:]) or line == header:
+            break
+        after += 1
+    below = "\n".join(rows[after:])
+    number = rf"(?:^|[{re.escape(separator)}\"])[ ]*-?\d+{{}}\d+[ ]*(?=[{re.escape(separator)}\"\r\n]|$)"
+    points, commas = (len(re.findall(number.format(mark), below, re.M)) for mark in (r"\.", ","))
+    if separator == ",":  # there a decimal comma needs quotes
+        commas = len(re.findall(r'"-?\d+,\d+"', below))
+    return CsvFormat(
+        encoding=encoding,
+        decimal="," if commas > points else ".",
+        separator=None if max(",;\t|", key=header.count) == separator else separator,
+        skip_lines=skip
+        if (not comment or not all(line.startswith(comment) or not line.strip() for line in lines[:skip]))
+        else 0,
+        skip_after=after,
+        comment=comment,
+    )
+
+
+def _header_at(lines: Sequence[str]) -> tuple[int, str, str | None]:
+    """Place of the line of column names, the separator, and the mark of comments (None where the header begins so)."""
+    best = (0, -1.0, ",")
+    for separator in SEPARATORS:
+        n = [line.count(separator) for line in lines]
+        counted = Counter(k for k, line in zip(n, lines, strict=True) if k and not line.startswith("#"))
+        if not counted:
+            continue
+        usual, times = max(counted.items(), key=lambda item: (item[1], item[0]))
+        share = times / max(sum(1 for line in lines if line.strip() and not line.startswith("#")), 1)
+        stamped = any(_stamp(cell) for line in lines[:_MOST_HEAD] for cell in _cells(line, separator))
+        worth = share + 0.5 * stamped + 0.01 * usual
+        if worth > best[1]:
+            best = (usual, worth, separator)
+    usual, _, separator = best
+    if best[1] < 0:
+        return 0, ",", "#"
+    first = next(
+        (
+            k
+            for k, line in enumerate(lines)
+            if abs(line.count(separator) - usual) <= 1 and not line.startswith("#") and line.strip()
+        ),
+        0,
+    )
+    cells = _cells(lines[first], separator)
+    data = sum(_numeric(cell) or _stamp(cell) for cell in cells if cell) > len([c for c in cells if c]) / 2
+    above = lines[first - 1] if first else ""
+    if data and above.startswith("#") and above.count(separator) == usual:
+        return first - 1, separator, None
+    # Lines of names and units above a table may have as many separators as it: the last before the first stamp counts.
+    for k in range(first, min(first + _MOST_HEAD, len(lines) - 1)):
+        after = _cells(lines[k + 1], separator)
+        ours = _cells(lines[k], separator)
+        if any(_stamp(cell) for cell in ours):
+            break
+        if any(_stamp(cell) for cell in after):
+            named = [
+                j for j in range(first, k + 1) if lines[j].count(separator) == usual and not lines[j].startswith("#")
+            ]
+            units = len(named) > 1 and _is_units(ours) and not _is_units(_cells(lines[named[-2]], separator))
+            return (named[-2] if units else named[-1]) if named else k, separator, "#"
+    return first, separator, "#"
+
+
+def _is_units(cells: Sequence[str]) -> bool:
+    """Whether cells are those of a line of units, such as '°C' and '[kW]'."""
+    return all(_UNIT.fullmatch(cell) for cell in cells) and any(cells)
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
+
+
+def _numeric(cell: str) -> bool:
+    return bool(re.fullmatch(r"[+-]?\d+([.,]\d+)?([eE][+-]?\d+)?", cell.strip()))
+
+
+def _stamp(cell: str) -> bool:
+    """Whether a cell looks like a date, a time of day, or both."""
+    return bool(
+        re.search(r"\d{4}-\d{2}-\d{2}|\d{1,2}[./]\d{1,2}[./]\d{2,4}|\d{4}/\d{2}/\d{2}|\d{1,2}:\d{2}", cell)
+        or re.search(r"\d{1,2}[ .-]+[A-Za-zäûé]{3,9}[ .-]+\d{2,4}", cell)
+    )
+
+
+def _clock(head: pd.DataFrame, path: Path) -> tuple[tuple[str, ...], Clock, str]:
+    """Columns of the stamps, how they are read, and a note."""
+    columns = [str(column) for column in head.columns]
+    dated = [c for c in columns if _dated(head[c])]
+    days = [c for c in dated if _only(head[c], r"\d{1,2}:\d{2}", absent=True) and head[c].nunique() < len(head)]
+    hours = [
+        c
+        for c in columns
+        if c not in dated
+        and _only(head[c], r"\s*\d{1,2}[:.h]\d{2}([:.]\d{2})?(\s*[AaPp]\.?[Mm]\.?)?(\s*(Uhr|uur))?\s*")
+    ]
+    if days and hours and (head[days[0]].nunique() < 0.5 * len(head) or _DAY.match(days[0])):
+        key: tuple[str, ...] = (days[0], hours[0])
+        stamps = head[key[0]].astype(str).str.strip() + " " + head[key[1]].astype(str).str.strip()
+    else:
+        named = [c for c in dated if _TIME.match(c)]
+        prefer = [c for c in named if re.search(r"(?i)last_changed|_time$|^start$|^time|zeit|date", c)]
+        # A table of one reading a row may have more than one: what changes with the readings counts.
+        key = ((prefer or named or dated or [c for c in columns if _TIME.match(c)] or columns[:1])[0],)
+        ends = [c for c in dated if c in named and re.match(r"(?i)(start|from|von|begin)", c)]
+        key = (ends[0],) if ends else key
+        stamps = head[key[0]]
+    if pd.api.types.is_numeric_dtype(stamps):
+        return key, *_counted_clock(stamps)
+    if pd.api.types.is_datetime64_any_dtype(stamps):
+        return key, Clock(zone=_zone(stamps.astype(str).iloc[:1])), ""
+    text = plain(stamps.dropna().astype(str))
+    if not len(text):
+        raise DataError(f"{path}: no column holds time stamps")
+    form, note = _stamp_format(text)
+    zone = _zone(
+        text if with_offset(text).any() else stamps.dropna().astype(str).iloc[:1], str(stamps.dropna().iloc[0])
+    )
+    return key, Clock(format=form, zone=zone) if form != "FILL IN" else Clock(zone=zone), note
+
+
+def _dated(column: pd.Series) -> bool:
+    if pd.api.types.is_datetime64_any_dtype(column):
+        return True
+    if pd.api.types.is_numeric_dtype(column):
+        return False
+    told = column.dropna().astype(str).iloc[:50]
+    return len(told) > 0 and bool(
+        told.str.contains(
+            r"\d{4}-\d{2}-\d{2}|\d{1,2}[./]\d{1,2}[./]\d{2,4}|\d{4}/\d{1,2}/\d{1,2}|^\d{8}\b", regex=True
+        ).mean()
+        > 0.9
+        or told.str.contains(
+            r"\d{1,2}[ .-]+[A-Za-zäûéÄ]{3,9}\.?[ .-]+\d{2,4}|[A-Za-z]{3,9} \d{1,2},? \d{4}", regex=True
+        ).mean()
+        > 0.9
+    )
+
+
+def _only(column: pd.Series, pattern: str, *, absent: bool = False) -> bool:
+    told = column.dropna().astype(str).iloc[:200]
+    if absent:
+        return len(told) > 0 and not told.str.contains(pattern, regex=True).any()
+    return len(told) > 0 and bool(told.str.fullmatch(pattern).all())
+
+
+def _counted_clock(stamps: pd.Series) -> tuple[Clock, str]:
+    first = float(stamps.dropna().iloc[0]) if stamps.notna().any() else 0.0
+    for unit, scale in (("s", 1.0), ("ms", 1e3)):
+        if 1e9 * scale < first < 2.5e9 * scale:
+            return Clock(unit=unit, since="1970-01-01T00:00Z", zone="UTC"), ""
+    return Clock(), "? stamps are numbers: name their unit and what they count from"
+
+
+def _stamp_format(text: pd.Series) -> tuple[str | None, str]:
+    """The `strptime` format of stamps, None for ISO 8601, and a note where another fits as well."""
+    sample_of = text if len(text) <= 500 else text.iloc[:: len(text) // 500]
+    as_iso = bool(ISO.match(str(text.iloc[0])))
+    if as_iso and pd.to_datetime(sample_of, format="ISO8601", utc=True, errors="coerce").notna().all():
+        return None, ""
+    fitting = []
+    first = str(text.iloc[0]).strip()
+    ends = (" %z", "%z") if with_offset(text.iloc[:1])[0] else ("",)
+    for day in _DAYS:
+        for between in _BETWEEN:
+            for clock in (*_CLOCKS, ""):
+                for end in ends:
+                    form = f"{day}{between}{clock}{end}" if clock else day
+                    if form not in fitting and _fits(first, form) and _fits_all(sample_of, form):
+                        fitting.append(form)
+    if not fitting:
+        return "FILL IN", f"? stamps such as {text.iloc[0]}: %d day, %m month, %Y year, %H:%M"
+    day = fitting[0].split(" %H")[0].split(" %I")[0]
+    others = [form for form in fitting[1:] if not form.startswith(day)]
+    return fitting[0], f"or '{others[0]}': both fit" if others else ""
+
+
+def _fits(text: str, form: str) -> bool:
+    try:
+        year = datetime.strptime(text, form).year
+    except ValueError:
+        return False
+    return 1990 <= year <= 2100
+
+
+def _fits_all(text: pd.Series, form: str) -> bool:
+    times = pd.to_datetime(text, format=form, errors="coerce", utc="%z" in form)
+    if not times.notna().all():
+        return False
+    back = times.diff() < pd.Timedelta(0)
+    return bool(back.sum() <= 1) or bool((times.max() - times.min()) < pd.Timedelta("400D") and back.mean() < 0.2)
+
+
+def _zone(stamps: pd.Series, as_written: str = "") -> str | None:
+    """The zone of stamps with offsets, or with the name of a clock `as_written`; None where they have none."""
+    for words, zone in _CALLED:
+        if re.search(rf"\b({words})\b", as_written):
+            return zone
+    ends = stamps.str.extract(r"([+-]\d{2}:?\d{0,2}|Z) *$", expand=False)
+    if ends.isna().any() or not with_offset(stamps).all():
+        return None
+    offsets = {float(e[:3]) + (float(e[-2:]) / 60 if len(e) > 3 else 0.0) if e != "Z" else 0.0 for e in ends.unique()}
+    least = min(offsets)
+    standard = {
+        1.0: "Europe/Berlin", 0.0: "UTC", 2.0: "Europe/Athens", -5.0: "America/New_York", -6.0: "America/Chicago",
+        -7.0: "America/Denver", -8.0: "America/Los_Angeles", -4.0: "America/Halifax",
+    }.get(least)  # fmt: skip
+    if least == 0.0 and len(offsets) > 1:
+        return "Europe/London"
+    return standard if standard and (len(offsets) > 1 or least in (0.0, 1.0)) else _all_year(least)
+
+
+def _all_year(hours: float) -> str | None:
+    return f"Etc/GMT{-hours:+.0f}" if hours == int(hours) and hours else ("UTC" if hours == 0 else None)
+
+
+def _form_of(
+    paths: Sequence[Path], heads: Sequence[pd.DataFrame], of_stamps: set[str], form: CsvFormat
+) -> tuple[TableForm, str]:
+    head = heads[0]
+    columns = [str(column) for column in head.columns if str(column) not in of_stamps and not _dated(head[str(column)])]
+    of_readings = _of_readings(head, columns, of_stamps)
+    if of_readings is not None:
+        otherwise = "InfluxDB's annotated CSV" if of_readings.value == "_value" else "a table"
+        programs = {"entity_id": "Home Assistant's history", "statistic_id": "Home Assistant's statistics"}
+        what = programs.get(str(of_readings.point), otherwise)
+        return of_readings, f"{what} with one row per reading"
+    status = next(
+        (c for c in columns if c.lower() in ("status", "quality", "reliability") and not _numbers(head[c])), None
+    )
+    valued = [
+        [str(c) for c in one.columns if _numbers(one[c]) and not _STATUS.match(str(c)) and str(c) not in of_stamps]
+        for one in heads
+    ]
+    each_one = all(len(of) == 1 for of in valued)
+    values = tuple(dict.fromkeys(name for of in valued for name in of))
+    told = named_after(paths[0], form) != named_after(paths[0], CsvFormat())
+    said = each_one and all(_VALUE.match(name) for name in values)
+    pairs = [(i, j) for j in range(len(heads)) for i in range(j) if set(valued[i]) & set(valued[j])]
+    shared = any(_at_the_same_time(heads[i], heads[j]) for i, j in pairs[:_MOST_PAIRS])
+    if each_one and (said or told or status is not None or (shared and len(values) == 1)):
+        by_file = TableForm(by_file="point", value=values[0] if len(values) == 1 else values, status=status)
+        return by_file, "one file per signal"
+    if shared:
+        return TableForm(by_file="prefix", status=status), "files with the same columns, one for each room or device"
+    return TableForm(status=status if each_one else None), "one column per signal"
+
+
+def _numbers(column: pd.Series) -> bool:
+    known = column.dropna()
+    return len(known) > 0 and bool(
+        as_numbers(known.iloc[:ROWS]).notna().mean() > 0.5 or as_numbers(known.iloc[:ROWS], ",").notna().mean() > 0.5
+    )
+
+
+def _at_the_same_time(*heads: pd.DataFrame) -> bool:
+    """Whether stamps of two files are of the same time, rather than one after the other."""
+    first, second = ({str(one) for one in head.iloc[:, 0].astype(str)} for head in heads)
+    if len(first & second) > 0.3 * min(len(first), len(second)):
+        return True
+    ranges = []
+    for head in heads:
+        text = plain(head.iloc[:, 0].dropna().astype(str))
+        form, _ = _stamp_format(text) if len(text) else (None, "")
+        if form == "FILL IN":
+            return False
+        times = pd.to_datetime(text, format=form or "ISO8601", errors="coerce", utc=True).dropna()
+        if not len(times):
+            return False
+        ranges.append((times.min(), times.max()))
+    (a, b), (c, d) = ranges
+    return bool(min(b, d) - max(a, c) > 0.3 * min(b - a, d - c))
+
+
+def _of_readings(head: pd.DataFrame, columns: Sequence[str], of_stamps: set[str]) -> TableForm | None:
+    """Where the names of signals stand in a table of one reading a row; None for other tables."""
+    if {"_value", "_field"} <= set(columns):
+        tags = [
+            c
+            for c in columns
+            if c not in ("_value", "result", "table", "", "_start", "_stop") and head[c].nunique() > 1
+        ]
+        # A tag that another one tells already is not needed: the unit of an entity, its domain.
+        named = sorted(tags, key=lambda c: (not _POINT.match(c) or c in ("_field", "_measurement"), -head[c].nunique()))
+        point: list[str] = []
+        n = len(head[tags].drop_duplicates()) if tags else 1
+        for key in named:
+            if not point or len(head[point].drop_duplicates()) < n:
+                point.append(key)
+        if not point:
+            given = [
+                c
+                for c in columns
+                if c not in ("_value", "result", "table", "", "_start", "_stop") and not _numbers(head[c])
+            ]
+            point = (
+                [c for c in given if c == "entity_id"]
+                or [c for c in given if c not in ("_measurement", "host")]
+                or given
+            )
+        return TableForm(point=point[0] if len(point) == 1 else tuple(point), value="_value")
+    values = [c for c in columns if _VALUE.match(c)]
+    points = [c for c in columns if _POINT.match(c) and c not in values]
+    repeated = [
+        c for c in columns
+        if c not in values and not _STATUS.match(c) and 1 < head[c].nunique() <= max(2, len(head) / 3)
+        and not _numbers(head[c]) and not set(head[c].dropna().astype(str).str.lower()) <= set(SWITCH)
+    ]  # fmt: skip
+    if not values or not (points or repeated):
+        numeric = [c for c in columns if _numbers(head[c]) and not _POINT.match(c)]
+        again = head[list(of_stamps)].duplicated().mean() > 0.2 if of_stamps <= set(map(str, head.columns)) else False
+        if not (len(numeric) == 1 and (repeated or points) and again):
+            return None
+        values = numeric
+    first = {v.lower() for v in values}
+    ours = [keys for keys in _VALUES_OF if keys[0] in first]
+    by_lower = {c.lower(): c for c in columns}
+    value = [by_lower[k] for k in ours[0] if k in by_lower] if ours else values[:1]
+    ids = [c for c in points if re.search(r"(?i)name|entity|statistic|bezeichnung|naam|nom|tag|point|path", c)]
+    point = (
+        [c for c in ids if not _numbers(head[c])][:1]
+        or ids[:1]
+        or [c for c in points if not _numbers(head[c])][:1]
+        or repeated[:1]
+        or points[:1]
+    )
+    if not point:
+        return None
+    unique = head[[*point, *[c for c in of_stamps if c in head.columns]]].duplicated().mean() < 0.05
+    for more in (*points, *repeated):
+        if not unique and more not in point and not _numbers(head[more]):
+            point.append(more)
+            unique = head[[*point, *[c for c in of_stamps if c in head.columns]]].duplicated().mean() < 0.05
+    status = next((c for c in columns if c.lower() in ("status", "quality", "reliability") and c not in value), None)
+    return TableForm(
+        point=point[0] if len(point) == 1 else tuple(point),
+        value=value[0] if len(value) == 1 else tuple(value),
+        status=status,
+    )
