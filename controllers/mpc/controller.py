@@ -12,6 +12,7 @@ import numpy as np
 from controllers.checks import check_names, message_of
 from controllers.monitoring.watch import Watch
 from controllers.mpc.acting import ActuatedController
+from controllers.mpc.commanding import MOST_SOLVES, Commands, effect_spread, with_command_states, with_commands
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.formulation import Formulation, Instance
 from controllers.mpc.margins import Margins
@@ -46,6 +47,7 @@ from controllers.safety.overrides import (
     WatchAlarm,
     decide,
 )
+from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import Array, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -77,12 +79,13 @@ class ThermoForceMPC(ActuatedController):
         *,
         free_response: FreeResponse | Sequence[FreeResponse] | None = None,
         solver: SolverBuilder | None = None,
+        commands: Mapping[str, LearnedCommand] | None = None,
         name: str = "thermoforce_mpc",
     ) -> None:
         """Build what the stations of a step need.
 
         `free_response` (one for all zones, or one per zone (Z,)) and `solver` replace those that `config` names;
-        `name`: in reports.
+        `commands`: what is set in the place of the level of an actuator, by name; `name`: in reports.
 
         Raises:
             ControllerConfigError: the horizon is shorter than a step, the model is not certified at that step and
@@ -90,18 +93,24 @@ class ThermoForceMPC(ActuatedController):
                 cannot be stated.
             BackboneError, ConfigError: the free response cannot be built.
         """
-        self.config = c = config or MPCConfig()
+        learned = dict(commands or {})
+        self.config = c = with_commands(config or MPCConfig(), learned)
         model, n_steps = at_step(model, c)
         layout, zones = model.layout, model.names.zones
+        check_names("commands", learned, "actuator", layout.names.actuators)
         check_names("actuations", c.actuations, "actuator", layout.names.actuators)
         check_names("sensors", c.sensors, "zone", zones)
         check_power(model)
         zone_models = [model.actuator(a) for a in range(len(layout.names.actuators))]
         choices = actuations_of(c, model, layout)
-        super().__init__(
-            name, model.operator.step_s, n_steps, layout, [choice.actuation for choice in choices], c.fallback
+        by_number = {a: learned[one] for a, one in enumerate(layout.names.actuators) if one in learned}
+        actuations = [choice.actuation for choice in choices]
+        super().__init__(name, model.operator.step_s, n_steps, layout, actuations, c.fallback, by_number)
+        self._commands = Commands(layout, by_number, [effect_spread(one.card) for one in zone_models])
+        reasons = (
+            layout.names.of_actuator(a, by_number[a].in_words if a in by_number else choice.why)
+            for a, choice in enumerate(choices)
         )
-        reasons = (layout.names.of_actuator(a, choice.why) for a, choice in enumerate(choices))
         self.actuation_in_words = "; ".join(dict.fromkeys(reasons))
         self._handler = DirectHandler(BoundedCalls(len(zones) + _SOLVERS_ABANDONED))
         powers = [choices[layout.fed_by(m)[0]].power for m in range(len(layout.names.machines))]
@@ -231,7 +240,7 @@ class ThermoForceMPC(ActuatedController):
         else:
             forecast = yield from self._prediction.predict(readings, state)
             instance = self._formulate(forecast, readings, state, overrides)
-            result = yield from self._solve(instance, forecast, readings)
+            result = yield from self._solve(instance, forecast, readings, overrides)
             plan = self._realise(result, readings, overrides, situation)
         return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
 
@@ -279,7 +288,11 @@ class ThermoForceMPC(ActuatedController):
             return Failure(f"no prediction ({message_of(error)})", state)
 
     def _solve(
-        self, instance: Instance | Failure, forecast: Forecast | Failure, readings: Readings
+        self,
+        instance: Instance | Failure,
+        forecast: Forecast | Failure,
+        readings: Readings,
+        overrides: Mapping[int, Override],
     ) -> Computation[Solved | Failure]:
         if isinstance(forecast, Failure):
             return forecast
@@ -287,16 +300,27 @@ class ThermoForceMPC(ActuatedController):
             return instance
         forecast = self._prediction.record(forecast, readings)
         planner, seconds = forecast.planner, forecast.context.seconds
+        guess = self._guess(forecast.state.good, readings.time_s)
+        own = self._commands.begin(planner.operator, instance.problem, forecast.context.boundary, overrides)
         try:
-            solve = Solve(planner.solver, instance.problem, self._guess(forecast.state.good, readings.time_s))
-            request = Request(planner.solver, solve, seconds=self.config.deadline.solve_s)
-            solution, solve_s = yield from timed(perform(request))
-            refused = solution.problem if not solution.ok else instance.problem.unfit(solution.u)
+            for again in range(MOST_SOLVES if own else 1):
+                problem = own.within_reach(guess) if own else instance.problem
+                solve = Solve(planner.solver, problem, guess)
+                request = Request(planner.solver, solve, seconds=self.config.deadline.solve_s)
+                solution, solve_s = yield from timed(perform(request))
+                refused = solution.problem if not solution.ok else problem.unfit(solution.u)
+                if refused or own is None or again + 1 == MOST_SOLVES or not own.beyond(solution.u):
+                    break
+                guess = solution.u
             began = time.perf_counter()
-            brought = None
+            brought, commanded = None, None
             if not refused:
-                brought = planner.evaluator.brings(instance.problem, solution.u, solution.own_values)
-                if planner.evaluator.structure.chosen:  # which of them acts is seen to when levels become blocks
+                u = solution.u
+                if own is not None:
+                    commanded = own.realise(u, forecast.state.actuation)
+                    u = commanded.u
+                brought = planner.evaluator.brings(instance.problem, u, solution.own_values)
+                if planner.evaluator.structure.chosen or own is not None:  # levels become blocks, or are answers
                     brought = replace(brought, broken="")
             seconds = {**seconds, "solve": solve_s, "check": time.perf_counter() - began}
         except Exception as error:  # whatever a solver raises, there is another way to act
@@ -306,8 +330,16 @@ class ThermoForceMPC(ActuatedController):
         if brought is None or brought.broken:
             why = refused or f"the solver's levels leave a limit: {brought.broken if brought else ''}"
             return Failure(why, forecast.state, solution.status, seconds)
+        solution = solution if commanded is None else replace(solution, u=commanded.u)
         limit = power_limit(instance, solution, brought, planner.evaluator)
-        return Solved(solved_plan(instance, solution, brought, seconds, forecast, readings), limit)
+        plan = solved_plan(instance, solution, brought, seconds, forecast, readings)
+        if own is not None and commanded is not None:
+            plan = replace(
+                plan,
+                settings=own.settings(commanded, plan.time_s),
+                saving=own.saving(commanded, planner.evaluator, self._power_spread(readings.history)),
+            )
+        return Solved(plan, limit, commanded)
 
     def _realise(
         self, result: Solved | Failure, readings: Readings, overrides: Mapping[int, Override], situation: Situation
@@ -315,9 +347,14 @@ class ThermoForceMPC(ActuatedController):
         if isinstance(result, Failure):
             doubtful = [self._watched.doubtful(result.state, a) for a in range(len(self._fallbacks))]
             return self._realisation.fall_back(result, overrides, doubtful, readings.doubts, situation)
-        plan, limit = result
-        demands = first_demands(self.config, self._actuators, self.step_s, plan, readings)
-        return self._realisation.realise(plan, demands, overrides, situation, limit)
+        plan, limit, commanded = result
+        demands = first_demands(self.config, self._actuators, self.step_s, plan, readings, commanded)
+        realised = self._realisation.realise(plan, demands, overrides, situation, limit)
+        return realised if commanded is None else with_command_states(realised, commanded)
+
+    def _power_spread(self, history: Record) -> float:
+        """Largest error, as a share, of what a change of levels does to the power of a machine."""
+        return max(self.model.power_change(m, history).spread for m in range(len(self.model.machines)))
 
     def _guess(self, good: GoodPlan | None, time_s: float) -> Array | None:
         """Warm start (A, N): the plan of the previous step, shifted by one step; None without one."""

@@ -186,9 +186,8 @@ def checked(model: PlanModel, problem: MPCProblem, p: Array, answer: Answer, gue
 
 
 def _dearer(model: PlanModel, problem: MPCProblem, p: Array, cost: float, own: Array, guess: Array | None) -> str:
-    m = problem.machinery
-    low, high = (np.repeat(bound[:, None], problem.n_steps, axis=1) for bound in (m.u_min, m.u_max))
-    others = [np.zeros_like(high), high]
+    low, high = problem.level_bounds
+    others = [np.clip(np.zeros_like(high), low, high), high]
     if guess is not None and guess.shape == high.shape:
         others.append(np.clip(guess, low, high))
     found = [model.evaluate(p, levels, own) for levels in others]

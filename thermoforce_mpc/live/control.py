@@ -178,7 +178,7 @@ class _Loop:
         blocks, refused = checked_blocks(
             plan, controller.step_s, controller.step_s, building.layout.lowest, record.names
         )
-        if any(band is not None for block in blocks for band in block.band_C):
+        if any(band is not None for block in blocks for band in block.command):
             refused = "refused room set-points, which a connection has none of: native control instead"
             blocks = (Block.native(len(building.names), controller.step_s),)
         # A plan that was refused did not act: the controller goes on from what it knew before.

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
+from thermoforce_mpc.commands.kinds import AnyCommand
+from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, learn_command
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
 from thermoforce_mpc.data.dataframes import new_year, seconds_since, stamps
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.measurements.map.entries import Signal
 from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, MappedActuator, MeasurementMap, load_map
 from thermoforce_mpc.measurements.map.starting_map import ROWS, rooms_beside
 from thermoforce_mpc.measurements.signals import SignalReader
@@ -32,6 +35,8 @@ _FULL, _RUNNING = 99.0, 0.05
 # Step of a record where the map has none: the usual distance of the rows, within these, s.
 _STEPS_S = (900.0, 3600.0)
 _LEAST_STEPS = 2
+# A command that is not logged anew holds for so long, h.
+_COMMAND_HOLDS_H = 14 * 24.0
 
 
 def sunlight(
@@ -121,7 +126,8 @@ def actuator_levels(rules: MeasurementMap, reader: SignalReader, heat: Array, po
 class Measurements:
     """Measurements of a building: the record, what acts where, the conditions of the time, and what was understood.
 
-    `conditions`: measured weather with the bounds and prices of the map, NaN where it names none.
+    `conditions`: measured weather with the bounds and prices of the map, NaN where it names none. `commands`: what was
+    set, by actuator, of those with a command.
     """
 
     record: Record
@@ -129,6 +135,7 @@ class Measurements:
     conditions: Boundary
     understood: Understood
     map: MeasurementMap
+    commands: Mapping[str, CommandRecord] = field(default_factory=dict)
 
     def served(self) -> Measurements:
         """The zones that an actuator serves, as `identify` needs them; `DataError` where no level was measured."""
@@ -232,6 +239,7 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
     ] or unknown
     heat = np.array([reader.mean(f"actuators.{name}.heat", a.heat, readings.POWER) for name, a in actuators] or unknown)
     u, of_levels = actuator_levels(rules, reader, heat, power)
+    commands = {name: _commanded(reader, name, a.command) for name, a in actuators if a.command is not None}
     record = Record(
         grid_s, T_zone, T_out, solar, u, power, heat * np.array(layout.signs)[:, None],
         np.array(water), origin, names,
@@ -266,7 +274,26 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
         (*table.notes, *of_clock(zone, rows_every_s, step_s), *of_sun, *of_levels),
         missing(rules, record, conditions),
     )
-    return Measurements(record, layout, conditions, understood, rules)
+    return Measurements(record, layout, conditions, understood, rules, commands)
+
+
+def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
+    """The commands of the actuators with their maps, by name; raises `DataError` where the record does not tell one."""
+    record, out = measured.record, {}
+    for a, name in enumerate(record.names.actuators):
+        command = measured.map.actuators[name].command if name in measured.commands else None
+        if command is not None:
+            T_zone_C, was = record.T_zone_C[measured.layout.home[a]], measured.commands[name]
+            where = f"actuators.{name}.command (column {command.column})"
+            out[name] = learn_command(command, was, T_zone_C, record.T_out_C, record.u[a], record.time_s, where)
+    return out
+
+
+def _commanded(reader: SignalReader, name: str, command: AnyCommand) -> CommandRecord:
+    """What was set: a command holds until the next reading."""
+    signal = Signal(column=command.column, hold_h=_COMMAND_HOLDS_H)
+    at = reader.scheduled(f"actuators.{name}.command", signal, readings.COMMAND)
+    return CommandRecord(at, reader.again(signal, readings.COMMAND))
 
 
 def _step_s(rows_every_s: float) -> float:

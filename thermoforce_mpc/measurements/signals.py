@@ -74,12 +74,21 @@ class SignalReader:
         values = means(starts, lasts, readings.values, self.grid_s, self._coverage)
         return self._summarised(key, signal, unit, readings, values, flags)
 
+    def again(self, signal: Signal, rules: Rules) -> Array:
+        """Means over the steps (n,) of a signal that is read as `scheduled` too: it holds until the next reading."""
+        readings, _, _ = self._readings("", signal, rules)
+        if not readings.values.size:
+            return np.full(self.grid_s.size - 1, np.nan)
+        ends = np.append(readings.time_s[1:], max(self.grid_s[-1], readings.time_s[-1]))
+        lasts = np.minimum(ends - readings.time_s, readings.longest_s)
+        return means(readings.time_s, lasts, readings.values, self.grid_s, self._coverage)
+
     def _readings(self, key: str, signal: Signal, rules: Rules) -> tuple[Readings, Rules, tuple[Flag, ...]]:
         """The readings of a signal that hold, in the unit inside, its rules, and what was flagged."""
         declared = getattr(signal, "unit", "")
         rules = rules.of(signal)
         raw = np.sum([self._table.columns[column] for column in signal.columns], axis=0) * signal.factor
-        values, time_s = converted(raw, declared), self._time_s
+        values, time_s = converted(raw, declared) if declared else np.asarray(raw), self._time_s
         if declared.endswith(PER_STEP):
             values = values / _intervals_s(time_s, np.isfinite(values), signal.hold_h, self._marks)
         flags: list[Flag] = []

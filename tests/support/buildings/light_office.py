@@ -14,8 +14,8 @@ from thermoforce_mpc.data import (
     DAY_S,
     HOUR_S,
     Array,
-    Bands,
     Boundary,
+    Commands,
     Levels,
     Measurement,
     Period,
@@ -66,9 +66,9 @@ class LightOffice:
         self.kept = dict.fromkeys(self.kept, 0.0)
         return self._measurement(math.nan, math.nan, math.nan)
 
-    def advance(self, u: Levels, duration_s: float, band_C: Bands = None) -> Measurement:
-        block = check_levels(u, duration_s, band_C, lowest=-1.0)
-        (level,), (band,) = block.u, block.band_C
+    def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
+        block = check_levels(u, duration_s, command, lowest=-1.0)
+        (level,), (band,) = block.u, block.command
         heat = gas = chiller = 0.0
         n = round(duration_s / DT_S)
         for _ in range(n):

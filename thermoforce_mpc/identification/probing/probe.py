@@ -195,9 +195,9 @@ class Probing:
             self._excites[a].withheld()
         levels = tuple(block.u[0] for block in blocks)
         self.asked = np.concatenate([self.asked, np.array([levels], dtype=np.float64).T], axis=1)
-        bands = tuple(block.band_C[0] for block in blocks)
-        if any(bands):
-            now = cast(RoomSetpointPlant, plant).advance(levels, c.step_s, bands)
+        commands = tuple(block.command[0] for block in blocks)
+        if any(command is not None for command in commands):
+            now = cast(RoomSetpointPlant, plant).advance(levels, c.step_s, commands)
         else:
             now = plant.advance(levels, c.step_s)
         self.record = self.record.extended(now)

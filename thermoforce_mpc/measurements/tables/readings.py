@@ -72,6 +72,7 @@ HUMIDITY = Rules("level", "", (0.0, 1.0 + LEVEL_SLACK), usual=(0.05, 1.0))
 POWER = Rules("power", "W")
 BOUND = Rules("temperature", "°C", limits.ZONE_C, usual=(5.0, 40.0))
 PRICE = Rules("price", "per kWh")
+COMMAND = Rules("command", "")
 
 
 @dataclass(frozen=True)
