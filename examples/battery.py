@@ -6,8 +6,8 @@ import numpy as np
 from controllers import ThermoForceMPC
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import Observation
+from thermoforce_mpc.experiment.identifying import identify_on
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.simulation.models.identifying import identify_on
 
 
 def battery(plan):

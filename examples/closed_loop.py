@@ -5,9 +5,9 @@ from dataclasses import replace
 from controllers import ThermoForceMPC, Thermostat
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S
+from thermoforce_mpc.experiment.identifying import identify_on
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.models.identifying import identify_on
 
 plant = EmbeddedPlant(synthetic_weather())
 window = replace(plant.period("peak_heat_day"), scored_s=2 * DAY_S)

@@ -20,12 +20,12 @@ from matplotlib.figure import Figure
 from benchmarks.operator.data import FLOOR_AREA_M2, cut, read_run
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation
+from thermoforce_mpc.experiment.identifying import identify_on
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.model.free_response.registry import build_free_response
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.simulation.models.identifying import identify_on
 
 FREE, FORCED, TRUTH, RAW = "#228b22", "#b22222", "#1b1f24", "#6b7280"
 LEVELS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])

@@ -16,14 +16,14 @@ import numpy as np
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.boundary.tariffs import by_name
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.experiment.checks import validate_scenario
+from thermoforce_mpc.experiment.composition import scored_period
+from thermoforce_mpc.experiment.identifying import model_for
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.plants.embedded import EmbeddedPlant, schedule
 from thermoforce_mpc.plants.embedded.constructions import AREA_M2
 from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_scenario
-from thermoforce_mpc.simulation.checks import validate_scenario
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.composition import scored_period
-from thermoforce_mpc.simulation.models.identifying import model_for
 
 LEVELS = np.arange(1, 10) / 10
 

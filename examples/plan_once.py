@@ -3,8 +3,8 @@
 from controllers import ThermoForceMPC
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import Observation
+from thermoforce_mpc.experiment.identifying import identify_on
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.simulation.models.identifying import identify_on
 
 plant = EmbeddedPlant(synthetic_weather())
 window = plant.period("peak_heat_day")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ast
+import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
+from typing import Any
 
 from places import ROOT
 
@@ -33,6 +35,30 @@ def test_no_imports_go_in_a_circle():
     assert len(known) > 100
     # Raises CycleError with the circle.
     TopologicalSorter({name: _imported(file, known) - {name} for name, file in known.items()}).prepare()
+
+
+def _contracts() -> list[dict[str, Any]]:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    return list(settings["tool"]["importlinter"]["contracts"])
+
+
+def test_every_room_has_its_place_in_the_order_of_rooms():
+    """A room that no contract names may import whatever it likes; inside rooms `exhaustive` says so, here this test."""
+    rooms = next(one for one in _contracts() if one["name"] == "Rooms import downwards")
+    placed = {name for layer in rooms["layers"] for name in layer.split(" | ")}
+    there = {
+        f"thermoforce_mpc.{path.stem}"
+        for path in (ROOT / "thermoforce_mpc").iterdir()
+        if (path / "__init__.py").exists() or (path.suffix == ".py" and not path.stem.startswith("__"))
+    }
+    assert len(there) > 20
+    assert there - placed == set()
+
+
+def test_the_order_inside_a_room_leaves_no_module_out():
+    inside = [one for one in _contracts() if "containers" in one]
+    assert len(inside) >= 9
+    assert [one["name"] for one in inside if not one.get("exhaustive")] == []
 
 
 def _is_private(name: str) -> bool:

@@ -13,14 +13,14 @@ from places import ROOT, SUPPORT
 
 from controllers.checks import ControllerConfigError
 from controllers.registry import REGISTRY, Entry, build_controller
+from thermoforce_mpc.comparison.cells import expand
+from thermoforce_mpc.comparison.variants import Variant
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.free_response.registry import REGISTRY as FREE_RESPONSES
 from thermoforce_mpc.plants.registry import check_plant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.registry import Registry, builder
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
-from thermoforce_mpc.simulation.comparison.cells import expand
-from thermoforce_mpc.simulation.comparison.variants import Variant
 
 
 def distribution(where: Path, name: str, module: str, group: str = "controllers", **announced: str) -> None:
@@ -192,7 +192,7 @@ def example(tmp_path_factory) -> Path:
 SCRIPT = """
 import json, sys
 from thermoforce_mpc.plants.testcases import load_scenario
-from thermoforce_mpc.simulation.checks import validate_scenario
+from thermoforce_mpc.experiment.checks import validate_scenario
 checked = validate_scenario(load_scenario(None, {"testcase": "north_house", "controller": {
     "options": {"free_response": {"name": "yesterday", "options": {"spread_K": 2.0}}}}}))
 import numpy as np

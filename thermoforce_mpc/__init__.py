@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from controllers.mpc.controller import ThermoForceMPC
     from thermoforce_mpc.data import Boundary, Observation, Plan, Record
     from thermoforce_mpc.errors import ThermoForceError
+    from thermoforce_mpc.experiment.run import run
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.identification.pipeline import identify
     from thermoforce_mpc.measurements.forecast import read_forecast
     from thermoforce_mpc.measurements.load import read_measurements
     from thermoforce_mpc.model.exported import modulation_function, rollout_function, step_function
     from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
-    from thermoforce_mpc.simulation.run import run
     from thermoforce_mpc.whatif.counterfactual import counterfactual
     from thermoforce_mpc.whatif.saving import verified_saving
 
@@ -46,7 +46,7 @@ _NAMES = {
     "thermoforce_mpc.measurements.load": ("read_measurements",),
     "thermoforce_mpc.model.exported": ("modulation_function", "rollout_function", "step_function"),
     "thermoforce_mpc.model.thermal_model": ("ThermalModel", "load_model"),
-    "thermoforce_mpc.simulation.run": ("run",),
+    "thermoforce_mpc.experiment.run": ("run",),
     "thermoforce_mpc.whatif.counterfactual": ("counterfactual",),
     "thermoforce_mpc.whatif.saving": ("verified_saving",),
 }

@@ -18,17 +18,17 @@ from benchmarks.chaos.troubles import Trouble
 from boptest_client import TransportConfig
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import PlantError, ThermoForceError
+from thermoforce_mpc.experiment.run_book import RunBook
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
+from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.boptest.plant import BoptestPlant
 from thermoforce_mpc.plants.testcases import load_scenario
+from thermoforce_mpc.records.journal import NAME, read_journal
+from thermoforce_mpc.records.run_log import log_step, logging_to
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.folder.run_book import RunBook
-from thermoforce_mpc.simulation.folder.run_log import log_step, logging_to
-from thermoforce_mpc.simulation.journal.journal import NAME, read_journal
-from thermoforce_mpc.simulation.unit_doubts import UnitDoubts
 
 # Time limits of the client and silence of the proxy, s: silence takes real time, a busy machine needs some.
 _CONNECT_S, _READ_S, _SILENT_S = 10.0, 5.0, 5.5

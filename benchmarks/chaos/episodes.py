@@ -19,15 +19,15 @@ from benchmarks.chaos.episode import Outcome, Setting, run_episode
 from benchmarks.chaos.files import TRIAL_CLASSES, TRIALS, prepared, run_trial
 from benchmarks.chaos.troubles import CLASSES, Trouble, drawn
 from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.execution import LocalEngine, Task, execute
 from thermoforce_mpc.execution import Outcome as Executed
+from thermoforce_mpc.experiment.identifying import model_for
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.service.server import serving
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
-from thermoforce_mpc.simulation.models.identifying import model_for
 
 TESTCASE = "bestest_hydronic_heat_pump"
 # The weather model alone, since no episode depends on what the forecaster says.

@@ -22,10 +22,10 @@ from benchmarks.chaos.troubles import Trouble
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError, ThermoForceError
+from thermoforce_mpc.experiment.run_book import RunBook
 from thermoforce_mpc.plants.fmu import FmuPlant
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
-from thermoforce_mpc.simulation.folder.run_book import RunBook
-from thermoforce_mpc.simulation.journal.journal import NAME
+from thermoforce_mpc.records.journal import NAME
 
 _TESTCASE = "bestest_hydronic_heat_pump"
 _WORDS = ("--testcase", _TESTCASE, "--controller", "thermostat", "--baselines", "", "--days", "0.1",

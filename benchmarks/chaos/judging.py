@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 from benchmarks.chaos.troubles import TWICE, UNITS, Trouble
-from thermoforce_mpc.simulation.journal.journal import Entry
+from thermoforce_mpc.records.journal import Entry
 
 _CLOCK_TOLERANCE_S = 1e-3
 

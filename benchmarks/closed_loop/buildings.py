@@ -30,25 +30,25 @@ from benchmarks.closed_loop.offices import (
     run_offices,
 )
 from controllers.registry import build_controller
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, ZERO_C_K, Array, Period, PlanStatus
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.execution import Engine
+from thermoforce_mpc.experiment.equal_comfort import (
+    ALLOWED_KH,
+    AsComfortable,
+    as_comfortable,
+    shifted_options,
+)
+from thermoforce_mpc.experiment.identifying import identification_settings, identify_on
 from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, House, draw_house
 from thermoforce_mpc.plants.random_houses.plant import bounds_C
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
-from thermoforce_mpc.simulation.comparison.equal_comfort import (
-    ALLOWED_KH,
-    AsComfortable,
-    as_comfortable,
-    shifted_options,
-)
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
-from thermoforce_mpc.simulation.models.identifying import identification_settings, identify_on
 
 # Population that is reported; development uses other seeds, see docs/evidence/generated-houses.md.
 REPORTED_SEED = 2026
@@ -364,7 +364,7 @@ def _line(outcome: Outcome) -> str:
 
 def _write_outcomes(path: Path, outcomes: Sequence[Outcome]) -> None:
     """Write every figure of every case as JSON."""
-    from thermoforce_mpc.simulation.folder.run_folder import write_json
+    from thermoforce_mpc.records.run_folder import write_json
 
     cases = [
         {

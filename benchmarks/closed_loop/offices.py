@@ -17,8 +17,12 @@ import numpy as np
 
 from benchmarks.cases import run_all
 from controllers.registry import build_controller
+from thermoforce_mpc.comparison.results_json import Target
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
+from thermoforce_mpc.experiment.equal_comfort import ALLOWED_KH
+from thermoforce_mpc.experiment.identifying import identification_task, run_identification
+from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
 from thermoforce_mpc.plants.people import OFFICE_HOURS
@@ -26,10 +30,6 @@ from thermoforce_mpc.plants.rooms import HouseOfRooms, house_of_rooms
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
-from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
-from thermoforce_mpc.simulation.comparison.equal_comfort import ALLOWED_KH
-from thermoforce_mpc.simulation.comparison.results_json import Target
-from thermoforce_mpc.simulation.models.identifying import identification_task, run_identification
 
 CONTROLLER, THERMOSTAT, NATIVE = "thermoforce_mpc", "thermostat", "native"
 # Hours before 6:00 at which a thermostat starts; the first is the setback's, the second two hours earlier.

@@ -22,8 +22,12 @@ from benchmarks.free_response.oracle import oracles
 from controllers.mpc.config import MPCConfig, ObjectiveConfig
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.registry import controller_config
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
+from thermoforce_mpc.experiment.composition import scored_period
+from thermoforce_mpc.experiment.identifying import model_for
+from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
 from thermoforce_mpc.plants.registry import build_plant
@@ -31,10 +35,6 @@ from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
-from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
-from thermoforce_mpc.simulation.composition import scored_period
-from thermoforce_mpc.simulation.models.identifying import model_for
 
 HEAT_PUMP = "bestest_hydronic_heat_pump"
 REFERENCE, DEFAULT, LIMIT = "linear_weather", "default", "oracle"

@@ -23,13 +23,13 @@ from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.sqp import SQPSolver
 from controllers.registry import controller_config
 from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import DAY_S, Array
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.experiment.identifying import identify_on
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
-from thermoforce_mpc.simulation.models.identifying import identify_on
 
 _TESTCASE = "bestest_hydronic_heat_pump"
 # Number of instances; do-mpc needs a large part of a second for each.

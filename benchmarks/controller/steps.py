@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.data import Block, Period, Plan
+from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord, run_closed_loop
 from thermoforce_mpc.protocols import Controller, Plant
-from thermoforce_mpc.simulation.closed_loop import RunResult, StepRecord, run_closed_loop
-from thermoforce_mpc.simulation.journal.journal import NAME, Journal
-from thermoforce_mpc.simulation.journal.recorded_plant import JournaledPlant
+from thermoforce_mpc.records.journal import NAME, Journal
+from thermoforce_mpc.records.recorded_plant import JournaledPlant
 
 # Parts of `Plan.seconds` by what they are called here.
 _PARTS = {"forecast": "free forecast", "estimate": "forced state", "solve": "solve", "check": "check of the plan"}

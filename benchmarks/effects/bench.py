@@ -17,9 +17,9 @@ from benchmarks.cases import run_all
 from benchmarks.effects.asking import GENERATED, Answer, Case, ask, probed_days
 from benchmarks.effects.plot import plot_answers
 from benchmarks.effects.windows import LONGEST, WINDOWS
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.plants.energyplus import engine as energyplus
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 EMBEDDED, ENERGYPLUS = "bestest_hydronic_heat_pump", "energyplus:heating_chicago"
 # Goals: size of the median bias and mean size of the bias over a draw, share of bands that hold the truth, size of the

@@ -15,8 +15,8 @@ from benchmarks.factual.homes import Home, hashes
 from benchmarks.factual.protocol import QUICK, Protocol
 from benchmarks.factual.suite import run_suite
 from benchmarks.free_response.scales import SCALES
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.execution import Engine
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 _MOST_S, _ROOMS = 300.0, 9
 
@@ -56,7 +56,7 @@ def run_factual_bench(
     from benchmarks.factual import plots, tables
     from benchmarks.interventions.page import write_page
     from benchmarks.interventions.plots import save
-    from thermoforce_mpc.simulation.folder.run_folder import write_json
+    from thermoforce_mpc.records.run_folder import write_json
 
     began = time.perf_counter()
     protocol = QUICK if quick else Protocol()

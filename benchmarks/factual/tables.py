@@ -23,8 +23,8 @@ from benchmarks.factual.evaluate import (
     Scores,
 )
 from benchmarks.factual.protocol import Protocol
+from thermoforce_mpc.comparison.results_json import Target
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.simulation.comparison.results_json import Target
 
 Row = dict[str, Any]
 

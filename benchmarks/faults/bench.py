@@ -22,14 +22,14 @@ from controllers.monitoring.watch_state import Judged
 from controllers.mpc.state import MPCState
 from controllers.registry import build_controller
 from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, Plan, PlanStatus
+from thermoforce_mpc.experiment.identifying import identify_on
+from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Controller
-from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
-from thermoforce_mpc.simulation.models.identifying import identify_on
 
 _BLIND: Mapping[str, Any] = {"reports_u": False, "meters": False}
 # Every fault by name: options of `FaultyPlant`.

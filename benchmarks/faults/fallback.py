@@ -22,15 +22,15 @@ from controllers.optimisation.solution import Solution, Solver
 from controllers.registry import controller_config
 from controllers.rules.native import NativeController
 from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Observation, Plan, PlanStatus, Record
+from thermoforce_mpc.experiment.identifying import identify_on
+from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.model.free_response.following import follow
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
-from thermoforce_mpc.simulation.models.identifying import identify_on
 
 _START_DAY, _FROM_DAYS, _LONGEST_DAYS = 16, 2.5, 14.0
 _UNPROTECTED: dict[str, Any] = {"sensor": {"enabled": False}, "free_response": {"substitutes": False}}

@@ -19,10 +19,10 @@ from benchmarks.closed_loop.buildings import identify_by_default
 from controllers.registry import build_controller
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Measurement, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, House, draw_house
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.findings import watch_spells
+from thermoforce_mpc.report.findings import watch_spells
 
 Shown = TypeVar("Shown", Record, Measurement)
 PROBED_DAYS, WEEK = 3.0, "cold_week"

@@ -9,13 +9,13 @@ from time import perf_counter
 
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.experiment.identifying import identification_settings
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.identification.probing.probe import Probing
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.simulation.models.identifying import identification_settings
 
 # Population of the bench; that of `bench buildings` is another.
 SEED = 7

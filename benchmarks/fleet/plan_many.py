@@ -22,11 +22,11 @@ from controllers.mpc.config import MPCConfig
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, Observation, Plan
+from thermoforce_mpc.experiment.identifying import identify_on
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.models.identifying import identify_on
 
 # A population that no table of the documentation reports.
 _SEED, _CONTROLLER, _WEEK = 7, "thermoforce_mpc", "cold_week"

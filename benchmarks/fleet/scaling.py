@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from thermoforce_mpc.comparison.cells import Cell
+from thermoforce_mpc.comparison.store import Store
+from thermoforce_mpc.comparison.variants import Variant
 from thermoforce_mpc.execution import LocalEngine, Outcome, Task, execute
-from thermoforce_mpc.simulation.comparison.cells import Cell
-from thermoforce_mpc.simulation.comparison.store import Store
-from thermoforce_mpc.simulation.comparison.variants import Variant
-from thermoforce_mpc.simulation.fleet.file import FleetFile, Generated, Source, buildings_of
-from thermoforce_mpc.simulation.fleet.runs import runs_of, tasks_of
+from thermoforce_mpc.fleet.file import FleetFile, Generated, Source, buildings_of
+from thermoforce_mpc.fleet.runs import runs_of, tasks_of
 
 # A population that no table of the documentation reports.
 _SEED = 7

@@ -19,13 +19,13 @@ import numpy as np
 from benchmarks.free_response.scales import SCALES, backbone_of
 from benchmarks.operator.data import FLOOR_AREA_M2, cut, read_run
 from benchmarks.parameter_count import parameter_count
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Observation, Record
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.model.free_response.backbones.loading import FRACAST
 from thermoforce_mpc.model.free_response.chronos import ChronosFreeResponse
 from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 _PROBE_DAYS, _CONTEXT_DAYS, _EMBEDDED_DAYS = 3, 7, 16
 _HORIZON_H = 6

@@ -15,10 +15,10 @@ from benchmarks.interventions.protocol import PROBE_DAYS, QUICK, Protocol
 from benchmarks.interventions.scores import CellScore, one_sided_wilcoxon
 from benchmarks.interventions.suite import SuiteResult, run_suite
 from benchmarks.paper.printed import INTERVENTIONAL_VALIDITY
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.plants.energyplus.zone import CLIMATES
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 Row = dict[str, Any]
 Say = Callable[[str], None]
@@ -72,7 +72,7 @@ def run_interventions_bench(
     """
     from benchmarks.interventions.page import write_page
     from benchmarks.interventions.plots import fan_figure, save, scatter_figure
-    from thermoforce_mpc.simulation.folder.run_folder import write_json
+    from thermoforce_mpc.records.run_folder import write_json
 
     days = tuple(days) or ((1,) if quick else (3,))
     if not all(1 <= k <= max(PROBE_DAYS) for k in days):

@@ -17,6 +17,7 @@ from benchmarks.paper.printed import EFFICIENCY_MS, PARAMETERS
 from controllers.mpc.controller import ThermoForceMPC
 from controllers.registry import build_controller
 from thermoforce_mpc.boundary import tariffs
+from thermoforce_mpc.comparison.results_json import Target
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.registry import build_free_response
@@ -26,7 +27,6 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.energyplus.plant import electric_power_W
 from thermoforce_mpc.plants.energyplus.zone import Climate, base_setpoint
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.simulation.comparison.results_json import Target
 
 Row = dict[str, Any]
 Say = Callable[[str], None]

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.measured_rooms.score import DEFAULT, LEADS_H, PERSISTENCE, RC
+from thermoforce_mpc.comparison.results_json import Target
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.simulation.comparison.results_json import Target
 
 Row = Mapping[str, Any]
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from benchmarks.cases import run_all
 from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Measurement, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
@@ -26,7 +27,6 @@ from thermoforce_mpc.model.predictor import Predictor
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.rooms import HouseOfRooms, house_of_rooms
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 Row = dict[str, Any]
 

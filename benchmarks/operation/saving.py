@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import run_all
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 from thermoforce_mpc.whatif.saving import verified_saving
 
 Row = dict[str, Any]

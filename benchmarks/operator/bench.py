@@ -21,9 +21,9 @@ from benchmarks.operator.training_speed import (
     compare_training,
     compare_training_to_loss,
 )
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 # Targets of this bench, K unless stated otherwise.
 _PAIRS_GOAL_K, _SIGN_GOAL, _AGAINST_FIRST_ORDER = 0.035, 0.995, 0.5

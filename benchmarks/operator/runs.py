@@ -12,11 +12,11 @@ import numpy as np
 
 from benchmarks.operator.data import FLOOR_AREA_M2, ReferencePair, cut
 from benchmarks.operator.score import PairScores, score_pairs
+from thermoforce_mpc.comparison.results_json import Target
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.zones.two_stage import fit_two_stage
-from thermoforce_mpc.simulation.comparison.results_json import Target
 
 # Targets, K unless stated otherwise.
 _FEW_SHOT_GOALS_K = {1: 0.12, 3: 0.08}

@@ -10,10 +10,10 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from benchmarks.interventions.plots import save
+from thermoforce_mpc.comparison.results_json import results_json
+from thermoforce_mpc.experiment.run import run_scenario
 from thermoforce_mpc.plants.testcases import find_config, load_scenario
-from thermoforce_mpc.simulation.comparison.results_json import results_json
-from thermoforce_mpc.simulation.run import run_scenario
-from thermoforce_mpc.simulation.views.display import RunDisplay
+from thermoforce_mpc.report.display import RunDisplay
 
 # The paper's names of its windows, and ours.
 WINDOWS = {"peak A": "peak_heat_day", "peak B": "44", "typical": "typical_heat_day"}

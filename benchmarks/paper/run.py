@@ -11,10 +11,10 @@ from typing import Any
 
 from benchmarks.paper.parts import NOT_MEASURED, PARTS, Setting, Table
 from benchmarks.paper.tables import Rows
+from thermoforce_mpc.comparison.results_json import results_json
 from thermoforce_mpc.errors import ThermoForceError
 from thermoforce_mpc.files import write_whole
-from thermoforce_mpc.simulation.comparison.results_json import results_json
-from thermoforce_mpc.simulation.folder.run_folder import write_json
+from thermoforce_mpc.records.run_folder import write_json
 
 _COLUMNS = ("table", "row", "quantity", "paper", "here")
 

@@ -12,10 +12,10 @@ from benchmarks.plant import scores
 from benchmarks.plant.speed import scaling, two_weeks_s
 from thermoforce_mpc.boundary.periods import published_windows
 from thermoforce_mpc.boundary.weather import load_weather
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 _T_RMSE_K = {"excite": 0.10, "off": 0.15, "native": 0.10}
 

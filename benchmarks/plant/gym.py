@@ -15,9 +15,9 @@ import numpy as np
 
 from boptest_client import BoptestClient
 from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.gym import ID
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 _TESTCASE = "bestest_hydronic_heat_pump"
 _START_S = 16 * DAY_S

@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 
 from thermoforce_mpc.boundary.tariffs import Tariff, held_prices
+from thermoforce_mpc.comparison.results_json import Target
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.simulation.comparison.results_json import Target
 
 STEP_S = 900.0
 SCORED_S = 14 * DAY_S

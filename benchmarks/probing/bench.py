@@ -14,13 +14,13 @@ from benchmarks.operator.data import FLOOR_AREA_M2, ReferencePair
 from benchmarks.operator.score import score_pairs
 from benchmarks.probing.pair_probing import probe_pair
 from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.identification import IdentificationConfig, Pair, identify
 from thermoforce_mpc.identification.probing.design import information
 from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 _LEVELS = (0.0, 0.4, 0.7, 1.0)
 _PAIR_DAYS, _START_DAYS = (12, 25, 40, 60, 75, 90, 300, 330), (18, 33, 50, 68, 83, 310)

@@ -18,6 +18,7 @@ from benchmarks.cases import run_all
 from benchmarks.measured_rooms.records import MeasuredRecord, found_records
 from benchmarks.records.drawing import OPERATIONS, Drawn, Operation, drawn
 from benchmarks.records.spoiling import faults
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.data.limits import LOAD_W_PER_M2
 from thermoforce_mpc.errors import InputError
@@ -25,7 +26,6 @@ from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.measurements.checks import remarks
 from thermoforce_mpc.measurements.load import read_measurements
 from thermoforce_mpc.plants.random_houses import generated_house
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 _FOUND, _FALSE = 0.95, 0.02
 _QUICK_HOUSES = 3

@@ -10,8 +10,8 @@ import numpy as np
 from benchmarks.cases import run_all
 from benchmarks.effects.asking import probed_days
 from benchmarks.verdicts.house import EQUAL_KH, USEFUL, Case, Judged, judged
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.execution import Engine
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
 
 # Goal: share of good models that are held back.
 _HELD_BACK = 0.1

@@ -17,15 +17,15 @@ from benchmarks.effects.asking import paired, said
 from controllers.registry import build_controller
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.experiment.identifying import identification_settings
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.identification.probing.probe import Probing
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.models.identifying import identification_settings
 
 # Probing and the week in closed loop begin on these days of the year, the latter after native control; between them
 # lies the question of `benchmarks.effects`.

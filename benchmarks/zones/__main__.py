@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.zones.effects import PairScore, score_pairs
+from thermoforce_mpc.experiment.checks import validate_scenario
+from thermoforce_mpc.experiment.identifying import identification_task, run_identification
 from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.rooms.plant import HouseOfRooms
 from thermoforce_mpc.plants.testcases import load_scenario
-from thermoforce_mpc.simulation.checks import validate_scenario
-from thermoforce_mpc.simulation.models.identifying import identification_task, run_identification
 
 _PERIOD, _PROBING_DAYS = "cold_week", 3.0
 

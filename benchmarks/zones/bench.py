@@ -22,20 +22,20 @@ from benchmarks.zones.effects import PairScore, score_pairs, worst
 from benchmarks.zones.scaling import BesideDoMpc, beside_do_mpc, exponent, solve_times
 from controllers.mpc.config import MPCConfig
 from controllers.registry import controller_config
+from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
 from thermoforce_mpc.execution import Engine
+from thermoforce_mpc.experiment.checks import validate_scenario
+from thermoforce_mpc.experiment.composition import controller_options, scored_period
+from thermoforce_mpc.experiment.identifying import identification_task, run_identification
+from thermoforce_mpc.experiment.run import run
 from thermoforce_mpc.identification.pipeline import identify
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.rooms.plant import HouseOfRooms
 from thermoforce_mpc.plants.testcases import load_scenario
-from thermoforce_mpc.simulation.checks import validate_scenario
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.comparison.results_json import Target, results_json
-from thermoforce_mpc.simulation.composition import controller_options, scored_period
-from thermoforce_mpc.simulation.models.identifying import identification_task, run_identification
-from thermoforce_mpc.simulation.run import run
 
 CONTROLLER, BASELINES = "thermoforce_mpc", ("native", "thermostat")
 # The same controller with zones identified without effects across them, and one controller per zone.

@@ -14,12 +14,12 @@ import numpy as np
 
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.experiment.checks import validate_scenario
+from thermoforce_mpc.experiment.identifying import IdentificationTask, identification_task, run_identification
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_scenario
-from thermoforce_mpc.simulation.checks import validate_scenario
-from thermoforce_mpc.simulation.models.identifying import IdentificationTask, identification_task, run_identification
 
 _PERIODS, _PROBING_DAYS, _DRAWS, _SEED = ("cold_week", "sunny_week"), 3.0, 10, 0
 

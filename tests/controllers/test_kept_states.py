@@ -16,10 +16,10 @@ from controllers.mpc.controller import ThermoForceMPC
 from controllers.registry import REGISTRY, build_controller
 from controllers.state_classes import STATE_CLASSES
 from thermoforce_mpc.data import HOUR_S
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.free_response.registry import REGISTRY as FREE_RESPONSES
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 from thermoforce_mpc.state_file import StateFormat
 
 FORMAT = StateFormat(STATE_CLASSES)

@@ -23,7 +23,7 @@ def spans() -> list[str]:
 
 def test_every_file_and_folder_is_there():
     rooms = [ROOT, *(ROOT / room for room in ("thermoforce_mpc/model", "thermoforce_mpc/identification"))]
-    rooms += [ROOT / "thermoforce_mpc" / room for room in ("measurements", "plants", "simulation", "cli", "execution")]
+    rooms += [ROOT / "thermoforce_mpc" / room for room in ("measurements", "plants", "cli", "execution")]
     rooms += [ROOT / "thermoforce_mpc/model/free_response"]
     paths = [span for span in spans() if PATH.fullmatch(span) and not span.startswith("../")]
     assert len(paths) > 60

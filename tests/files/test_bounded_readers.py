@@ -23,12 +23,12 @@ from thermoforce_mpc.boundary.tariffs import tariff_from_file
 from thermoforce_mpc.boundary.weather import load_weather
 from thermoforce_mpc.cli.building.courses import levels_of
 from thermoforce_mpc.cli.inside.files import validate_file as validate
+from thermoforce_mpc.comparison.input_files import input_files
 from thermoforce_mpc.errors import DataError, InputError, WeatherError
+from thermoforce_mpc.experiment.measured_model import check_measurements
 from thermoforce_mpc.measurements.map.starting_map import starting_map
 from thermoforce_mpc.measurements.tables import files as tables
 from thermoforce_mpc.scenario.yaml_file import read_yaml
-from thermoforce_mpc.simulation.comparison.input_files import input_files
-from thermoforce_mpc.simulation.models.measured_model import check_measurements
 from thermoforce_mpc.state_file import StateFormat
 
 MAP = {

@@ -10,9 +10,9 @@ from pathlib import Path
 from simple_house import simple_model
 
 from thermoforce_mpc import files
+from thermoforce_mpc.comparison.store import Identified
 from thermoforce_mpc.errors import StorageError
 from thermoforce_mpc.files import write_folder
-from thermoforce_mpc.simulation.comparison.store import Identified
 
 FILES = {"model.json": b"{}", "arrays.safetensors": b"\0" * 1000}
 

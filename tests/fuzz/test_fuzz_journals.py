@@ -15,11 +15,11 @@ from simple_house import SimpleHouse
 from controllers import Thermostat
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import ThermoForceError
+from thermoforce_mpc.experiment.explaining import alternatives_of, decision_at
+from thermoforce_mpc.experiment.run_book import RunBook
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.plants.testcases import load_scenario
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.folder.run_book import RunBook
-from thermoforce_mpc.simulation.journal.journal import NAME, JournalError, read_journal
-from thermoforce_mpc.simulation.views.explaining import alternatives_of, decision_at
+from thermoforce_mpc.records.journal import NAME, JournalError, read_journal
 
 
 def run(book: RunBook) -> None:

@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controllers.registry import controller_config
+from thermoforce_mpc.comparison.variants import load_comparison
 from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.experiment.checks import validate_scenario
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.scenario.settings import configs_folder, named_configs, parse_overrides
-from thermoforce_mpc.simulation.checks import validate_scenario
-from thermoforce_mpc.simulation.comparison.variants import load_comparison
 
 FILES = [path for kind in ("testcases", "scenarios", "comparisons") for path in named_configs(kind).values()]
 

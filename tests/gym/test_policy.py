@@ -22,8 +22,8 @@ from thermoforce_mpc.gym.wrappers import (
     NormalizedActionWrapper,
     NormalizedObservationWrapper,
 )
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 _TESTCASE = "bestest_hydronic_heat_pump"
 _STEP_S = 3600.0

@@ -30,7 +30,7 @@ from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.live import KeptState, LiveBuilding, WallClock, control
 from thermoforce_mpc.live.kept import Kept
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
-from thermoforce_mpc.simulation.views.display import RunDisplay
+from thermoforce_mpc.report.display import RunDisplay
 
 HOUR = pd.Timedelta("1h")
 START_S = (START - pd.Timestamp("2025-01-01", tz="UTC")).total_seconds()

@@ -14,7 +14,7 @@ from thermoforce_mpc.cli.building.data import show_measurements
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.map.starting_map import starting_map
 from thermoforce_mpc.measurements.picture import draw_measurements, measurements_figure
-from thermoforce_mpc.simulation.views.display import RunDisplay
+from thermoforce_mpc.report.display import RunDisplay
 
 
 def test_a_starting_map_reads_its_table(tmp_path):

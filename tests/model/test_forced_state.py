@@ -13,10 +13,10 @@ from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import HOUR_S, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.forced_state import followed, forced_history
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
 from thermoforce_mpc.model.predictor import Predictor
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 
 def some_history(n: int = 60, seed: int = 0) -> Record:

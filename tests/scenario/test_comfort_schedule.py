@@ -10,6 +10,7 @@ from controllers.registry import controller_config
 from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.experiment.composition import controller_options
 from thermoforce_mpc.plants.comfort import WithComfort
 from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_testcase
@@ -17,7 +18,6 @@ from thermoforce_mpc.protocols import OutlivingPlant, Plant, RoomSetpointPlant
 from thermoforce_mpc.scenario.comfort import Comfort
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
 from thermoforce_mpc.scenario.settings import validate
-from thermoforce_mpc.simulation.composition import controller_options
 
 WEEKDAYS = "weekdays 6:00–22:00 21–24, else 17–26"
 TUESDAY, SATURDAY, SUNDAY = 0, 4, 5  # days of BOPTEST's year

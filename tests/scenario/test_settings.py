@@ -108,7 +108,7 @@ def test_shipped_test_cases_are_valid(name):
 
 @pytest.mark.parametrize("path", named_configs("scenarios").values(), ids=lambda path: path.stem)
 def test_shipped_scenarios_are_valid(path):
-    from thermoforce_mpc.simulation.checks import validate_scenario
+    from thermoforce_mpc.experiment.checks import validate_scenario
 
     validate_scenario(validate(Scenario, read_yaml(path), str(path)))
 
@@ -129,7 +129,7 @@ def test_the_actuator_maps_levels_to_the_wire_and_back():
 
 @pytest.mark.parametrize(("controller", "between"), [(None, False), ("thermoforce_paper", True)])
 def test_the_machine_is_probed_the_way_the_controller_will_run_it(controller, between):
-    from thermoforce_mpc.simulation.models.identifying import identification_settings
+    from thermoforce_mpc.experiment.identifying import identification_settings
 
     scenario = Scenario(testcase="bestest_hydronic_heat_pump", baselines=("thermoforce_paper", "rc_mpc"))
     levels = identification_settings(scenario, load_testcase(scenario.testcase), controller)[0].levels

@@ -94,7 +94,7 @@ def identified_at_once(*inputs: object) -> object:
     """In the place of an identification: a model that needs no time."""
     from simple_house import simple_model  # others need none of it
 
-    from thermoforce_mpc.simulation.comparison.store import Identified
+    from thermoforce_mpc.comparison.store import Identified
 
     return Identified.of(simple_model())
 

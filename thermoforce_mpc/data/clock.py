@@ -1,11 +1,14 @@
-"""The type of arrays, units of time and energy, and instants that go up in equal steps."""
+"""The type of arrays, units of time and energy, instants as people write them, and those that go up in equal steps."""
 
 from __future__ import annotations
+
+import re
+from datetime import datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import DataError, InputError
 
 HOUR_S = 3600.0
 DAY_S = 86400.0
@@ -38,3 +41,31 @@ def check_clock(time_s: Array, what: str) -> None:
         f"{what}: time_s goes from {time_s[first]:.10g} s (index {first}) to {time_s[first + 1]:.10g} s: a step of "
         f"{steps[first]:.10g} s{among}; steps must be equal and positive: resample, with NaN where nothing was measured"
     )
+
+
+def seconds_of(at: str, option: str = "--at") -> float:
+    """Seconds since 1 January of a time as people write it.
+
+    '16 06:30' is half past six of day 16 (days from 0, as `--period`), '16.5' noon of it, '01-17 06:30' and
+    '17 Jan 06:30' the calendar's, '1405800s' seconds. Raises `InputError` for anything else.
+    """
+    text = at.strip()
+    if match := re.fullmatch(r"(\d+(?:\.\d+)?) ?s", text):
+        return float(match[1])
+    if match := re.fullmatch(r"(\d+(?:\.\d+)?)(?: ?d)?(?: +(\d{1,2}):(\d{2}))?", text):
+        return float(match[1]) * DAY_S + HOUR_S * int(match[2] or 0) + 60.0 * int(match[3] or 0)
+    for form in ("%m-%d %H:%M", "%m-%dT%H:%M", "%d %b %H:%M"):
+        try:
+            moment = datetime.strptime(f"2021 {text}", f"%Y {form}")
+        except ValueError:
+            continue
+        return (moment - datetime(2021, 1, 1)).total_seconds()
+    raise InputError(
+        f"{option} {at}: not a time; write '16 06:30' (day from 0, as --period), '01-17 06:30' or '1405800s'"
+    )
+
+
+def words_of(time_s: float) -> str:
+    """A time for people: day from 0 and clock."""
+    day, minutes = divmod(round(time_s / 60.0), 24 * 60)
+    return f"day {day} {minutes // 60:02d}:{minutes % 60:02d}"

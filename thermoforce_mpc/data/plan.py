@@ -137,8 +137,8 @@ class Plan:
     first step by name: K inside the lower and the upper bound of each zone (2, Z); `offset` (Z,), K, is added to the
     prediction, `unused_capacity` (M,) the share of each machine that is not planned for. `settings` (A,): the commands
     of each actuator over the horizon, none where its level is set; () where none has a command; `saving`: what they
-    save. `acting` (A,): source of the action of each actuator; `status` is that of the plan, or of what took its place at one of them. `why` is one
-    sentence for people; `news` (part of it) what was learned in this step of sensors, meters or the model;
+    save. `acting` (A,): source of the action of each actuator; `status` is that of the plan, or of what took its place
+    at one of them. `why` is one sentence for people; `news` (part of it) what was learned in this step of sensors, meters or the model;
     `solver_status` is the solver's, `export_calls` how often it called the exported operator, `own` the values of your
     own variables by name (`controller.options.terms`). `state` goes to the controller's next plan of this run and is
     opaque to others.

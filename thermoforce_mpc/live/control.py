@@ -20,12 +20,12 @@ from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import PlantError, ThermoForceError
 from thermoforce_mpc.live.building import Applied, LiveBuilding
 from thermoforce_mpc.live.kept import Kept, KeptState
+from thermoforce_mpc.loop.closed_loop import checked_blocks
+from thermoforce_mpc.loop.forecasts import OUTAGE_H, Forecasts
+from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.screening import limits_of, screened_history
 from thermoforce_mpc.protocols import Controller
-from thermoforce_mpc.simulation.closed_loop import checked_blocks
-from thermoforce_mpc.simulation.folder.run_log import log_decision
-from thermoforce_mpc.simulation.forecasts import OUTAGE_H, Forecasts
-from thermoforce_mpc.simulation.unit_doubts import UnitDoubts
+from thermoforce_mpc.records.run_log import log_decision
 
 _LOG = logging.getLogger(__name__)
 # How often a building that does not take its levels back at the end is asked again, and how long between, s.

@@ -23,8 +23,8 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.simulation.journal.journal import Entry, read_journal, read_run
-from thermoforce_mpc.simulation.journal.told_steps import told_loops, told_steps
+from thermoforce_mpc.records.journal import Entry, read_journal, read_run
+from thermoforce_mpc.records.told_steps import told_loops, told_steps
 
 ANYWHERE = (*kinds.REFUSALS, *kinds.BROKEN, *kinds.AWAY, *kinds.NOT_ITSELF, *kinds.WRONG_CLOCK)
 # The model is of another house: what is tested here is that the run goes on, not how well it heats.

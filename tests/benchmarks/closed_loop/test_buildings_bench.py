@@ -14,7 +14,7 @@ from benchmarks.closed_loop.offices import OfficeCase, OfficeOutcome
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import DataError, InputError
 from thermoforce_mpc.execution import LocalEngine
-from thermoforce_mpc.simulation.comparison.equal_comfort import AsComfortable
+from thermoforce_mpc.experiment.equal_comfort import AsComfortable
 
 SHORT = {"scored_days": 0.125, "probed_days": 1.0}
 

@@ -12,7 +12,7 @@ from benchmarks.faults.bench import RecordedController, targets
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 
 
 def row(fault: str, noticed_h: float | None, consequences: bool) -> dict:

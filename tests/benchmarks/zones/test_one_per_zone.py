@@ -12,7 +12,7 @@ from benchmarks.zones.apart import OnePerZone
 from controllers import MPCConfig, ThermoForceMPC
 from thermoforce_mpc.data import PlanStatus
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 
 # The free response is that of no change: these houses have no linear weather model, and no forecaster is loaded.
 CONFIG = MPCConfig(step_s=None, horizon_h=24.0, free_response={"name": "persistence"})

@@ -9,6 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from thermoforce_mpc.cli import cli
+from thermoforce_mpc.experiment import run_models
+from thermoforce_mpc.experiment.identifying import may_act
 from thermoforce_mpc.model.card import Competence, ModelCard
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.part_load import LevelCost
@@ -16,8 +18,6 @@ from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.simulation.models import run_models
-from thermoforce_mpc.simulation.models.identifying import may_act
 
 GOOD = Competence(True, effect_K=2.0, effect_sd_K=0.2)
 POOR = Competence(False, ("too weak",), ("hold full level",), effect_K=2.0, effect_sd_K=2.0)

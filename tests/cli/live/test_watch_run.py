@@ -22,13 +22,13 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.live.watch import shown
 from thermoforce_mpc.data import DAY_S, HOUR_S, Period
 from thermoforce_mpc.errors import InputError, PlantError
+from thermoforce_mpc.experiment.run_book import RunBook
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.plants.testcases import load_scenario
+from thermoforce_mpc.records.journal import Journal, JournalError, JournalTail, read_journal
+from thermoforce_mpc.report.live_view import LiveRun, Zone
 from thermoforce_mpc.service.live_page import page_server
 from thermoforce_mpc.service.server import running
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
-from thermoforce_mpc.simulation.folder.run_book import RunBook
-from thermoforce_mpc.simulation.journal.journal import Journal, JournalError, JournalTail, read_journal
-from thermoforce_mpc.simulation.views.live_view import LiveRun, Zone
 
 OPTIONS = {"step_s": 3600, "horizon_h": 12, "gate": {"enabled": False}, "free_response": {"name": "linear_weather"}}
 

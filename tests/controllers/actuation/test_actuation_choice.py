@@ -16,6 +16,7 @@ from controllers.actuation.actuators import Actuators
 from controllers.actuation.choice import choose_actuation
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, Record
+from thermoforce_mpc.experiment.identifying import identification_settings
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.part_load import LevelCost
@@ -24,7 +25,6 @@ from thermoforce_mpc.model.machine.water import ReturnWater
 from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.simulation.models.identifying import identification_settings
 
 
 def beginning() -> Record:

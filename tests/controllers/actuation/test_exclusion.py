@@ -22,13 +22,13 @@ from controllers.rules.thermostat import Thermostat
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Layout, Measurement, Names, Observation, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.identification.probing.probe import ProbingConfig, probe
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 from thermoforce_mpc.plants.checks import check_levels
 from thermoforce_mpc.scenario.settings import validate
 from thermoforce_mpc.scenario.testcase import TestCase
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 NAMES = Names(("room",), ("heating_coil", "cooling_coil"), ("boiler", "chiller"))
 HEAT, COOL = range(2)

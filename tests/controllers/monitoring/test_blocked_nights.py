@@ -11,7 +11,7 @@ from simple_house import OutdoorResponse, simple_model
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, PlanStatus
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 
 
 def asleep_at_night() -> FaultyHouse:

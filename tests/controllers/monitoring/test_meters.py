@@ -15,7 +15,7 @@ from controllers.checks import ControllerConfigError
 from controllers.monitoring.meters import MeterConfig, Meters
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Period, PlanStatus, Record
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 
 HOURS = 72
 TIME_S = HOUR_S * np.arange(HOURS + 1)

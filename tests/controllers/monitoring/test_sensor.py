@@ -15,7 +15,7 @@ from controllers.checks import ControllerConfigError
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import DAY_S, Boundary, FreeForecast, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
+from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 
 FROM_H = 20
 

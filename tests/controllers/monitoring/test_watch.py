@@ -18,15 +18,15 @@ from controllers.mpc.config import MPCConfig
 from controllers.registry import controller_config
 from controllers.safety.fallback_policy import FallbackConfig, FallbackPolicy, GoodPlan
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, PlanStatus, Record
+from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
-from thermoforce_mpc.simulation.findings import watch_spells
-from thermoforce_mpc.simulation.views.display import RunDisplay
+from thermoforce_mpc.report.display import RunDisplay
+from thermoforce_mpc.report.findings import watch_spells
 
 FROM_S, TO_S = 13 * DAY_S, 15 * DAY_S
 

@@ -12,9 +12,9 @@ from two_houses import two_model, two_observation
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.mpc.config import ObjectiveConfig
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Observation, Plan
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 PER_M2 = ObjectiveConfig().comfort_weight_per_m2
 # Cost of the simple house's heat that avoids a K·h over a day, currency: an hour at full level over its mean effect.

@@ -12,7 +12,7 @@ from simple_house import OutdoorResponse, SimpleHouse, simple_model
 from controllers import ThermoForceMPC
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import Boundary, PlanStatus
-from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
+from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 
 FROM_H, TO_H = 20, 26
 

@@ -12,9 +12,9 @@ from two_houses import TwoHouses, two_model, two_observation
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.actuation.actuator import ActuationState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Observation, PlanStatus
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.machine.foreign_load import ForeignLoad
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 FULL_W = FIXED_W + PER_U_W
 BLOCKS = {"mode": "duty", "block_s": 900.0, "min_on_s": 1800.0, "min_off_s": 1800.0}

@@ -10,9 +10,9 @@ from controllers import ThermoForceMPC
 from controllers.actuation.actuator import ActuationConfig
 from controllers.registry import controller_config
 from thermoforce_mpc.data import HOUR_S, Observation
+from thermoforce_mpc.experiment.identifying import identification_settings
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.scenario.settings import find_config
-from thermoforce_mpc.simulation.models.identifying import identification_settings
 
 
 def test_the_scenario_says_what_the_paper_prints():

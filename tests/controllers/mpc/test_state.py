@@ -19,9 +19,9 @@ from controllers.rules.pi import PIConfig, PIController
 from controllers.rules.thermostat import Thermostat, ThermostatState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.free_response.calibrated import CalibratedFreeResponse
 from thermoforce_mpc.model.free_response.linear_weather import LinearWeather
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 
 def mpc(**options) -> ThermoForceMPC:

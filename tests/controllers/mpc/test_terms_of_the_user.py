@@ -13,8 +13,8 @@ from controllers import ThermoForceMPC
 from controllers.checks import ControllerConfigError
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import HOUR_S, Observation, Plan, PlanStatus
+from thermoforce_mpc.experiment.checks import check_contestants
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
-from thermoforce_mpc.simulation.checks import check_contestants
 
 TESTCASE = "bestest_hydronic_heat_pump"
 OPTIONS = {"step_s": None, "horizon_h": 24.0}

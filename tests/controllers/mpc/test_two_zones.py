@@ -21,13 +21,13 @@ from controllers.rules.pi import PIController
 from controllers.rules.thermostat import Thermostat
 from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.predictor import PredictorState
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 CONDEMNED = Competence(False, reasons=("6 h ahead it errs by 7.00 K, need 1 K",), effect_K=7.0, effect_sd_K=5.0)
 LAYOUT = Layout(TWO, (1, 1), (0, 1), (0, 1), (0.0,) * 2, (0.0,) * 2, (60.0, 40.0))

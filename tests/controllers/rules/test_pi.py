@@ -11,10 +11,10 @@ from controllers.registry import controller_config
 from controllers.rules.pi import PIConfig, PIController
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Period, PlanStatus, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.experiment.checks import validate_scenario
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.simulation.checks import validate_scenario
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 
 def observation(T: float, time_s: float, lower_C: float | list[float] = 21.0) -> Observation:

@@ -20,7 +20,7 @@ from controllers.optimisation.solution import Solution
 from controllers.optimisation.solvers.qp import QPSolver
 from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig
 from thermoforce_mpc.data import HOUR_S, FreeForecast, Observation, Plan, PlanStatus
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 
 CONFIG = MPCConfig(step_s=None, horizon_h=24.0)
 # Long enough for what does answer, on any machine.

@@ -12,9 +12,9 @@ from controllers import MPCConfig, ThermoForceMPC
 from controllers.checks import ControllerConfigError
 from controllers.registry import REGISTRY, build_controller, controller_config
 from controllers.rules.native import NativeController
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 CONDEMNED = Competence(False, reasons=("6 h ahead it errs by 7.00 K, need 1 K",), effect_K=7.0, effect_sd_K=5.0)
 TESTCASE = load_testcase("bestest_hydronic_heat_pump")

@@ -14,7 +14,7 @@ from controllers.monitoring.zone_sensors import Zones
 from controllers.mpc.config import MPCConfig
 from controllers.safety.overrides import ComfortGuard, GuardConfig, Override, Situation
 from thermoforce_mpc.data import Array, Layout, Observation, PlanStatus, Record
-from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
+from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 
 # The forecast is to be believed although the weather model says otherwise.
 WRONG = {"free_response": {"substitutes": False}}

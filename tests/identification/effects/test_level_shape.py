@@ -11,6 +11,7 @@ from houses import House, record
 from controllers.actuation.actuator import ActuationConfig
 from controllers.actuation.choice import choose_actuation
 from thermoforce_mpc.data import Layout
+from thermoforce_mpc.experiment.identifying import identification_settings
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.effects.level_laws import laws_of
 from thermoforce_mpc.model.machine.load import MachineLoad
@@ -19,7 +20,6 @@ from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.heat_input import IDENTITY
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.simulation.models.identifying import identification_settings
 
 # A room heated at once, in which an hour shows what a level gives.
 ROOM = House(tau_h=(0.05, 0.6, 40.0), gain_K=(6.0, 24.0), outdoor=(0.1, 0.85), solar_K=(0.2, 1.0))

@@ -10,8 +10,8 @@ from scipy.linalg import expm
 from thermal_networks import AREA_M2, LAYOUT, ROOMS, KnownFit, effect_K, theta_of
 
 from thermoforce_mpc.data import Layout
-from thermoforce_mpc.identification.effects.circuits import Circuit
 from thermoforce_mpc.identification.network.building import RESPONSE_H, BuildingFit
+from thermoforce_mpc.identification.network.circuits import Circuit
 from thermoforce_mpc.identification.network.room import EMITTER, ROOM, STRUCTURE, Room
 from thermoforce_mpc.model.free_response.rc import INPUTS
 from thermoforce_mpc.model.machine.load import MachineLoad

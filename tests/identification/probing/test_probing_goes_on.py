@@ -16,9 +16,9 @@ from thermoforce_mpc.identification.probing.politeness import Foresight
 from thermoforce_mpc.identification.probing.probe import Probing, ProbingConfig, probe
 from thermoforce_mpc.identification.validation import competence
 from thermoforce_mpc.identification.validation.competence import SETTLED_SD
+from thermoforce_mpc.loop.probing import Identifying, probe_until_known
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.simulation.models.probing import Identifying, probe_until_known
 
 pytestmark = pytest.mark.slow
 

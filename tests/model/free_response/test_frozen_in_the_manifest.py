@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import pytest
 from forecasting import boundary_of, history_of, hours
 
+from thermoforce_mpc.experiment.run_models import frozen_proof, weight_hash
 from thermoforce_mpc.model.free_response.registry import build_free_response
-from thermoforce_mpc.simulation.models.run_models import frozen_proof, weight_hash
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,10 @@ from boptest_server import running_service
 from click.testing import CliRunner
 
 from boptest_client import BoptestClient
+from thermoforce_mpc import report
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.plants.boptest.plant import BoptestPlant
-from thermoforce_mpc.simulation import report
-from thermoforce_mpc.simulation.journal.journal import JournalError, read_journal
+from thermoforce_mpc.records.journal import JournalError, read_journal
 
 WORDS = ("--testcase", "bestest_hydronic_heat_pump", "--days", "0.25", "--no-equal-comfort")
 

@@ -13,12 +13,12 @@ from boptest_server import Fault, running_service
 from click.testing import CliRunner
 
 from boptest_client import BoptestClient, TransportConfig
+from thermoforce_mpc import report
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.errors import NoSuchTest, PlantError
 from thermoforce_mpc.plants import registry
 from thermoforce_mpc.plants.boptest.plant import BoptestPlant
-from thermoforce_mpc.simulation import report
-from thermoforce_mpc.simulation.journal.journal import read_journal
+from thermoforce_mpc.records.journal import read_journal
 
 # A step is a quarter of an hour.
 WORDS = ("--testcase", "bestest_hydronic_heat_pump", "--controller", "thermostat", "--baselines", "", "--days", "0.25")

@@ -144,8 +144,8 @@ def test_a_scenario_runs_to_its_end(tmp_path):
 
 
 def test_without_the_engine_it_says_what_to_install(monkeypatch):
+    from thermoforce_mpc.experiment import checks
     from thermoforce_mpc.plants.energyplus import engine
-    from thermoforce_mpc.simulation import checks
 
     monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: None)
     scenario = Scenario(testcase="energyplus:heating_chicago")
@@ -154,7 +154,7 @@ def test_without_the_engine_it_says_what_to_install(monkeypatch):
 
 
 def test_its_own_weather_is_not_replaced_in_silence():
-    from thermoforce_mpc.simulation.checks import validate_scenario
+    from thermoforce_mpc.experiment.checks import validate_scenario
 
     scenario = Scenario(testcase="energyplus:heating_chicago", plant={"weather": "Brussels.mos"})
     with pytest.raises(ConfigError, match=r"plant\.weather"):

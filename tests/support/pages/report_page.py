@@ -1,4 +1,4 @@
-"""What a page of `thermoforce_mpc.simulation.report` holds, read back without a browser."""
+"""What a page of `thermoforce_mpc.report` holds, read back without a browser."""
 
 from __future__ import annotations
 

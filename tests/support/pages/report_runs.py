@@ -11,8 +11,8 @@ import numpy as np
 from two_houses import TWO, TwoHouses
 
 from thermoforce_mpc.data import ACTING, HOUR_S, Block, Boundary, Layout, Names, Plan, PlanStatus
-from thermoforce_mpc.simulation.closed_loop import RunResult, run_closed_loop
-from thermoforce_mpc.simulation.report import write_report
+from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
+from thermoforce_mpc.report import write_report
 
 N = 6
 OFF_K = np.array([0.5, -0.25])

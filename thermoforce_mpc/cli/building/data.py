@@ -19,7 +19,7 @@ from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.files import written
 from thermoforce_mpc.measurements.load import Measurements
 from thermoforce_mpc.measurements.understood import Understood
-from thermoforce_mpc.simulation.views.display import RunDisplay
+from thermoforce_mpc.report.display import RunDisplay
 
 if TYPE_CHECKING:
     from thermoforce_mpc.identification.probing.by_hand import ProbeSchedule

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from thermoforce_mpc.data import Record
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.model.thermal_model import ThermalModel
-    from thermoforce_mpc.simulation.views.display import RunDisplay
+    from thermoforce_mpc.report.display import RunDisplay
 
 # Exit code of a model that was identified and saved but is not competent.
 NOT_COMPETENT = 4
@@ -69,12 +69,12 @@ def identify(**options: Any) -> None:
         return
     if options["data_days"] is not None:
         raise click.UsageError("--data-days belongs to --data")
+    from thermoforce_mpc.experiment.checks import validate_scenario
+    from thermoforce_mpc.experiment.identifying import identification_task, run_identification
     from thermoforce_mpc.plants.registry import build_plant
+    from thermoforce_mpc.report.display import RunDisplay
     from thermoforce_mpc.scenario.scenario import Scenario
     from thermoforce_mpc.scenario.settings import merge, validate
-    from thermoforce_mpc.simulation.checks import validate_scenario
-    from thermoforce_mpc.simulation.models.identifying import identification_task, run_identification
-    from thermoforce_mpc.simulation.views.display import RunDisplay
 
     scenario = scenario_from(options)
     if options["probe_days"] is not None:
@@ -98,9 +98,9 @@ def _from_measurements(options: dict[str, Any]) -> None:
     others = [name for name in _OF_PLANTS if options.get(name)]
     if others:
         raise click.UsageError(f"--{others[0].replace('_', '-')} is for probing a plant: leave it out with --data")
-    from thermoforce_mpc.simulation.models.identifying import may_act
-    from thermoforce_mpc.simulation.models.measured_model import model_of_measurements
-    from thermoforce_mpc.simulation.views.display import RunDisplay
+    from thermoforce_mpc.experiment.identifying import may_act
+    from thermoforce_mpc.experiment.measured_model import model_of_measurements
+    from thermoforce_mpc.report.display import RunDisplay
 
     display, config = RunDisplay(), _options(options)
     days = options["data_days"]
@@ -129,7 +129,7 @@ def _options(options: dict[str, Any]) -> IdentificationConfig:
 def _finish(model: ThermalModel, record: Record, out: Path, display: RunDisplay, *, overwrite: bool) -> None:
     """Save and show a model and the plot of its fit; exit code 4 where it is not competent."""
     from thermoforce_mpc.cli.inside.inspect import show_model
-    from thermoforce_mpc.simulation.models.identifying import may_act
+    from thermoforce_mpc.experiment.identifying import may_act
     from thermoforce_mpc.whatif.identified import PLOT_NAME, plot_identification
 
     model.save(out, overwrite=overwrite)

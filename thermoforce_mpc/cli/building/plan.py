@@ -17,9 +17,9 @@ from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option, model_opt
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Plan, PlannedSaving
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.report.display import RunDisplay
+from thermoforce_mpc.report.whole_tables import plain_table, print_whole
 from thermoforce_mpc.scenario.settings import parse_overrides, validate
-from thermoforce_mpc.simulation.views.display import RunDisplay
-from thermoforce_mpc.simulation.views.whole_tables import plain_table, print_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

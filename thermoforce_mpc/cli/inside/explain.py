@@ -14,8 +14,7 @@ from rich.table import Table
 from thermoforce_mpc.cli.options import PATH, FiniteRange
 from thermoforce_mpc.data import HOUR_S
 from thermoforce_mpc.data.superposition import compose
-from thermoforce_mpc.simulation.folder.run_folder import write_json
-from thermoforce_mpc.simulation.views.explaining import (
+from thermoforce_mpc.experiment.explaining import (
     Decision,
     alternatives_json,
     alternatives_of,
@@ -23,7 +22,8 @@ from thermoforce_mpc.simulation.views.explaining import (
     hour_ends,
     words_of,
 )
-from thermoforce_mpc.simulation.views.whole_tables import plain_table, print_whole
+from thermoforce_mpc.records.run_folder import write_json
+from thermoforce_mpc.report.whole_tables import plain_table, print_whole
 
 if TYPE_CHECKING:
     from controllers.mpc.alternatives import Alternatives

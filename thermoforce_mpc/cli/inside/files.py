@@ -46,10 +46,10 @@ def init(folder: Path, testcase: str, copy_testcase: bool, data: str | None) -> 
       tf-mpc init my_house --testcase bestest_hydronic --copy-testcase
       tf-mpc init my_house --data house.csv
     """
+    from thermoforce_mpc.cli.inside.schemas import schema_text
     from thermoforce_mpc.measurements.map.starting_map import starting_map
     from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
     from thermoforce_mpc.scenario.settings import find_config, is_config
-    from thermoforce_mpc.simulation.schemas import schema_text
 
     building = load_testcase(testcase)
     implemented = building.embedded or building.energyplus or building.plant
@@ -111,7 +111,7 @@ def schema(kind: str, out: Path | None) -> None:
     Example:
       tf-mpc schema scenario --out scenario.json
     """
-    from thermoforce_mpc.simulation.schemas import schema_text
+    from thermoforce_mpc.cli.inside.schemas import schema_text
 
     text = schema_text(kind)
     if out is None:
@@ -130,11 +130,11 @@ def validate_file(file: Path) -> None:
     `measurements`. Of a scenario, weather, prices, model and forecaster are loaded too. Whether a map fits a table
     is said by `tf-mpc data check`. Exit code 2 when it is invalid.
     """
+    from thermoforce_mpc.cli.inside.schemas import KINDS
+    from thermoforce_mpc.experiment.checks import check_contestants, validate_scenario
     from thermoforce_mpc.plants.registry import check_surroundings
     from thermoforce_mpc.scenario.scenario import Scenario
     from thermoforce_mpc.scenario.settings import read_yaml, validate
-    from thermoforce_mpc.simulation.checks import check_contestants, validate_scenario
-    from thermoforce_mpc.simulation.schemas import KINDS
 
     data = read_yaml(file)
     kind = next((kind for key, kind in _KIND_OF.items() if key in data), "scenario")

@@ -68,10 +68,10 @@ def control(
     from thermoforce_mpc.live import KeptState, LiveBuilding, control
     from thermoforce_mpc.measurements.map.mapping import load_map
     from thermoforce_mpc.model.thermal_model import load_model
+    from thermoforce_mpc.records.run_folder import sole_use
+    from thermoforce_mpc.records.run_log import logging_to
+    from thermoforce_mpc.report.display import RunDisplay
     from thermoforce_mpc.scenario.settings import parse_overrides, validate
-    from thermoforce_mpc.simulation.folder.run_folder import sole_use
-    from thermoforce_mpc.simulation.folder.run_log import logging_to
-    from thermoforce_mpc.simulation.views.display import RunDisplay
 
     chosen: Mapping[str, Any] = parse_overrides(assignments)
     if unknown := [key for key in chosen if key not in ("connection", "controller")]:

@@ -22,14 +22,8 @@ from thermoforce_mpc.cli.options import (
     scenario_from,
 )
 from thermoforce_mpc.cli.running.executing import FAILED, note_other_code, run_cells, sayer
-from thermoforce_mpc.errors import ConfigError, counted
-from thermoforce_mpc.plants.testcases import load_testcase
-from thermoforce_mpc.scenario.comfort import window_name
-from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
-from thermoforce_mpc.scenario.testcase import PRICES
-from thermoforce_mpc.simulation.comparison.cells import Inputs, expand
-from thermoforce_mpc.simulation.comparison.equal_comfort import searches_equal_comfort
-from thermoforce_mpc.simulation.comparison.files import (
+from thermoforce_mpc.comparison.cells import Inputs, expand
+from thermoforce_mpc.comparison.files import (
     FORMS,
     HEADINGS,
     formatted,
@@ -38,10 +32,10 @@ from thermoforce_mpc.simulation.comparison.files import (
     shown_figures,
     write_outcome,
 )
-from thermoforce_mpc.simulation.comparison.outcome import group_title, grouped, verdicts
-from thermoforce_mpc.simulation.comparison.store import DONE, Store
-from thermoforce_mpc.simulation.comparison.tasks import EqualComfort, tasks_of
-from thermoforce_mpc.simulation.comparison.variants import (
+from thermoforce_mpc.comparison.outcome import group_title, grouped, verdicts
+from thermoforce_mpc.comparison.store import DONE, Store
+from thermoforce_mpc.comparison.tasks import EqualComfort, tasks_of
+from thermoforce_mpc.comparison.variants import (
     ComparisonFile,
     Variant,
     comma_list,
@@ -51,9 +45,15 @@ from thermoforce_mpc.simulation.comparison.variants import (
     swept_variants,
     variants_by_name,
 )
-from thermoforce_mpc.simulation.composition import check_window
-from thermoforce_mpc.simulation.views.display import zone_table
-from thermoforce_mpc.simulation.views.whole_tables import plain_table, print_whole
+from thermoforce_mpc.errors import ConfigError, counted
+from thermoforce_mpc.experiment.composition import check_window
+from thermoforce_mpc.experiment.equal_comfort import searches_equal_comfort
+from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.report.display import zone_table
+from thermoforce_mpc.report.whole_tables import plain_table, print_whole
+from thermoforce_mpc.scenario.comfort import window_name
+from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
+from thermoforce_mpc.scenario.testcase import PRICES
 
 _CONTESTANTS = "thermoforce_mpc,thermostat,native"
 _VALUES = "0.0026,0.005,0.01,0.026,0.05,0.1"

@@ -9,12 +9,12 @@ import click
 from rich.console import Console
 
 from thermoforce_mpc.cli.options import Opening
+from thermoforce_mpc.comparison.cells import Cell
+from thermoforce_mpc.comparison.store import DONE, Ran, Store
+from thermoforce_mpc.comparison.tasks import failure
 from thermoforce_mpc.execution import Outcome, Task, TaskProgress, execute, source_fingerprint
 from thermoforce_mpc.execution.progress import summary
-from thermoforce_mpc.simulation.comparison.cells import Cell
-from thermoforce_mpc.simulation.comparison.outcome import COST, DISCOMFORT
-from thermoforce_mpc.simulation.comparison.store import DONE, Ran, Store
-from thermoforce_mpc.simulation.comparison.tasks import failure
+from thermoforce_mpc.report.findings import COST, DISCOMFORT
 
 FAILED = 3
 """Exit code where a run has no result."""

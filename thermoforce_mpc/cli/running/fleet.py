@@ -15,12 +15,12 @@ from rich.console import Console
 
 from thermoforce_mpc.cli.options import PATH, Opening, execution_options
 from thermoforce_mpc.cli.running.executing import FAILED, note_other_code, outcomes_of, run_cells, sayer
+from thermoforce_mpc.comparison.store import DONE, Store
+from thermoforce_mpc.comparison.tasks import failure
 from thermoforce_mpc.errors import ConfigError, counted
 from thermoforce_mpc.execution import Task
 from thermoforce_mpc.files import write_whole
-from thermoforce_mpc.simulation.comparison.store import DONE, Store
-from thermoforce_mpc.simulation.comparison.tasks import failure
-from thermoforce_mpc.simulation.fleet.dataset import (
+from thermoforce_mpc.fleet.dataset import (
     check_dataset,
     finished_rows,
     read_dataset,
@@ -28,9 +28,9 @@ from thermoforce_mpc.simulation.fleet.dataset import (
     row_of,
     write_dataset,
 )
-from thermoforce_mpc.simulation.fleet.file import buildings_of, load_fleet
-from thermoforce_mpc.simulation.fleet.page import Group, causes, fleet_page, groups, headline, lost, paired
-from thermoforce_mpc.simulation.fleet.runs import (
+from thermoforce_mpc.fleet.file import buildings_of, load_fleet
+from thermoforce_mpc.fleet.page import Group, causes, fleet_page, groups, headline, lost, paired
+from thermoforce_mpc.fleet.runs import (
     Measured,
     Run,
     models_again,
@@ -41,7 +41,7 @@ from thermoforce_mpc.simulation.fleet.runs import (
     with_models,
     write_models,
 )
-from thermoforce_mpc.simulation.views.whole_tables import plain_table, print_whole
+from thermoforce_mpc.report.whole_tables import plain_table, print_whole
 
 _SHOWN_FAILURES = 10
 

@@ -48,8 +48,8 @@ def run(**options: Any) -> None:
       tf-mpc run --config peak_heat_day --start 2026-01-17 --horizon 36h
       tf-mpc run --config peak_heat_day --probing runs/my_run --set identification.options.order=2
     """
-    from thermoforce_mpc.simulation.run import run_scenario
-    from thermoforce_mpc.simulation.views.display import RunDisplay
+    from thermoforce_mpc.experiment.run import run_scenario
+    from thermoforce_mpc.report.display import RunDisplay
 
     scenario = scenario_from(options)
     display = RunDisplay(options["quiet"])
@@ -109,8 +109,8 @@ def resume(
     Example:
       tf-mpc resume runs/bestest_hydronic_heat_pump-peak_heat_day-constant-thermoforce_mpc-001
     """
-    from thermoforce_mpc.simulation.run import resume_run, stop_test
-    from thermoforce_mpc.simulation.views.display import RunDisplay
+    from thermoforce_mpc.experiment.run import resume_run, stop_test
+    from thermoforce_mpc.report.display import RunDisplay
 
     again = {"plant.url": url, "plant.path": fmu, "plant.kind": plant}
     given = {key: value for key, value in again.items() if value is not None}
@@ -139,7 +139,7 @@ def report(run: Path, out: Path | None) -> None:
     Example:
       tf-mpc report runs/my-run --out /tmp/so_far.html
     """
-    from thermoforce_mpc.simulation.views.report_again import report_again
+    from thermoforce_mpc.report.report_again import report_again
 
     path, notes = report_again(run, out)
     for line in notes:

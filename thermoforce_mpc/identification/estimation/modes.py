@@ -17,6 +17,8 @@ from thermoforce_mpc.data.series import lagged
 
 # Times after a step to full level at which the response and its standard deviation are stored, h.
 STEP_RESPONSE_H: tuple[int, ...] = (1, 2, 4, 8, 12, 24, 48)
+EFFECT_H = 8
+"""The one of these hours by which an effect is judged, h."""
 
 
 def poles(log_tau: Array, step_s: float) -> Array:

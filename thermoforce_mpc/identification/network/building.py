@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array, Layout, Record
 from thermoforce_mpc.data.series import interpolated
-from thermoforce_mpc.identification.effects.circuits import Circuit
 from thermoforce_mpc.identification.effects.level_laws import LevelLaw
+from thermoforce_mpc.identification.network.circuits import Circuit
 from thermoforce_mpc.identification.network.estimate import RoomFit, Run, estimate_room
 from thermoforce_mpc.identification.network.room import BETWEEN, EMITTER, Law, Room, neighbours_of
 from thermoforce_mpc.model.free_response.rc import INPUTS, weather_inputs

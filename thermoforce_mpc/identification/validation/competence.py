@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H
+from thermoforce_mpc.identification.estimation.modes import EFFECT_H, STEP_RESPONSE_H
 from thermoforce_mpc.identification.network.room import EMITTER, ROOM, Room
 from thermoforce_mpc.identification.validation.blocks import (
     BLOCK_H,
@@ -46,7 +46,6 @@ WORSE_PROBABILITY, BETTER_PROBABILITY = 0.99, 0.975
 # later steps correct what comes later. At 0.43 the sign is certain to 99 %; at 0.4 the 90 % interval is a third to five
 # thirds of what was planned, which re-planning still corrects.
 MOST_RELATIVE_SD = 0.4
-EFFECT_H = 8
 # Probing ends early at this relative standard deviation: what the record does not know is then no more than the 0.05
 # that a few nodes are not, however long it is.
 WELL_KNOWN_SD = 0.07

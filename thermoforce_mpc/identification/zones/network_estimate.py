@@ -9,13 +9,13 @@ import numpy as np
 
 from thermoforce_mpc.data import Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
-from thermoforce_mpc.identification.effects.circuits import circuit_of
 from thermoforce_mpc.identification.effects.couplings import others_of
 from thermoforce_mpc.identification.effects.level_laws import Estimates, LevelLaw, laws_of, weather_of, with_outdoors
 from thermoforce_mpc.identification.estimation.modes import STEP_RESPONSE_H, Effect, unit_steps
 from thermoforce_mpc.identification.estimation.records import Pair
 from thermoforce_mpc.identification.estimation.regression import without_others
 from thermoforce_mpc.identification.network.building import RESPONSE_H, Actuators, BuildingFit, building_fit, room_run
+from thermoforce_mpc.identification.network.circuits import circuit_of
 from thermoforce_mpc.identification.network.estimate import Run
 from thermoforce_mpc.identification.network.free_part import free_part
 from thermoforce_mpc.identification.network.projection import Modes, projected

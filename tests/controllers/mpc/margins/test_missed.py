@@ -15,9 +15,9 @@ from controllers.mpc.controller import MPCState
 from controllers.mpc.margin_rules import OF_LOOPS, LearnedMargin, learned_K, of_plans
 from controllers.mpc.margins import Margins
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.predictor import PredictionContext
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 ALLOWED_K = 0.0135
 OF_PLANS = of_plans(ALLOWED_K)

@@ -11,9 +11,9 @@ from simple_house import GAIN_K, POLE, OutdoorResponse, SimpleHouse, simple_mode
 from controllers import MPCConfig, ThermoForceMPC
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation, Record
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 HELD = {"mode": "modulating", "lowest_level": 0.0}
 

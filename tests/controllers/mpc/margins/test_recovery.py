@@ -17,10 +17,10 @@ from controllers.mpc.margin_rules import LearnedMargin
 from controllers.mpc.margins import MarginRules, Margins
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import DAY_S, HOUR_S, Measurement, Observation
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.card import Competence
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.simulation.closed_loop import run_closed_loop
 
 NIGHT, DAY = (15.0, 30.0), (21.0, 24.0)
 

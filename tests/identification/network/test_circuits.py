@@ -1,0 +1,103 @@
+"""Circuits of one machine: what an open valve takes, found beside the machine's limit and the emitter's warmth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from thermal_networks import LAYOUT, ROOMS, KnownFit, theta_of
+
+from thermoforce_mpc.data import HOUR_S, Record
+from thermoforce_mpc.identification.estimation.regression import run_regression
+from thermoforce_mpc.identification.network.circuits import circuit_of
+from thermoforce_mpc.identification.network.estimate import Run
+from thermoforce_mpc.model.machine.load import MachineLoad
+from thermoforce_mpc.model.operator.heat_input import IDENTITY, HeatInput
+
+STEP_H, N = 0.25, 4 * 96
+# Heat of full level at the means, W, and its slopes over T_out and the emitter's temperature, W/K.
+FULL_W, OUTDOORS_W_K, WARMER_W_K = 1500.0, -70.0, 60.0
+LIMIT_W = 2500.0
+METERED = HeatInput(MachineLoad((0.0, 0.0, 1400.0, 0.0), (-20.0, 30.0), levels_seen=False))
+THETA = theta_of(ROOMS[0], heat_0=70.0, C_emitter_0=20.0, H_emitter_0=3.0)
+
+
+def probed(limit_W: float = np.inf, seed: int = 3) -> tuple[Record, Run, np.ndarray]:
+    """Days of valves opened at random: what the first takes from water on a heating curve, and its emitter's °C."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.choice([0.0, 0.5, 1.0], (3, N // 12)), 12, axis=1)
+    u[2] = 0.0
+    hours = np.arange(N + 1) * STEP_H
+    T_out_C = 2.0 + 4.0 * np.sin(hours / 24.0 * 2.0 * np.pi) + 0.05 * hours
+    T_zone_C = np.stack([20.5 + 0.5 * np.sin(hours / 9.0), 20.0 + 0.0 * hours])
+    C, H, per_v = 20.0, 3.0, 70.0 / METERED.reference_W
+    heat_W, emitter_C = np.zeros((3, N)), np.full(N + 1, 27.0)
+    for k in range(N):
+        full = FULL_W + OUTDOORS_W_K * T_out_C[k] - WARMER_W_K * (emitter_C[k] - 27.0)
+        heat_W[:2, k] = u[0, k] * full, u[1, k] * 1800.0
+        heat_W[:2, k] *= min(1.0, limit_W / max(heat_W[:2, k].sum(), 1.0))
+        target = T_zone_C[0, k : k + 2].mean() + per_v * heat_W[0, k] / H
+        emitter_C[k + 1] = target + (emitter_C[k] - target) * np.exp(-H / C * STEP_H)
+    record = Record(
+        hours * HOUR_S, T_zone_C, T_out_C, np.zeros(N + 1), u, np.full((2, N), np.nan), heat_W, names=LAYOUT.names
+    )
+    inputs = np.zeros((N + 1, ROOMS[0].n_inputs))
+    inputs[:-1, ROOMS[0].drive(0)] = heat_W[0] / METERED.reference_W
+    return record, Run(inputs, T_zone_C[0], STEP_H), emitter_C
+
+
+def found(record: Record, run: Run, heat_input: HeatInput = METERED, layout=LAYOUT):
+    return circuit_of(KnownFit(ROOMS[0], THETA, 1e-4), 0, [record], [run], layout, heat_input)
+
+
+def test_the_heat_of_a_valve_is_found_over_the_weather_and_its_emitter():
+    record, run, emitter_C = probed()
+    circuit = found(record, run)
+    usual = FULL_W - WARMER_W_K * (circuit.emitter_C - 27.0)
+    assert circuit.emitter_C == pytest.approx(float(record.u[0] @ emitter_C[:-1] / record.u[0].sum()), abs=0.5)
+    for T_out_C in (-5.0, 2.0, 10.0):
+        expected_W = usual + OUTDOORS_W_K * T_out_C
+        assert float(circuit.load(np.array(1.0), np.array(T_out_C))) == pytest.approx(expected_W, rel=0.05)
+    assert circuit.per_K == pytest.approx(0.3 * WARMER_W_K / METERED.reference_W, rel=0.15)
+    assert circuit.full * METERED.reference_W == pytest.approx(float(circuit.load(np.array(1.0), np.array(0.0))))
+
+
+def test_steps_at_the_machine_s_limit_say_nothing_of_a_valve():
+    free, limited = (found(*probed(limit_W)[:2]) for limit_W in (np.inf, LIMIT_W))
+    record = probed(LIMIT_W)[0]
+    at_limit = record.heat_W[:2].sum(axis=0) > 0.99 * LIMIT_W
+    assert at_limit.mean() > 0.1, "the machine is at its limit at times"
+    assert limited.full == pytest.approx(free.full, rel=0.05)
+
+
+def test_where_it_is_milder_than_in_the_record_half_of_the_heat_is_left():
+    record, run, _ = probed()
+    circuit = found(record, run)
+    low, high = circuit.load.T_out_range_C
+    assert low < -10.0
+    assert high < float(record.T_out_C.max()) + 15.0
+    on = record.u[0] > 0.0
+    mean_C = float(record.u[0, on] @ record.T_out_C[:-1][on] / record.u[0, on].sum())
+    mean_W, mild_W = (float(circuit.load(np.array(1.0), np.array(T))) for T in (mean_C, 40.0))
+    assert mild_W == pytest.approx(0.5 * mean_W, rel=0.05)
+
+
+def test_none_without_a_meter_or_others_on_the_machine_or_enough_steps():
+    record, run, _ = probed()
+    assert found(record, run, IDENTITY) is None
+    assert found(record, run, layout=replace(LAYOUT, machine_of=(0, 1, 1))) is None
+    off = replace(record, u=np.where(np.arange(N) < 8, record.u, 0.0))
+    assert found(off, run) is None
+
+
+def test_a_level_that_others_left_little_of_the_machine_counts_as_what_was_metered():
+    record = probed()[0]
+    served = record.heat_W[0] / METERED.reference_W
+    starved = np.arange(N) % 7 == 0
+    record = replace(record, heat_W=np.where(starved, 0.3 * record.heat_W, record.heat_W))
+    of_two, alone = (run_regression(record.part(0, actuators), METERED).drive for actuators in ([0, 1], [0]))
+    level = METERED(record.u[0], record.T_out_C[:-1])
+    np.testing.assert_allclose(of_two[starved], 0.3 * served[starved])
+    np.testing.assert_allclose(alone, level)
+    np.testing.assert_allclose(of_two[~starved], np.where(served < 0.8 * level, served, level)[~starved])

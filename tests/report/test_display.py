@@ -1,0 +1,77 @@
+"""What a run shows of its loops: little where nothing can be overwritten, and a line of what each found."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+from simple_house import SimpleHouse
+
+from controllers.registry import build_controller
+from thermoforce_mpc.data import DAY_S
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
+from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.report import display
+from thermoforce_mpc.report.display import LoopDisplay
+
+KPIS = {"cost_tot": 0.5, "tdis_tot": 1.0}
+
+
+@pytest.fixture(scope="module")
+def result():
+    testcase = load_testcase("bestest_hydronic_heat_pump")
+    plant = SimpleHouse()
+    period = replace(plant.period("x"), scored_s=9 * DAY_S)
+    return run_closed_loop(plant, build_controller("native", {}, testcase), period)
+
+
+def show(result, console, before=lambda: None):
+    with LoopDisplay(console, "native", result.period, lambda: KPIS, "EUR", quiet=False) as shown:
+        for step in result.steps:
+            before()
+            shown.step(step)
+
+
+def test_one_day_is_a_day(result):
+    day = replace(result, period=replace(result.period, scored_s=DAY_S), steps=result.steps[:24])
+    (line,) = lines_of(day)
+    assert line.startswith("native: 1 day in ")
+
+
+def lines_of(result, *, terminal=False, seconds_a_step=0.0, monkeypatch=None):
+    """What is shown of a loop whose steps each take a time on a clock of its own."""
+    now = [0.0]
+    if monkeypatch:
+        monkeypatch.setattr(display.time, "monotonic", lambda: now[0])
+    console = Console(file=io.StringIO(), width=200, force_terminal=terminal)
+    show(result, console, lambda: now.__setitem__(0, now[0] + seconds_a_step))
+    return console.file.getvalue().splitlines()
+
+
+def test_a_loop_is_one_line_with_what_it_found(result):
+    (line,) = lines_of(result)
+    assert line.startswith("native: 9 days in ")
+    assert line.endswith(" s  0.5000 EUR/m²  1.00 K·h")
+
+
+def test_a_loop_that_takes_long_says_so_now_and_then_and_ever_less_often(result, monkeypatch):
+    lines = lines_of(result, seconds_a_step=2.0, monkeypatch=monkeypatch)
+    days = [line.split("day")[1].split("/")[0].strip() for line in lines[:-1]]
+    assert days == ["2.00", "3.00", "5.00"], "after 1, 2 and 4 minutes or the first day that ends then"
+    assert lines[-1].startswith("native: 9 days in 7 min")
+
+
+def test_a_loop_that_fails_has_no_line_of_what_it_found(result):
+    broken = replace(result, steps=(result.steps[0], None))
+    console = Console(file=io.StringIO(), width=200, force_terminal=False)
+    with pytest.raises(AttributeError):
+        show(broken, console)
+    assert console.file.getvalue() == ""
+
+
+def test_on_a_terminal_the_progress_gives_way_to_that_line(result):
+    shown = "\n".join(lines_of(result, terminal=True))
+    assert "day" in shown
+    assert shown.rstrip().splitlines()[-1].split("\r")[-1].split("\x1b[2K")[-1].startswith("native: 9 days in ")

@@ -1,0 +1,123 @@
+"""A thermostat as comfortable as a controller: the set-point at which its discomfort is the controller's + 0.1 K·h.
+
+A baseline at a set-point of its own is warmer or colder than the controller, so their costs say little of each other.
+Discomfort falls with the set-point until zones get too warm: doubled steps to where it falls, then bisection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any
+
+from controllers.registry import controller_config
+from controllers.rules.thermostat import ThermostatConfig
+from thermoforce_mpc.report.findings import COST, DISCOMFORT
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.testcase import TestCase
+
+THERMOSTAT = "thermostat"
+
+# What a thermostat may be less comfortable, K·h.
+ALLOWED_KH = 0.1
+# Step of the set-point, K; the first steps of the search and the farthest from where it begins, as numbers of steps.
+_STEP_K, _FIRST, _FARTHEST = 0.05, 4, 32
+
+Kpis = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class AsComfortable:
+    """A thermostat beside a controller.
+
+    `shift_K`: its set-points above those it has by default; `comparable`: whether its discomfort is at most the
+    controller's + 0.1 K·h. Where no set-point is, it is the one with the least discomfort.
+    """
+
+    shift_K: float
+    kpis: Kpis
+    comparable: bool
+
+    def saving(self, cost: float) -> float:
+        """Share of its cost that a controller of this `cost` saves; NaN where the thermostat costs nothing."""
+        return 1.0 - cost / self.kpis[COST] if self.kpis[COST] > 0.0 else float("nan")
+
+    def in_words(self, cost: float, currency: str) -> str:
+        """What it is beside a controller of this `cost`."""
+        at = f"{self.shift_K:+.2f} K from" if self.shift_K else "at"
+        figures = f"{self.kpis[COST]:.4f} {currency}/m², {self.kpis[DISCOMFORT]:.2f} K·h"
+        saving = self.saving(cost)
+        less = f"{abs(saving):.1%} {'less' if saving >= 0.0 else 'more'} than a thermostat {at} its set-point"
+        return f"{less} ({figures}){' at equal comfort' if self.comparable else '; no set-point is as comfortable'}"
+
+    def to_json(self, cost: float, currency: str) -> dict[str, Any]:
+        """What a record of a comparison holds of it, for a controller of this `cost`."""
+        figures = {name: self.kpis[name] for name in (COST, DISCOMFORT)}
+        found = {"shift_K": self.shift_K, "kpis": figures, "comparable": self.comparable}
+        saving = self.saving(cost)
+        return found | {"saving": saving if isfinite(saving) else None, "in_words": self.in_words(cost, currency)}
+
+    def beaten(self, cost: float) -> bool | None:
+        """Whether a controller of this `cost` is cheaper; None: dearer, and more comfortable than any set-point."""
+        cheaper = cost < self.kpis[COST]
+        return cheaper if cheaper or self.comparable else None
+
+
+def as_comfortable(run: Callable[[float], Kpis], default: Kpis, discomfort_Kh: float) -> AsComfortable:
+    """Search the thermostat that is as comfortable as a controller with `discomfort_Kh` K·h.
+
+    `run`: KPIs of the thermostat with its set-points raised by so many K; `default`: those without.
+    """
+    tried = {0: default}  # by number of steps
+
+    def discomfort_of(steps: int) -> float:
+        if steps not in tried:
+            tried[steps] = run(steps * _STEP_K)
+        return tried[steps][DISCOMFORT]
+
+    def enough(steps: int) -> bool:
+        return discomfort_of(steps) <= discomfort_Kh + ALLOWED_KH
+
+    def nearer(sign: int) -> int:
+        """The shift reached by doubled steps in one direction while discomfort falls and is too much."""
+        shift, step = 0, _FIRST
+        while not enough(shift) and abs(shift + sign * step) <= _FARTHEST:
+            if not discomfort_of(shift + sign * step) < discomfort_of(shift):
+                break
+            shift, step = shift + sign * step, 2 * step
+        return shift
+
+    # Too cold is what a higher set-point mends, too warm by the sun a lower one.
+    warm = nearer(1)
+    if not enough(warm):
+        warm = nearer(-1)
+    if not enough(warm):
+        least = min(tried, key=lambda steps: tried[steps][DISCOMFORT])
+        return AsComfortable(least * _STEP_K, tried[least], False)
+    step = _FIRST
+    while warm - step >= -_FARTHEST and enough(warm - step):
+        warm, step = warm - step, 2 * step
+    cold = max((steps for steps in tried if steps < warm), default=warm)
+    while warm - cold > 1:
+        middle = (warm + cold) // 2
+        warm, cold = (middle, cold) if enough(middle) else (warm, middle)
+    cheapest = min((steps for steps in tried if enough(steps)), key=lambda steps: tried[steps][COST])
+    return AsComfortable(cheapest * _STEP_K, tried[cheapest], True)
+
+
+def shifted_options(options: Mapping[str, Any], testcase: TestCase, shift_K: float) -> dict[str, Any]:
+    """Options of a thermostat whose zones are kept so much warmer where it heats, and cooler where it cools."""
+    config, layout = controller_config(THERMOSTAT, options, testcase), testcase.layout
+    assert isinstance(config, ThermostatConfig)
+    set_points = {
+        name: config.setpoints_C.get(name, config.setpoint_C) + sign * shift_K
+        for name, sign in zip(layout.names.actuators, layout.signs, strict=True)
+    }
+    cooling_C = config.cooling_setpoint_C - shift_K
+    return {**options, "setpoints_C": set_points, "cooling_setpoint_C": cooling_C}
+
+
+def searches_equal_comfort(scenario: Scenario) -> bool:
+    """Whether a scenario asks for it, or its plant is one whose further runs take seconds."""
+    return scenario.plant.kind == "embedded" if scenario.equal_comfort is None else scenario.equal_comfort

@@ -1,0 +1,212 @@
+"""What a run decided at an instant, why, and what else could have been done: read from its journal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from controllers.registry import build_controller, find_entry
+from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation
+from thermoforce_mpc.data.clock import seconds_of, words_of
+from thermoforce_mpc.data.superposition import compose
+from thermoforce_mpc.errors import ArtifactError, DataError, InputError
+from thermoforce_mpc.experiment.checks import validate_scenario
+from thermoforce_mpc.experiment.composition import controller_options
+from thermoforce_mpc.experiment.outside import CODE, unknown
+from thermoforce_mpc.records.journal import NAME, JournalError, making_sense, read_run
+from thermoforce_mpc.records.journal_values import margins_of, planned_of
+from thermoforce_mpc.records.plain_files import check_plain
+from thermoforce_mpc.records.run_folder import kept_model
+from thermoforce_mpc.records.told_steps import ToldStep, forecast_of, history_before, told_loops, told_steps
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.settings import validate
+
+if TYPE_CHECKING:
+    from controllers.mpc.alternatives import Alternatives
+
+
+# A planned temperature nearer to its bound than this is bound by it, K.
+_BINDING_K = 0.05
+# Mean effect of what is planned from which a margin has a share of it, K.
+_HELD_K = 1.0
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One step of a run: what was known, planned, decided and done.
+
+    `steps` are those of the loop until then, this one last; `boundary` the forecast it was made on, gaps filled as in
+    the run; `plan` the planned courses and `margins` those of the first step, by name (rows as in `Plan`).
+    """
+
+    controller: str
+    steps: tuple[ToldStep, ...]
+    boundary: Boundary
+    plan: Mapping[str, Array]
+    margins: Mapping[str, Array]
+
+    @property
+    def step(self) -> ToldStep:
+        """The step."""
+        return self.steps[-1]
+
+    @property
+    def observation(self) -> Observation:
+        """What it was made on."""
+        return Observation(history_before(self.steps), self.boundary)
+
+    @property
+    def T_zone_C(self) -> Array:
+        """Planned zone temperatures (Z, N), °C."""
+        return compose(self.plan["T_free_C"], self.plan["T_forced_K"])
+
+    def bounds(self) -> list[str]:
+        """What binds in the plan, zone by zone: the comfort bound it touches first, and what it violates."""
+        if not self.plan:
+            return []
+        sentences = []
+        n = self.T_zone_C.shape[-1]
+        for z, zone in enumerate(self.step.names.zones):
+            lower_C, upper_C = self.boundary.lower_C[z, 1 : n + 1], self.boundary.upper_C[z, 1 : n + 1]
+            T, of = self.T_zone_C[z, : lower_C.size], "" if self.step.names.single else f"{zone}: "
+            near = {"lower": T - lower_C, "upper": upper_C - T}
+            touched = [
+                (int(np.argmax(gap <= _BINDING_K)), side) for side, gap in near.items() if (gap <= _BINDING_K).any()
+            ]
+            if touched:
+                at, side = min(touched)
+            else:
+                side, gap = min(near.items(), key=lambda item: float(np.nanmin(item[1])))
+                at = int(np.nanargmin(gap))
+            when_h = (self.boundary.time_s[at + 1] - self.step.time_s) / HOUR_S
+            bound_C = float((lower_C if side == "lower" else upper_C)[at])
+            if not touched:
+                sentences.append(
+                    f"{of}nearest is the {side} comfort bound, {bound_C:.1f} °C, {near[side][at]:.2f} K away in "
+                    f"{when_h:g} h: plans keep a margin"
+                )
+                continue
+            sentences.append(f"{of}the {side} comfort bound, {bound_C:.1f} °C, binds first, in {when_h:g} h")
+            outside = {side: float(-np.nanmin(gap)) for side, gap in near.items()}
+            worst = max(outside, key=lambda name: outside[name])
+            if outside[worst] > _BINDING_K:
+                sentences.append(f"{of}the plan is up to {outside[worst]:.2f} K outside the {worst} bound")
+        return sentences
+
+    def margins_in_words(self) -> list[str]:
+        """What the plan kept inside the comfort bounds of its first step, zone by zone, and what it learned else.
+
+        What it costs is what holds a room so much warmer, or cooler, of what holds it where it is planned.
+        """
+        margins, lines = self.margins, []
+        for z, zone in enumerate(self.step.names.zones if margins else ()):
+            of = "" if self.step.names.single else f"{zone}: "
+            parts = []
+            for b, bound in enumerate(("lower", "upper")):
+                sizes_K = {name: values[b, z] for name, values in margins.items() if values.ndim == 2}
+                listed = ", ".join(f"{name} {size_K:.2f}" for name, size_K in sizes_K.items() if round(size_K, 2))
+                whole_K = max(sum(sizes_K.values()), 0.0)
+                parts.append(f"{whole_K:.2f} K inside the {bound} bound" + (f" ({listed})" if listed else ""))
+                held_K = float(np.mean(self.plan["T_forced_K"][z])) * (1.0 if bound == "lower" else -1.0)
+                if whole_K and held_K > _HELD_K:
+                    parts[-1] += f", about {whole_K / held_K:.1%} of the plan's energy"
+            if round(offset_K := float(margins["offset"][z]), 2):
+                parts.append(f"prediction moved by {offset_K:+.2f} K")
+            lines.append(of + ", ".join(parts))
+        for machine, unused in zip(self.step.names.machines, margins.get("unused_capacity", ()), strict=False):
+            if round(unused, 2):
+                lines.append(f"{machine}: {unused:.0%} of its capacity left unused")
+        return lines
+
+
+def decision_at(folder: Path, at: str | None = None, controller: str | None = None) -> Decision:
+    """The step of the run in `folder` in force `at` an instant (`seconds_of`), by default the last.
+
+    `controller`: whose, by default the first that was run (the scenario's own).
+
+    Raises:
+        JournalError: there is no journal, or it is damaged.
+        ConfigError: there is a link in the folder.
+        InputError: `at` is no time or outside the run, or `controller` did not run.
+    """
+    path = folder / NAME
+    check_plain(folder)
+    with making_sense(path):
+        loops = told_loops(read_run(path).entries)
+        if not loops:
+            raise JournalError(f"{path}: no step was decided yet")
+        name = controller or next(iter(loops))
+        if name not in loops:
+            raise InputError(f"--controller {name}: did not run; there are {', '.join(loops)}")
+        steps = list(told_steps(loops[name]))
+        if not steps:
+            raise JournalError(f"{path}: {name} has not decided anything yet")
+        if at is not None:
+            seconds, first = seconds_of(at), steps[0].time_s
+            end = steps[-1].time_s + (steps[1].time_s - first if len(steps) > 1 else HOUR_S)
+            if not first <= seconds < end:
+                ran = f"{name} ran from {words_of(first)} to {words_of(end)} ({first:.0f} to {end:.0f} s)"
+                raise InputError(f"--at {at}: {ran}")
+            steps = [step for step in steps if step.time_s <= seconds]
+        told = steps[-1].told
+        return Decision(name, tuple(steps), forecast_of(steps), planned_of(told), margins_of(told))
+
+
+def hour_ends(n: int, step_s: float, hours: float) -> range:
+    """Number of steps at the end of each of the first `hours` of a plan of `n` steps; of less than one hour its end."""
+    every = max(1, round(min(hours, 1.0) * HOUR_S / step_s))
+    return range(every, min(n, max(every, round(hours * HOUR_S / step_s))) + 1, every)
+
+
+# What a plan would have been made on does not matter here, so no weights are loaded.
+_FREE_RESPONSE = {"name": "linear_weather", "options": {}}
+
+
+def alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
+    """What else could have been done, or why that cannot be said; raises `JournalError`."""
+    with making_sense(folder / NAME):
+        entries = read_run(folder / NAME).entries
+        scenario = validate(Scenario, dict(entries[0].content["scenario"]), f"{folder / NAME}, line 1")
+        name = decision.controller
+        code = [one.value for one in unknown(scenario) if one.key == CODE]
+        if code or name not in (scenario.controller.name, *scenario.baselines):
+            unclear = ", ".join(code) or name
+            return f"they need what you have not given here before, or what was changed since: {unclear}"
+        if not find_entry(name).needs_model:
+            return f"{name} acts without a model"
+        models: Mapping[str, Any] = next((entry.content["models"] for entry in entries if entry.kind == "models"), {})
+        entry: Mapping[str, Any] = models.get(name, {})
+        if not entry.get("folder"):
+            return f"there is no model: {entry.get('refused') or 'the run was given one that it did not keep'}"
+        from controllers.mpc.alternatives import alternatives
+        from controllers.mpc.controller import ThermoForceMPC
+        from thermoforce_mpc.model.thermal_model import load_model
+
+        options = controller_options(scenario, name) | {"free_response": _FREE_RESPONSE}
+        try:
+            model = load_model(kept_model(folder, entry["folder"]))
+            controller = build_controller(name, options, validate_scenario(scenario), model)
+            assert isinstance(controller, ThermoForceMPC)
+            planned = decision.step.plan if decision.plan else None
+            observation, begin_s = decision.observation, decision.steps[0].time_s
+            since = observation.history.time_s[:-1] >= begin_s
+            # Highest mean power of the building over a step of the run before the decision.
+            peak_W = float(np.nanmax(observation.history.power_W[:, since].sum(axis=0), initial=0.0))
+            return alternatives(controller, observation, planned, peak_W)
+        except (ArtifactError, DataError) as error:
+            return str(error)
+
+
+def alternatives_json(alternatives: Alternatives | str) -> dict[str, Any]:
+    """All of it, for programs."""
+    if isinstance(alternatives, str):
+        return {"none": alternatives}
+    courses = [
+        asdict(course) | {"u": course.u.tolist(), "T_zone_C": course.T_zone_C.tolist(), "total": course.total}
+        for course in alternatives.courses
+    ]
+    return {"courses": courses, "notes": list(alternatives.notes), "reason": alternatives.reason}

@@ -1,0 +1,192 @@
+"""The models of a run: identified for every contestant that needs one, said, and kept in the run folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from controllers.registry import find_entry, has_gate
+from thermoforce_mpc.errors import ArtifactError, DataError
+from thermoforce_mpc.experiment.composition import controller_options
+from thermoforce_mpc.experiment.identifying import (
+    IdentificationTask,
+    IdentifiedModel,
+    identification_task,
+    run_identification,
+    saved_model,
+)
+from thermoforce_mpc.files import file_sha256
+from thermoforce_mpc.protocols import Plant
+from thermoforce_mpc.records.journal_values import Json
+from thermoforce_mpc.records.kept_probing import FOLDER as PROBING
+from thermoforce_mpc.records.recorded_plant import JournaledPlant
+from thermoforce_mpc.records.run_folder import file_stem, kept_model, plain_json
+from thermoforce_mpc.report.display import RunDisplay
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.testcase import TestCase
+
+if TYPE_CHECKING:  # loaded only when a controller needs a model
+    from thermoforce_mpc.model.thermal_model import ThermalModel, ZoneModel
+from thermoforce_mpc.protocols import Controller
+
+FOLDER = "model"
+
+
+def identify_all(
+    scenario: Scenario, testcase: TestCase, plant: Plant, display: RunDisplay, folder: Path | None = None
+) -> dict[str, IdentifiedModel]:
+    """The model of every contestant that needs one; those that would probe and identify alike share one.
+
+    Each is probed for on its own account: what a controller does must not depend on whom it is compared with.
+    `folder`: of the run, where the probings are kept.
+    """
+    models: dict[str, IdentifiedModel] = {}
+    by_task: list[tuple[IdentificationTask | None, IdentifiedModel]] = []
+    for name in dict.fromkeys((scenario.controller.name, *scenario.baselines)):
+        if not find_entry(name).needs_model:
+            continue
+        task = None if scenario.identification.model else identification_task(scenario, testcase, name)
+        found = next((identified for other, identified in by_task if other == task), None)
+        if found is None:
+            if by_task:
+                display.say(f"For {name}, which runs the machine another way:")
+            keep = folder / PROBING / f"{file_stem(name)}.jsonl" if folder else None
+            found = _identify(scenario, testcase, plant, name, display, keep)
+            by_task.append((task, found))
+        models[name] = found
+    return models
+
+
+def _identify(
+    scenario: Scenario, testcase: TestCase, plant: Plant, controller: str, display: RunDisplay, keep: Path | None
+) -> IdentifiedModel:
+    """Load the model of the scenario, or probe and identify one for `controller`, and say what came of it.
+
+    Data that cannot be fitted do not end the run: without a model, the controller stands back. Raises `DataError` where
+    it has its gate turned off.
+    """
+    spec = scenario.identification
+    try:
+        if spec.model is not None:
+            model = saved_model(scenario, testcase)
+            display.say(f"Loaded {spec.model} ({model.cards[0].source})")
+        else:
+            task = identification_task(scenario, testcase, controller)
+            with display.probing(task.in_words(keep)) as progress:
+                model = run_identification(task, plant, on_progress=progress, keep=keep, say=display.say)
+    except DataError as error:
+        if not has_gate(controller, controller_options(scenario, controller), testcase):
+            raise
+        display.say(f"No model could be identified: {error}")
+        return IdentifiedModel(None, {"model": None, "refused": str(error)}, str(error))
+    for a, name in enumerate(model.operator.actuators):
+        zone, of = model.actuator(a), "" if model.names.single else f" of {name}"
+        operator, verdict = zone.operator, zone.card.competence
+        hours = ", ".join(f"{tau:.2g} h" for tau in operator.time_constants_h)
+        found = f"Model{of}: order {operator.order} ({hours}), {operator.parameters_in_words}, "
+        found += f"steady gain {operator.steady_gains_K.sum():.1f} K"
+        display.say(found if verdict is None else f"{found}. {verdict.sentence()}")
+        if zone.card.sun_on_sensor is not None:
+            display.say(f"Sun on the sensor{of}: {zone.card.sun_on_sensor.in_words()}")
+        if verdict is None and zone.card.unfit:
+            display.say(zone.card.unfit)
+        elif verdict is not None and not verdict.competent:
+            lines = [f"The model{of} is {verdict.in_words()}", *(f"  {advice}" for advice in verdict.advice)]
+            display.say("\n".join(lines))
+    return IdentifiedModel(model, {"model": spec.model, "source": model.cards[0].source} | origin(model))
+
+
+def origin(model: ThermalModel) -> dict[str, Any]:
+    """What the manifest says of a model; with several actuators, of each by its name."""
+    origins = {name: _origin_of(model.actuator(a)) for a, name in enumerate(model.operator.actuators)}
+    if model.names.single:
+        return origins[model.operator.actuators[0]]
+    counts = {"n_trained": model.operator.n_trained, "n_used": model.operator.n_used}
+    return counts | {"pairs": len(list(model.operator.each())), "actuators": origins}
+
+
+def _origin_of(zone: ZoneModel) -> dict[str, Any]:
+    """What the manifest says of an actuator on its home zone."""
+    operator, card = zone.operator, zone.card
+    counts = {name: getattr(operator, name) for name in ("order", "n_trained", "n_used", "n_effective")}
+    return counts | {
+        "time_constants_h": operator.time_constants_h.tolist(),
+        "steady_gains_K": operator.steady_gains_K.tolist(),
+        "scores": dict(card.scores),
+        "competence": None if card.competence is None else asdict(card.competence),
+        "data_sha256": dict(card.data),
+        "config": dict(card.config),
+        "notes": list(card.notes),
+    }
+
+
+def kept_models(
+    plant: JournaledPlant, folder: Path, find: Callable[[], Mapping[str, IdentifiedModel]]
+) -> dict[str, IdentifiedModel]:
+    """The models that `find` finds, saved in the run folder and noted in its journal; or those noted there.
+
+    Either way they are read back from the folder, so that a resumed run uses the very same.
+
+    Raises:
+        ArtifactError: a model in the folder was changed since.
+        StorageError: it cannot be written.
+    """
+    noted = plant.noted("models", lambda: _save_models(folder, find()))
+    from thermoforce_mpc.model.saved import JSON_NAME
+    from thermoforce_mpc.model.thermal_model import load_model
+
+    loaded: dict[str, IdentifiedModel] = {}
+    for key, entry in {str(entry): entry for entry in noted["models"].values()}.items():
+        if entry["folder"] is None:
+            loaded[key] = IdentifiedModel(None, entry["origin"], entry["refused"])
+            continue
+        path = kept_model(folder, entry["folder"])
+        model = load_model(path)
+        if file_sha256(path / JSON_NAME) != entry["sha256"]:
+            raise ArtifactError(f"{path}: is not the model that this run began with; start the run again")
+        loaded[key] = IdentifiedModel(model, entry["origin"])
+    return {who: loaded[str(entry)] for who, entry in noted["models"].items()}
+
+
+def _save_models(folder: Path, identified: Mapping[str, IdentifiedModel]) -> Json:
+    """Save each different model once; what the journal says of them."""
+    from thermoforce_mpc.model.saved import JSON_NAME
+
+    noted: dict[int, Json] = {}
+    for who, result in identified.items():
+        if id(result) in noted:
+            continue
+        entry: Json = {"folder": None, "refused": result.refused, "origin": plain_json(result.origin)}
+        if result.model is not None:
+            entry["folder"] = f"{FOLDER}-{file_stem(who)}" if noted else FOLDER
+            result.model.save(folder / entry["folder"], overwrite=True)
+            entry["sha256"] = file_sha256(folder / entry["folder"] / JSON_NAME)
+        noted[id(result)] = entry
+    return {"models": {who: noted[id(result)] for who, result in identified.items()}}
+
+
+def origins_of(identified: Mapping[str, IdentifiedModel], controller: str) -> dict[str, Any]:
+    """Where the models came from: the controller's, and by name those of baselines that have one of their own."""
+    if controller not in identified:
+        return {}
+    own_model = identified[controller]
+    baselines = {name: dict(model.origin) for name, model in identified.items() if model is not own_model}
+    return dict(own_model.origin) | ({"baselines": baselines} if baselines else {})
+
+
+def weight_hash(controller: Controller) -> str | None:
+    """Hash of the forecasters' weights, where the controller has any with weights; each different one once."""
+    methods = getattr(getattr(controller, "predictor", None), "free_responses", ())
+    different = {id(method): method for method in methods}.values()
+    hashes = [method.weight_hash() for method in different if hasattr(method, "weight_hash")]
+    return " ".join(dict.fromkeys(hashes)) or None
+
+
+def frozen_proof(controller: Controller, before: str | None) -> dict[str, Any]:
+    """What the manifest says of the weights after a run; empty where there are none. `before`: their hash before it."""
+    if before is None:
+        return {}
+    after = weight_hash(controller)
+    return {"weights_before": before, "weights_after": after, "frozen": before == after}

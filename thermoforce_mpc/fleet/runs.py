@@ -1,0 +1,241 @@
+"""The runs and identifications of a fleet as tasks, its trajectories, and the verdicts on its models."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from controllers.registry import find_entry
+from thermoforce_mpc.comparison.cells import Cell, Inputs, expand
+from thermoforce_mpc.comparison.input_files import NO_FILES, SentFiles, input_files, task_of
+from thermoforce_mpc.comparison.store import Identified, Store
+from thermoforce_mpc.comparison.tasks import tasks_of as cell_tasks
+from thermoforce_mpc.errors import ArtifactError, ConfigError, DataError
+from thermoforce_mpc.execution import Task, content_key
+from thermoforce_mpc.experiment.measured_model import model_of_measurements
+from thermoforce_mpc.files import pyarrow_for, storage_errors
+from thermoforce_mpc.fleet.file import Building, FleetFile
+from thermoforce_mpc.model.card import Competence
+from thermoforce_mpc.model.thermal_model import load_model
+from thermoforce_mpc.records.plain_files import write_plain
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.settings import merge, validate
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of a fleet: a cell of a comparison on one building.
+
+    `refused`: why it cannot be run; such a run has no key.
+    """
+
+    building: Building
+    cell: Cell
+    refused: str = ""
+
+
+def runs_of(file: FleetFile, buildings: Iterable[Building], path: Path) -> list[Run]:
+    """All runs of a fleet, validated; raises `ConfigError` naming the file, the building and the wrong key."""
+    runs, inputs = [], Inputs()
+    for building in buildings:
+        for seed in file.seeds:
+            own = {"days": file.days, "seed": seed}
+            data = merge(merge(dict(file.scenario), own), dict(building.scenario))
+            try:
+                base = validate(Scenario, data, "scenario")
+                cells = expand(
+                    base, file.variants, file.windows, file.prices, [base.plant.forecast_uncertainty], inputs
+                )
+            except ConfigError as error:
+                raise ConfigError(f"{path}: building '{building.name}': {error}") from error
+            for cell in cells:
+                if building.no_model and find_entry(cell.scenario.controller.name).needs_model:
+                    # As a cell without a model it would be probed; its key may be that of another building's run.
+                    without = replace(cell, trajectory=file.trajectories, key="", task=None, identification_key=None)
+                    runs.append(Run(building, without, f"no model from its measurements: {building.no_model}"))
+                else:
+                    runs.append(Run(building, replace(cell, trajectory=file.trajectories)))
+    return runs
+
+
+def tasks_of(runs: Sequence[Run]) -> list[Task]:
+    """A task for each run, with the files and the identification that it needs, which runs share."""
+    return [_named(task, run) for run, task in zip(runs, cell_tasks([run.cell for run in runs]), strict=True)]
+
+
+def _named(task: Task, run: Run) -> Task:
+    """The task of a run, and of its identification, under the name of the building."""
+    needs = [_named(need, run) if need.key == run.cell.identification_key else need for need in task.needs]
+    return replace(task, title=f"{run.building.name} · {task.title}", needs=tuple(needs))
+
+
+def models_again(runs: Iterable[Run], records: Mapping[str, Mapping[str, Any]], store: Store) -> list[Task]:
+    """Identifications that finished runs were made with, and whose model is not there or cannot be read.
+
+    Not those of other source code, which gave another model. Raises as `tasks_of`.
+    """
+    missing = {}
+    for run in runs:
+        key = run.cell.identification_key
+        same_model = records.get(run.cell.key, {}).get("model") == key
+        if key is not None and same_model and key not in missing and Identified.read(store.model_path(key)) is None:
+            missing[key] = run
+    return [need for task in tasks_of(list(missing.values())) for need in task.needs if need.key in missing]
+
+
+def place_trajectories(store: Store, runs: Iterable[Run]) -> None:
+    """Make `trajectories` anew: those of `runs` as one Parquet dataset, in partitions of buildings and variants.
+
+    Links where the disk has them, else copies. Raises `StorageError`.
+    """
+    top = store.folder / "trajectories"
+    with storage_errors(top):
+        for old in top.glob("building=*"):
+            shutil.rmtree(old)
+        for run in runs:
+            trajectory = store.trajectory_path(run.cell.key)
+            if not trajectory.is_file():
+                continue
+            place = top / f"building={quote(run.building.name, safe='')}"
+            place /= f"variant={quote(run.cell.variant, safe='')}"
+            place.mkdir(parents=True, exist_ok=True)
+            try:
+                os.link(trajectory, place / trajectory.name)
+            except OSError:
+                shutil.copyfile(trajectory, place / trajectory.name)
+
+
+NAME = "models.parquet"
+_LEAD_H = (1, 6, 24)
+
+
+_FIGURES = ("effect_K", "effect_sd_K", "sign_probability", "log_odds")
+_FORECASTS = ("model", "persistence", "weather")
+
+
+def _schema(pa: Any) -> Any:
+    """Columns and types of the verdicts; `pa` is pyarrow."""
+    places = ("building", "window", "from", "actuator", "key")
+    numbers = [*_FIGURES, *(f"{what}_{h}h_K" for h in _LEAD_H for what in _FORECASTS)]
+    columns = [
+        *(pa.field(name, pa.string(), nullable=False) for name in places),
+        pa.field("seed", pa.int64()),
+        pa.field("competent", pa.bool_()),
+        pa.field("verdict", pa.string(), nullable=False),
+        *(pa.field(name, pa.float64()) for name in numbers),
+    ]
+    return pa.schema(columns)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Measurements of a building: files of the record and of its map."""
+
+    building: str
+    record: str
+    map: str
+
+
+def tasks_of_records(buildings: Iterable[Building]) -> dict[str, Task]:
+    """The identification of each building with measurements, by name; raises `ConfigError` for an unreadable file."""
+    tasks = {}
+    for building in buildings:
+        if building.record is None:
+            continue
+        files = input_files(building.record)
+        assert files is not None  # there are two paths
+        content = sorted(str(dict(hashes)) for hashes in files.hashes.values())
+        key = content_key(identified_from, [building.name, *content])
+        title = f"{building.name} · identifying from measurements"
+        tasks[building.name] = Task(
+            key, title, identified_from, Measured(building.name, *building.record), (task_of(files),)
+        )
+    return tasks
+
+
+def identified_from(measured: Measured, files: SentFiles = NO_FILES) -> Identified:
+    """The model of measurements, or why they cannot be used or fitted; raises `ConfigError` for a wrong map."""
+    try:
+        with files.at_hand() as where:
+            paths = [where.get(path, path) for path in (measured.record, measured.map)]
+            model, _ = model_of_measurements([paths[0]], paths[1])
+    except DataError as error:
+        return Identified(refused=str(error))
+    return Identified.of(model)
+
+
+def with_models(
+    buildings: Iterable[Building], models: Mapping[str, Path], no_model: Mapping[str, str]
+) -> list[Building]:
+    """The buildings that can be run: those with measurements act on their model, or have none and say why."""
+    runnable = []
+    for building in buildings:
+        if building.record is None:
+            runnable.append(building)
+        elif building.runs and building.name in models:
+            model = {"identification": {"model": str(models[building.name])}}
+            runnable.append(replace(building, scenario=merge(dict(building.scenario), model)))
+        elif building.runs:
+            runnable.append(replace(building, no_model=no_model[building.name]))
+    return runnable
+
+
+def write_models(
+    store: Store,
+    runs: Sequence[Run],
+    records: Mapping[str, Mapping[str, Any]],
+    measured: Mapping[str, Task],
+    no_model: Mapping[str, str],
+) -> Path:
+    """Write `models.parquet`: a row for each actuator of each identification; raises `StorageError`.
+
+    `records` by key name the model that a run had; `measured`, by building: identifications from measurements;
+    `no_model`: verdicts where one of them gave none.
+    """
+    rows = []
+    for name, task in measured.items():
+        place = {"building": name, "window": "", "from": "record", "key": task.key}
+        if name in no_model:
+            rows.append({**place, "actuator": "", "competent": False, "verdict": no_model[name]})
+        else:
+            rows += _rows(store.model_path(task.key), place)
+    first: dict[str, Run] = {}
+    for run in (run for run in runs if run.cell.identification_key is not None):
+        first.setdefault(records[run.cell.key]["model"], run)
+    for key, run in first.items():
+        place = {"building": run.building.name, "window": run.cell.window, "from": "probing", "key": key}
+        rows += _rows(store.model_path(key), {**place, "seed": run.cell.scenario.seed})
+    content, path = io.BytesIO(), store.folder / NAME
+    pa = pyarrow_for(path, ConfigError)
+    pa.parquet.write_table(pa.Table.from_pylist(rows, schema=_schema(pa)), content)
+    write_plain(path, content.getvalue())
+    return path
+
+
+def _rows(path: Path, place: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The verdicts on the model at `path`, an actuator a row; one row where there is none."""
+    try:
+        if path.is_dir():
+            model = load_model(path)
+            cards = zip(model.names.actuators, model.cards, strict=True)
+            return [{**place, "actuator": name, **_judged(card.competence)} for name, card in cards]
+        verdict = f"refused: {path.read_text(encoding='utf-8')}" if path.is_file() else "failed"
+    except (OSError, UnicodeDecodeError, ArtifactError) as error:
+        verdict = f"cannot be read: {error}"  # of other source code, or it would have been identified again
+    return [{**place, "actuator": "", "competent": False, "verdict": verdict}]
+
+
+def _judged(competence: Competence | None) -> dict[str, Any]:
+    if competence is None:
+        return {"competent": None, "verdict": "not judged"}
+    row: dict[str, Any] = {"competent": competence.competent, "verdict": competence.in_words()}
+    row |= {name: getattr(competence, name) for name in _FIGURES}
+    for score in competence.horizons:
+        row |= {f"{what}_{score.hours:g}h_K": getattr(score, f"{what}_K") for what in _FORECASTS}
+    return row

@@ -1,0 +1,1 @@
+"""What is kept of a run: its folder, its journal, and what is told again from it."""

@@ -1,0 +1,325 @@
+"""The closed loops of a run as its journal tells them, step by step, whole or as far as they came."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from boptest_client import safe_text
+from thermoforce_mpc.data import (
+    DAY_S,
+    SIGNALS,
+    SINGLE,
+    Array,
+    Block,
+    Boundary,
+    Measurement,
+    Names,
+    Period,
+    Plan,
+    PlanStatus,
+    Record,
+)
+from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord, sample_of, time_rat, with_level
+from thermoforce_mpc.loop.forecasts import empty_forecast, holes
+from thermoforce_mpc.loop.kept_steps import KeptSteps
+from thermoforce_mpc.model.forecast_gaps import completed, lengthened
+from thermoforce_mpc.model.screening import Limits, screened_history
+from thermoforce_mpc.records import journal_values as values
+from thermoforce_mpc.records.journal import NAME, Entry, JournalError, making_sense, read_run
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.settings import validate
+
+Json = Mapping[str, Any]
+_TEXTS = ("why", "refused", "solver_status", "news", "status")
+_MOST_SHOWN = 2_000
+
+
+@dataclass(frozen=True)
+class ToldStep:
+    """One step.
+
+    `told` is its record of kind `step`; `before` the readings it began with; `given` the forecast as the plant gave it,
+    None where it gave none; `advances` what was asked of the plant in it, and its answers, in order; `done` the record
+    that closed it, None while it goes on or where the run ended in it. `past` is the plant's record, where it was asked
+    for between the step before and this one.
+    """
+
+    told: Json
+    names: Names
+    before: Measurement | None
+    given: Boundary | None = None
+    advances: tuple[Json, ...] = ()
+    done: Json | None = None
+    past: Json | None = None
+
+    @property
+    def time_s(self) -> float:
+        """Its begin, s since 1 January."""
+        return float(self.told["time_s"])
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """What the plant was asked to apply, in order."""
+        return tuple(values.block_of(advance["asked"]) for advance in self.advances)
+
+    @property
+    def after(self) -> tuple[Measurement, ...]:
+        """The readings at the end of each block."""
+        return tuple(values.measurement_of(advance["answer"], self.names) for advance in self.advances)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was in doubt."""
+        return () if self.done is None else tuple(safe_text(note, _MOST_SHOWN) for note in self.done["notes"])
+
+    @property
+    def plan(self) -> Plan:
+        """The decision, as far as its record tells it."""
+        told, seconds = self.told, self.done["seconds"] if self.done else {}
+        plan = Plan(
+            blocks=self.blocks,
+            status=PlanStatus(told["status"]),
+            why=str(told["why"]),
+            news=str(told.get("news", "")),
+            solver_status=str(told["solver_status"]),
+            iterations=int(told["iterations"]),
+            export_calls=int(told["export_calls"]),
+            seconds={name: float(s) for name, s in seconds.items()},
+            margins=values.margins_of(told),
+            names=self.names,
+            acting=tuple(PlanStatus(status) for status in told["acting"]),
+        )
+        courses: dict[str, Any] = values.planned_of(told)
+        return replace(plan, **courses)
+
+    def record(self, boundary: Boundary) -> StepRecord:
+        """The step, which has ended, as its run kept it; `boundary`: its forecast without gaps."""
+        assert self.before is not None
+        assert self.done is not None
+        samples, now_s = [], self.time_s
+        for block, reading in zip(self.blocks, self.after, strict=True):
+            samples.append(sample_of(now_s, block, reading, boundary))
+            now_s = reading.time_s
+        return StepRecord(
+            index=int(self.told["index"]),
+            time_s=self.time_s,
+            T_zone_C=self.before.T_zone_C,
+            boundary=boundary,
+            plan=self.plan,
+            refused=str(self.told["refused"]),
+            plan_seconds=float(self.done["plan_seconds"]),
+            forecast_seconds=float(self.done["forecast_seconds"]),
+            plant_seconds=float(self.done["plant_seconds"]),
+            samples=tuple(samples),
+            notes=self.notes,
+        )
+
+    def forecast(self) -> tuple[Boundary | None, float, int]:
+        """The forecast as the run had it before gaps were filled, None where there was none; its step, s, and steps."""
+        asked = self.told["asked"]
+        step_s = float(asked["interval_s"])
+        n_steps = round(float(asked["horizon_s"]) / step_s)
+        return None if self.given is None else lengthened(self.given, n_steps, step_s), step_s, n_steps
+
+
+def told_loops(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
+    """The records of each closed loop, by controller."""
+    loops: dict[str, list[Entry]] = {}
+    for entry in entries:
+        if entry.kind == "loop":
+            loops[safe_text(entry.content["controller"])] = []
+        elif loops:
+            next(reversed(loops.values())).append(entry)
+    return loops
+
+
+class StepReader:
+    """Puts the steps of a closed loop together from its records, as they come."""
+
+    def __init__(self) -> None:
+        self.names: Names = SINGLE
+        self.before: Measurement | None = None
+        """The latest readings of a step that is closed."""
+        self._past: Json | None = None
+        self._rows: Array | None = None  # of the last forecast
+        self._step: Json | None = None
+        self._advances: list[Json] = []
+
+    @property
+    def under_way(self) -> ToldStep | None:
+        """The step that was decided and is not closed."""
+        return None if self._step is None else self._told(tuple(self._advances), None)
+
+    def read(self, entry: Entry) -> ToldStep | None:
+        """Take the next record; the step that it closes, if it does."""
+        content = entry.content
+        if entry.kind == "reset":
+            self.names = values.names_of(content["answer"]["names"])
+            self.before = values.measurement_of(content["answer"], self.names)
+        elif entry.kind == "past":
+            self._past = content["answer"]
+        elif entry.kind == "step":
+            # Texts as a terminal may show them; they name every actuator, so they may be long.
+            texts = {key: content[key] for key in _TEXTS if isinstance(content.get(key), str)}
+            self._step, self._advances = {**content, **{k: safe_text(v, _MOST_SHOWN) for k, v in texts.items()}}, []
+            if content["forecast"] is not None:
+                self._rows = values.repeated_rows(content["forecast"], self._rows)
+        elif entry.kind == "advance":
+            self._advances.append(content)
+        elif entry.kind == "done" and self._step is not None:
+            step = self._told((*self._advances, *content["advances"]), content)
+            self.before, self._past, self._step = (step.after or (self.before,))[-1], None, None
+            return step
+        return None
+
+    def _told(self, advances: tuple[Json, ...], done: Json | None) -> ToldStep:
+        assert self._step is not None
+        given = None
+        if self._rows is not None and self._step["forecast"] is not None:
+            given = values.boundary_of(self._rows, self.names)
+        return ToldStep(self._step, self.names, self.before, given, advances, done, self._past)
+
+
+def told_steps(entries: Sequence[Entry]) -> Iterator[ToldStep]:
+    """The steps of a closed loop, in order; the last may be under way."""
+    reader = StepReader()
+    for entry in entries:
+        step = reader.read(entry)
+        if step is not None:
+            yield step
+    if reader.under_way is not None:
+        yield reader.under_way
+
+
+def history_before(steps: Sequence[ToldStep]) -> Record:
+    """The record that the last of `steps` (all of a loop until then) was decided on, implausible readings left out.
+
+    Raises:
+        JournalError: the journal does not hold the plant's record before the loop.
+    """
+    first = max((i for i, step in enumerate(steps) if step.past is not None), default=-1)
+    if (past := steps[first].past) is None:
+        raise JournalError("the journal does not hold the record that the run began with")
+    record = values.record_of(past, steps[first].names)
+    ends = []
+    for step in steps[first:-1]:
+        parts = [(b.duration_s, with_level(reading, b)) for b, reading in zip(step.blocks, step.after, strict=True)]
+        ends.append(parts[-1][1].averaged_with(parts))
+    if ends:
+        columns = {name: np.stack([np.asarray(getattr(end, name)) for end in ends], axis=-1) for name in SIGNALS}
+        columns = {name: np.concatenate([getattr(record, name), new], axis=-1) for name, new in columns.items()}
+        record = Record(**columns, names=record.names)
+    # Limits that need a model or a floor area are left to the notes of the run.
+    return screened_history(record, Limits(lowest=-1.0))[0]
+
+
+def forecast_of(steps: Sequence[ToldStep]) -> Boundary:
+    """The forecast of the last of `steps` (all of a loop until then), its gaps filled as in the run."""
+
+    def is_whole(step: ToldStep) -> bool:
+        forecast, _, _ = step.forecast()
+        return forecast is not None and not holes(forecast)
+
+    # Gaps are filled from the forecast before: what came before one without gaps does not count.
+    first = next((i for i in range(len(steps) - 1, 0, -1) if is_whole(steps[i])), 0)
+    last_forecast = None
+    for i in range(first, len(steps)):
+        forecast, last_forecast = _next_forecast(steps[: i + 1], last_forecast)
+    return forecast
+
+
+def _next_forecast(steps: Sequence[ToldStep], last: Boundary | None) -> tuple[Boundary, Boundary | None]:
+    """The forecast of the last of `steps` as in the run (`Forecasts`), and what gaps of the next are filled from.
+
+    `last`: what gaps of this one are filled from, None at the begin of a loop.
+    """
+    forecast, step_s, n_steps = steps[-1].forecast()
+    if forecast is None:
+        history = history_before(steps)
+        return completed(empty_forecast(history, n_steps, step_s), history, last)[0], last
+    if holes(forecast):
+        forecast = completed(forecast, history_before(steps), last)[0]
+    return forecast, forecast
+
+
+@dataclass(frozen=True)
+class ToldRun:
+    """A run: its scenario, command and version, what the plant said of itself, its models' records, and its loops.
+
+    A loop that was cut off has no KPIs but those of its `time_rat`.
+    """
+
+    scenario: Scenario
+    command: tuple[str, ...]
+    version: str
+    plant: Json
+    models: Json
+    results: Mapping[str, RunResult]
+
+    @property
+    def cut_off(self) -> tuple[str, ...]:
+        """Names of the controllers whose loop has not ended."""
+        return tuple(name for name, result in self.results.items() if "ener_tot" not in result.kpis)
+
+
+def told_run(folder: Path) -> ToldRun:
+    """The run whose journal is in `folder`.
+
+    Raises:
+        JournalError: there is no journal, it is damaged, or no step of the run has ended.
+    """
+    path = folder / NAME
+    with making_sense(path):
+        entries = read_run(path).entries
+        first = entries[0]
+        scenario = validate(Scenario, dict(first.content["scenario"]), first.where)
+        windows = [Period(**entry.content["answer"]) for entry in entries if entry.kind == "period"]
+        results = {}
+        for name, loop in told_loops(entries).items():
+            if steps := _ended_steps(loop):
+                reset = next(entry.content["answer"] for entry in loop if entry.kind == "reset")
+                kpis = next((values.kpis_of(entry.content["answer"]) for entry in loop if entry.kind == "kpis"), {})
+                kpis["time_rat"] = time_rat(steps, steps[0].boundary.step_s)
+                period = replace(windows[0], scored_s=scenario.days * DAY_S)
+                start = values.measurement_of(reset, values.names_of(reset["names"]))
+                results[name] = RunResult(period, name, kpis, steps, start)
+        if not results:
+            raise JournalError(f"{path}: no step has ended yet, so that there is nothing to show")
+        return ToldRun(
+            scenario,
+            tuple(safe_text(word) for word in first.content["command"]),
+            safe_text(first.content.get("version")),
+            _plant(entries),
+            next((entry.content["models"] for entry in entries if entry.kind == "models"), {}),
+            results,
+        )
+
+
+def _plant(entries: Sequence[Entry]) -> Json:
+    """What the plant said of itself, and how it was started again."""
+    info: Json = next((entry.content["info"] for entry in entries if entry.kind == "plant"), {})
+    contents = (entry.content for entry in entries)
+    answered = (told for content in contents for told in (content, *content.get("advances", ())))
+    restarts = [words for told in answered for words in (told.get("answer") or {}).get("restarts", ())]
+    said = {key: safe_text(value) if isinstance(value, str) else value for key, value in info.items()}
+    return {**said, "description": safe_text("; ".join([str(info.get("description")), *dict.fromkeys(restarts)]))}
+
+
+def _ended_steps(loop: Sequence[Entry]) -> KeptSteps[StepRecord]:
+    kept: KeptSteps[StepRecord] = KeptSteps()
+    steps: list[ToldStep] = []
+    last_forecast: Boundary | None = None
+    for step in told_steps(loop):
+        steps.append(step)
+        if step.done is None:
+            break
+        boundary, last_forecast = _next_forecast(steps, last_forecast)
+        kept.append(step.record(boundary))
+        # Of steps before, only what was measured is asked for: their plans would not fit in memory.
+        steps[-1] = replace(step, told={}, done=None)
+    return kept

@@ -1,0 +1,313 @@
+"""HTML report of a run, one self-contained file: figures, courses, plans over the instants, who acted, and errors."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Layout, Plan, PlanStatus
+from thermoforce_mpc.files import write_whole
+from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord
+from thermoforce_mpc.plants.kpis import zone_kpis
+from thermoforce_mpc.records.own_kpis import own_of
+from thermoforce_mpc.records.plain_files import write_plain
+from thermoforce_mpc.report.courses import Course, course_of, most_blocks
+from thermoforce_mpc.report.findings import Capped, best_values, gates_held, planning_of, verdict, watch_spells
+from thermoforce_mpc.report.model_panels import answers_json, other_levels_json
+from thermoforce_mpc.report.page import UPLOT, Json, rendered
+from thermoforce_mpc.report.plans import FINEST_K, TEMPERATURES, decisions_json, plans_json
+from thermoforce_mpc.report.whole_tables import figure
+
+if TYPE_CHECKING:
+    from thermoforce_mpc.model.thermal_model import ThermalModel
+
+
+KPI_LABELS = {
+    "cost_tot": ("Cost", "{currency}/m²"),
+    "ener_tot": ("Energy", "kWh/m²"),
+    "tdis_tot": ("Discomfort", "K·h"),
+    "emis_tot": ("Emissions", "kg CO₂/m²"),
+    "pele_tot": ("Peak of electricity (15 min)", "kW/m²"),
+    "pgas_tot": ("Peak of gas (15 min)", "kW/m²"),
+    "pdih_tot": ("Peak of district heat (15 min)", "kW/m²"),
+    "time_rat": ("Computing time / real time", "–"),
+}
+# KPIs that are shown as bars, too.
+_BARS = ("cost_tot", "ener_tot", "tdis_tot")
+# Courses that end further from their KPI are named: this share of it, and so much at least (per m², K·h).
+_APART, _LEAST_APART = 0.03, {"cost_tot": 1e-4, "tdis_tot": 0.05}
+# Statuses of which the page lists each stretch; gate and watch are told apart.
+_NOTABLE = tuple(status for status in PlanStatus if status.fallen_back or status is PlanStatus.BRIDGED)
+
+
+def kpi_rows(everyone: Mapping[str, Mapping[str, float]], currency: str) -> list[dict[str, Any]]:
+    """One row per KPI, with the best value of the row (`best_values`), and the largest where it is shown as bars."""
+    rows, best = [], {key: value for key, value in best_values(everyone).items() if key != "time_rat"}
+    for key, (label, unit) in KPI_LABELS.items():
+        values = [kpis.get(key) for kpis in everyone.values()]
+        if all(value is None for value in values):
+            continue
+        unit = unit.format(currency=currency)
+        rows.append(_row(key, label, unit, values, best=best.get(key), bars=key in _BARS))
+        if key == "tdis_tot":
+            by_zone = {name: zone_kpis(kpis) for name, kpis in everyone.items()}
+            for zone in dict.fromkeys(zone for of in by_zone.values() for zone in of):
+                of_zone = [by_zone[name].get(zone) for name in everyone]
+                least = min((v for v in of_zone if v is not None and np.isfinite(v)), default=None)
+                rows.append(_row(key, f"· {zone}", unit, of_zone, best=least))
+    for key in dict.fromkeys(key for kpis in everyone.values() for key in own_of(kpis)):
+        label, _, unit = key.rpartition(", ")
+        rows.append(_row(key, label, unit, [kpis.get(key) for kpis in everyone.values()]))
+    return rows
+
+
+def apart(courses: Mapping[str, Course], kpis: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Where cost or discomfort so far do not end at the KPI: 'cost of native: 0.07, KPI 0.09'."""
+    differences = []
+    for name, course in courses.items():
+        ends = {"cost_tot": float(course.cost[-1]), "tdis_tot": float(course.discomfort_Kh[:, -1].mean())}
+        for key, end in ends.items():
+            kpi = kpis[name].get(key)
+            if kpi is not None and abs(end - kpi) > max(_APART * abs(kpi), _LEAST_APART[key]):
+                differences.append(f"{KPI_LABELS[key][0].lower()} of {name}: {end:.4g}, KPI {kpi:.4g}")
+    return differences
+
+
+def _row(
+    key: str, label: str, unit: str, values: list[float | None], *, best: float | None = None, bars: bool = False
+) -> dict[str, Any]:
+    values = [value if value is not None and np.isfinite(value) else None for value in values]
+    numbers = [value for value in values if value is not None]
+    return {
+        "label": label,
+        "unit": unit,
+        "values": values,
+        "texts": ["–" if value is None else figure(key, value) for value in values],
+        "best": best,
+        "most": max(numbers) if bars and numbers and min(numbers) >= 0 < max(numbers) else None,
+    }
+
+
+def advice(identification: Mapping[str, Any]) -> list[str]:
+    """What the verdicts on the models advise; with several actuators, each by name."""
+    actuators = identification.get("actuators")
+    if actuators is None:
+        return list((identification.get("competence") or {}).get("advice", ()))
+    verdicts = {name: origin["competence"] or {} for name, origin in actuators.items()}
+    return [f"{name}: {advice}" for name, verdict in verdicts.items() for advice in verdict.get("advice", ())]
+
+
+def events(result: RunResult) -> list[dict[str, Any]]:
+    """Stretches of steps in which not a plan as wanted acted, a reading was doubtful, or there was news."""
+
+    stretches: list[dict[str, Any]] = []
+    previous = None
+    for step in result.steps:
+        plan, refused, notes = step.plan, step.refused, "; ".join(step.notes)
+        present = status, _, _, news = plan.status.value, refused, notes, plan.news
+        notable = status in _NOTABLE or bool(refused or notes or news)
+        if notable and present == previous:
+            stretches[-1]["steps"] += 1
+        elif notable:
+            what = {"status": status, "refused": refused, "why": plan.why, "notes": notes}
+            stretches.append({"time_s": step.time_s, "steps": 1, **what})
+        previous = present
+    return stretches
+
+
+def forecast_errors(result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0, 12.0, 24.0)) -> list[dict[str, Any]]:
+    """Error of the planned zone temperature: `zone`, `hours`, `bias_K` (planned − measured), `rmse_K`, `n` plans.
+
+    The error at the first step is a pure prediction error. Beyond it, the error also includes the difference between
+    the scored plan and the later plans that were applied.
+    """
+    measured = {round(step.time_s): step.T_zone_C for step in result.steps}
+
+    def figures(plans: list[tuple[Plan, int, Array]], z: int) -> dict[str, Any]:
+        error = np.array([plan.T_zone_C[z, k] - later[z] for plan, k, later in plans])
+        finite = error[np.isfinite(error)]  # NaN where the zone's sensor was silent
+        if not finite.size:
+            return {}
+        return {"bias_K": float(np.mean(finite)), "rmse_K": float(np.sqrt(np.mean(finite**2))), "n": finite.size}
+
+    return _scored(result, result.steps, measured, horizons_h, figures)
+
+
+def free_forecast_scores(
+    result: RunResult, horizons_h: tuple[float, ...] = (1.0, 6.0, 24.0), settle_h: float = 48.0
+) -> list[dict[str, Any]]:
+    """Error of free forecasts and coverage of their 80 % intervals: `zone`, `hours`, `mae_K`, `coverage`, `n`.
+
+    The reference is the free temperature `T_free_now_C` of the plan made at the forecast's target time, so later
+    actions do not affect the score. Plans of the first `settle_h` hours are left out, while corrections adapt.
+    """
+    came = {round(step.time_s): step.plan.T_free_now_C for step in result.steps if step.plan.u.size}
+    start_s = result.steps[0].time_s if result.steps else 0.0
+    settled = [step for step in result.steps if step.time_s - start_s >= settle_h * HOUR_S]
+
+    def figures(plans: list[tuple[Plan, int, Array]], z: int) -> dict[str, Any]:
+        error = np.array([plan.T_free_C[z, k] - later[z] for plan, k, later in plans])
+        inside = np.array([plan.T_free_low_C[z, k] <= later[z] <= plan.T_free_high_C[z, k] for plan, k, later in plans])
+        finite = np.isfinite(error)  # NaN where the zone's sensor was silent
+        if not finite.any():
+            return {}
+        mae_K = float(np.mean(np.abs(error[finite])))
+        return {"mae_K": mae_K, "coverage": float(np.mean(inside[finite])), "n": int(finite.sum())}
+
+    return _scored(result, settled, came, horizons_h, figures)
+
+
+def _scored(
+    result: RunResult,
+    steps: Iterable[StepRecord],
+    came: Mapping[int, Array],
+    horizons_h: tuple[float, ...],
+    figures: Callable[[list[tuple[Plan, int, Array]], int], dict[str, Any]],
+) -> list[dict[str, Any]]:
+    """Rows zone by zone, then by lead time, of the `figures` of a zone: from plans with the number of the step that
+    ends so much later, and what `came` then, by time (s).
+    """
+    steps = list(steps)
+    scored: dict[float, list[tuple[Plan, int, Array]]] = {}
+    for hours in horizons_h:
+        for step in steps:
+            k = round(hours * HOUR_S / step.boundary.step_s) - 1
+            later = came.get(round(step.time_s + hours * HOUR_S))
+            if later is not None and 0 <= k < step.plan.u.shape[-1]:
+                scored.setdefault(hours, []).append((step.plan, k, later))
+    return [
+        {"zone": zone, "hours": hours, **found}
+        for z, zone in enumerate(result.names.zones)
+        for hours, plans in scored.items()
+        if (found := figures(plans, z))
+    ]
+
+
+SCRIPTS = (
+    UPLOT, "base.js", "tip.js", "group.js", "chart.js", "looks.js", "run.js", "course.js", "plan_facts.js", "plans.js",
+    "cumulative.js", "others.js", "status.js", "answers.js", "run_page.js",
+)  # fmt: skip
+# So many stretches are listed; `steps.csv` has all.
+_MOST_EVENTS = 300
+
+
+def write_report(
+    folder: Path,
+    *,
+    kpis: Mapping[str, Any],
+    result: RunResult,
+    baselines: Mapping[str, RunResult],
+    currency: str,
+    layout: Layout,
+    area_m2: float,
+    model: ThermalModel | None = None,
+    manifest: Mapping[str, Any] | None = None,
+    said: Sequence[str] = (),
+    path: Path | None = None,
+) -> Path:
+    """Write `report.html` into a run folder, or the report to `path`.
+
+    `kpis` and `manifest` are the contents of the files of that name, the latter by default that in the folder; `model`
+    is that of the controller, for step responses and other levels; `said` is shown at the top.
+    """
+    if manifest is None:
+        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    runs = {result.controller: result, **baselines}
+    most = most_blocks(layout, len(runs))
+    courses = {name: course_of(run, layout, area_m2, most) for name, run in runs.items()}
+    data = report_data(result, courses, currency, layout, area_m2, model)
+    everyone = {name: run.kpis for name, run in runs.items()}
+    last = result.steps[-1].samples[-1]  # of a run that was cut off before its window ends
+    days = round((last.start_s + last.duration_s - result.period.start_s) / DAY_S, 2)
+    names, others, stretches = layout.names, data["other_levels"], events(result)
+    page = rendered(
+        "report.html.j2",
+        SCRIPTS,
+        data,
+        kpis=kpis,
+        manifest=manifest,
+        said=said,
+        verdict=verdict(result.controller, everyone, currency, days),
+        table=kpi_rows(everyone, currency),
+        controllers=list(everyone),
+        gates={name: gate.in_words() for name, gate in gates_held(result, baselines).items()},
+        advice=advice(manifest["identification"]),
+        zones=names.zones if len(names.zones) > 1 else (),
+        planned=data["planned"],
+        others=others and {"hours": others["n"] * others["step_s"] / HOUR_S},
+        answers=data["answers"] is not None,
+        forecast=forecast_errors(result),
+        free_forecast=free_forecast_scores(result),
+        watch=[spell.in_words() for spell in watch_spells(result)],
+        capped={name: Capped(**figures).in_words() for name, figures in kpis.get("power_cap", {}).items()},
+        apart=apart(courses, everyone),
+        scaled={name: course.scaled for name, course in courses.items() if course.scaled != 1.0},
+        events=stretches[:_MOST_EVENTS],
+        more_events=max(0, len(stretches) - _MOST_EVENTS),
+        fallback_levels=result.fallback_levels(),
+        planning=planning_of(result, model).in_words(),
+        rounding=_rounding(data),
+    )
+    if path is None:
+        write_plain(folder / "report.html", page)
+    else:
+        write_whole(path, page)
+    return path or folder / "report.html"
+
+
+def report_data(
+    result: RunResult,
+    courses: Mapping[str, Course],
+    currency: str,
+    layout: Layout,
+    area_m2: float,
+    model: ThermalModel | None,
+) -> Json:
+    """What the scripts of the page read, see `assets/run.js`; `courses` of the controller and its baselines."""
+    names = layout.names
+    course = courses[result.controller]
+    plans = plans_json(result, layout, area_m2)
+    return {
+        "currency": currency,
+        "names": {"zones": names.zones, "actuators": names.actuators, "machines": names.machines},
+        "serves": [layout.actuators_of(z) for z in range(len(names.zones))],
+        "prices": _different_prices(course),
+        "own": {"name": result.controller, "averaged": course.averaged, **course.to_json()},
+        "baselines": [
+            {"name": name, **beside.own_json()} for name, beside in courses.items() if name != result.controller
+        ],
+        "steps": decisions_json(result),
+        "planned": plans is not None,
+        "plans": plans,
+        "other_levels": other_levels_json(result, model, layout),
+        "answers": answers_json(model),
+    }
+
+
+def _different_prices(course: Course) -> list[int]:
+    """Numbers of the first machine of each price: machines that pay the same share a curve."""
+    machines: list[int] = []
+    for m, price in enumerate(course.price_per_kWh):
+        if not any(np.array_equal(price, course.price_per_kWh[k], equal_nan=True) for k in machines):
+            machines.append(m)
+    return machines
+
+
+def _rounding(data: Json) -> str:
+    """What of the run is not in the page, or not as exactly as in the run folder."""
+    steps = [row.get("step", 0.0) for name in TEMPERATURES for row in (data["plans"] or {}).get(name, ())]
+    says = [
+        f"Planned temperatures are rounded to {max([FINEST_K, *steps]):.2g} K, planned levels to 0.01, and "
+        "other numbers in this page to the 65,535th part of their range; the files of the run have all digits."
+    ]
+    if data["own"]["averaged"] > 1:
+        says.append(f"Courses are means over {data['own']['averaged']} blocks.")
+    if data["steps"]["every"] > 1:
+        says.append(f"Of statuses, reasons and computing times one in {data['steps']['every']} is here.")
+    if data["plans"] and data["plans"]["every"] > 1:
+        says.append(f"Of the plans one in {data['plans']['every']} is here; “tf-mpc explain” shows any.")
+    return " ".join(says)

@@ -1,0 +1,264 @@
+"""What a running controller does now, read from its journal as it grows: for `tf-mpc watch`."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from boptest_client import safe_text
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Measurement, Record
+from thermoforce_mpc.data.superposition import compose
+from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.loop.closed_loop import in_force, with_level
+from thermoforce_mpc.loop.forecasts import holes, price_paid
+from thermoforce_mpc.model.forecast_gaps import completed
+from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.records.journal import FORMAT, NAME, Entry, JournalError, JournalTail, making_sense
+from thermoforce_mpc.records.journal_values import planned_of
+from thermoforce_mpc.records.plain_files import check_plain
+from thermoforce_mpc.records.run_folder import is_complete, plain_json
+from thermoforce_mpc.records.told_steps import StepReader, ToldStep
+
+# Past shown, and steps of it at most.
+_PAST_H, _MOST_POINTS = 24.0, 288
+
+
+@dataclass(frozen=True)
+class Zone:
+    """A zone now: its temperature and comfort bounds, °C (NaN: not known)."""
+
+    name: str
+    T_C: float
+    lower_C: float
+    upper_C: float
+
+    @property
+    def outside_K(self) -> float:
+        """Distance from the comfort bounds, K; 0 without a reading, NaN without bounds."""
+        return 0.0 if np.isnan(self.T_C) else float(np.max([self.lower_C - self.T_C, self.T_C - self.upper_C, 0.0]))
+
+
+@dataclass(frozen=True)
+class Point:
+    """One step for the picture: its end, temperatures (Z,) and bounds there, °C, and mean levels in it (A,)."""
+
+    time_s: float
+    T_C: tuple[float, ...]
+    lower_C: tuple[float, ...]
+    upper_C: tuple[float, ...]
+    u: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class View:
+    """A run at an instant.
+
+    `state`: running, finished, or ended early, and `said` why; `levels`: mean level of each actuator in the step under
+    way, NaN under its own control; `cost` by metered power and prices in force (currency), `energy_kWh` and
+    `discomfort_Kh` (mean over zones) since the begin of the loop, NaN where no power was metered yet, or prices or
+    bounds are not known; `counts`: steps by status; `past` and `plan` by step.
+    """
+
+    run: str
+    testcase: str
+    controller: str
+    state: str
+    said: str
+    time_s: float
+    days: float
+    days_in_all: float
+    outdoor_C: float
+    zones: tuple[Zone, ...]
+    actuators: tuple[str, ...]
+    levels: tuple[float, ...]
+    status: str
+    acting: tuple[str, ...]
+    why: str
+    notes: tuple[str, ...]
+    cost: float
+    energy_kWh: float
+    discomfort_Kh: float
+    counts: Mapping[str, int]
+    past: tuple[Point, ...]
+    plan: tuple[Point, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it in JSON types; null where a number is not known."""
+        return dict(plain_json(asdict(self)))
+
+
+class LiveRun:
+    """Follows the journal of a run in its folder; it writes nothing there.
+
+    `controller`: whose loop, by default the latest; of a run that has finished the first, the baselines come later.
+
+    Raises:
+        JournalError: there is no journal, it is damaged, or of another format.
+        ConfigError: there is a link in the folder.
+    """
+
+    def __init__(self, folder: Path, controller: str | None = None) -> None:
+        check_plain(folder)
+        self._folder, self._wanted = folder, controller
+        self._latest = not is_complete(folder)
+        self._tail = JournalTail(folder / NAME)
+        self._scenario: Mapping[str, Any] = {}
+        self._loops: list[str] = []
+        self._layout: Layout | None = None
+        self._begin("")
+
+    def _begin(self, controller: str) -> None:
+        self._controller, self._steps = controller, StepReader()
+        self._last: ToldStep | None = None
+        self._start_s = float("nan")
+        self._cost, self._kWh, self._Kh = 0.0, 0.0, 0.0
+        self._metered = False
+        self._counts: Counter[str] = Counter()
+        self._past: deque[Point] = deque(maxlen=_MOST_POINTS)
+        self._boundary: Boundary | None = None
+
+    def now(self) -> View:
+        """What is known now.
+
+        Raises:
+            JournalError, InputError: the journal is damaged, or has no step yet, or not of the controller asked for.
+        """
+        with making_sense(self._folder / NAME):
+            for entry in self._tail.more():
+                self._take(entry)
+            if step := self._steps.under_way or self._last:
+                return self._view(step)
+            if self._wanted and self._loops and self._wanted not in self._loops:
+                raise InputError(f"--controller {self._wanted}: did not run yet; there are {', '.join(self._loops)}")
+            raise JournalError(f"{self._folder / NAME}: no step was decided yet")
+
+    def _take(self, entry: Entry) -> None:
+        if entry.kind == "run":
+            if entry.content.get("format") != FORMAT:
+                raise JournalError(f"{entry.path}: is not of format {FORMAT}, which this release reads")
+            self._scenario = entry.content["scenario"]
+        if entry.kind == "loop":
+            self._loops.append(safe_text(entry.content["controller"]))
+            if self._wanted == self._loops[-1] or (self._wanted is None and (self._latest or len(self._loops) == 1)):
+                self._begin(self._loops[-1])
+        if not self._loops or self._loops[-1] != self._controller:
+            return
+        step = self._steps.read(entry)
+        if entry.kind == "reset" and self._steps.before is not None:
+            self._start_s = self._steps.before.time_s
+        if step is not None:
+            self._add(step)
+
+    def _add(self, step: ToldStep) -> None:
+        """Count a step that has ended."""
+        self._last = step
+        self._counts[str(step.told["status"])] += 1
+        self._boundary = self._forecast(step)
+        start_s, levels = step.time_s, []
+        for block, reported in zip(step.blocks, step.after, strict=True):
+            reading = with_level(reported, block)
+            hours = (reading.time_s - start_s) / HOUR_S
+            self._metered |= bool(np.isfinite(reading.power_W).any())
+            kWh = np.nan_to_num(reading.power_W) * hours / 1000.0
+            self._kWh += float(kWh.sum())
+            if self._boundary is not None:
+                paid = kWh * self._price(self._boundary, start_s, reading.u)
+                self._cost += float(paid[kWh != 0.0].sum())
+            zones = self._zones(reading)
+            self._Kh += float(np.mean([zone.outside_K for zone in zones])) * hours
+            levels.append((hours, reading.u))
+            start_s = reading.time_s
+        if step.after:
+            u = np.average([u for _, u in levels], axis=0, weights=[h or 1e-9 for h, _ in levels])
+            T_C, lower_C, upper_C = zip(*((zone.T_C, zone.lower_C, zone.upper_C) for zone in zones), strict=True)
+            self._past.append(Point(start_s, T_C, lower_C, upper_C, tuple(u.tolist())))
+
+    def _forecast(self, step: ToldStep) -> Boundary | None:
+        """The forecast of a step; prices and bounds that it lacks are filled as in the run."""
+        forecast = step.given
+        if forecast is None or step.before is None or not holes(forecast):
+            return forecast or self._boundary
+        return completed(forecast, Record.beginning(step.before), self._boundary)[0]
+
+    def _price(self, boundary: Boundary, time_s: float, u: Array) -> Array:
+        """Price of each machine's energy (M,) at levels `u` (A,)."""
+        i = in_force(boundary, time_s)
+        price, heating = boundary.price_per_kWh[:, [i]], boundary.heating_price_per_kWh[:, [i]]
+        if np.array_equal(price, heating):
+            return price[:, 0]
+        if self._layout is None:
+            self._layout = load_testcase(str(self._scenario.get("testcase"))).layout
+        return price_paid(u[:, None], price, heating, self._layout)[:, 0]
+
+    def _zones(self, at: Measurement) -> tuple[Zone, ...]:
+        lower = upper = np.full(len(at.names.zones), np.nan)
+        if (b := self._boundary) is not None:
+            now = in_force(b, at.time_s)
+            lower, upper = b.lower_C[:, now], b.upper_C[:, now]
+        columns = (at.names.zones, at.T_zone_C.tolist(), lower.tolist(), upper.tolist())
+        return tuple(Zone(*row) for row in zip(*columns, strict=True))
+
+    def _view(self, step: ToldStep) -> View:
+        decision, names = step.told, step.names
+        at = (step.after or (step.before,))[-1]
+        self._boundary = self._forecast(step)
+        state, explanation = self._state()
+        blocks = decision["blocks"]
+        u = [[np.nan if level is None else level for level in block["u"]] for block in blocks]
+        levels = np.average(u, axis=0, weights=[block["duration_s"] for block in blocks])
+        time_s = step.time_s if at is None else at.time_s
+        since_s = time_s - _PAST_H * HOUR_S
+        return View(
+            run=str(self._folder),
+            testcase=str(self._scenario.get("testcase", "")),
+            controller=self._controller,
+            state=state,
+            said=explanation,
+            time_s=time_s,
+            days=(time_s - self._start_s) / DAY_S,
+            days_in_all=float(self._scenario.get("days") or np.nan),
+            outdoor_C=float("nan") if at is None else at.T_out_C,
+            zones=() if at is None else self._zones(at),
+            actuators=names.actuators,
+            levels=tuple(levels.tolist()),
+            status=str(decision["status"]),
+            acting=tuple(str(status) for status in decision["acting"]),
+            why=str(decision["why"]),
+            notes=step.notes,
+            cost=self._cost if self._metered else float("nan"),
+            energy_kWh=self._kWh if self._metered else float("nan"),
+            discomfort_Kh=self._Kh,
+            counts=dict(self._counts),
+            past=tuple(point for point in self._past if point.time_s > since_s),
+            plan=self._planned(decision),
+        )
+
+    def _planned(self, decision: Mapping[str, Any]) -> tuple[Point, ...]:
+        """The plan of a step, one point at the end of each of its steps."""
+        planned, b = planned_of(decision), self._boundary
+        if not planned or b is None:
+            return ()
+        u, T = planned["u"], compose(planned["T_free_C"], planned["T_forced_K"])
+        n = min(u.shape[1], b.n_steps)
+        # A forecast that stands in for one that was not given began earlier.
+        late_s = float(decision["time_s"]) - float(b.time_s[0])
+        columns = (T[:, :n], b.lower_C[:, 1 : n + 1], b.upper_C[:, 1 : n + 1], u[:, :n])
+        points = zip(*(map(tuple, rows.T.tolist()) for rows in columns), strict=True)
+        ends_s = (b.time_s[1 : n + 1] + late_s).tolist()
+        return tuple(Point(end_s, *of) for end_s, of in zip(ends_s, points, strict=True))
+
+    def _state(self) -> tuple[str, str]:
+        if is_complete(self._folder):
+            others = [name for name in self._loops if name != self._controller]
+            more = f"; --controller shows another that ran: {', '.join(others)}" if others else ""
+            return "finished", f"results and report are in the folder{more}"
+        early = self._folder / "INCOMPLETE.txt"
+        # One that is older than the journal is of a run that was resumed.
+        if early.is_file() and early.stat().st_mtime >= self._tail.path.stat().st_mtime:
+            return "ended early", early.read_text(encoding="utf-8", errors="replace")[:500].strip()
+        return "running", ""

@@ -1,1 +1,0 @@
-"""Closed-loop runs on plants, their reports and comparisons."""

@@ -1,1 +1,0 @@
-"""The journal of a run, and what it tells a resumed one."""

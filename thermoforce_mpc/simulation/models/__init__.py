@@ -1,1 +1,0 @@
-"""Where the models of a run come from: probing, measurements, or a saved folder."""

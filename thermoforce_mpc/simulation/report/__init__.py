@@ -1,5 +1,0 @@
-"""HTML report of a run: tables and plots in one self-contained file."""
-
-from thermoforce_mpc.simulation.report.html import write_report
-
-__all__ = ["write_report"]
