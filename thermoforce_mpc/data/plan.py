@@ -91,6 +91,12 @@ class Block:
         """All actuators under the plant's own control."""
         return cls((None,) * n_actuators, duration_s)
 
+    @property
+    def told(self) -> tuple[CommandValue | None, ...]:
+        """What is set at each actuator (A,): its command, where it has one, else its level; None: native control."""
+        pairs = zip(self.u, self.command, strict=True)
+        return tuple(level if level is None or command is None else command for level, command in pairs)
+
     def as_array(self) -> Array:
         """Levels (A,), NaN under native control."""
         return np.array([np.nan if level is None else level for level in self.u])
@@ -138,8 +144,8 @@ class Plan:
     prediction, `unused_capacity` (M,) the share of each machine that is not planned for. `settings` (A,): the commands
     of each actuator over the horizon, none where its level is set; () where none has a command; `saving`: what they
     save. `acting` (A,): source of the action of each actuator; `status` is that of the plan, or of what took its place
-    at one of them. `why` is one sentence for people; `news` (part of it) what was learned in this step of sensors, meters or the model;
-    `solver_status` is the solver's, `export_calls` how often it called the exported operator, `own` the values of your
+    at one of them. `why` is one sentence for people; `news` (part of it) what was learned in this step of sensors,
+    meters or the model; `solver_status` is the solver's, `export_calls` how often it called the exported operator, `own` the values of your
     own variables by name (`controller.options.terms`). `state` goes to the controller's next plan of this run and is
     opaque to others.
     """

@@ -11,10 +11,11 @@ import numpy as np
 import pandas as pd
 
 from controllers.safety.deadline import BoundedCalls, Crashed
+from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Record
 from thermoforce_mpc.errors import ConfigError, DataError, InputError, NoForecast, PlantError
 from thermoforce_mpc.measurements.forecast import read_forecast
-from thermoforce_mpc.measurements.load import Measurements, read_measurements
+from thermoforce_mpc.measurements.load import Measurements, learned_commands, read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
 from thermoforce_mpc.protocols import Connection
 
@@ -99,6 +100,11 @@ class LiveBuilding:
         record = replace(record, u=_with_applied(record, applied)).last(round(_BACK_DAYS * DAY_S / self._step_s))
         self._measured = replace(measured, record=record)
         return record
+
+    def commands(self) -> dict[str, LearnedCommand]:
+        """The commands of the map, with what the measurements tell of them; raises as `record`, and `DataError`."""
+        measured = read_measurements(self._call("measurements"), self._rules, step_s=self._step_s)
+        return learned_commands(measured.served())
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """The forecast from the last `record` on; see `Plant.forecast`."""

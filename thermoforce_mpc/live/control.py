@@ -15,7 +15,7 @@ from typing import Protocol
 
 import pandas as pd
 
-from thermoforce_mpc.data import Block, Observation, Plan, PlanStatus
+from thermoforce_mpc.data import Block, CommandValue, Observation, Plan, PlanStatus
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import PlantError, ThermoForceError
 from thermoforce_mpc.live.building import Applied, LiveBuilding
@@ -178,7 +178,7 @@ class _Loop:
         blocks, refused = checked_blocks(
             plan, controller.step_s, controller.step_s, building.layout.lowest, record.names
         )
-        if any(band is not None for block in blocks for band in block.command):
+        if any(isinstance(command, tuple) for block in blocks for command in block.command):
             refused = "refused room set-points, which a connection has none of: native control instead"
             blocks = (Block.native(len(building.names), controller.step_s),)
         # A plan that was refused did not act: the controller goes on from what it knew before.
@@ -196,7 +196,7 @@ class _Loop:
             return Decision(instant, Plan((native,), PlanStatus.NATIVE, why), (native,))
 
     def _act(self, decision: Decision, before: object) -> None:
-        """Set the levels of each block at its time, until the step ends; what is past by then is left out.
+        """Set the levels or commands of each block at its time, until the step ends; what is past by then is left out.
 
         `before`: the controller's state before the decision. What is known is kept first, and again after every block.
         """
@@ -209,11 +209,13 @@ class _Loop:
             if until > self._clock.now():
                 self._clock.wait_until(begin)
                 hold_s = (end - self._clock.now()).total_seconds() + beyond_s
-                taken = self._write(block.u, hold_s)
+                taken = self._write(block.told, hold_s)
                 start_s = self._building.time_s(begin)
                 # Nor did one whose levels were not taken.
                 self._state = self._state if taken else before
-                done = Applied(start_s, block.duration_s, block.u if taken else (None,) * len(block.u))
+                # What a command brings is measured, not known.
+                levels = tuple(None if told is not None else u for u, told in zip(block.u, block.command, strict=True))
+                done = Applied(start_s, block.duration_s, levels if taken else (None,) * len(block.u))
                 self._applied = [*self._applied, done][-_REMEMBERED:]
                 self._keep(decision.instant, before)
             begin = until
@@ -225,11 +227,11 @@ class _Loop:
             origin = self._building.origin.isoformat()
             self._kept_state.save(Kept(origin, instant.isoformat(), before, self._state, tuple(self._applied)))
 
-    def _write(self, u: Sequence[float | None], seconds: float) -> bool:
+    def _write(self, told: Sequence[CommandValue | None], seconds: float) -> bool:
         names = self._building.names
-        levels = {name: None if level is None else float(level) for name, level in zip(names, u, strict=True)}
+        levels = {name: value if isinstance(value, float) else None for name, value in zip(names, told, strict=True)}
         # Before the call: one that fails, or is interrupted, may have set them.
-        self._set = self._set or any(level is not None for level in u)
+        self._set = self._set or any(value is not None for value in levels.values())
         try:
             self._building.write(levels, seconds)
         except Exception as error:  # somebody's connection may raise anything

@@ -115,7 +115,7 @@ def plan(
     if commands_file is not None:
         _write_commands(commands_file, plan, found, display)
     if out is not None:
-        beside = {"status": str(plan.status), "why": plan.why, "solver": plan.solver_status}
+        beside: dict[str, Any] = {"status": str(plan.status), "why": plan.why, "solver": plan.solver_status}
         if commands:
             beside |= {"commands": found, "saving": _saving_json(plan)}
         write_table(out, table, display.console, "Plan", **beside)
