@@ -29,6 +29,8 @@ from thermoforce_mpc.model.operator.features import OUTDOOR, ZONE
 
 # A plan that asks for more than this beyond what commands bring is made anew, at most so often in all.
 _BEYOND, MOST_SOLVES = 0.05, 3
+NOT_BETTER = "commands that were found are not better than leaving the building alone: its own control acts"
+"""What a plan says that is not carried out."""
 # Rounds in which level and temperature of a step are made to agree.
 _ROUNDS = 8
 _DRAWS, _SEED, _QUANTILES = 40, 64, (0.05, 0.95)
@@ -40,13 +42,14 @@ _EXACT = 0.05
 class Commanded:
     """A plan in commands: levels `u` (A, N) that the loops answer with, and of each step the `turns` of each actuator.
 
-    `turns[a]` is None where an actuator has no command, or is left to itself; `states` (A,): what is set after the
+    `turns[a]` is None where an actuator has no command, or is in `left_alone`; `states` (A,): what is set after the
     first step.
     """
 
     u: Array
     turns: tuple[tuple[Turns, ...] | None, ...]
     states: tuple[CommandState | None, ...]
+    left_alone: frozenset[int]
 
     def blocks(self, a: int) -> tuple[Block, ...]:
         """The first step of actuator `a`."""
@@ -160,7 +163,13 @@ class CommandedPlan:
             levels,
             tuple(tuple(turns[a]) if a in turns else None for a in numbers),
             tuple(after.get(a) for a in numbers),
+            self.left_alone & set(self.loops),
         )
+
+    @property
+    def without(self) -> CommandedPlan:
+        """The same plan with all loops left alone."""
+        return replace(self, left_alone=self.left_alone | set(self.loops))
 
     def settings(self, commanded: Commanded, time_s: Array) -> tuple[tuple[Setting, ...], ...]:
         """The commands of each actuator in time, (A,); of one that is left to itself, that it is."""
@@ -218,11 +227,8 @@ class CommandedPlan:
         saved = cost_alone - cost + worth + (cost_alone - cost) * power_spread * z[:, A + 1]
         low, high = np.quantile(saved[1:], _QUANTILES)
 
-        def outside_Kh(one: _Followed) -> float:
-            below = np.maximum(self.boundary.lower_C[:, 1:] - one.T_bounds_C[:, 1:], 0.0)
-            above = np.maximum(one.T_bounds_C[:, 1:] - self.boundary.upper_C[:, 1:], 0.0)
-            return float((below + above).sum() * step_h)
-
+        outside = [self._outside_Kh(one.T_bounds_C) for one in (with_plan, alone)]
+        comfort = float((problem.weights.comfort * (outside[1] - outside[0])).sum())
         return PlannedSaving(
             saved=float(saved[0]),
             low=float(min(low, saved[0])),
@@ -231,9 +237,16 @@ class CommandedPlan:
             cost_alone=float(cost_alone[0]),
             energy_kWh=float(energy[0]),
             energy_alone_kWh=float(energy_alone[0]),
-            outside_Kh=outside_Kh(with_plan),
-            outside_alone_Kh=outside_Kh(alone),
+            outside_Kh=float(outside[0].sum()),
+            outside_alone_Kh=float(outside[1].sum()),
+            gain=float(saved[0]) + comfort,
         )
+
+    def _outside_Kh(self, T_C: Array) -> Array:
+        """K·h outside the comfort bounds of each zone (Z,) at temperatures (Z, N + 1), °C."""
+        below = np.maximum(self.boundary.lower_C[:, 1:] - T_C[:, 1:], 0.0)
+        above = np.maximum(T_C[:, 1:] - self.boundary.upper_C[:, 1:], 0.0)
+        return np.asarray((below + above).sum(axis=1) * self.problem.step_s / HOUR_S)
 
     @cached_property
     def _alone(self) -> _Followed:

@@ -12,7 +12,14 @@ import numpy as np
 from controllers.checks import check_names, message_of
 from controllers.monitoring.watch import Watch
 from controllers.mpc.acting import ActuatedController
-from controllers.mpc.commanding import MOST_SOLVES, Commands, effect_spread, with_command_states, with_commands
+from controllers.mpc.commanding import (
+    MOST_SOLVES,
+    NOT_BETTER,
+    Commands,
+    effect_spread,
+    with_command_states,
+    with_commands,
+)
 from controllers.mpc.config import MPCConfig
 from controllers.mpc.formulation import Formulation, Instance
 from controllers.mpc.margins import Margins
@@ -313,11 +320,15 @@ class ThermoForceMPC(ActuatedController):
                     break
                 guess = solution.u
             began = time.perf_counter()
-            brought, commanded = None, None
+            brought, commanded, saving = None, None, None
             if not refused:
                 u = solution.u
                 if own is not None:
                     commanded = own.realise(u, forecast.state.actuation)
+                    saving = own.saving(commanded, planner.evaluator, self._power_spread(readings.history))
+                    if not saving.gain > 0.0:
+                        own = own.without
+                        commanded = own.realise(u, forecast.state.actuation)
                     u = commanded.u
                 brought = planner.evaluator.brings(instance.problem, u, solution.own_values)
                 if planner.evaluator.structure.chosen or own is not None:  # levels become blocks, or are answers
@@ -334,11 +345,9 @@ class ThermoForceMPC(ActuatedController):
         limit = power_limit(instance, solution, brought, planner.evaluator)
         plan = solved_plan(instance, solution, brought, seconds, forecast, readings)
         if own is not None and commanded is not None:
-            plan = replace(
-                plan,
-                settings=own.settings(commanded, plan.time_s),
-                saving=own.saving(commanded, planner.evaluator, self._power_spread(readings.history)),
-            )
+            plan = replace(plan, settings=own.settings(commanded, plan.time_s), saving=saving)
+            if saving is not None and not saving.gain > 0.0:
+                plan = replace(plan, why=f"{NOT_BETTER}; {plan.why}")
         return Solved(plan, limit, commanded)
 
     def _realise(

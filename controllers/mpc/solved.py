@@ -141,6 +141,9 @@ def first_demands(
         if commanded is not None and commanded.turns[a] is not None:
             demands.append(commanded.blocks(a))
             continue
+        if commanded is not None and a in commanded.left_alone:
+            demands.append(None)
+            continue
         if not actuation.by_rooms:
             demands.append(u)
             continue

@@ -1,4 +1,4 @@
-"""The map from a command to a level: learned from records of loops that are known, and monotone whatever was learned."""
+"""The map from a command to a level: learned from records of known loops, and monotone whatever was learned."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_what_a_switching_thermostat_does_between_its_ends_is_not_promised():
 def test_a_level_that_follows_something_else_is_refused_with_what_to_do():
     setpoint, T, out, _ = lived(p_band)
     u = np.random.default_rng(1).uniform(0.0, 1.0, N)
-    with pytest.raises(DataError, match="the record does not tell what it does.*Try"):
+    with pytest.raises(DataError, match=r"the record does not tell what it does.*Try"):
         learn_command(SETPOINT, CommandRecord(setpoint, setpoint[:-1]), T, out, u, HOURS, "living")
 
 

@@ -49,7 +49,8 @@ class PlannedSaving:
     """What a plan in commands saves against the building left alone, by the same model, over the horizon.
 
     `saved`: currency, with its 90 % band `low` to `high` and what is stored at the end; `cost` and `energy_kWh` of the
-    plan and `alone`; `outside_Kh`: K·h outside the comfort bounds in all zones.
+    plan and `alone`; `outside_Kh`: K·h outside the comfort bounds in all zones. `gain`: `saved` with what the
+    difference in comfort counts in the plan.
     """
 
     saved: float
@@ -61,6 +62,7 @@ class PlannedSaving:
     energy_alone_kWh: float
     outside_Kh: float
     outside_alone_Kh: float
+    gain: float
 
 
 @dataclass(frozen=True, init=False)
@@ -145,9 +147,9 @@ class Plan:
     of each actuator over the horizon, none where its level is set; () where none has a command; `saving`: what they
     save. `acting` (A,): source of the action of each actuator; `status` is that of the plan, or of what took its place
     at one of them. `why` is one sentence for people; `news` (part of it) what was learned in this step of sensors,
-    meters or the model; `solver_status` is the solver's, `export_calls` how often it called the exported operator, `own` the values of your
-    own variables by name (`controller.options.terms`). `state` goes to the controller's next plan of this run and is
-    opaque to others.
+    meters or the model; `solver_status` is the solver's, `export_calls` how often it called the exported operator,
+    `own` the values of your own variables by name (`controller.options.terms`). `state` goes to the controller's next
+    plan of this run and is opaque to others.
     """
 
     blocks: tuple[Block, ...]
