@@ -43,7 +43,7 @@ _MORE_KH = 0.5
 
 
 @dataclass(frozen=True)
-class Run:
+class WeekOfHouse:
     """What a week cost, in currency, its energy, kWh, and K·h below and above the bounds of all rooms."""
 
     cost: float
@@ -60,7 +60,7 @@ def run_commands_bench(
     quick: bool = False,
     progress: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
-    """Run `houses` drawn from `seed` on; `quick`: one house for two days."""
+    """WeekOfHouse `houses` drawn from `seed` on; `quick`: one house for two days."""
     cases = [(seed + k, 2 if quick else _DAYS) for k in range(1 if quick else houses)]
 
     def told(done: int, row: Row) -> None:
@@ -124,7 +124,7 @@ def _lived(plant: HouseOfRooms, seed: int) -> Array:
     """Let a house live by its own set-points, at last with trials; the set-points of all hours (Z, n), °C."""
     begin_s = (_START - _ORDINARY - _TRIALS) * DAY_S
     plant.reset((_START - _TRIALS) * DAY_S, _ORDINARY * DAY_S, _PRICE)
-    hours = begin_s + HOUR_S * np.arange(round((_ORDINARY + _TRIALS) * 24))
+    hours: Array = begin_s + HOUR_S * np.arange(round((_ORDINARY + _TRIALS) * 24), dtype=np.float64)
     setpoints = native_setpoints_C(plant.house, hours)
     rng, away = np.random.default_rng(seed), np.zeros(len(setpoints))
     for k in range(_ORDINARY * 24, hours.size):
@@ -135,7 +135,7 @@ def _lived(plant: HouseOfRooms, seed: int) -> Array:
     return setpoints
 
 
-def _week(plant: HouseOfRooms, controller: ThermoForceMPC | None, days: int) -> tuple[Run, dict[str, float]]:
+def _week(plant: HouseOfRooms, controller: ThermoForceMPC | None, days: int) -> tuple[WeekOfHouse, dict[str, float]]:
     """A week under planned set-points, or under its own without a `controller`; and what the plans said."""
     state, said = None, {"saved": 0.0, "cost_alone": 0.0, "changes": 0.0}
     cost = energy = below = above = 0.0
@@ -160,7 +160,7 @@ def _week(plant: HouseOfRooms, controller: ThermoForceMPC | None, days: int) -> 
             energy, cost = energy + used, cost + used * float(ahead.price_per_kWh[0, 0])
             below += float(np.maximum(bounds.lower_C[:, 0] - done.T_zone_C, 0.0).sum()) * seconds / HOUR_S
             above += float(np.maximum(done.T_zone_C - bounds.upper_C[:, 0], 0.0).sum()) * seconds / HOUR_S
-    return Run(cost, energy, below, above), said
+    return WeekOfHouse(cost, energy, below, above), said
 
 
 def targets(rows: list[Row]) -> list[Target]:

@@ -21,7 +21,7 @@ from controllers.mpc.state import MPCState
 from controllers.optimisation.plan_model import Evaluator
 from controllers.optimisation.problem import MPCProblem
 from thermoforce_mpc.commands.loop import LearnedCommand
-from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, Layout, Plan, PlannedSaving, Setting
+from thermoforce_mpc.data import HOUR_S, Array, Block, Boundary, HeldCommand, Layout, Plan, PlannedSaving
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.card import ModelCard
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -58,7 +58,7 @@ class Commanded:
         return tuple(Block(float(self.u[a, 0]), seconds, (value,)) for value, seconds in steps[0])
 
 
-class Commands:
+class BuildingCommands:
     """The commands of a building's actuators."""
 
     def __init__(self, layout: Layout, learned: Mapping[int, LearnedCommand], spread: Sequence[float]) -> None:
@@ -83,7 +83,7 @@ class Commands:
 class CommandedPlan:
     """One plan in commands: `loops` by number of the actuator, of which those `left_alone` keep their usual commands.
 
-    `spread` (A,): see `Commands`.
+    `spread` (A,): see `BuildingCommands`.
     """
 
     operator: BuildingOperator
@@ -171,19 +171,19 @@ class CommandedPlan:
         """The same plan with all loops left alone."""
         return replace(self, left_alone=self.left_alone | set(self.loops))
 
-    def settings(self, commanded: Commanded, time_s: Array) -> tuple[tuple[Setting, ...], ...]:
+    def settings(self, commanded: Commanded, time_s: Array) -> tuple[tuple[HeldCommand, ...], ...]:
         """The commands of each actuator in time, (A,); of one that is left to itself, that it is."""
         out, step_s = [], self.problem.step_s
         for a, steps in enumerate(commanded.turns):
-            found: list[Setting] = []
+            found: list[HeldCommand] = []
             if steps is None and a in self.loops:
-                found = [Setting(float(time_s[0]), float(time_s[-1]) + step_s, None)]
+                found = [HeldCommand(float(time_s[0]), float(time_s[-1]) + step_s, None)]
             for at_s, turns in zip(time_s.tolist(), steps or (), strict=bool(steps)):
                 for value, seconds in turns:
                     if found and found[-1].value == value:
                         found[-1] = replace(found[-1], end_s=at_s + seconds)
                     else:
-                        found.append(Setting(at_s, at_s + seconds, value))
+                        found.append(HeldCommand(at_s, at_s + seconds, value))
                     at_s += seconds
             out.append(tuple(found))
         return tuple(out)

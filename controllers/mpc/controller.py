@@ -15,7 +15,7 @@ from controllers.mpc.acting import ActuatedController
 from controllers.mpc.commanding import (
     MOST_SOLVES,
     NOT_BETTER,
-    Commands,
+    BuildingCommands,
     effect_spread,
     with_command_states,
     with_commands,
@@ -113,7 +113,7 @@ class ThermoForceMPC(ActuatedController):
         by_number = {a: learned[one] for a, one in enumerate(layout.names.actuators) if one in learned}
         actuations = [choice.actuation for choice in choices]
         super().__init__(name, model.operator.step_s, n_steps, layout, actuations, c.fallback, by_number)
-        self._commands = Commands(layout, by_number, [effect_spread(one.card) for one in zone_models])
+        self._commands = BuildingCommands(layout, by_number, [effect_spread(one.card) for one in zone_models])
         reasons = (
             layout.names.of_actuator(a, by_number[a].in_words if a in by_number else choice.why)
             for a, choice in enumerate(choices)

@@ -19,11 +19,11 @@ from thermoforce_mpc.data.plan import (
     Block,
     Commands,
     CommandValue,
+    HeldCommand,
     Levels,
     Plan,
     PlannedSaving,
     PlanStatus,
-    Setting,
     commands_of_each,
 )
 from thermoforce_mpc.data.record import ACTING, SAMPLED, SIGNALS, Measurement, Record
@@ -45,6 +45,7 @@ __all__ = [
     "CommandValue",
     "Commands",
     "FreeForecast",
+    "HeldCommand",
     "Layout",
     "Levels",
     "Measurement",
@@ -56,6 +57,5 @@ __all__ = [
     "PlannedSaving",
     "PlantInfo",
     "Record",
-    "Setting",
     "commands_of_each",
 ]  # fmt: skip

@@ -36,7 +36,7 @@ Commands = Sequence[Any] | None
 
 
 @dataclass(frozen=True)
-class Setting:
+class HeldCommand:
     """A command from `start_s` to `end_s`, s on the clock of its plan; `value` None: what acts is left to itself."""
 
     start_s: float
@@ -176,7 +176,7 @@ class Plan:
     acting: tuple[PlanStatus, ...] = ()
     lower_C: Array = field(default_factory=lambda: np.empty(0))
     upper_C: Array = field(default_factory=lambda: np.empty(0))
-    settings: tuple[tuple[Setting, ...], ...] = ()
+    settings: tuple[tuple[HeldCommand, ...], ...] = ()
     saving: PlannedSaving | None = None
     state: object = field(default=None, repr=False)
 

@@ -17,7 +17,7 @@ from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option, model_opt
 from thermoforce_mpc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from thermoforce_mpc.commands.kinds import AnyCommand
+    from thermoforce_mpc.commands.command import Command
     from thermoforce_mpc.commands.loop import LearnedCommand
     from thermoforce_mpc.data import CommandValue
     from thermoforce_mpc.live import Decision
@@ -156,7 +156,7 @@ def in_words(decision: Decision, commands: Mapping[str, LearnedCommand]) -> str:
     return f"{decision.instant:%a %d %b %H:%M %Z}  {'; '.join(parts)}: {why}"
 
 
-def _set_in_words(told: CommandValue | None, command: AnyCommand | None) -> str:
+def _set_in_words(told: CommandValue | None, command: Command | None) -> str:
     if not isinstance(told, float):
         return "own control"
     return f"{100 * told:.0f} %" if command is None else command.in_words(told)
