@@ -11,14 +11,15 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from controllers.checks import ControllerConfigError
-from controllers.entries.entry import HANDED, Entry, build_on_model, named, own_entry, plugin_entry
+from controllers.entries.entry import HANDED, Chosen, Entry, build_on_model, named, own_entry, plugin_entry
 from controllers.policy.trained import policy_entry
-from controllers.rules.native import NativeConfig, NativeController
-from controllers.rules.pi import PIConfig, PIController, check_layout
-from controllers.rules.thermostat import Thermostat, ThermostatConfig
+from controllers.rules.native import NativeConfig, NativeController, native_for
+from controllers.rules.pi import PIConfig, PIController, pi_for
+from controllers.rules.thermostat import Thermostat, ThermostatConfig, thermostat_for
 from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.registry import Registry
 from thermoforce_mpc.scenario.actuator import RoomSetpoints
+from thermoforce_mpc.scenario.comfort import Comfort
 from thermoforce_mpc.scenario.own_code import first_line, is_own_code, is_policy, own_code, unfit
 from thermoforce_mpc.scenario.settings import StrictModel, merge, validate
 from thermoforce_mpc.scenario.testcase import Actuator, TestCase
@@ -91,21 +92,21 @@ _OWN: dict[str, Entry] = {
         False,
         lambda: ThermostatConfig,
         lambda name, config, testcase, model: Thermostat(config, testcase.layout),
-        {},
+        suited=thermostat_for,
     ),
     "pi": Entry(
         "PI on the comfort bound with anti-windup and optimal start, on/off blocks",
         False,
         lambda: PIConfig,
         lambda name, config, testcase, model: PIController(config, testcase.layout),
-        {},
+        suited=pi_for,
     ),
     "native": Entry(
         "native controller of the plant",
         False,
         lambda: NativeConfig,
         lambda name, config, testcase, model: NativeController(config),
-        {},
+        suited=native_for,
     ),
 }
 
@@ -155,51 +156,62 @@ def find_entry(name: str) -> Entry:
     return _lent[name] if name in _lent else REGISTRY.find(name)
 
 
-def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase) -> StrictModel:
-    """Validated options of a controller, defaults included.
+def choose(
+    name: str,
+    options: Mapping[str, Any],
+    testcase: TestCase,
+    comfort: Comfort | None = None,
+    step_s: float | None = None,
+) -> Chosen:
+    """The controller `name` with its validated options, defaults included.
+
+    `comfort`: bounds of the scenario; `step_s`: its control step for those that plan with a model. What the user gave
+    in `options` comes before either.
 
     Raises `ConfigError` for wrong options, each key named, or a controller that is not for this kind of test case.
     """
     entry = find_entry(name)
-    defaults: dict[str, Any] = dict(entry.defaults)
-    if name == "native":
-        defaults["step_s"] = testcase.step_s
-    if name in ("thermostat", "pi"):
-        defaults["mode"] = "cooling" if testcase.layout.mode(0) == "cooling" else "heating"
-    if name == "pi":
-        check_layout(testcase.layout)
-    points = testcase.points
-    actuators = [point.actuator for point in points.actuators]
-    machines = zip(points.layout.names.actuators, points.layout.machine_of, strict=True)
-    behind = [actuator for actuator, m in machines if points.machines[m].supply is not None]
-    if all(isinstance(actuator, RoomSetpoints) for actuator in actuators):
-        if entry.needs_model:
-            own = {"actuation": testcase.defaults.actuation} if testcase.defaults.actuation else {}
-            fields = entry.config().model_fields
-            of_rooms = {key: value for key, value in merge(_ROOM_SETPOINTS, own).items() if key in fields}
-            defaults = dict(merge(defaults, of_rooms))
-    elif "actuation" in entry.config().model_fields and "actuation" not in entry.defaults:
-        kinds = [_actuation_by_kind(actuator, entry) for actuator in actuators if isinstance(actuator, Actuator)]
-        defaults["actuation"] = testcase.defaults.actuation or kinds[0]
-        if len(behind) == len(actuators):
-            defaults["actuation"] = {**_SUPPLY, **testcase.defaults.actuation}
-        elif behind and "actuations" in entry.config().model_fields:
-            defaults["actuations"] = dict.fromkeys(behind, _SUPPLY)
-    if name == "thermostat":
-        set_points = {
-            actuator: zone.thermostat_C
-            for actuator, home in zip(points.layout.names.actuators, points.layout.home, strict=True)
-            if (zone := points.zones[home]).thermostat_C is not None
-        }
-        if testcase.thermostat_C is not None:
-            defaults["setpoint_C"] = testcase.thermostat_C
-        elif set_points:
-            defaults["setpoints_C"] = set_points
-    if _free_response_name(options) not in (None, _free_response_name(defaults)):
+    given = merge({"step_s": step_s}, options) if step_s is not None and entry.needs_model else options
+    kind = entry.config()
+    fields = kind.model_fields
+    behind = _behind_a_supply(testcase)
+    defaults = merge(
+        merge(entry.defaults, entry.suited(testcase, comfort, given)), _acting(entry, fields, testcase, behind)
+    )
+    if _free_response_name(given) not in (None, _free_response_name(defaults)):
         defaults.pop("free_response", None)  # its options are those of another
-    config = validate(entry.config(), merge(defaults, options), f"options of controller '{name}'")
-    _check_supply(config, points.layout.names.actuators, behind)
-    return config
+    config = validate(kind, merge(defaults, given), f"options of controller '{name}'")
+    _check_supply(config, testcase.layout.names.actuators, behind)
+    return Chosen(name, entry, config, testcase)
+
+
+def controller_config(name: str, options: Mapping[str, Any], testcase: TestCase) -> StrictModel:
+    """Validated options of a controller, as `choose` has them."""
+    return choose(name, options, testcase).config
+
+
+def _behind_a_supply(testcase: TestCase) -> list[str]:
+    """Actuators whose machine makes water of a temperature that plans set."""
+    points = testcase.points
+    machines = zip(points.layout.names.actuators, points.layout.machine_of, strict=True)
+    return [actuator for actuator, m in machines if points.machines[m].supply is not None]
+
+
+def _acting(entry: Entry, fields: Collection[str], testcase: TestCase, behind: Collection[str]) -> dict[str, Any]:
+    """Options that the kind of the test case's actuators asks for; `fields`: options that there are."""
+    actuators, own = [point.actuator for point in testcase.points.actuators], testcase.defaults.actuation
+    if all(isinstance(actuator, RoomSetpoints) for actuator in actuators):
+        if not entry.needs_model:
+            return {}
+        of_rooms = merge(_ROOM_SETPOINTS, {"actuation": own} if own else {})
+        return {key: value for key, value in of_rooms.items() if key in fields}
+    if "actuation" not in fields or "actuation" in entry.defaults:
+        return {}
+    kinds = [_actuation_by_kind(actuator, entry) for actuator in actuators if isinstance(actuator, Actuator)]
+    if len(behind) == len(actuators):
+        return {"actuation": {**_SUPPLY, **own}}
+    acting = {"actuation": own or kinds[0]}
+    return acting | ({"actuations": dict.fromkeys(behind, _SUPPLY)} if behind and "actuations" in fields else {})
 
 
 def _free_response_name(options: Mapping[str, Any]) -> Any:
@@ -216,12 +228,6 @@ def _check_supply(config: StrictModel, actuators: Sequence[str], behind: Collect
                 f"controller.options.actuation.mode: supply is for valves whose machine has `supply` in the test case "
                 f"file, which that of {actuator} has not; use auto"
             )
-
-
-def has_gate(name: str, options: Mapping[str, Any], testcase: TestCase) -> bool:
-    """Whether a controller stands back where there is no competent model; raises `ConfigError` for wrong options."""
-    gate = getattr(controller_config(name, options, testcase), "gate", None)
-    return gate is not None and gate.enabled
 
 
 def _actuation_by_kind(actuator: Actuator, entry: Entry) -> dict[str, Any]:
@@ -247,5 +253,4 @@ def build_controller(
     Raises:
         ConfigError: wrong options, a missing model, or one of the other mode.
     """
-    config = controller_config(name, options, testcase)
-    return find_entry(name).build(name, config, testcase, model)
+    return choose(name, options, testcase).build(model)

@@ -16,13 +16,11 @@ import numpy as np
 from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.boundary.tariffs import by_name
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
-from thermoforce_mpc.experiment.checks import validate_scenario
-from thermoforce_mpc.experiment.composition import scored_period
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.identifying import model_for
+from thermoforce_mpc.experiment.windows import scored_period
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
-from thermoforce_mpc.plants.embedded import EmbeddedPlant, schedule
-from thermoforce_mpc.plants.embedded.constructions import AREA_M2
-from thermoforce_mpc.plants.registry import build_plant
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.testcases import load_scenario
 
 LEVELS = np.arange(1, 10) / 10
@@ -46,9 +44,9 @@ def scores(plant: EmbeddedPlant, start_s: float, end_s: float) -> tuple[float, f
     """Return energy cost in EUR/m² at the constant tariff, and discomfort in K·h too cold and too warm."""
     record = plant.recorded(start_s, end_s)
     time_s, T_C = record["time"], record["T_operative"] - 273.15
-    lower, upper = schedule.bounds_C(time_s)
+    lower, upper = plant.case.schedule.bounds_C(time_s)
     power_kW = (record["P_heat_pump"] + record["P_fan"] + record["P_pump"]) / 1000
-    cost = np.trapezoid(power_kW * by_name(None)["constant"](time_s), time_s / HOUR_S) / AREA_M2
+    cost = np.trapezoid(power_kW * by_name(None)["constant"](time_s), time_s / HOUR_S) / plant.case.house.area_m2
     cold, warm = (np.trapezoid(np.maximum(x, 0), time_s / HOUR_S) for x in (lower - T_C, T_C - upper))
     return float(cost), float(cold), float(warm)
 
@@ -64,12 +62,14 @@ scenario = load_scenario(
         "plant": {"kind": "embedded", "weather": weather},
     },
 )
-testcase = validate_scenario(scenario)
-plant = build_plant(scenario.plant, testcase, scenario.seed)
+experiment = Experiment.of(scenario)
+plant = experiment.plant.build()
 assert isinstance(plant, EmbeddedPlant)
 window = scored_period(plant, scenario.period, scenario.days)
 scored_end_s = window.start_s + float(days) * DAY_S
-controller = ThermoForceMPC(model_for(scenario, testcase, plant))
+source = experiment.own.model_from
+assert source is not None
+controller = ThermoForceMPC(model_for(source, plant))
 
 for number in range(int(passes) + 1):
     run = run_closed_loop(plant, controller, window)
@@ -80,7 +80,7 @@ for number in range(int(passes) + 1):
     free_C, T_zone_C = controller.predictor.free_history(history)[0], history.T_zone_C[0]
     if number == 0:
         scored = (history.time_s > window.start_s + DAY_S / 2) & (history.time_s <= scored_end_s)
-        above_K = np.where(scored, T_zone_C - schedule.bounds_C(history.time_s)[1], -np.inf)
+        above_K = np.where(scored, T_zone_C - plant.case.schedule.bounds_C(history.time_s)[1], -np.inf)
         worst = int(np.argmax(above_K))
         at_s = history.time_s[worst]
         print(f"warmest on day {at_s / DAY_S:.2f} ({above_K[worst]:+.2f} K to the upper bound); what plans missed:")

@@ -17,7 +17,7 @@ from thermoforce_mpc.comparison.cells import expand
 from thermoforce_mpc.comparison.variants import Variant
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.model.free_response.registry import REGISTRY as FREE_RESPONSES
-from thermoforce_mpc.plants.registry import check_plant
+from thermoforce_mpc.plants.registry import choose_plant
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.registry import Registry, builder
 from thermoforce_mpc.scenario.scenario import PlantSpec, Scenario
@@ -168,7 +168,7 @@ def test_unknown_names_are_told_what_is_known(registry):
 @pytest.mark.parametrize(
     ("spec", "testcase", "words"),
     [
-        ({}, "bestest_air", "give the address of a BOPTEST service"),
+        ({}, "singlezone_commercial_hydronic", "give the address of a BOPTEST service"),
         ({"weather": "year.epw"}, "house:2rooms", r"plant\.weather: plant 'rooms'.*leave it out"),
         ({"forecast_uncertainty": "low"}, "house:2rooms", r"plant\.forecast_uncertainty: plant 'rooms'"),
         ({"options": {"leak": 1}}, "house:2rooms", r"plant\.options of plant 'rooms'.*\n.*leak: unknown key"),
@@ -176,7 +176,7 @@ def test_unknown_names_are_told_what_is_known(registry):
 )
 def test_a_plant_is_checked_before_it_is_built(spec, testcase, words):
     with pytest.raises(ConfigError, match=words):
-        check_plant(PlantSpec(**spec), load_testcase(testcase))
+        choose_plant(PlantSpec(**spec), load_testcase(testcase), 1)
 
 
 @pytest.fixture(scope="module")
@@ -192,8 +192,8 @@ def example(tmp_path_factory) -> Path:
 SCRIPT = """
 import json, sys
 from thermoforce_mpc.plants.testcases import load_scenario
-from thermoforce_mpc.experiment.checks import validate_scenario
-checked = validate_scenario(load_scenario(None, {"testcase": "north_house", "controller": {
+from thermoforce_mpc.experiment.experiment import Experiment
+checked = Experiment.of(load_scenario(None, {"testcase": "north_house", "controller": {
     "options": {"free_response": {"name": "yesterday", "options": {"spread_K": 2.0}}}}}))
 import numpy as np
 import thermoforce_mpc as tf

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -240,3 +241,30 @@ def test_a_run_with_a_model_identifies_nothing_and_says_whose_model_it_was(model
     assert result.models == {"thermoforce_mpc": model}
     assert result.identification == {}
     assert result.result.fallback_levels()["solved"] == 24
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("package", ("-c", "import thermoforce_mpc; thermoforce_mpc.ThermoForceMPC")),
+        ("package", ("-c", "import thermoforce_mpc.gym")),
+        ("package", ("-m", "thermoforce_mpc", "controllers")),
+        ("file", ("-c", "from thermoforce_mpc import run")),
+    ],
+)
+def test_something_of_the_users_called_controllers_is_named_where_it_hides_ours(tmp_path, kind, words):
+    hides = tmp_path / "controllers.py"
+    if kind == "package":
+        hides = tmp_path / "controllers"
+        hides.mkdir()
+        (hides / "__init__.py").touch()
+    else:
+        hides.touch()
+    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
+    done = subprocess.run(
+        [sys.executable, *words], capture_output=True, text=True, timeout=60, check=False, cwd=tmp_path, env=environment
+    )
+    assert done.returncode == (2 if words[0] == "-m" else 1)
+    assert f"{hides} hides the package `controllers`" in done.stderr
+    assert "rename yours" in done.stderr

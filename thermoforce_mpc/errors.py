@@ -22,6 +22,10 @@ class ConfigError(InputError):
     """A YAML file, an option or a `--set` value is invalid; names the file, the key and the allowed values."""
 
 
+class HiddenPackage(InputError, ImportError):
+    """A folder or file of the user's has the name of a package of ours and is found in its place."""
+
+
 class WeatherError(InputError):
     """A weather file is missing, truncated, malformed, or does not cover the requested time."""
 

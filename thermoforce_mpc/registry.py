@@ -20,7 +20,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from thermoforce_mpc.errors import InputError, suggestion
+from thermoforce_mpc.errors import HiddenPackage, InputError, suggestion
 
 T = TypeVar("T")
 PREFIX = "thermoforce_mpc"
@@ -118,9 +118,31 @@ def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
     def attribute(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module '{package}' has no attribute '{name}'; it has {', '.join(homes)}")
-        return getattr(import_module(homes[name]), name)
+        try:
+            home = import_module(homes[name])
+        except ImportError:
+            check_nothing_hides_us()
+            raise
+        return getattr(home, name)
 
     return attribute
+
+
+def check_nothing_hides_us() -> None:
+    """Raise `HiddenPackage` where a folder or file called `controllers` is imported in the place of ours.
+
+    Python looks into the folder of a script, with `python -m` into the working directory, before installed packages.
+    """
+    ours = Path(__file__).resolve().parents[1] / "controllers"
+    spec = find_spec("controllers")
+    if spec is None:
+        return
+    places = [Path(place) for place in spec.submodule_search_locations or ([spec.origin] if spec.origin else [])]
+    if places and not any(place.resolve() == ours for place in places):
+        raise HiddenPackage(
+            f"{places[0]} hides the package `controllers` that thermoforce-mpc needs ({ours}): rename yours, or start "
+            "Python in another folder"
+        )
 
 
 def announced(group: str) -> dict[str, list[EntryPoint]]:

@@ -18,6 +18,7 @@ from benchmarks.chaos.troubles import Trouble
 from boptest_client import TransportConfig
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import PlantError, ThermoForceError
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.run_book import RunBook
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.loop.unit_doubts import UnitDoubts
@@ -90,7 +91,7 @@ def _run(setting: Setting, troubles: tuple[Trouble, ...], seed: int, most_Kh: fl
     ended, why, began = "done", "", time.perf_counter()
     with serving(proxy) as url:
         scenario = _scenario(setting, url)
-        book = RunBook.begin(folder, scenario, ["tf-mpc", "chaos"])
+        book = RunBook.begin(folder, Experiment.of(scenario), ["tf-mpc", "chaos"])
         try:
             with (
                 logging_to(folder),

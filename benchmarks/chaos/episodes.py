@@ -23,7 +23,7 @@ from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.execution import LocalEngine, Task, execute
 from thermoforce_mpc.execution import Outcome as Executed
-from thermoforce_mpc.experiment.identifying import model_for
+from thermoforce_mpc.experiment.identifying import chosen_of, identification_task, run_identification
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
@@ -65,7 +65,8 @@ def run_chaos(
         progress("probing and identifying")
         named = {"testcase": TESTCASE, "period": str(_START_DAY), "controller": {"name": controller}}
         plant = EmbeddedPlant(synthetic_weather())
-        model = model_for(load_scenario(None, named), testcase, plant, controller)
+        scenario = load_scenario(None, named)
+        model = run_identification(identification_task(scenario, chosen_of(scenario, testcase)), plant)
     found: dict[int, Outcome] = {}
     with serving(synthetic_weather(), most_tests=_MOST_TESTS) as url:
         setting = Setting(url, testcase, model, dict(options), controller, _START_DAY * DAY_S, days)

@@ -22,6 +22,7 @@ from benchmarks.chaos.troubles import Trouble
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError, InputError, PlantError, ThermoForceError
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.run_book import RunBook
 from thermoforce_mpc.plants.fmu import FmuPlant
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
@@ -71,7 +72,7 @@ def foreign_folder(rng: np.random.Generator, folder: Path) -> list[str]:
     run.mkdir()
     plant = {"kind": "boptest", "url": "http://127.0.0.1:9"} if kind == "address" else {}
     keys = {"testcase": _TESTCASE, "controller": {"name": "thermostat"}, "plant": plant}
-    RunBook.begin(run, load_scenario(None, keys), ["tf-mpc", "run"]).journal.close()
+    RunBook.begin(run, Experiment.of(load_scenario(None, keys)), ["tf-mpc", "run"]).journal.close()
     if kind == "link":
         (run / "log.jsonl").symlink_to(victim)
     elif kind == "pipe":

@@ -19,6 +19,7 @@ for _command in (
     closed_loop.zones_command,
     closed_loop.faults_command,
     closed_loop.fallback_command,
+    closed_loop.detectors_command,
     models.operator_command,
     models.probing_command,
     models.effects_command,

@@ -29,7 +29,7 @@ from benchmarks.closed_loop.offices import (
     office_targets,
     run_offices,
 )
-from controllers.registry import build_controller
+from controllers.registry import build_controller, choose
 from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import DAY_S, HOUR_S, ZERO_C_K, Array, Period, PlanStatus
 from thermoforce_mpc.errors import DataError, InputError
@@ -38,9 +38,9 @@ from thermoforce_mpc.experiment.equal_comfort import (
     ALLOWED_KH,
     AsComfortable,
     as_comfortable,
-    shifted_options,
+    run_shifted,
 )
-from thermoforce_mpc.experiment.identifying import identification_settings, identify_on
+from thermoforce_mpc.experiment.identifying import chosen_of, identification_settings, identify_on
 from thermoforce_mpc.files import write_whole
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.model.screening import limits_of
@@ -212,7 +212,7 @@ def identify_by_default(plant: GeneratedHousePlant, period: Period, days: float)
     """Probe and identify as `tf-mpc run` does with its defaults; raises `DataError` where the record is refused."""
     scenario = Scenario(testcase=plant.testcase.name)
     spec = scenario.identification
-    probing, config = identification_settings(scenario, plant.testcase, CONTROLLER)
+    probing, config = identification_settings(scenario, chosen_of(scenario, plant.testcase, CONTROLLER))
     return identify_on(
         plant,
         before=period,
@@ -249,9 +249,8 @@ def run_case(
         def looped(controller: Controller) -> RunResult:
             return run_closed_loop(plant, controller, period, allowed=limits_of(controller, house.floor_area_m2))
 
-        def shifted(shift_K: float) -> Mapping[str, float]:
-            options = shifted_options({"step_s": THERMOSTAT_STEP_S}, plant.testcase, shift_K)
-            return looped(build_controller(THERMOSTAT, options, plant.testcase)).kpis
+        thermostat = choose(THERMOSTAT, {"step_s": THERMOSTAT_STEP_S}, plant.testcase)
+        shifted = run_shifted(thermostat, lambda controller: looped(controller).kpis)
 
         def follow(name: str, model: Any = None) -> RunResult:
             options = {"step_s": THERMOSTAT_STEP_S} if name == THERMOSTAT else {}

@@ -21,7 +21,7 @@ from thermoforce_mpc.comparison.results_json import Target
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.experiment.equal_comfort import ALLOWED_KH
-from thermoforce_mpc.experiment.identifying import identification_task, run_identification
+from thermoforce_mpc.experiment.identifying import chosen_of, identification_task, run_identification
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.model.screening import limits_of
 from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
@@ -118,9 +118,8 @@ def run_office(case: OfficeCase) -> OfficeOutcome:
     began, plant, testcase = time.perf_counter(), house_of_rooms(case.name), load_testcase(case.name)
     try:
         try:
-            model: Any = run_identification(
-                identification_task(Scenario(testcase=case.name, period=case.week), testcase), plant
-            )
+            scenario = Scenario(testcase=case.name, period=case.week)
+            model: Any = run_identification(identification_task(scenario, chosen_of(scenario, testcase)), plant)
         except DataError as error:
             model = str(error)
         ours = _follow(plant, testcase, case.week, CONTROLLER, {}, model)

@@ -25,8 +25,8 @@ from controllers.registry import controller_config
 from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
-from thermoforce_mpc.experiment.composition import scored_period
-from thermoforce_mpc.experiment.identifying import model_for
+from thermoforce_mpc.experiment.identifying import chosen_of, identification_task, model_for
+from thermoforce_mpc.experiment.windows import scored_period
 from thermoforce_mpc.loop.closed_loop import RunResult, run_closed_loop
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
@@ -130,7 +130,7 @@ def run_case(case: Case) -> list[Row]:
     with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
         window = scored_period(plant, scenario.period, scenario.days)
         try:
-            model = model_for(scenario, testcase, plant)
+            model = model_for(identification_task(scenario, chosen_of(scenario, testcase)), plant)
         except DataError as error:
             return [about | {"refused": str(error)}]
         rows = []

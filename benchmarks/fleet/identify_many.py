@@ -9,7 +9,7 @@ from time import perf_counter
 
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.experiment.identifying import identification_settings
+from thermoforce_mpc.experiment.identifying import chosen_of, identification_settings
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.identification.probing.probe import Probing
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -68,7 +68,7 @@ def probed_house(seed: int, index: int) -> Callable[[], ThermalModel]:
     """Identification of house `index` of population `seed` from three days of probing, as `tf-mpc run` does them."""
     plant = GeneratedHousePlant(draw_house(seed, index))
     testcase, scenario = plant.testcase, Scenario(testcase=plant.testcase.name)
-    probing, config = identification_settings(scenario, testcase, _CONTROLLER)
+    probing, config = identification_settings(scenario, chosen_of(scenario, testcase, _CONTROLLER))
     period = plant.period(list(WEEKS)[index % len(WEEKS)])
     start_s = period.start_s - period.warmup_s - PROBED_DAYS * DAY_S
     if start_s < 0.0:

@@ -87,7 +87,7 @@ def run_free_response_bench(
                 progress(f"{source.name}: {name} left out: {error}")
         for level in _LEVELS if source.group == "BOPTEST" else ():
             for name in _WEATHER_AWARE:
-                found = score(methods[name], source, origins, ForecastError(level, _ERROR_SEED))
+                found = score(methods[name], source, origins, ForecastError(level, level, _ERROR_SEED))
                 uncertain[level][name].append(found)
                 rows.append(_row(source, name, found, weather=level))
         progress(f"{source.name}: {len(origins)} origins")

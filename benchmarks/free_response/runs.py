@@ -41,7 +41,7 @@ def interval_runs(sources: Sequence[Source], progress: Callable[[str], None]) ->
         if source.history.step_s != HOUR_S or len(origins) < _LEAST_STEPS:
             continue
         method = build_free_response("residual")
-        inside = score(method, source, origins, ForecastError(_LEVEL, _ERROR_SEED)).inside[_SETTLING_STEPS:]
+        inside = score(method, source, origins, ForecastError(_LEVEL, _LEVEL, _ERROR_SEED)).inside[_SETTLING_STEPS:]
         share = float(inside.mean())
         ahead = {f"held_{hours}h_ahead": float(inside[:, hours - 1].mean()) for hours in _LEADS_H}
         rows.append(
@@ -80,13 +80,14 @@ def cost_rows(source: Source, backbone: str) -> list[Row]:
     method = ChronosFreeResponse(backbone)
     free, history, boundary, _ = window(source, forecast_origins(source, 1)[0])
     n = source.horizon
+    twice: dict[str, Any] = {
+        name: np.concatenate([getattr(boundary, name), getattr(boundary, name)[..., 1:]], axis=-1)
+        for name in CONDITIONS
+        if name != "time_s"
+    }
     long = replace(
         boundary,
-        **{
-            name: np.concatenate([getattr(boundary, name), getattr(boundary, name)[..., 1:]], axis=-1)
-            for name in CONDITIONS
-            if name != "time_s"
-        },
+        **twice,
         time_s=boundary.time_s[0] + boundary.step_s * np.arange(2 * n + 1),
         names=boundary.names,
     )

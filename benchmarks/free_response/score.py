@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.free_response.sources import Source
-from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
+from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.data import Array, Boundary, Record
 from thermoforce_mpc.model.free_response.following import follow
 from thermoforce_mpc.protocols import FreeResponse
@@ -63,10 +63,11 @@ def window(source: Source, origin: int, error: ForecastError | None = None) -> t
     )
     boundary = Boundary.measured(whole.slice(origin, origin + n))
     if error is not None:
-        hourly = whole.solar_W_m2[origin : origin + MAX_HORIZON_H + 1]
-        # Beyond the end of the record the last value is used; it only affects the redrawing of errors.
-        hourly = np.pad(hourly, (0, MAX_HORIZON_H + 1 - hourly.size), mode="edge")
-        T_out, solar = error.apply(boundary.time_s, boundary.T_out_C, hourly, boundary.solar_W_m2)
+        T_out, solar = error.apply(
+            boundary.time_s,
+            lambda at_s: np.interp(at_s, whole.time_s, whole.T_out_C),
+            lambda at_s: np.interp(at_s, whole.time_s, whole.solar_W_m2),
+        )
         boundary = replace(boundary, T_out_C=T_out, solar_W_m2=solar)
     return source.free_C[past], history, boundary, source.free_C[origin + 1 : origin + n + 1]
 

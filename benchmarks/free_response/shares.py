@@ -21,7 +21,7 @@ from thermoforce_mpc.protocols import FreeResponse
 
 HISTORIES_D = (1, 3, 14)
 REFERENCE, LIMIT = "linear_weather", "oracle"
-_ERRORS = {"perfect": None, "medium errors": ForecastError("medium", 1)}
+_ERRORS = {"perfect": None, "medium errors": ForecastError("medium", "medium", 1)}
 _LEADS_H = (6, 24)
 
 

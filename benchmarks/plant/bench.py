@@ -75,7 +75,7 @@ def run_plant_bench(
         targets.append(Target(f"{what}: effect RMSE, K", rmse, 0.03))
     if not rows:
         raise DataError(f"{reference}: nothing to score (no excite_*, off_*, native_*, baseline_kpis* or pairs/)")
-    if published_windows(plant.weather.fingerprint):  # the thermostat runs were recorded in this weather
+    if published_windows(plant.case.name, plant.weather):  # the thermostat runs were recorded in this weather
         progress("thermostats")
         for thermostat in scores.THERMOSTATS[:: 4 if quick else 1]:
             off = scores.thermostat_energy(plant, thermostat) / thermostat.ener_tot - 1

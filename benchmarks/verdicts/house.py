@@ -17,7 +17,7 @@ from benchmarks.effects.asking import paired, said
 from controllers.registry import build_controller
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.experiment.identifying import identification_settings
+from thermoforce_mpc.experiment.identifying import chosen_of, identification_settings
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.identification.probing.probe import Probing
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
@@ -105,7 +105,7 @@ def judged(case: Case) -> list[Judged]:
     scenario = Scenario(testcase=house.name)
     with closing(GeneratedHousePlant(house)) as plant:
         testcase = plant.testcase
-        probing, config = identification_settings(scenario, testcase, CONTROLLER)
+        probing, config = identification_settings(scenario, chosen_of(scenario, testcase, CONTROLLER))
         off, true_K = paired(plant)
         run = Probing(plant, _PROBING_DAY * DAY_S, seed=_SEED, layout=testcase.layout, config=probing)
         records = [(days, run.go_on(days - run.days)) for days in case.days]

@@ -8,9 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.zones.effects import PairScore, score_pairs
-from thermoforce_mpc.experiment.checks import validate_scenario
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.identifying import identification_task, run_identification
-from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.rooms.plant import HouseOfRooms
 from thermoforce_mpc.plants.testcases import load_scenario
 
@@ -23,10 +22,10 @@ def main(houses: Sequence[str]) -> None:
     for house in houses:
         days = {"days": _PROBING_DAYS, "most_days": _PROBING_DAYS}
         scenario = load_scenario(None, {"testcase": house, "period": _PERIOD, "identification": days})
-        testcase = validate_scenario(scenario)
-        plant = build_plant(scenario.plant, testcase, scenario.seed)
+        experiment = Experiment.of(scenario)
+        plant = experiment.plant.build()
         assert isinstance(plant, HouseOfRooms)
-        model = run_identification(identification_task(scenario, testcase), plant)
+        model = run_identification(identification_task(scenario, experiment.own.chosen), plant)
         scores = score_pairs(plant, model, plant.period(_PERIOD).start_s)
         own, across = ([s for s in scores if s.own is mine] for mine in (True, False))
         shown = (_pooled(own), _pooled(across), _signs(own), _signs(across))

@@ -21,15 +21,14 @@ from benchmarks.zones.apart import OnePerZone
 from benchmarks.zones.effects import PairScore, score_pairs, worst
 from benchmarks.zones.scaling import BesideDoMpc, beside_do_mpc, exponent, solve_times
 from controllers.mpc.config import MPCConfig
-from controllers.registry import controller_config
 from thermoforce_mpc.comparison.results_json import Target, results_json
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
 from thermoforce_mpc.execution import Engine
-from thermoforce_mpc.experiment.checks import validate_scenario
-from thermoforce_mpc.experiment.composition import controller_options, scored_period
-from thermoforce_mpc.experiment.identifying import identification_task, run_identification
+from thermoforce_mpc.experiment.experiment import Experiment
+from thermoforce_mpc.experiment.identifying import chosen_of, identification_task, run_identification
 from thermoforce_mpc.experiment.run import run
+from thermoforce_mpc.experiment.windows import scored_period
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.model.thermal_model import ThermalModel
@@ -195,10 +194,10 @@ def _run(case: Case) -> Outcome:
         "identification": {"days": _PROBING_DAYS, "most_days": _PROBING_DAYS},
     }
     scenario = load_scenario(None, {"testcase": case.testcase, "controller": {"name": CONTROLLER}, **settings})
-    testcase = validate_scenario(scenario)
+    testcase = Experiment.of(scenario).testcase
     records: list[Record] = []
     with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
-        task = identification_task(scenario, testcase)
+        task = identification_task(scenario, chosen_of(scenario, testcase))
         model = run_identification(task, plant, records.append)
         period = scored_period(plant, case.period, case.days)
         effects = score_pairs(plant, model, period.start_s) if isinstance(plant, HouseOfRooms) else ()
@@ -219,8 +218,8 @@ def _run(case: Case) -> Outcome:
 def _per_zone(case: Case, model: ThermalModel, settings: Mapping[str, Any]) -> Mapping[str, float]:
     """KPIs of one controller per zone."""
     scenario = load_scenario(None, {"testcase": case.testcase, "controller": {"name": CONTROLLER}, **settings})
-    testcase = validate_scenario(scenario)
-    config = controller_config(CONTROLLER, controller_options(scenario, CONTROLLER), testcase)
+    testcase = Experiment.of(scenario).testcase
+    config = chosen_of(scenario, testcase, CONTROLLER).config
     assert isinstance(config, MPCConfig)
     with closing(build_plant(scenario.plant, testcase, scenario.seed)) as plant:
         period = scored_period(plant, case.period, case.days)

@@ -14,11 +14,10 @@ import numpy as np
 
 from thermoforce_mpc.data import Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.experiment.checks import validate_scenario
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.identifying import IdentificationTask, identification_task, run_identification
 from thermoforce_mpc.identification.pipeline import identify
 from thermoforce_mpc.model.thermal_model import ThermalModel
-from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_scenario
 
 _PERIODS, _PROBING_DAYS, _DRAWS, _SEED = ("cold_week", "sunny_week"), 3.0, 10, 0
@@ -41,9 +40,9 @@ def probe(house: str, period: str) -> tuple[IdentificationTask, Record]:
     """Three days of probing before a window."""
     days = {"days": _PROBING_DAYS, "most_days": _PROBING_DAYS}
     scenario = load_scenario(None, {"testcase": house, "period": period, "identification": days})
-    testcase, records = validate_scenario(scenario), list[Record]()
-    task = identification_task(scenario, testcase)
-    run_identification(task, build_plant(scenario.plant, testcase, scenario.seed), records.append)
+    experiment, records = Experiment.of(scenario), list[Record]()
+    task = identification_task(scenario, experiment.own.chosen)
+    run_identification(task, experiment.plant.build(), records.append)
     return task, records[-1]
 
 

@@ -12,8 +12,9 @@ from scipy import sparse
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.plan_model import PlanModel
 from controllers.optimisation.problem import POWER_UNIT_W, MPCProblem
+from controllers.optimisation.programme import QPData
 from controllers.optimisation.solution import Answer, Solution, checked, failed
-from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, QPData
+from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig
 from controllers.optimisation.statement.terms import PlanExpressions
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
@@ -70,6 +71,8 @@ class SharedPower:
 # Power above its part of the limit that a checked plan may have, kW: a solver's tolerance. The programme's limit is
 # lower by as much for each building.
 LIMIT_TOLERANCE_KW = 1e-5
+# Share of what plans consist of within which they are the optimum.
+_OF_TERMS = 1e-4
 
 
 def power_of_steps(plan: PlanExpressions) -> None:
@@ -101,8 +104,8 @@ class Member:
         self.programme, self.power_at = self._model.local(self._p), self._model.own_at
 
     def checked(self, x: Array) -> Solution:
-        """Its plan, from its variables in a solution of all."""
-        answer = Answer(x, self.programme.objective(x), "jointly:solved", 0)
+        """Its plan, from its variables in the optimum of all."""
+        answer = Answer(x, self.programme.objective(x), "jointly:solved", 0, shown=True)
         solution = checked(self._model, self._problem, self._p, answer)
         if solution.ok and (power_kW(solution) > x[self.power_at] + LIMIT_TOLERANCE_KW).any():
             return failed(solution.status, 0, "its levels draw more than its part of the limit")
@@ -140,7 +143,10 @@ def plan_jointly(members: Sequence[Member], shared: SharedPower, config: QPConfi
         if parts is None:
             why = _why_not(left, config)
         else:
-            solutions = {member.name: member.checked(x) for member, x in zip(left, parts, strict=True)}
+            each, above = parts
+            solutions = {member.name: member.checked(x) for member, x in zip(left, each, strict=True)}
+            if above:
+                solutions = {of: replace(s, optimal=False, problem=s.problem or above) for of, s in solutions.items()}
             why = {name: solution.problem for name, solution in solutions.items() if not solution.ok}
         if not why:
             break
@@ -161,11 +167,16 @@ def _why_not(members: Sequence[Member], config: QPConfig) -> dict[str, str]:
     return dict.fromkeys((member.name for member in members), "no solver finds plans within what is shared")
 
 
-def _solved(members: Sequence[Member], shared: SharedPower, config: QPConfig) -> list[Array] | None:
-    found = Piqp(config)(joint_programme(members, shared))
+def _solved(members: Sequence[Member], shared: SharedPower, config: QPConfig) -> tuple[list[Array], str] | None:
+    """Variables of each member, and why they are not the optimum of all, ''; None where there is none."""
+    programme = joint_programme(members, shared)
+    found = Piqp(config)(programme)
     if not found.solved:
         return None
-    return np.split(found.x, np.cumsum([member.programme.linear.size for member in members]))[:-1]
+    above = programme.above_least(found.x, found.multipliers)
+    terms = programme.unit * float(np.abs(programme.linear * found.x).sum())
+    why = "" if above <= _OF_TERMS * terms else f"all plans together may cost {above:.3g} more than others"
+    return np.split(found.x, np.cumsum([member.programme.linear.size for member in members]))[:-1], why
 
 
 def joint_programme(members: Sequence[Member], shared: SharedPower) -> QPData:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 from controllers.checks import ControllerConfigError
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.protocols import Controller
+from thermoforce_mpc.scenario.comfort import Comfort
 from thermoforce_mpc.scenario.own_code import called, first_line, options_model, unfit
 from thermoforce_mpc.scenario.settings import StrictModel
 from thermoforce_mpc.scenario.testcase import TestCase
@@ -27,7 +28,9 @@ class Entry:
 
     `summary`: one line for `tf-mpc controllers`; `needs_model`: whether it plans with an identified one; `config`
     returns the class of its options, called when the controller is used; `build` makes it from its name, validated
-    options, test case and model, or the reason why there is none; `defaults`: its own defaults of options.
+    options, test case and model, or the reason why there is none; `defaults`: its own defaults of options; `suited`:
+    those that a test case and the comfort bounds of a scenario make of what the user gave, and the check that it is for
+    such a test case.
     """
 
     summary: str
@@ -35,6 +38,35 @@ class Entry:
     config: Callable[[], type[StrictModel]]
     build: Callable[[str, Any, TestCase, ThermalModel | str | None], Controller]
     defaults: Mapping[str, Any] = field(default_factory=dict)
+    suited: Callable[[TestCase, Comfort | None, Mapping[str, Any]], Mapping[str, Any]] = lambda *_: {}
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A controller that was looked up and whose options were checked, once: all of it but the model."""
+
+    name: str
+    entry: Entry
+    config: StrictModel
+    testcase: TestCase
+
+    @property
+    def needs_model(self) -> bool:
+        """Whether it plans with an identified model."""
+        return self.entry.needs_model
+
+    @property
+    def has_gate(self) -> bool:
+        """Whether it stands back where there is no competent model."""
+        gate = getattr(self.config, "gate", None)
+        return gate is not None and bool(gate.enabled)
+
+    def build(self, model: ThermalModel | str | None = None) -> Controller:
+        """The controller on a model, or on the reason why there is none.
+
+        Raises `ConfigError` where it needs a model and has none, or one of the other mode.
+        """
+        return self.entry.build(self.name, self.config, self.testcase, model)
 
 
 def build_on_model(

@@ -25,11 +25,10 @@ from pydantic import Field
 
 from controllers.checks import ControllerConfigError
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Layout, Record
+from thermoforce_mpc.data.limits import RULES
 from thermoforce_mpc.scenario.settings import StrictModel
 
-# Least move of what each signal follows, and the unit in messages.
-_MOVED = {"T_out_C": 2.0, "solar_W_m2": 100.0, "power_W": 0.25, "heat_W": 0.25}
-_UNITS = {"T_out_C": "°C", "solar_W_m2": "W/m²", "power_W": "W", "heat_W": "W"}
+_JUDGED = ("T_out_C", "solar_W_m2", "power_W", "heat_W")
 _WEATHER = ("T_out_C", "solar_W_m2")
 # Readings within this share of one another are the same; of the largest of the record they are next to nothing.
 _SAME, _NOTHING = 1e-9, 0.05
@@ -40,7 +39,9 @@ class MeterConfig(StrictModel):
 
     enabled: bool = Field(True, description="judge the readings of weather sensors and meters")
     frozen_h: float = Field(
-        3.0, gt=0, description="shortest time after which a reading that repeats itself may be stuck, h"
+        RULES["T_out_C"].frozen_h,
+        gt=0,
+        description="shortest time after which a reading that repeats itself may be stuck, h",
     )
     moved: float | None = Field(
         None,
@@ -89,7 +90,7 @@ class Meters:
     single: Mapping[str, MeterConfig] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        names = [*_MOVED, *(self._label(*point) for point in self._points)]
+        names = [*_JUDGED, *(self._label(*point) for point in self._points)]
         for name in self.single:
             if name not in names:
                 raise ControllerConfigError(
@@ -167,7 +168,7 @@ class Meters:
         if not values.size or not math.isfinite(state.value):
             return state
         hours, moved = (float(at_s[-1]) - state.since_s) / HOUR_S, state.high - state.low
-        least = config.moved or _MOVED[name]
+        least = config.moved or RULES[name].moved
         if not state.stuck:
             if hours < config.frozen_h - 1e-6 or not moved >= least:
                 return state
@@ -176,7 +177,7 @@ class Meters:
                 return state
         reference = "forecast" if name in _WEATHER else "level"
         unit = {"T_out_C": " K", "solar_W_m2": " W/m²"}.get(name, "")
-        reading = f"{state.value:.4g} {_UNITS[name]}"
+        reading = f"{state.value:.4g} {RULES[name].unit}"
         stuck = f"has been {reading} for {hours:.3g} h, in which its {reference} moved by {moved:.3g}{unit}"
         new = tuple(float(t) for t in at_s[at_s > state.since_s] if float(t) not in state.refused_s)
         return replace(state, stuck=stuck, refused_s=(*state.refused_s, *new))

@@ -7,13 +7,15 @@ little in the sun.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from controllers.checks import message_of
 from thermoforce_mpc.data import DAY_S, HOUR_S, Record
 from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.execution.cooperative import Computation, Request, perform
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import prepared_runs
 from thermoforce_mpc.identification.network.sensor import sun_on_sensor
@@ -23,12 +25,12 @@ from thermoforce_mpc.model.thermal_model import ThermalModel
 
 # Days that are looked at.
 _LATEST_S = 10 * DAY_S
-# A look takes seconds. So it is made where these days have this many times the sun of those of the last look; and in
-# the dark, when what it finds changes no reading.
-_MORE_SUN, _DARK_W_M2 = 1.4, 1.0
+# A look takes a second or more. So it is made where these days have this many times the sun of those of the last look;
+# in the dark, when what it finds changes no reading; and where one failed, not before so long after it.
+_MORE_SUN, _DARK_W_M2, _AGAIN_S = 1.4, 1.0, 0.5 * DAY_S
 # Probabilities from which a look finds sun, more than identification asks of its one record, since looks are several,
 # and below which sun that was found before is dropped.
-_FOUND, _UNLIKELY = 0.95, 0.1
+_FOUND, _UNLIKELY = 0.99, 0.1
 # Share of the standard deviation of what is taken off that a new find must undercut.
 _CLEARLY_SURER = 0.7
 
@@ -60,10 +62,11 @@ class SunOnSensors:
         asked = [not home or model.cards[home[0]].config.get("sun_on_sensor", True) for home in homes]
         self._looked_for = tuple(a and b for a, b in zip(asked, validated, strict=True))
 
-    def update(self, state: SunState, history: Record) -> SunState:
+    def updating(self, state: SunState, history: Record, seconds: float) -> Computation[SunState]:
         """The state after a look, where it is dark and more sun has shone than at the last one.
 
-        The first is in the first night, when the latest days may be others than those of the model.
+        The first is in the first night, when the latest days may be others than those of the model. A look that is not
+        over within `seconds` of wall time is left behind, so that no step waits for it.
         """
         if history.n_steps < 1:
             return state
@@ -74,12 +77,13 @@ class SunOnSensors:
         dark = history.solar_W_m2[-1] <= _DARK_W_M2
         if not dark or sun_Wh_m2 < _MORE_SUN * state.sun_Wh_m2 or not any(self._looked_for):
             return state
+        if state.failed and now_s - state.looked_s < _AGAIN_S:
+            return state
         try:
-            runs = self._prepared(latest)
-            found = tuple(self._update_zone(z, before, runs) for z, before in enumerate(state.found))
+            found = yield from perform(Request(self, partial(self._look, state, latest), seconds=seconds))
         except Exception as error:  # what is learned for later must not cost the plan of now
             failed = f"sun on the sensors could not be looked for ({message_of(error)})"
-            return SunState(now_s, state.found, failed, sun_Wh_m2)
+            return replace(state, looked_s=now_s, failed=failed)
         return SunState(now_s, found, sun_Wh_m2=sun_Wh_m2)
 
     def of_zones(self, state: SunState) -> tuple[SunOnSensor | None, ...]:
@@ -100,6 +104,11 @@ class SunOnSensors:
                 )
                 changes.append(text if len(zones) == 1 else f"{zone}: {text}")
         return "; ".join(changes)
+
+    def _look(self, state: SunState, latest: Record) -> tuple[SunOnSensor | None, ...]:
+        """What looks have found after one more at the latest days, by zone."""
+        runs = self._prepared(latest)
+        return tuple(self._update_zone(z, before, runs) for z, before in enumerate(state.found))
 
     def _update_zone(self, z: int, before: SunOnSensor | None, runs: Sequence[Record]) -> SunOnSensor | None:
         """What looks have found for zone `z` after one more: another find replaces one that is clearly less certain."""

@@ -51,7 +51,7 @@ from controllers.monitoring.watch_tests import (
     machine_ratio,
 )
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
-from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
+from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, each_direction, said
 from thermoforce_mpc.model.operator.building import forced_rollout
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -101,6 +101,7 @@ class Watch:
         actuators too: how warm its water is goes by them, and so the heat of a level; `machine_factor` counts twice.
         """
         self.config, self._model, self._power = config, model, power
+        self._signed = model.operator.heat_input.lowest < 0.0
         self._machine_factor = config.machine_factor ** (2 if shared else 1)
         self.step_s = model.operator.step_s
         leads = [max(1, round(lead * HOUR_S / self.step_s)) for lead in LEADS_H]
@@ -115,8 +116,13 @@ class Watch:
         self._n_steps = n_steps
 
     def begin(self, time_s: float) -> WatchState:
-        """The state at the begin of a run: hours that were blocked while probing are known."""
-        return WatchState(blocked=BlockedHours.known(self._model.card.blocked_hours, time_s))
+        """The state at the begin of a run: hours that were blocked while probing are known, and said."""
+        card = self._model.card
+        hours = [card.blocked_hours, *[card.blocked_cooling_hours] * self._signed]
+        if not self.config.blocked_hours:
+            hours = [()] * len(hours)
+        known = tuple(BlockedHours.known(each, time_s) for each in hours)
+        return WatchState(blocked=known, news=f"{said(known)}; found while probing" if any(hours) else "")
 
     def due(self, time_s: float) -> bool:
         """Whether a prediction is to be recorded at `time_s`."""
@@ -144,7 +150,7 @@ class Watch:
         """
         if not self.config.enabled:
             return WatchState()
-        state = _with_blocked_hours(state or WatchState(), history, self._model.operator.sign)
+        state = self._with_blocked_hours(state or self.begin(float(history.time_s[-1])), history)
         now = float(history.time_s[-1])
         levels = cache(partial(applied_levels, state.asked, history))
         state = replace(state, tracks=tuple(self._validate_due(track, history, levels) for track in state.tracks))
@@ -366,6 +372,23 @@ class Watch:
             state, tracks=(in_use,), ratios=(), asked=(), alarm="", of_levels=False, returned_s=now, news=news
         )
 
+    def _with_blocked_hours(self, state: WatchState, history: Record) -> WatchState:
+        """The state with what the last hour told of blocked hours; news of them only, in the first step as it is."""
+        if not self.config.blocked_hours or not history.n_steps:
+            return replace(state, news=state.news if not state.asked else "")
+        time_s, levels = np.reshape(state.asked, (-1, 2)).T
+        after = []
+        # Requests and steps of the record are matched by `after`: levels of both are those of a direction.
+        for way, (asked, record, sign) in zip(
+            state.blocked,
+            each_direction(levels, history, self._model.operator.sign, signed=self._signed),
+            strict=True,
+        ):
+            after.append(way.after(list(zip(time_s.tolist(), asked.tolist(), strict=True)), record, sign))
+        changed = [way.hours for way in after] != [way.hours for way in state.blocked]
+        news = said(tuple(after)) if changed else state.news if not state.asked else ""
+        return replace(state, blocked=tuple(after), news=news)
+
     def _recent(self, track: Track, now: float) -> Judged:
         return Judged.of(track.judged[now - track.judged[:, 0] < self.config.return_h * HOUR_S - 1.0])
 
@@ -383,15 +406,11 @@ class Watch:
         return True
 
 
-def _with_blocked_hours(state: WatchState, history: Record, sign: int) -> WatchState:
-    """The state with what the last hour told of blocked hours; news of them only."""
-    after = state.blocked.after(state.asked, history, sign)
-    news = after.in_words() if after.hours != state.blocked.hours else ""
-    return replace(state, blocked=after, news=news)
-
-
 def _not_following(state: WatchState, history: Record) -> str:
-    return level_fault(state.blocked.outside(state.asked), history)
+    asked = state.asked
+    for each in state.blocked:
+        asked = each.outside(asked)
+    return level_fault(asked, history)
 
 
 def e_value(z: float) -> float:

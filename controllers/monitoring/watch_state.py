@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from thermoforce_mpc.data import HOUR_S, Array
-from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
+from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, Directions
 from thermoforce_mpc.model.operator.certificate import certificate
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 from thermoforce_mpc.model.predictor import PredictorState
@@ -70,6 +70,9 @@ class WatchConfig(StrictModel):
     )
     false_alarm: float = Field(
         0.05, gt=0, lt=1, description="largest probability of an alarm in 30 days while errors are as promised"
+    )
+    blocked_hours: bool = Field(
+        True, description="plan without hours of the day in which nothing comes, whatever is asked for"
     )
     least_K: float = Field(
         0.1, gt=0, description="promises of errors below this at 1 h, and 2.4 times this at 6 h, are not held to, K"
@@ -159,14 +162,14 @@ class WatchState:
     """State of the watch during a run.
 
     `tracks`: the model in use; while standing back also its candidates for return. `blocked`: hours in which nothing
-    comes whatever is asked for. `asked`: (start s, mean level) that the last plans requested. `ratios`: (time s,
-    measured heat or power over modelled). `alarm`: why control was handed back at `since_s`, empty while the model is
-    in use; `of_levels`: for levels that were not followed. `wait_h`: shortest time of standing back; `returned_s`: last
-    return, and `news` what to say of it in this step's plan.
+    comes whatever is asked for, by direction. `asked`: (start s, mean level) that the last plans requested. `ratios`:
+    (time s, measured heat or power over modelled). `alarm`: why control was handed back at `since_s`, empty while the
+    model is in use; `of_levels`: for levels that were not followed. `wait_h`: shortest time of standing back;
+    `returned_s`: last return, and `news` what to say of it in this step's plan.
     """
 
     tracks: tuple[Track, ...] = (Track(),)
-    blocked: BlockedHours = field(default_factory=BlockedHours)
+    blocked: Directions = (BlockedHours(),)
     asked: tuple[tuple[float, float], ...] = ()
     ratios: tuple[tuple[float, float], ...] = ()
     alarm: str = ""

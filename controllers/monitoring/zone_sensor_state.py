@@ -8,24 +8,28 @@ from dataclasses import dataclass
 from pydantic import Field, model_validator
 
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.data.limits import ZONE_C
+from thermoforce_mpc.data.limits import RULES
 from thermoforce_mpc.scenario.settings import StrictModel
+
+_RULE = RULES["T_zone_C"]
 
 
 class SensorConfig(StrictModel):
     """Which readings of a zone sensor are believed."""
 
     enabled: bool = Field(True, description="judge the readings of zone sensors by the model")
-    lowest_C: float = Field(ZONE_C[0], description="readings below are not believed, °C")
-    highest_C: float = Field(ZONE_C[1], description="readings above are not believed, °C")
+    lowest_C: float = Field(_RULE.range[0], description="readings below are not believed, °C")
+    highest_C: float = Field(_RULE.range[1], description="readings above are not believed, °C")
     jump_K: float = Field(
-        1.0,
+        _RULE.expected,
         gt=0,
         description="distance from the prediction within which a reading is always believed, K; more where the record "
         "changes by more than half of it within a step",
     )
     frozen_h: float = Field(
-        1.0, gt=0, description="shortest time after which a reading that repeats itself may be a stuck sensor, h"
+        _RULE.frozen_h,
+        gt=0,
+        description="shortest time after which a reading that repeats itself may be a stuck sensor, h",
     )
     bridge_h: float = Field(
         6.0, ge=0, description="time for which the model stands in for readings that are not believed, h"

@@ -102,6 +102,7 @@ class DeadlineConfig(StrictModel):
 
     forecast_s: float = Field(60.0, gt=0, description="free forecasts of all zones of a step, s")
     solve_s: float = Field(60.0, gt=0, description="solve of a step, s; solvers have limits of their own as well")
+    look_s: float = Field(20.0, gt=0, description="look for sun on the zone sensors, at night, s")
 
 
 class MoveBlockingConfig(StrictModel):
@@ -144,6 +145,9 @@ class MPCConfig(StrictModel):
     offset_h: float | None = Field(
         6.0, gt=0, description="time over which the mean error of one-step predictions is added to them, h; null: never"
     )
+    unused_capacity: bool = Field(
+        True, description="leave a share of a machine that several feed on unused, where it was found at its limit"
+    )
     solver: Literal["auto", "ipopt", "qp", "sqp", "milp"] = Field(
         "auto",
         description="ipopt: nonlinear programme; qp: quadratic programme, where the problem is convex; sqp: sequential "
@@ -157,6 +161,12 @@ class MPCConfig(StrictModel):
         "from where the command is started. See the how-to 'Your own optimisation'",
     )
     objective: ObjectiveConfig = ObjectiveConfig()
+    whole_runs: bool = Field(
+        False,
+        description="plan an on/off machine in runs that keep its minimum on and off times over all of the horizon, "
+        "where a step does not hold both (`tf-mpc plan` does); else the plan has shares of steps, and blocks keep the "
+        "times from step to step",
+    )
     move_blocking: MoveBlockingConfig = MoveBlockingConfig()
     free_response: FreeResponseConfig = FreeResponseConfig()
     actuation: ActuationConfig = ActuationConfig()

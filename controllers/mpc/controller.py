@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from controllers.actuation.runs import in_runs, needs_runs, without_owed
 from controllers.checks import check_names, message_of
 from controllers.monitoring.watch import Watch
 from controllers.mpc.acting import ActuatedController
@@ -34,13 +35,13 @@ from controllers.mpc.planner import (
     plan_shape,
 )
 from controllers.mpc.prediction import Failure, Forecast, Prediction, WatchedPredictions
-from controllers.mpc.readings import Readings, ReadingsFilter
+from controllers.mpc.readings import Readings, ReadingsFilter, joined
 from controllers.mpc.realisation import Realisation
-from controllers.mpc.solved import Solved, first_demands, power_limit, solved_plan
+from controllers.mpc.solved import Solved, beyond_rooms, first_demands, power_limit, solved_plan
 from controllers.mpc.state import MPCState
-from controllers.optimisation.plan_model import Evaluator
+from controllers.optimisation.plan_model import Evaluation, Evaluator
 from controllers.optimisation.problem import MPCProblem
-from controllers.optimisation.solution import Solve, Solver
+from controllers.optimisation.solution import Solution, Solve, Solver
 from controllers.optimisation.statement.terms import Terms, load_terms, of_controller
 from controllers.safety.deadline import BoundedCalls, Overdue
 from controllers.safety.fallback_policy import FallbackPolicy, GoodPlan
@@ -55,7 +56,7 @@ from controllers.safety.overrides import (
     decide,
 )
 from thermoforce_mpc.commands.loop import LearnedCommand
-from thermoforce_mpc.data import Array, Observation, Plan, Record
+from thermoforce_mpc.data import HOUR_S, Array, Observation, Plan, Record
 from thermoforce_mpc.execution.cooperative import Computation, DirectHandler, Request, perform, run, timed, within
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.predictor import PredictionContext, Predictor
@@ -229,6 +230,8 @@ class ThermoForceMPC(ActuatedController):
         if before is None:
             watch = self._watched.begin(observation.time_s)
             before = MPCState.begin(observation.time_s, self._layout.names, watch, self._readings.meters.begin)
+        if self.config.whole_runs:
+            actuation = without_owed(self._actuators, actuation, self.step_s)
         before = replace(before, actuation=actuation, last_s=observation.time_s)
         try:
             return (yield from self._step(observation, before))
@@ -237,7 +240,7 @@ class ThermoForceMPC(ActuatedController):
 
     def _step(self, observation: Observation, state: MPCState) -> Computation[Plan]:
         """One control step: each line a station, from what is believed to what is applied."""
-        readings, state = self._clean(observation, state)
+        readings, state = yield from self._clean(observation, state)
         state = yield from self._watch(readings, state)
         situation = Situation(readings.observation, readings.zones, state.watch)
         overrides = decide(self._overrides, situation)
@@ -251,7 +254,7 @@ class ThermoForceMPC(ActuatedController):
             plan = self._realise(result, readings, overrides, situation)
         return self._watched.record_request(readings.observation, plan.with_news(*readings.news))
 
-    def _clean(self, observation: Observation, state: MPCState) -> tuple[Readings, MPCState]:
+    def _clean(self, observation: Observation, state: MPCState) -> Computation[tuple[Readings, MPCState]]:
         """What is believed; a model that may not act says nothing of readings."""
         as_identified = self._planners.of(state.adaptation) is self._planners.base
         return self._readings.clean(
@@ -341,14 +344,41 @@ class ThermoForceMPC(ActuatedController):
         if brought is None or brought.broken:
             why = refused or f"the solver's levels leave a limit: {brought.broken if brought else ''}"
             return Failure(why, forecast.state, solution.status, seconds)
+        if beyond := beyond_rooms(instance.problem, brought, readings.observation.names.zones):
+            return Failure(beyond, forecast.state, solution.status, seconds)
         solution = solution if commanded is None else replace(solution, u=commanded.u)
+        if self.config.whole_runs and not overrides.keys() >= set(self._in_runs):
+            solution, brought = self._with_runs(instance, solution, brought, forecast, list(overrides))
         limit = power_limit(instance, solution, brought, planner.evaluator)
-        plan = solved_plan(instance, solution, brought, seconds, forecast, readings)
+        free_steps = max(1, round(self.config.move_blocking.free_h * HOUR_S / self.step_s))
+        plan = solved_plan(instance, solution, brought, seconds, forecast, readings, free_steps)
         if own is not None and commanded is not None:
             plan = replace(plan, settings=own.settings(commanded, plan.time_s), saving=saving)
             if saving is not None and not saving.gain > 0.0:
                 plan = replace(plan, why=f"{NOT_BETTER}; {plan.why}")
         return Solved(plan, limit, commanded)
+
+    @property
+    def _in_runs(self) -> list[int]:
+        """Numbers of the actuators whose steps do not hold their minimum on and off times."""
+        return [a for a, actuation in enumerate(self._actuators.each) if needs_runs(actuation, self.step_s)]
+
+    def _with_runs(
+        self, instance: Instance, solution: Solution, brought: Evaluation, forecast: Forecast, left: Sequence[int]
+    ) -> tuple[Solution, Evaluation]:
+        """The solution in whole runs (`MPCConfig.whole_runs`) and what it brings; `left`: who does not follow it."""
+        evaluator, problem = forecast.planner.evaluator, instance.problem
+        numbers = evaluator.numbers(problem)
+
+        def cost(u: Array) -> float:
+            return evaluator.evaluate(numbers, u, solution.own_values).cost
+
+        u = in_runs(self._actuators, solution.u, self.step_s, forecast.state.actuation, left, cost)
+        carried = evaluator.evaluate(numbers, u, solution.own_values)
+        if carried.broken and not brought.broken:
+            said = f"the plan does not keep minimum on and off times, since in whole runs {carried.broken}"
+            return replace(solution, problem=joined([solution.problem, said])), brought
+        return replace(solution, u=u), carried
 
     def _realise(
         self, result: Solved | Failure, readings: Readings, overrides: Mapping[int, Override], situation: Situation

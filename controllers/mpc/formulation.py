@@ -15,7 +15,7 @@ from controllers.mpc.margins import Bounds, MarginRules, Margins
 from controllers.optimisation.machines import EquipmentLayout
 from controllers.optimisation.problem import Cooling, MPCProblem, PowerCap, Weights
 from thermoforce_mpc.data import DAY_S, J_PER_KWH, Array, Boundary, Record
-from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
+from thermoforce_mpc.model.machine.blocked_hours import Directions
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
@@ -81,7 +81,7 @@ class Formulation:
         history: Record,
         margins: Margins,
         peak_W: float = 0.0,
-        blocked: Sequence[BlockedHours] = (),
+        blocked: Sequence[Directions] = (),
         overridden: Collection[int] = (),
     ) -> Instance:
         """Return the instance of one step.
@@ -155,7 +155,7 @@ class Formulation:
             power_per_u2_W=per_u2_W if bent else None,
             capacity=self.margins.capacity(operator, T_out, margins.unused),
             last_u=self._last_u(history),
-            available=self._available(boundary, blocked),
+            available=self._available(boundary, blocked, context.free.median_C),
         )
         return Instance(problem, bounds, float(left_W[0]), news)
 
@@ -174,11 +174,19 @@ class Formulation:
                 upper_C[z] = np.fmax(boundary.upper_C[z, 1:], now_C)
         return replace(bounds, lower_C=lower_C, upper_C=upper_C)
 
-    def _available(self, boundary: Boundary, blocked: Sequence[BlockedHours]) -> Array | None:
-        """Share of each step in which heat comes from each actuator (A, N); None: always."""
-        if not any(one.hours for one in blocked):
+    def _available(self, boundary: Boundary, blocked: Sequence[Directions], T_free_C: Array) -> Array | None:
+        """Share of each step in which heat comes from each actuator (A, N); None: always.
+
+        Of signed levels that of heating where the free response `T_free_C` (Z, N) is below the middle of the band, else
+        that of cooling.
+        """
+        if not any(way.hours for directions in blocked for way in directions):
             return None
-        return np.stack([one.available(boundary.time_s[:-1], self._step_s) for one in blocked])
+        middle_C, rows = 0.5 * (boundary.lower_C + boundary.upper_C)[:, 1:], []
+        for z, directions in zip(self._layout.home, blocked, strict=True):
+            ways = [way.available(boundary.time_s[:-1], self._step_s) for way in directions]
+            rows.append(np.where(T_free_C[z] < middle_C[z], ways[0], ways[-1]))
+        return np.stack(rows)
 
     def _cap(self, fixed_W: Array, per_u_W: Array, per_u2_W: Array, limit_W: Array) -> PowerCap | None:
         """The power cap over the steps, as far as blocks use it; power of machines (M, N) and actuators (A, N), W.

@@ -257,6 +257,8 @@ class MarginRules:
 
     def _learned_unused(self, operator: BuildingOperator, before: Array, history: Record) -> Array:
         unused = before.copy()
+        if not self._config.unused_capacity:
+            return unused
         for m, fed, full, reference_W in self._metered(operator, history.T_out_C[-2:-1]):
             u, heat_W = history.u[fed, -1], history.heat_W[fed, -1]
             full_W, share = full[:, 0] * reference_W, self._shares[fed]

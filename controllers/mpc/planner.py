@@ -70,7 +70,7 @@ def build_solver(config: MPCConfig, operator: BuildingOperator, shape: ProblemSh
         "ipopt": ipopt,
         "qp": lambda: QPSolver(operator, shape, config.qp, ipopt),
         "sqp": lambda: SQPSolver(operator, shape, config.sqp, config.qp, ipopt),
-        "milp": lambda: MilpSolver(operator, shape, config.milp, config.qp),
+        "milp": lambda: MilpSolver(operator, shape, config.milp, config.qp, fallback=ipopt),
     }
     name = chosen_solver(config, operator, shape)
     if config.solver == "auto":
@@ -94,7 +94,8 @@ def chosen_solver(config: MPCConfig, operator: BuildingOperator, shape: ProblemS
 def at_step(model: ThermalModel, config: MPCConfig) -> tuple[ThermalModel, int]:
     """The model at the control step, and the number of steps of the horizon.
 
-    Raises `ControllerConfigError` where that is none, or the effect is not certified at that step over it.
+    Raises `ControllerConfigError` where that is none, or the effect is implausible, or not certified at that step over
+    it.
     """
     step_s = config.step_s or model.operator.step_s
     n_steps = config.n_steps(step_s)
@@ -103,6 +104,9 @@ def at_step(model: ThermalModel, config: MPCConfig) -> tuple[ThermalModel, int]:
             f"controller.options.horizon_h: {config.horizon_h:g} h is shorter than one control step"
             f" ({step_s:g} s); give at least {step_s / HOUR_S:g}"
         )
+    for a, actuator in enumerate(model.names.actuators):
+        if too_much := model.implausible(a):
+            raise ControllerConfigError(f"the model of {actuator} cannot be right: {too_much}; identify it again")
     operator = model.operator.resampled(step_s)
     if operator.of_actuator(0).feedback_active:  # otherwise certified at any
         proof = certificate(operator.of_actuator(0), n_steps)

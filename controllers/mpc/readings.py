@@ -12,6 +12,7 @@ from controllers.mpc.config import MPCConfig
 from controllers.mpc.state import MPCState
 from thermoforce_mpc.data import Array, Boundary, Observation, Record
 from thermoforce_mpc.data.series import gapless
+from thermoforce_mpc.execution.cooperative import Computation
 from thermoforce_mpc.model.forced_state import ForcedState
 from thermoforce_mpc.model.forecast_gaps import completed, whole
 from thermoforce_mpc.model.predictor import Predictor
@@ -59,10 +60,11 @@ class ReadingsFilter:
         self.meters = Meters(model.layout, config.meter, config.meters)
         self._sun = SunOnSensors(model, [config.sensor_of(zone).enabled for zone in zones])
         self._model, self._predictor, self._cold_after = model, predictor, config.fallback.cold_after
+        self._look_s = config.deadline.look_s
 
     def clean(
         self, observation: Observation, state: MPCState, *, with_model: bool, as_identified: bool
-    ) -> tuple[Readings, MPCState]:
+    ) -> Computation[tuple[Readings, MPCState]]:
         """What is believed of `observation`, and the state with what was learned of sensors, meters, sun and forecast.
 
         `with_model`: whether the model may say anything of the readings; without, they are validated by range only.
@@ -70,7 +72,7 @@ class ReadingsFilter:
         """
         if state.failures >= self._cold_after:  # what it kept may be what fails
             state = replace(state, predictor=None)
-        history, state, sun_news = self._without_sun(self._model.own_heat(observation.history), state)
+        history, state, sun_news = yield from self._without_sun(self._model.own_heat(observation.history), state)
         history = self.meters.mask_rejected(state.meters, history)
         boundary, filled = completed(observation.boundary, history, state.boundary)
         meters, metered = self.meters.validate(state.meters, history, boundary)
@@ -91,10 +93,10 @@ class ReadingsFilter:
         news = tuple(filter(None, (sun_news, zones.news, metered.news)))
         return Readings(seen, observation.boundary, zones, forced_K, doubts, news), state
 
-    def _without_sun(self, history: Record, state: MPCState) -> tuple[Record, MPCState, str]:
+    def _without_sun(self, history: Record, state: MPCState) -> Computation[tuple[Record, MPCState, str]]:
         """The record without the sun on sensors, which is looked for each night, the state, and what was found."""
         believed = self.sensors.mask_rejected(state.sensors, self.meters.mask_rejected(state.meters, history))
-        sun = self._sun.update(state.sun, believed)
+        sun = yield from self._sun.updating(state.sun, believed, self._look_s)
         news = self._sun.news(state.sun, sun)
         if news:  # the forced state may follow the temperature
             state = state.without_forced()

@@ -24,6 +24,7 @@ from controllers.optimisation.problem import MPCProblem
 from controllers.optimisation.solution import Solution
 from controllers.safety.fallback_policy import GoodPlan
 from thermoforce_mpc.data import HOUR_S, Array, FreeForecast, Plan, PlanStatus
+from thermoforce_mpc.data.limits import ZONE_C
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.model.operator.building import BuildingOperator
@@ -35,6 +36,8 @@ _NEARLY = 0.02
 _WORKS_FROM = 0.5
 # A bound nearer than this is reported as binding, K.
 _BINDING_K = 0.02
+# Share of what is missing that more heat must have brought, for money to be the reason that it is missing.
+_BOUGHT = 0.5
 
 
 class Solved(NamedTuple):
@@ -67,6 +70,20 @@ def power_limit(instance: Instance, solution: Solution, brought: Evaluation, eva
     )
 
 
+def beyond_rooms(problem: MPCProblem, brought: Evaluation, zones: Sequence[str]) -> str:
+    """Why what a plan predicts is not what a room can be (`data.limits`), so that it is none; or ''."""
+    T_zone_C, (low_C, high_C) = compose(problem.T_free_C, brought.forced_K), ZONE_C
+    off_K = np.maximum(low_C - T_zone_C, T_zone_C - high_C)
+    z, k = (int(i) for i in np.unravel_index(np.argmax(np.where(np.isnan(off_K), np.inf, off_K)), off_K.shape))
+    if off_K[z, k] <= 0.0:
+        return ""
+    free_C, ahead_h = problem.T_free_C[z, k], (k + 1) * problem.step_s / HOUR_S
+    return (
+        f"no plan can be right that predicts {T_zone_C[z, k]:.4g} °C in {zones[z]} {ahead_h:g} h ahead "
+        f"({free_C:.4g} °C without action), beyond {low_C:g} to {high_C:g} °C"
+    )
+
+
 def solved_plan(
     instance: Instance,
     solution: Solution,
@@ -74,17 +91,19 @@ def solved_plan(
     seconds: Mapping[str, float],
     forecast: Forecast,
     readings: Readings,
+    free_steps: int,
 ) -> Plan:
     """The plan of a checked solution, without blocks; its state remembers it as the last good one.
 
-    `brought`: what its levels bring; `seconds`: what its parts cost, s.
+    `brought`: what its levels bring; `seconds`: what its parts cost, s; `free_steps`: see `reason_of`.
     """
     problem, context, free = instance.problem, forecast.context, forecast.context.free
     u, names = solution.u, readings.observation.names
     T_zone_C, slack_K = compose(problem.T_free_C, brought.forced_K), brought.slack_K
     doubts, learned = (*readings.doubts, free.doubt), forecast.state.margins
     status = PlanStatus.BRIDGED if any(doubts) else PlanStatus.SOLVED
-    reason = reason_of(problem, context.operator, u, T_zone_C, slack_K, free)
+    comfort_C = np.stack([context.boundary.lower_C[:, 1:], context.boundary.upper_C[:, 1:]])
+    reason = reason_of(problem, context.operator, u, T_zone_C, slack_K, free, comfort_C, free_steps)
     first = forecast.state.good is None
     plan = Plan(
         blocks=(),
@@ -179,20 +198,36 @@ def end_of_move_C(u: Array, T_zone_C: Array, lowest: float) -> float:
 
 
 def reason_of(
-    problem: MPCProblem, operator: BuildingOperator, u: Array, T_zone_C: Array, slack_K: Array, forecast: FreeForecast
+    problem: MPCProblem,
+    operator: BuildingOperator,
+    u: Array,
+    T_zone_C: Array,
+    slack_K: Array,
+    forecast: FreeForecast,
+    comfort_C: Array,
+    free_steps: int,
 ) -> str:
-    """Which bound is binding, where and when, and the width of the forecast's 80 % band there.
+    """Which bound is missed or binding, where and when, and the width of the forecast's 80 % band there.
 
-    Of an instance of Z zones over N steps: levels `u` (A, N), temperatures (Z, N), °C, and violations (Z, N), K.
+    Of an instance of Z zones over N steps: levels `u` (A, N), temperatures (Z, N), °C, and violations (Z, N), K, of the
+    bounds with their margins; `comfort_C` (2, Z, N): the bounds without, °C. Discomfort counts within the first
+    `free_steps`, which are moves of their own: later ones are planned again before they come.
     """
     band = forecast.quantile_C(0.9) - forecast.quantile_C(0.1)
     lower_C, upper_C, zones = problem.lower_C, problem.upper_C, operator.zones
-    z, when = (int(i) for i in np.unravel_index(int(np.argmax(slack_K)), slack_K.shape))
-    if slack_K[z, when] > _BINDING_K:
-        cold = bool(T_zone_C[z, when] < lower_C[z, when])
+    beyond_K = np.nan_to_num(np.maximum(comfort_C[0] - T_zone_C, T_zone_C - comfort_C[1])[:, :free_steps])
+    z, when = (int(i) for i in np.unravel_index(int(np.argmax(beyond_K)), beyond_K.shape))
+    if beyond_K[z, when] > _BINDING_K:
+        cold = bool(T_zone_C[z, when] < comfort_C[0, z, when])
         side, sign = ("below", 1) if cold else ("above", -1)
-        why = _cannot_be_avoided(problem, operator, z, sign, u[:, : when + 1])
-        what = f"{slack_K[z, when]:.2f} K {side} the comfort band {why}"
+        why = _cannot_be_avoided(problem, operator, z, sign, u[:, : when + 1], float(beyond_K[z, when]))
+        what = f"{beyond_K[z, when]:.2f} K {side} the comfort band {why}"
+    elif slack_K.max() > _BINDING_K:
+        z, when = (int(i) for i in np.unravel_index(int(np.argmax(slack_K)), slack_K.shape))
+        low = bool(T_zone_C[z, when] < lower_C[z, when])
+        bound_C = (lower_C if low else upper_C)[z, when]
+        side = "lower" if low else "upper"
+        what = f"{side} bound with its margin, {bound_C:.2f} °C, is missed by {slack_K[z, when]:.2f} K"
     else:
         gap = np.minimum(T_zone_C - lower_C, upper_C - T_zone_C)
         # The first binding bound, not the tightest: it determines the plan of the next hours.
@@ -214,19 +249,26 @@ def _of(zones: Sequence[str], z: int) -> str:
     return "" if len(zones) == 1 else f" in {zones[z]}"
 
 
-def _cannot_be_avoided(problem: MPCProblem, operator: BuildingOperator, z: int, sign: int, u: Array) -> str:
-    """Why zone `z` is not moved further in the direction `sign` by levels `u` (A, n) up to the discomfort.
+def _cannot_be_avoided(
+    problem: MPCProblem, operator: BuildingOperator, z: int, sign: int, u: Array, missing_K: float
+) -> str:
+    """Why zone `z` is not moved further in the direction `sign` by levels `u` (A, n) up to the discomfort, K.
 
     Nothing more can be done where its actuators of that sign, or their machines, are at their limit from now on, and
-    the others do nothing.
+    the others do nothing; too little where what is left to do would not bring half of it by then.
     """
     own, limits = [a for a, home in enumerate(operator.home) if home == z], problem.machinery
     with_it = np.array(operator.signs, dtype=np.float64)[own] == sign
     most = np.where(with_it, limits.u_max[own], limits.u_min[own])
-    spent = np.abs(u[own] - most[:, None]) <= _NEARLY * limits.u_max[own, None]
-    if not (spent | with_it[:, None] & _at_capacity(problem, u)[own]).all():
-        return NOT_ECONOMICAL
-    return "cannot be avoided at full power" if most.any() else "cannot be avoided with nothing on"
+    left = np.abs(u[own] - most[:, None])
+    spent = (left <= _NEARLY * limits.u_max[own, None]) | with_it[:, None] & _at_capacity(problem, u)[own]
+    if spent.all():
+        return "cannot be avoided at full power" if most.any() else "cannot be avoided with nothing on"
+    # What is left of each step, until its effect comes due at the end of the last.
+    effects_K = np.stack([np.abs(operator.of_actuator(a).impulse(u.shape[1]))[::-1] for a in own])
+    if (effects_K * np.where(spent, 0.0, left)).sum() < _BOUGHT * missing_K:
+        return "cannot be avoided in time any more"
+    return NOT_ECONOMICAL
 
 
 def _at_capacity(problem: MPCProblem, u: Array) -> NDArray[np.bool_]:

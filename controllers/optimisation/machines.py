@@ -23,7 +23,7 @@ class EquipmentLayout:
     step).
 
     `cycles_below` (M,): load below which a machine that feeds several cycles, as a share of its capacity; 0: it runs in
-    full as long as the longest of them acts (`model.machine.running`). `exclusive`: groups of actuators (their numbers)
+    full as long as the longest of them acts (`model.machine.load`). `exclusive`: groups of actuators (their numbers)
     of which at most one may act in a step.
 
     Raises:

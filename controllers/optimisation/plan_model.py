@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
+import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from controllers.optimisation.problem import BOUND_TOLERANCE, MPCProblem, ProblemShape
-from controllers.optimisation.solvers.qp_backends import QPData
+from controllers.optimisation.programme import FAR, QPData
 from controllers.optimisation.statement.functions import check_of, functions_of
 from controllers.optimisation.statement.parameter_values import Numbers
 from controllers.optimisation.statement.problem_statement import PARTS
@@ -148,7 +150,8 @@ class PlanModel(Evaluator):
         # Scaled by the largest slope, so that tolerances do not depend on the currency.
         unit, (low, high) = float(np.abs(gradient).max()) or 1.0, self.bounds(p)
         quadratic, A_, G_ = (pattern.copy() for pattern in self._patterns)
-        quadratic.data, A_.data, G_.data = H / unit, A.copy(), G.copy()
+        quadratic.data[:], A_.data, G_.data = 0.0, A.copy(), G.copy()
+        quadratic.data[self._in_quadratic] = H / unit
         return QPData(
             quadratic,
             gradient / unit,
@@ -165,20 +168,43 @@ class PlanModel(Evaluator):
 
     @cached_property
     def _patterns(self) -> list[sparse.csc_matrix]:
+        n, function = self.n_variables, self.functions.local
+        patterns = [function.sparsity_out(2) + ca.Sparsity.diag(n), function.sparsity_out(4), function.sparsity_out(6)]
         out = []
-        for i in (2, 4, 6):
-            pattern = self.functions.local.sparsity_out(i)
+        for pattern in patterns:
             columns, rows = np.array(pattern.colind()), np.array(pattern.row())
             out.append(sparse.csc_matrix((np.ones(rows.size), rows, columns), shape=pattern.shape))
         return out
 
-    def outside(self, x: Array) -> str:
-        """Which level of variables leaves its bounds by more than a solver's tolerance, or ''."""
-        levels = x[self.levels_at]
-        off = np.maximum(levels - self.shape.machinery.u_max[:, None], -levels).max(axis=1)
+    @cached_property
+    def _in_quadratic(self) -> NDArray[np.intp]:
+        """Where the second derivatives stand among the elements of the programme's, which hold the diagonal too."""
+        pattern, n = self.functions.local.sparsity_out(2), self.n_variables
+        ours = self._patterns[0]
+        at = np.repeat(np.arange(n), np.diff(pattern.colind())) * n + np.array(pattern.row(), dtype=np.intp)
+        return np.searchsorted(np.repeat(np.arange(n), np.diff(ours.indptr)) * n + ours.indices, at)
+
+    def outside(self, p: Array, x: Array) -> str:
+        """Which level, or variable of the user, leaves its bounds by more than a solver's tolerance, or ''."""
+        levels, m = x[self.levels_at], self.shape.machinery
+        off = np.maximum(levels - m.u_max[:, None], -levels).max(axis=1)
         worst = int(np.argmax(off))
-        name = self.shape.machinery.actuators[worst]
-        return f"u of {name} leaves its bounds by {off[worst]:.4g}" if off[worst] > BOUND_TOLERANCE else ""
+        if off[worst] > BOUND_TOLERANCE:
+            return f"u of {m.actuators[worst]} leaves its bounds by {off[worst]:.4g}"
+        if not self.own_at.size:
+            return ""
+        raw, within = x[self.own_at], self.own(p, x)
+        beyond = np.abs(raw - within) - BOUND_TOLERANCE * np.maximum(1.0, np.abs(within))
+        worst = int(np.argmax(beyond))
+        name = self.functions.names[self.own_at[worst]]
+        return f"{name} leaves its bounds by {abs(raw[worst] - within[worst]):.4g}" if beyond[worst] > 0.0 else ""
+
+    def gone(self, own: Array) -> str:
+        """Which variable of the user has run away, or ''."""
+        for name, values in self.by_name(own).items():
+            if np.abs(values).max(initial=0.0) >= FAR:
+                return f"{name} goes to {values[np.argmax(np.abs(values))]:.3g}; is there a least cost?"
+        return ""
 
     def levels(self, x: Array) -> Array:
         """Levels u (A, N) of variables, within their bounds."""
@@ -191,9 +217,12 @@ class PlanModel(Evaluator):
             moves[a, : s.n_chosen] = np.where(b > 0.5, moves[a, : s.n_chosen], 0.0)
         return np.clip(moves, machinery.u_min[:, None], machinery.u_max[:, None])[:, self.shape.move_of_step]
 
-    def own(self, x: Array) -> Array:
-        """The user's own variables among `x`."""
-        return x[self.own_at]
+    def own(self, p: Array, x: Array) -> Array:
+        """The user's own variables among `x`, within their bounds."""
+        if not self.own_at.size:
+            return np.zeros(0)
+        low, high = self.bounds(p)
+        return np.clip(x[self.own_at], low[self.own_at], high[self.own_at])
 
     def rounded(self, x: Array) -> Array:
         """Choices (in the order of `choices`) near variables in which they need not be whole."""

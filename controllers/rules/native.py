@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from pydantic import Field
 
 from thermoforce_mpc.data import Block, Observation, Plan, PlanStatus
+from thermoforce_mpc.scenario.comfort import Comfort
 from thermoforce_mpc.scenario.settings import StrictModel
+from thermoforce_mpc.scenario.testcase import TestCase
 
 
 class NativeConfig(StrictModel):
     """Options of the native controller."""
 
     step_s: float = Field(3600.0, ge=60, le=86400, description="control step, s")
+
+
+def native_for(testcase: TestCase, comfort: Comfort | None, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Defaults of its options for a test case, see `Entry.suited`."""
+    return {"step_s": testcase.step_s}
 
 
 class NativeController:

@@ -9,8 +9,9 @@ PID Control, 2006, section 3.5).
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -19,7 +20,9 @@ from controllers.actuation.actuator import Actuation, ActuationConfig, Actuation
 from controllers.actuation.actuators import Actuators
 from controllers.checks import ControllerConfigError, check_later, checked_state
 from thermoforce_mpc.data import HOUR_S, Layout, Observation, Plan, PlanStatus
+from thermoforce_mpc.scenario.comfort import Comfort
 from thermoforce_mpc.scenario.settings import StrictModel
+from thermoforce_mpc.scenario.testcase import TestCase
 
 
 class PIConfig(StrictModel):
@@ -53,6 +56,12 @@ class PIState:
     def rows(self) -> dict[str, int]:
         """How many actuators it is of."""
         return {"actuators": len(self.integral)}
+
+
+def pi_for(testcase: TestCase, comfort: Comfort | None, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Defaults of its options for a test case, see `Entry.suited`; raises as `check_layout`."""
+    check_layout(testcase.layout)
+    return {"mode": "cooling" if testcase.layout.mode(0) == "cooling" else "heating"}
 
 
 def check_layout(layout: Layout) -> None:

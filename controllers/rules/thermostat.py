@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
 from controllers.checks import check_names, checked_state
 from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Layout, Observation, Plan, PlanStatus
+from thermoforce_mpc.scenario.comfort import Comfort
 from thermoforce_mpc.scenario.settings import StrictModel
+from thermoforce_mpc.scenario.testcase import TestCase
+
+# Distance of a set-point from the bound, K: that of the defaults from BOPTEST's bounds.
+_INSIDE_K = 0.3
 
 
 class Setback(StrictModel):
@@ -50,6 +56,47 @@ class ThermostatConfig(StrictModel):
         "heating", description="heating: on below the dead band; cooling: on above it; counts for one actuator"
     )
     setback: Setback | None = Field(None, description="weekday hours during which the machine stays off; null: none")
+
+
+def thermostat_for(testcase: TestCase, comfort: Comfort | None, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Defaults of its options for a test case, see `Entry.suited`.
+
+    Without set-points of its own it keeps those of the `comfort` bounds, where there are any.
+    """
+    points, layout = testcase.points, testcase.layout
+    defaults: dict[str, Any] = {"mode": "cooling" if layout.mode(0) == "cooling" else "heating"}
+    set_points = {
+        actuator: zone.thermostat_C
+        for actuator, home in zip(layout.names.actuators, layout.home, strict=True)
+        if (zone := points.zones[home]).thermostat_C is not None
+    }
+    if testcase.thermostat_C is not None:
+        defaults["setpoint_C"] = testcase.thermostat_C
+    elif set_points:
+        defaults["setpoints_C"] = set_points
+    if comfort and not options.keys() & {"setpoint_C", "setpoints_C"}:
+        defaults |= _set_points(comfort, layout)
+    return defaults
+
+
+def _set_points(comfort: Comfort, layout: Layout) -> dict[str, Any]:
+    """Set-points inside the strictest bounds of each zone: a thermostat cannot heat ahead of a bound that rises."""
+    bounds_C = comfort.strictest_C(layout.names.zones)
+    heating = [round(lower + _INSIDE_K, 2) for lower, _ in bounds_C]
+    cooling = [round(upper - _INSIDE_K, 2) for _, upper in bounds_C]
+    acting = zip(layout.names.actuators, layout.home, layout.signs, strict=True)
+    set_points = {name: (heating if sign > 0 else cooling)[home] for name, home, sign in acting}
+    return {"setpoints_C": set_points, "cooling_setpoint_C": max(*heating, min(cooling))}
+
+
+def shifted(config: ThermostatConfig, layout: Layout, shift_K: float) -> ThermostatConfig:
+    """Options whose zones are kept so much warmer where they are heated, and cooler where they are cooled."""
+    set_points = {
+        name: config.setpoints_C.get(name, config.setpoint_C) + sign * shift_K
+        for name, sign in zip(layout.names.actuators, layout.signs, strict=True)
+    }
+    cooling_C = config.cooling_setpoint_C - shift_K
+    return config.model_copy(update={"setpoints_C": set_points, "cooling_setpoint_C": cooling_C})
 
 
 @dataclass(frozen=True)

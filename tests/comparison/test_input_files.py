@@ -14,7 +14,7 @@ from thermoforce_mpc.comparison.input_files import (
 )
 from thermoforce_mpc.comparison.variants import Variant
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.experiment.identifying import identification_task
+from thermoforce_mpc.experiment.identifying import chosen_of, identification_task
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
 
@@ -59,7 +59,7 @@ def test_the_probing_of_a_run_is_sent_without_the_rest_of_its_folder(tmp_path, m
     Path("run/probing/rc_mpc.jsonl").write_text("probed", encoding="utf-8")
     Path("run/report.html").write_text("report", encoding="utf-8")
     scenario = Scenario(testcase="bestest_hydronic_heat_pump", identification={"probed": "run"})
-    task = identification_task(scenario, load_testcase(scenario.testcase))
+    task = identification_task(scenario, chosen_of(scenario, load_testcase(scenario.testcase)))
     sent = input_files(paths_of(task)).read()
     Path("run/probing/rc_mpc.jsonl").unlink()
     with sent.at_hand() as where:

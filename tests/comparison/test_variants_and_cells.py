@@ -17,6 +17,7 @@ from thermoforce_mpc.comparison.variants import (
     variants_by_name,
 )
 from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.experiment import experiment as experiment_module
 from thermoforce_mpc.experiment.identifying import IdentificationTask
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.comfort import Comfort
@@ -152,7 +153,7 @@ def test_everything_that_learning_is_given_is_in_its_key(field, monkeypatch, tmp
     else:
         changed = value + type(value)(1)
     other = replace(before.task, **{field: changed})
-    monkeypatch.setattr(cells, "identification_task", lambda scenario, testcase: other)
+    monkeypatch.setattr(experiment_module, "identification_task", lambda scenario, chosen: other)
     (after,) = expand(BASE, variant, ["44"], ["constant"])
     assert after.identification_key != before.identification_key
     assert after.key != before.key

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import re
+from collections.abc import Iterable
 from functools import reduce
 from pathlib import Path
 
@@ -15,6 +17,10 @@ SPAN = re.compile(r"`([^`\n]+)`")
 PATH = re.compile(r"(?:[\w.-]+/)+(?:[\w.-]+)?")
 # `file.py`: `name` says that the name is in that file.
 NAMED = re.compile(r"`([\w/]+\.py)`: `([A-Za-z_][\w.]*)`")
+
+# What looks like a module and is none: files, groups of entry points, and what a variable of the name holds.
+ENDINGS = ("csv", "html", "json", "md", "onnx", "parquet", "safetensors", "txt", "yaml")
+NOT_CODE = ("thermoforce_mpc.controllers", "thermoforce_mpc.free_responses", "boundary.n_steps")
 
 
 def spans() -> list[str]:
@@ -54,3 +60,83 @@ def test_every_room_of_the_controllers_is_on_the_map():
     folders = [str(path.relative_to(ROOT)) for path in rooms if (path / "__init__.py").exists()]
     assert len(folders) > 20
     assert [folder for folder in folders if f"`{folder}/`" not in page] == []
+
+
+PRODUCT = ("thermoforce_mpc", "controllers", "boptest_client")
+
+
+def _modules() -> dict[str, ast.Module]:
+    """The product's modules by their dotted names."""
+    files = [file for top in (*PRODUCT, "benchmarks") for file in (ROOT / top).rglob("*.py")]
+    named = {".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): file for file in files}
+    return {name: ast.parse(file.read_text(encoding="utf-8")) for name, file in named.items()}
+
+
+def _bound(statements: Iterable[ast.stmt]) -> set[str]:
+    """Names that statements define or import."""
+    names: set[str] = set()
+    for one in statements:
+        if isinstance(one, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            names.add(one.name)
+        elif isinstance(one, ast.Assign | ast.AnnAssign):
+            targets = one.targets if isinstance(one, ast.Assign) else [one.target]
+            names |= {node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)}
+        elif isinstance(one, ast.Import | ast.ImportFrom):
+            names |= {alias.asname or alias.name for alias in one.names}
+        elif isinstance(one, ast.If):
+            names |= _bound(one.body)
+    return names
+
+
+def test_every_name_on_the_page_is_one_of_the_code():
+    page = PAGES[0].read_text(encoding="utf-8")
+    trees = _modules()
+    known = {part for name in trees for part in name.split(".")}
+    for tree in trees.values():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Module | ast.ClassDef):
+                known |= _bound(node.body)
+    names = [span for span in SPAN.findall(page) if re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", span)]
+    assert len(names) > 30
+    files = {"pyproject.toml"} | {file.name for top in PRODUCT for file in (ROOT / top).rglob("*.py")}
+    unknown = [name for name in names if name not in files and not set(name.split(".")) <= known]
+    assert unknown == []
+
+
+def test_the_page_says_who_imports_the_controllers():
+    page = PAGES[0].read_text(encoding="utf-8")
+    (sentence,) = re.findall(r"`controllers` is known to ([^.]*) and the public names only", page)
+    rooms = set()
+    for name, tree in _modules().items():
+        of = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+        if name.startswith("thermoforce_mpc.") and any(module.partition(".")[0] == "controllers" for module in of):
+            rooms.add(name.split(".")[1])
+    assert set(SPAN.findall(sentence)) == rooms
+
+
+def test_every_dotted_name_in_a_docstring_is_there():
+    """Such as `identification.estimation.modes`, or with a name in the module at its end; `prices.csv` is a file."""
+    trees = _modules()
+    rooms = {name.split(".")[1] for name in trees if name.startswith("thermoforce_mpc.")}
+    bound = {name: _bound(tree.body) for name, tree in trees.items()}
+
+    def there(span: str) -> bool:
+        for name in (span, f"thermoforce_mpc.{span}"):
+            module, _, last = name.rpartition(".")
+            owner, _, inner = module.rpartition(".")
+            if name in trees or last in bound.get(module, ()) or inner in bound.get(owner, ()):
+                return True
+        return False
+
+    missing, seen = [], 0
+    for name, tree in trees.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+                for span in SPAN.findall(ast.get_docstring(node) or ""):
+                    parts = span.split(".")
+                    dotted = re.fullmatch(r"[a-z_]+(\.[A-Za-z_]\w*)+", span) and parts[-1] not in ENDINGS
+                    if dotted and parts[0] in (*PRODUCT, *rooms) and span not in NOT_CODE:
+                        seen += 1
+                        missing += [f"{name}: {span}"] * (not there(span))
+    assert seen > 20
+    assert missing == []

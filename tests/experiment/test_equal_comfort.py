@@ -9,7 +9,7 @@ import re
 import pytest
 from click.testing import CliRunner
 
-from controllers.registry import controller_config
+from controllers.registry import choose
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.comparison import tasks as comparison_tasks
 from thermoforce_mpc.comparison.cells import Inputs, expand
@@ -20,9 +20,9 @@ from thermoforce_mpc.comparison.variants import Variant
 from thermoforce_mpc.experiment.equal_comfort import (
     AsComfortable,
     as_comfortable,
-    searches_equal_comfort,
-    shifted_options,
+    raised,
 )
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
 
@@ -88,24 +88,23 @@ def test_what_costs_nothing_has_no_share_to_save():
 
 def test_set_points_move_to_where_zones_are_more_comfortable():
     heated = load_testcase("bestest_hydronic_heat_pump")
-    options = shifted_options({"step_s": 600.0}, heated, 0.25)
-    assert options["step_s"] == 600.0
-    config = controller_config("thermostat", options, heated)
+    config = raised(choose("thermostat", {"step_s": 600.0}, heated), 0.25).config
+    assert config.step_s == 600.0
     assert list(config.setpoints_C.values()) == [pytest.approx(21.3 + 0.25)]
     both = load_testcase("bestest_air")
-    plain, moved = (controller_config("thermostat", options, both) for options in ({}, shifted_options({}, both, 0.25)))
-    assert moved.cooling_setpoint_C == pytest.approx(plain.cooling_setpoint_C - 0.25)
+    plain = choose("thermostat", {}, both)
+    before, after = plain.config, raised(plain, 0.25).config
+    assert after.cooling_setpoint_C == pytest.approx(before.cooling_setpoint_C - 0.25)
     (name,) = both.layout.names.actuators
-    before = plain.setpoints_C.get(name, plain.setpoint_C)
-    assert moved.setpoints_C[name] == pytest.approx(before + 0.25)
+    assert after.setpoints_C[name] == pytest.approx(before.setpoints_C.get(name, before.setpoint_C) + 0.25)
 
 
 def test_it_is_searched_where_runs_take_seconds_or_where_asked_for():
-    assert searches_equal_comfort(Scenario(testcase=TESTCASE))
-    assert not searches_equal_comfort(Scenario(testcase=TESTCASE, equal_comfort=False))
+    assert Experiment.of(Scenario(testcase=TESTCASE)).equal_comfort
+    assert not Experiment.of(Scenario(testcase=TESTCASE, equal_comfort=False)).equal_comfort
     service = {"kind": "boptest", "url": "http://127.0.0.1:1"}
-    assert not searches_equal_comfort(Scenario(testcase=TESTCASE, plant=service))
-    assert searches_equal_comfort(Scenario(testcase=TESTCASE, plant=service, equal_comfort=True))
+    assert not Experiment.of(Scenario(testcase=TESTCASE, plant=service)).equal_comfort
+    assert Experiment.of(Scenario(testcase=TESTCASE, plant=service, equal_comfort=True)).equal_comfort
 
 
 def test_cells_beside_thermostats_are_searched_once(tmp_path, monkeypatch):

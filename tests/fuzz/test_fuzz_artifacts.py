@@ -31,7 +31,7 @@ def folder(tmp_path_factory):
         scores={"rmse_K": 0.02},
         config={"order": 3},
         notes=("one",),
-        competence=Competence(True, ("x",), (), (HorizonScore(1.0, 0.1, 0.2, 0.3, 2.0, 9),), 1.0, 0.1, 1.0, 0.5, 24.0),
+        competence=Competence(False, ("x",), (), (HorizonScore(1.0, 0.1, 0.2, 0.3, 2.0, 9),), 1.0, 0.1, 1.0, 0.5, 24.0),
     )
     free = RcParameters(np.array([0.5, 0.98]), np.ones((2, 8)), 3600.0, np.diag([0.0025, 1e-4]), np.eye(2))
     assert HEAT_MAP.heat is not None

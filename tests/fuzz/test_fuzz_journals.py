@@ -15,6 +15,7 @@ from simple_house import SimpleHouse
 from controllers import Thermostat
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.errors import ThermoForceError
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.explaining import alternatives_of, decision_at
 from thermoforce_mpc.experiment.run_book import RunBook
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
@@ -31,7 +32,9 @@ def run(book: RunBook) -> None:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    book = RunBook.begin(folder, load_scenario(None, {"testcase": "bestest_hydronic_heat_pump"}), ["tf-mpc", "run"])
+    book = RunBook.begin(
+        folder, Experiment.of(load_scenario(None, {"testcase": "bestest_hydronic_heat_pump"})), ["tf-mpc", "run"]
+    )
     run(book)
     book.journal.close()
     return folder

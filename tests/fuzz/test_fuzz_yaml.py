@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from controllers.registry import controller_config
 from thermoforce_mpc.comparison.variants import load_comparison
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.experiment.checks import validate_scenario
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.scenario.settings import configs_folder, named_configs, parse_overrides
 
@@ -24,7 +24,7 @@ def load(path: Path) -> None:
     """Read a file as what its folder says."""
     kinds = {
         "testcases": lambda: load_testcase(str(path)).points,
-        "scenarios": lambda: validate_scenario(load_scenario(path, {})),
+        "scenarios": lambda: Experiment.of(load_scenario(path, {})),
         "comparisons": lambda: load_comparison(str(path)),
     }
     result_or_error(InputError, kinds[path.parent.name], most=20_000)

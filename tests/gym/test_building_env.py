@@ -185,7 +185,8 @@ def test_after_a_start_that_was_refused_no_episode_runs(start: object, error: ty
     ("options", "said"),
     [
         ({"testcase": "house:0rooms"}, "house:Nrooms"),
-        ({"testcase": "bestest_air"}, "embedded emulator is bestest_hydronic_heat_pump"),
+        ({"testcase": "bestest_air"}, "by room set-points, not by levels"),
+        ({"testcase": "singlezone_commercial_hydronic"}, "no embedded plant implements"),
         ({"convention": "bopted"}, "convention"),
         ({"step_period": 1.0}, "step_period"),
         ({"forecast_every": 1000.0}, "forecast_every"),
@@ -195,7 +196,7 @@ def test_after_a_start_that_was_refused_no_episode_runs(start: object, error: ty
         ({"convention": "boptest", "observations": {"TDryBul": (265, 303)}}, "predictive_period"),
         ({"convention": "boptest", "observations": {"reaTZon_y": (310, 280)}}, "low < high"),
         ({"convention": "boptest", "regressive_period": 0.0}, "regressive_period"),
-        ({"convention": "boptest", "testcase": "bestest_air"}, "BoptestGymEnv"),
+        ({"convention": "boptest", "testcase": "singlezone_commercial_hydronic"}, "BoptestGymEnv"),
     ],
 )
 def test_wrong_arguments_are_named(options: dict[str, object], said: str) -> None:

@@ -153,7 +153,7 @@ def test_a_connection_that_does_not_answer_is_not_waited_for(monkeypatch):
 def test_a_silent_logger_is_bridged_by_the_model_for_a_while():
     house = SimulatedBuilding()
     live = house.measurements
-    house.measurements = lambda: live()[lambda table: table["time"] < START + 3 * HOUR]
+    house.measurements = lambda: live()[lambda table: table["time"] < START + 2.5 * HOUR]
     told = [decision.plan.status for decision in controlled(house, 20)]
     assert told[:5] == ["solved"] * 3 + ["bridged"] * 2
     assert told[-1] in ("thermostat", "native")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from simple_house import simple_model
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, Layout, PlantInfo, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, Block, Layout, PlantInfo, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.validation.competence import SETTLED_SD, lacking
 from thermoforce_mpc.loop.probing import Identifying, Look, Probed
@@ -74,18 +74,48 @@ def test_sun_on_a_sensor_is_decided_before_probing_ends(sun, ends_early, goes_on
     assert known.lacks == ({"actuator": said} if goes_on else {})
 
 
+PLANT = PlantInfo("kind", "case", "words", "weather", "version")
+
+
+def card_after(layout: Layout, blocks: list[Block], got: np.ndarray, T_C: np.ndarray):
+    """The card of a probing by `blocks` of an hour from midnight on, with the levels and readings that came."""
+    time_s = 30 * DAY_S + HOUR_S * np.arange(len(blocks) + 1)
+    zeros = np.zeros(time_s.size)
+    record = Record(time_s, T_C, zeros, zeros, got, zeros[1:], zeros[1:])
+    testcase = SimpleNamespace(layout=layout, step_s=HOUR_S, currency="EUR")
+    identifying = Identifying(testcase, IdentificationConfig())  # type: ignore[arg-type]
+    return identifying.conclude(Probed(record, blocks, PLANT, "enough is known"), Look(2.0, simple_model())).only.card
+
+
 def test_hours_in_which_nothing_came_while_probing_stand_on_the_card():
     """Two days from midnight on, in which the machine works from 5:00 on only."""
-    time_s = 30 * DAY_S + HOUR_S * np.arange(49)
-    asked, got = np.ones((1, 48)), (time_s[:-1] % DAY_S >= 5 * HOUR_S).astype(float)
-    zeros = np.zeros(49)
-    record = Record(time_s, zeros + 20.0, zeros, zeros, got, zeros[1:], zeros[1:])
-    plant = PlantInfo("kind", "case", "words", "weather", "version")
-    testcase = SimpleNamespace(layout=Layout.single(), step_s=HOUR_S, currency="EUR")
-    identifying = Identifying(testcase, IdentificationConfig())  # type: ignore[arg-type]
-    for levels, hours in ((asked, (0, 1, 2, 3, 4)), (np.full((1, 48), np.nan), ())):
-        card = identifying.conclude(
-            Probed(record, levels, plant, "enough is known"), Look(2.0, simple_model())
-        ).only.card
+    got = (np.arange(48) % 24 >= 5).astype(float)
+    for level, hours in ((1.0, (0, 1, 2, 3, 4)), (None, ())):
+        card = card_after(Layout.single(), [Block(level, HOUR_S)] * 48, got, np.full(49, 20.0))
         assert card.blocked_hours == hours
         assert ("nothing comes from 0:00 to 5:00" in " ".join(card.notes)) is bool(hours)
+
+
+@pytest.mark.parametrize(
+    ("night", "night_C", "heating", "cooling"),
+    [
+        (Block(-0.6, HOUR_S, (15.0, 21.5)), 20.0, (), ()),  # nothing calls for cold below its set-point
+        (Block(-0.6, HOUR_S, (15.0, 19.7)), 20.0, (), ()),  # nor surely where the room is at it
+        (Block(1.0, HOUR_S, (18.0, 24.0)), 20.0, (), ()),  # nor for heat above its set-point
+        (Block(0.0, HOUR_S, (15.0, 30.0)), 20.0, (), ()),
+        (Block(1.0, HOUR_S, (22.0, 24.0)), 20.0, (0, 1, 2, 3, 4), ()),
+        (Block(-0.6, HOUR_S, (15.0, 18.0)), 20.0, (), (0, 1, 2, 3, 4)),
+    ],
+)
+def test_loops_refuse_only_what_their_set_points_call_for(night, night_C, heating, cooling):
+    """A unit that heats and cools by set-points stands from 0:00 to 5:00, heats until 14:00 and cools then."""
+    hour = np.arange(48) % 24
+    asleep = hour < 5
+    day = {True: Block(1.0, HOUR_S, (23.0, 26.0)), False: Block(-0.6, HOUR_S, (15.0, 18.0))}
+    blocks = [night if off else day[bool(h < 14)] for off, h in zip(asleep, hour, strict=True)]
+    got = np.where(asleep, 0.0, np.where(hour < 14, 0.5, -0.5))
+    T_C = np.append(np.where(asleep, night_C, 20.0), 20.0)
+    card = card_after(Layout.single("both", -0.6), blocks, got, T_C)
+    assert card.blocked_hours == heating
+    assert card.blocked_cooling_hours == cooling
+    assert any("no cold comes from 0:00 to 5:00" in note for note in card.notes) is bool(cooling)

@@ -19,7 +19,7 @@ from thermoforce_mpc import report
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Period, PlanStatus
 from thermoforce_mpc.errors import NoForecast
-from thermoforce_mpc.experiment import composition
+from thermoforce_mpc.experiment import experiment as experiment_module
 from thermoforce_mpc.experiment import run as experiment_run
 from thermoforce_mpc.experiment.explaining import decision_at
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
@@ -123,7 +123,7 @@ def test_a_journal_tells_the_forecasts_that_the_run_had(tmp_path, monkeypatch):
         return had["run"]
 
     monkeypatch.setattr(experiment_run, "build_plant", lambda *_: silent(4, 7, gappy))
-    monkeypatch.setattr(composition, "run_closed_loop", kept)
+    monkeypatch.setattr(experiment_module, "run_closed_loop", kept)
     monkeypatch.setattr(report, "write_report", lambda folder, **_: (folder / "report.html").touch())
     words = ["run", "--testcase", "bestest_hydronic_heat_pump", "--model", tmp_path / "model", "--baselines", ""]
     words += ["--out", tmp_path / "run", "--days", "0.5"]

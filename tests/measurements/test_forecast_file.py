@@ -7,8 +7,9 @@ import pandas as pd
 import pytest
 
 import thermoforce_mpc as tf
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.errors import ConfigError, DataError
 from thermoforce_mpc.measurements.forecast import read_forecast
+from thermoforce_mpc.model.forecast_gaps import completed
 
 RULES = {
     "time": {"zone": "Europe/Brussels"},
@@ -66,16 +67,128 @@ def test_other_columns_for_the_forecast(measured, tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d.iloc[1:], "the forecast must begin there"),
+        (lambda d: d.iloc[7:], "the forecast must begin there"),
         (lambda d: d.iloc[:1], "the forecast must begin there"),
         (lambda d: d.drop(columns="sun"), "no column 'sun'"),
-        (lambda d: d.assign(out=d["out"].where(d["out"] != 7)), r"T_out_C is missing at 7 of 97 .* 2025-01-11 06:15"),
+        (lambda d: d.assign(out=np.nan), r"T_out_C has no value from 2025-01-11 00:00"),
         (lambda d: d.assign(most=19.0), "the lower bound is above the upper one"),
     ],
 )
 def test_a_forecast_that_does_not_fit_is_refused(measured, change, message):
     with pytest.raises(DataError, match=message):
         read_forecast(change(hourly()), measured)
+
+
+def test_prices_that_end_early_go_on_as_in_the_same_hour_of_the_days_before(measured):
+    df = hourly(49)
+    df["price"] = 0.1 + np.arange(49) % 24 / 100
+    df.loc[df.index[26:], "price"] = np.nan
+    ahead = read_forecast(df, measured)
+    assert ahead.n_steps == 192, "weather is used to its end"
+    hours = ahead.price_per_kWh[0, ::4]
+    known = slice(0, 26)
+    np.testing.assert_allclose(hours[known], 0.1 + np.arange(26) % 24 / 100)
+    # The record has 0.3 the day before: of two days that are known the mean.
+    np.testing.assert_allclose(hours[28:48], (0.1 + np.arange(28, 48) % 24 / 100 + 0.3) / 2)
+    guessed = ahead.guessed["price_per_kWh"][0]
+    assert not guessed[: 26 * 4].any()
+    assert guessed[27 * 4 :].all()
+    filled, words = completed(ahead, measured.record, None)
+    assert "price_per_kWh at 86 of 193 instants (45 % of the plan) by the same hour of the days before" in words
+    assert filled.head(8).guessed["price_per_kWh"].shape == (1, 9)
+
+
+def test_each_column_is_bridged_by_a_rule_of_its_own(measured):
+    df = hourly()
+    df.iloc[7, df.columns.get_loc("out")] = np.nan
+    df.iloc[10, df.columns.get_loc("most")] = np.nan
+    df.iloc[12, df.columns.get_loc("price")] = np.nan
+    filled, words = completed(read_forecast(df, measured), measured.record, None)
+    np.testing.assert_allclose(filled.T_out_C[:97], np.arange(97) / 4)
+    assert filled.upper_C[0, 43] == 24.0, "as in the record a day before"
+    assert filled.price_per_kWh[0, 12 * 4 + 3] == pytest.approx(0.3)
+    for signal in ("T_out_C", "upper_C", "price_per_kWh"):
+        assert signal in words
+
+
+def test_a_forecast_that_begins_a_little_later_is_joined_to_the_last_reading(measured):
+    ahead = read_forecast(hourly().iloc[2:], measured)
+    filled, words = completed(ahead, measured.record, None)
+    assert filled.T_out_C[0] == 5.0, "as measured"
+    np.testing.assert_allclose(filled.T_out_C[4], (5.0 + 2.0) / 2)
+    assert "T_out_C at" in words
+
+
+def test_a_step_has_the_mean_of_its_prices(measured):
+    quarters = hourly(25).resample("15min").ffill()
+    quarters["price"] = np.arange(97.0) % 4
+    late = tf.read_measurements(quarters.assign(T=21.0, u=0.5, P=500.0), RULES, step_s=3600.0)
+    assert late.conditions.price_per_kWh[0, 0] == pytest.approx(1.5)
+
+
+def test_comfort_by_weekday_hour_and_holiday_is_in_the_map():
+    """Friday 10 January 2025 and a weekend whose Monday is a holiday, in Brussels."""
+    at = pd.date_range("2025-01-09", "2025-01-11", freq="1h", tz="Europe/Brussels")
+    df = pd.DataFrame({"T": 21.0, "out": 5.0, "sun": 0.0, "u": 0.5, "P": 500.0, "price": 0.3}, index=at)
+    comfort = {"schedule": "weekdays 7-22 21-24, weekend 9-23 20-25, else 16-27", "holidays": ["2025-01-13"]}
+    rules = {**RULES, "zones": {"room": {"temperature": "T"}}, "comfort": comfort}
+    found = tf.read_measurements(df, rules)
+    lower = found.conditions.lower_C[0]
+    assert [lower[k] for k in (6, 7, 21, 22)] == [16, 21, 21, 16]
+    ahead = read_forecast(hourly(24 * 4 + 1).assign(out=lambda d: d["out"] % 7, sun=0.0), found)
+    days = ahead.lower_C[0, :-1].reshape(4, 24)
+    np.testing.assert_array_equal(days[:, 8], [16, 16, 16, 21])  # Saturday, Sunday, the holiday, Tuesday
+    np.testing.assert_array_equal(days[:, 22], [20, 20, 20, 16])
+    assert ahead.upper_C[0, 12] == 25
+    other = {**rules, "forecast": {"lower": 19}}
+    assert (read_forecast(hourly(), tf.read_measurements(df, other)).lower_C == 19).all()
+    for wrong, message in (
+        ({**rules, "zones": {"room": {"temperature": "T", "lower": 20}}}, "give lower and upper, or comfort"),
+        ({**rules, "comfort": "weekdays 7-22 21-24"}, "the last part says what holds else"),
+        ({**rules, "comfort": {"schedule": {"bath": "else 20-24"}}}, "no zone 'bath'"),
+        ({**rules, "time": {}}, "comfort needs time.zone"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            tf.read_measurements(df, wrong)
+
+
+@pytest.mark.parametrize(
+    ("text", "first"),
+    [
+        ("time,price\n{0}\n", [0.1, 0.11, 0.12]),
+        ("Beginn;Spotpreis [EUR/MWh];Menge\n{1}\n", [0.1, 0.11, 0.12]),
+        ("start,tarif ct/kWh\n{2}\n", [0.1, 0.11, 0.12]),
+        ("time,price\n{3}\n", [0.1, 0.11, 0.12]),
+    ],
+    ids=["zone of the map", "per MWh, semicolons, commas", "cents in UTC", "seconds of the year"],
+)
+def test_a_file_of_prices_takes_the_place_of_the_map(measured, tmp_path, text, first):
+    at = pd.date_range("2025-01-10", periods=60, freq="1h", tz="Europe/Brussels")
+    price = 0.1 + (np.arange(60) - 24) % 24 / 100
+    kinds = (
+        [f"{t:%Y-%m-%d %H:%M},{p:.2f}" for t, p in zip(at, price, strict=True)],
+        [f"{t:%Y-%m-%d %H:%M};{1000 * p:.2f};7".replace(".", ",") for t, p in zip(at, price, strict=True)],
+        [f"{t.tz_convert('UTC').isoformat()},{100 * p:.1f}" for t, p in zip(at, price, strict=True)],
+        ["0,0.2", *(f"{(t - at[0]).total_seconds() + 9 * 86400:.0f},{p:.2f}" for t, p in zip(at, price, strict=True))],
+    )
+    (tmp_path / "prices.csv").write_text(text.format(*("\n".join(lines) for lines in kinds)), encoding="utf-8")
+    notes = []
+    ahead = read_forecast(hourly(49), measured, prices=tmp_path / "prices.csv", left_out=notes)
+    np.testing.assert_allclose(ahead.price_per_kWh[0, :12:4], first)
+    assert "prices.csv" in notes[0]
+    assert ahead.guessed["price_per_kWh"][0, -1], "beyond the file as on the days before"
+    np.testing.assert_allclose(ahead.price_per_kWh[0, 40 * 4], 0.1 + 16 / 100)
+
+
+def test_prices_whose_column_or_unit_is_not_clear_are_refused(measured, tmp_path):
+    at = pd.date_range("2025-01-10", periods=60, freq="1h").strftime("%Y-%m-%d %H:%M")
+    for columns, message in (
+        ({"a": 0.1, "b": 0.2}, "which column is the price"),
+        ({"price": 80.0}, "Say the unit in its name"),
+    ):
+        pd.DataFrame({"time": at, **columns}).to_csv(tmp_path / "p.csv", index=False)
+        with pytest.raises(DataError, match=message):
+            read_forecast(hourly(), measured, prices=tmp_path / "p.csv")
 
 
 def test_a_pattern_of_several_files_is_no_forecast(measured, tmp_path):

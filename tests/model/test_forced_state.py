@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from faults import FaultyHouse
+from mpc_problems import random_operator
 from simple_house import OutdoorResponse, SimpleHouse, simple_model
 
 from controllers import ThermoForceMPC
@@ -43,6 +44,17 @@ def test_step_by_step_is_the_rollout_of_the_whole_history():
     np.testing.assert_allclose(
         followed(operator, begun, history).forced_K, forced_history(operator, history), atol=1e-12
     )
+
+
+def test_a_trained_network_is_followed_on_what_is_free_of_the_actions_as_the_rollout_is():
+    """Features hold T − F, and this network is one whose F would move by tenths of a kelvin if they held T."""
+    trained = random_operator(np.random.default_rng(1), order=2)
+    operator, history = simple_model().operator.map(lambda pair: trained), some_history()
+    whole = forced_history(operator, history)
+    begun = followed(operator, None, history.slice(0, 30))
+    np.testing.assert_allclose(followed(operator, begun, history).forced_K, whole, atol=1e-12)
+    warmer = replace(history, T_zone_C=history.T_zone_C + whole.sum(axis=(1, 3)))
+    assert np.abs(forced_history(operator, warmer) - whole).max() > 0.1, "T for T − F is seen"
 
 
 def test_following_changes_no_state_that_was_given():

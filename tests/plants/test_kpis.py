@@ -10,7 +10,7 @@ from one_zone_kpis import compute_kpis
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.plants.embedded.schedule import bounds_C
+from thermoforce_mpc.plants.embedded.cases import HEAT_PUMP
 from thermoforce_mpc.plants.kpis import Supply, Violation, building_kpis, excess, peak_power, window_means, zone_kpis
 
 TIME = np.arange(0, 7200 + 1, 30.0)
@@ -107,7 +107,7 @@ def test_a_recorded_trajectory_has_the_kpis_published_for_it(
     step_end = np.searchsorted(real.time, time_s)
     power = (real.reaPHeaPum_y + real.reaPFan_y + real.reaPPumEmi_y).to_numpy()[step_end]
     T = np.interp(time_s, real.time, real.reaTZon_y)
-    lower, upper = bounds_C(time_s)
+    lower, upper = HEAT_PUMP.schedule.bounds_C(time_s)
     for tariff, cost in ((tariffs.constant, cost_constant), (tariffs.dynamic, cost_dynamic)):
         found = compute_kpis(
             time_s, power_W=power, T_operative_C=T, lower_C=lower, upper_C=upper,
@@ -127,7 +127,7 @@ def test_comfort_bounds_are_held_until_the_next_quarter_of_an_hour(shared):
     record = pd.read_csv(shared / "boptest_hp" / "thermostat_setback_peak.csv.gz")
     time_s = np.arange(record.time.iloc[0], record.time.iloc[-1] + 1.0, 30.0)
     T = np.interp(time_s, record.time, record.Top_C)
-    discomfort = np.trapezoid(excess(T, *bounds_C(time_s)), time_s / 3600.0)
+    discomfort = np.trapezoid(excess(T, *HEAT_PUMP.schedule.bounds_C(time_s)), time_s / 3600.0)
     assert discomfort == pytest.approx(0.24, abs=0.01)
 
 

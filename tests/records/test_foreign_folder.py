@@ -21,6 +21,7 @@ from thermoforce_mpc.data import cache
 from thermoforce_mpc.errors import ArtifactError, ConfigError
 from thermoforce_mpc.experiment import outside
 from thermoforce_mpc.experiment import run as experiment_run
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.explaining import alternatives_of, decision_at
 from thermoforce_mpc.experiment.run_book import RunBook
 from thermoforce_mpc.plants.testcases import load_scenario
@@ -46,7 +47,9 @@ def sent(folder: Path, **settings: object) -> Path:
     """A folder whose run was killed before its plant was there."""
     folder.mkdir()
     scenario = load_scenario(None, {"testcase": TESTCASE, "baselines": [], "days": 0.25, **settings})
-    RunBook.begin(folder, scenario, ["tf-mpc", "run"]).journal.close()
+    # What it names is not looked up here.
+    theirs = replace(Experiment.of(load_scenario(None, {"testcase": TESTCASE})), written=scenario)
+    RunBook.begin(folder, theirs, ["tf-mpc", "run"]).journal.close()
     return folder
 
 
@@ -102,8 +105,8 @@ def test_an_address_in_a_journal_gets_no_request_and_no_token_until_it_is_given(
 def test_an_fmu_in_a_journal_is_not_opened_until_it_is_given_or_the_one_of_before(monkeypatch, tmp_path):
     opened: list[str] = []
 
-    def build(spec, *_: object) -> SimpleHouse:
-        opened.append(spec.path)
+    def build(experiment, *_: object) -> SimpleHouse:
+        opened.append(experiment.plant.spec.path)
         return SimpleHouse()
 
     monkeypatch.setattr(experiment_run, "build_plant", build)

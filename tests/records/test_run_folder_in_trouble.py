@@ -25,8 +25,9 @@ from waiting import LONG_S
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import ConfigError, PlantError, StorageError
-from thermoforce_mpc.experiment import composition
+from thermoforce_mpc.experiment import experiment as experiment_module
 from thermoforce_mpc.experiment import run as experiment_run
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.run_book import RunBook
 from thermoforce_mpc.files import write_whole, written
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
@@ -135,14 +136,14 @@ def with_model(tmp_path):
 
 
 def test_a_run_ended_between_identification_and_the_first_step_can_be_resumed(call, with_model, tmp_path, monkeypatch):
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    build = composition.build_controller
-    monkeypatch.setattr(composition, "build_controller", interrupted)
+    run = experiment_module.run_closed_loop
+    monkeypatch.setattr(experiment_module, "run_closed_loop", interrupted)
     assert call(SimpleHouse(), *with_model).exit_code != 0
     assert (tmp_path / "run" / "INCOMPLETE.txt").read_text() == "This run did not finish: interrupted\n"
-    monkeypatch.setattr(composition, "build_controller", build)
+    monkeypatch.setattr(experiment_module, "run_closed_loop", run)
     shutil.rmtree(tmp_path / "model")  # the run has its own
     done = call(SimpleHouse(), "resume", tmp_path / "run")
     assert done.exit_code == 0, done.output + str(done.exception)
@@ -324,7 +325,7 @@ def test_a_run_that_cannot_go_on_keeps_its_folder(call, tmp_path):
     """Also one that was ended before its plant was there."""
     scenario = load_scenario(None, {"testcase": WORDS[2], "controller": {"name": "thermostat"}, "baselines": []})
     (tmp_path / "run").mkdir()
-    RunBook.begin(tmp_path / "run", scenario, ["tf-mpc", "run"]).journal.close()
+    RunBook.begin(tmp_path / "run", Experiment.of(scenario), ["tf-mpc", "run"]).journal.close()
     house = SimpleHouse()
     house.period = lambda name: (_ for _ in ()).throw(PlantError("is away"))
     assert "is away" in str(call(house, "resume", tmp_path / "run").exception)

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from simple_house import SimpleHouse
 
-from controllers.registry import controller_config
 from thermoforce_mpc.cli.options import scenario_from
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.experiment.composition import controller_options
+from thermoforce_mpc.experiment.identifying import chosen_of
 from thermoforce_mpc.plants.comfort import WithComfort
 from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_testcase
@@ -102,12 +101,13 @@ def test_a_scenario_takes_a_text_or_the_whole():
 )
 def test_a_thermostat_keeps_the_strictest_bounds_of_a_schedule(testcase, schedule, set_points, cooling_C):
     scenario = validate(Scenario, {"testcase": testcase, "comfort": schedule}, "test")
-    options = controller_options(scenario, "thermostat")
-    assert options == {"setpoints_C": set_points, "cooling_setpoint_C": cooling_C}
-    assert controller_config("thermostat", options, load_testcase(testcase)).setpoints_C == set_points
+    config = chosen_of(scenario, load_testcase(testcase), "thermostat").config
+    assert (config.setpoints_C, config.cooling_setpoint_C) == (set_points, cooling_C)
     of_its_own = {"name": "thermostat", "options": {"setpoint_C": 20.0}}
     scenario = validate(Scenario, {"testcase": testcase, "comfort": schedule, "controller": of_its_own}, "test")
-    assert controller_options(scenario, "thermostat") == {"setpoint_C": 20.0}
+    config = chosen_of(scenario, load_testcase(testcase)).config
+    assert config.setpoint_C == 20.0
+    assert config.setpoints_C != set_points
 
 
 def test_plans_and_kpis_have_the_bounds_of_the_schedule():

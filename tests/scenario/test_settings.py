@@ -108,9 +108,9 @@ def test_shipped_test_cases_are_valid(name):
 
 @pytest.mark.parametrize("path", named_configs("scenarios").values(), ids=lambda path: path.stem)
 def test_shipped_scenarios_are_valid(path):
-    from thermoforce_mpc.experiment.checks import validate_scenario
+    from thermoforce_mpc.experiment.experiment import Experiment
 
-    validate_scenario(validate(Scenario, read_yaml(path), str(path)))
+    Experiment.of(validate(Scenario, read_yaml(path), str(path)))
 
 
 def test_a_test_case_with_reversed_actuator_limits_is_refused():
@@ -129,10 +129,11 @@ def test_the_actuator_maps_levels_to_the_wire_and_back():
 
 @pytest.mark.parametrize(("controller", "between"), [(None, False), ("thermoforce_paper", True)])
 def test_the_machine_is_probed_the_way_the_controller_will_run_it(controller, between):
-    from thermoforce_mpc.experiment.identifying import identification_settings
+    from thermoforce_mpc.experiment.identifying import chosen_of, identification_settings
 
     scenario = Scenario(testcase="bestest_hydronic_heat_pump", baselines=("thermoforce_paper", "rc_mpc"))
-    levels = identification_settings(scenario, load_testcase(scenario.testcase), controller)[0].levels
+    chosen = chosen_of(scenario, load_testcase(scenario.testcase), controller)
+    levels = identification_settings(scenario, chosen)[0].levels
     assert any(0 < level < 1 for level in levels) is between
 
 

@@ -1,8 +1,12 @@
-"""Weather forecast errors of BOPTEST at levels low, medium and high (parameters: its documentation).
+"""Weather forecast errors of BOPTEST, as its service makes them (levels and parameters: its documentation).
 
-Outdoor temperature: Gaussian first-order process along the horizon. Global irradiance: Laplace first-order process,
-redrawn until daylight forecasts lie between 0.2 and 2 times the true value. Errors are hourly, drawn anew every hour,
-up to 48 h ahead, and subtracted from the true value.
+Errors are hourly, from the full hour at or before now, at most 48 h ahead, and are subtracted from the true value of
+that hour; between hours a forecast is a straight line, whatever the interval asked for. Outdoor temperature: Gaussian
+first-order process along the horizon. Global irradiance: Laplace first-order process, drawn again until values above
+50 W/m² lie between 0.2 and 2 times the true one, then the mean of three hours, then kept within these shares.
+
+Errors are drawn anew every hour, by the seed and the time of the hour, s: two seeds that differ by 3600 n are the same
+errors n hours apart. Where the service is first asked within an hour it takes the time of that request instead.
 """
 
 from __future__ import annotations
@@ -30,11 +34,11 @@ class _Process(NamedTuple):
     spread: float
     drift: float
 
-    def drawn(self, draw: Callable[[float, float], float]) -> Array:
-        """Errors of every hour up to the horizon, (49,), by the draws of D from mean and spread."""
-        errors = np.empty(MAX_HORIZON_H + 1)
+    def drawn(self, n: int, draw: Callable[[float, float], float]) -> Array:
+        """Errors of `n` hours, (n,), by the draws of D from mean and spread."""
+        errors = np.empty(n)
         errors[0] = draw(self.start_mean, self.start_spread)
-        for k in range(MAX_HORIZON_H):
+        for k in range(n - 1):
             errors[k + 1] = draw(self.memory * errors[k] + self.drift, self.spread)
         return errors
 
@@ -54,44 +58,57 @@ _SOLAR = {
 _DAYLIGHT_W_M2 = 50.0
 _LEAST_SHARE, _MOST_SHARE = 0.2, 2.0
 _DRAWS = 200
+# Seeds that numpy's generator takes.
+_SEEDS = 2**32
 
 
 class ForecastError:
-    """Forecast errors of one level and seed; they depend only on level, seed and hour, not on earlier calls."""
+    """Errors of a level for the outdoor temperature and one for the irradiance (None: none), with a seed or without.
 
-    def __init__(self, level: Level, seed: int) -> None:
-        self.level, self._seed = level, seed
+    They depend on levels, seed, hour and horizon only, not on earlier calls; without a seed, as if it were 0.
+    """
 
-    def apply(self, time_s: Array, T_out_C: Array, hourly_solar_W_m2: Array, solar_W_m2: Array) -> tuple[Array, Array]:
+    def __init__(self, temperature: Level | None, solar: Level | None, seed: int | None = None) -> None:
+        self._temperature, self._solar, self._seed = temperature, solar, seed or 0
+
+    def apply(
+        self, time_s: Array, T_out_C: Callable[[Array], Array], solar_W_m2: Callable[[Array], Array]
+    ) -> tuple[Array, Array]:
         """Return outdoor temperature °C and irradiance W/m² with forecast errors, shape (n,) each.
 
-        `time_s` (n,): s since 1 January, the first is now; `T_out_C`, `solar_W_m2` (n,): true values there;
-        `hourly_solar_W_m2` (49,): true irradiance from the full hour at or before now. Raises `InputError` beyond 48 h.
+        `time_s` (n,): s since 1 January, the first is now; `T_out_C`, `solar_W_m2`: true values at times, s. Raises
+        `InputError` beyond 48 h.
         """
-        hour = math.floor(time_s[0] / HOUR_S)
-        ahead_h = time_s / HOUR_S - hour
-        # The limit counts from now, as in the service; errors start at the full hour, the last value is held.
-        if (time_s[-1] - time_s[0]) / HOUR_S > MAX_HORIZON_H + 1e-9:
+        first_h, horizon_h = math.floor(time_s[0] / HOUR_S), (time_s[-1] - time_s[0]) / HOUR_S
+        if horizon_h > MAX_HORIZON_H + 1e-9:
             raise InputError(f"forecast horizon beyond {MAX_HORIZON_H} h: not available with forecast uncertainty")
-        rng = np.random.default_rng([self._seed, hour])
-        at_hours = np.arange(MAX_HORIZON_H + 1)
-        temperature = np.interp(ahead_h, at_hours, _TEMPERATURE[self.level].drawn(rng.normal))
-        solar = np.interp(ahead_h, at_hours, self._solar_errors(rng, hourly_solar_W_m2))
-        return T_out_C - temperature, np.maximum(solar_W_m2 - solar, 0.0)
+        hours_s = (first_h + np.arange(math.floor(horizon_h + 1e-9) + 2.0)) * HOUR_S
 
-    def _solar_errors(self, rng: np.random.Generator, truth: Array) -> Array:
-        """Draw until all daylight values lie in range (200 times at most), smooth over 3 h, clip to the range."""
+        def between(values: Array) -> Array:
+            return np.asarray(np.interp(time_s, hours_s, values))
+
+        T_seen, solar_seen = T_out_C(time_s), solar_W_m2(time_s)
+        if self._temperature:
+            errors = _TEMPERATURE[self._temperature].drawn(hours_s.size, self._generator(first_h).normal)
+            T_seen = between(T_out_C(hours_s) - errors)
+        if self._solar:
+            solar_seen = between(self._solar_forecast(self._solar, solar_W_m2(hours_s), first_h))
+        return T_seen, solar_seen
+
+    def _generator(self, hour: int, draw: int = 0) -> np.random.RandomState:
+        """The generator of a draw. Numbers of the legacy generator are those of the service."""
+        return np.random.RandomState((self._seed + round(hour * HOUR_S) + draw * draw) % _SEEDS)
+
+    def _solar_forecast(self, level: Level, truth: Array, hour: int) -> Array:
+        low, high = _LEAST_SHARE * truth, _MOST_SHARE * truth
         daylight = truth > _DAYLIGHT_W_M2
-        for _ in range(_DRAWS):
-            errors = _SOLAR[self.level].drawn(rng.laplace)
-            forecast = (truth - errors)[daylight]
-            low, high = _LEAST_SHARE * truth[daylight], _MOST_SHARE * truth[daylight]
-            if ((forecast >= low) & (forecast <= high)).all():
+        for draw in range(_DRAWS):
+            forecast = truth - _SOLAR[level].drawn(truth.size, self._generator(hour, draw).laplace)
+            if ((forecast >= low) & (forecast <= high))[daylight].all():
                 break
-        forecast = np.where(daylight, truth - errors, truth)
-        padded = np.pad(forecast, 1, mode="edge")
-        smooth = np.convolve(padded, np.ones(3) / 3, mode="valid")
-        return np.asarray(truth - np.where(daylight, np.clip(smooth, _LEAST_SHARE * truth, _MOST_SHARE * truth), truth))
+        smooth = forecast.copy()
+        smooth[1:-1] = np.convolve(forecast, np.ones(3) / 3, mode="valid")
+        return np.clip(smooth, low, high)
 
 
 def forecast_weather(weather: Weather, error: ForecastError | None, time_s: Array) -> tuple[Array, Array]:
@@ -99,8 +116,6 @@ def forecast_weather(weather: Weather, error: ForecastError | None, time_s: Arra
 
     `error` None: a perfect forecast; with one, raises `InputError` beyond 48 h.
     """
-    T_out, solar = weather.at("T_dry_C", time_s), weather.at("global_W_m2", time_s)
     if error is None:
-        return T_out, solar
-    hours = (math.floor(time_s[0] / HOUR_S) + np.arange(MAX_HORIZON_H + 1.0)) * HOUR_S
-    return error.apply(time_s, T_out, weather.at("global_W_m2", hours), solar)
+        return weather.at("T_dry_C", time_s), weather.at("global_W_m2", time_s)
+    return error.apply(time_s, lambda at_s: weather.at("T_dry_C", at_s), lambda at_s: weather.at("global_W_m2", at_s))

@@ -1,45 +1,83 @@
-"""BOPTEST's scored windows: two weeks around the peak and the typical heating day of a weather year.
+"""BOPTEST's scored windows: two weeks around the peak and the typical day of heating, and cooling, in a weather year.
 
 Rule (BOPTEST's tool for finding days): in a year of native control, the peak day has the highest 15-min mean of the
-heat pump's electric power; the typical day's highest 15-min mean is the nearest at or below the median over all heating
-days. Both days must leave room for the warm-up and the second week (BOPTEST requires this of the peak day only).
+power of heating; the typical day's highest 15-min mean is the nearest at or below the median over all heating days.
+Both days must leave room for the warm-up and the second week (BOPTEST requires this of the peak day only). The same of
+cooling. The mix day is not found as BOPTEST does, of which no rule is known: it has the most of the lesser of heating
+and cooling, each by its highest mean over that of its peak day.
 """
 
 from __future__ import annotations
 
+import hashlib
+
 import numpy as np
 
+from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import DAY_S, Array, Period
 
 NAMES = ("peak_heat_day", "typical_heat_day")
+BOTH_NAMES = (*NAMES, "peak_cool_day", "typical_cool_day", "mix_day")
 _QUARTERS = 96
 _HALF_WINDOW_D = 7
 # Days that leave room for the warm-up and first week before, and the second week after.
 _FIRST_DAY, _LAST_DAY = 14, 358
-_HEATING_W = 1.0
+_ACTING_W = 1.0
 
 
-# Days that BOPTEST publishes for its own weather, by the weather's fingerprint. The emulator reproduces the peak day by
-# the rule, but not the typical day: days next to the median in rank lie months apart, so a difference of 1 W, or
-# another release of the test case, changes it.
-_PUBLISHED = {"7856f6e4b8b7": {"peak_heat_day": 23, "typical_heat_day": 115}}
+# Days that BOPTEST publishes for its own weather, by test case: hash of that year, days. The emulators reproduce the
+# peak days by the rule, but not each typical day: days next to the median in rank lie months apart, so a difference of
+# 1 W, or another release of the test case, changes it.
+_BRUSSELS = "01b75e2289e4"
+_PUBLISHED = {
+    "bestest_hydronic_heat_pump": (_BRUSSELS, (23, 115)),
+    "bestest_hydronic": (_BRUSSELS, (318, 341)),
+    "bestest_air": ("d93ba901f897", (341, 51, 289, 153, 21)),
+}
 
 
-def published_windows(fingerprint: str) -> dict[str, Period] | None:
-    """Return the windows BOPTEST publishes for its own weather (Brussels), or None for any other weather."""
-    days = _PUBLISHED.get(fingerprint)
-    return None if days is None else {name: centred_window(name, day) for name, day in days.items()}
+def published_windows(testcase: str, weather: Weather) -> dict[str, Period] | None:
+    """Return the windows that BOPTEST publishes for a test case in its own weather, or None for any other weather."""
+    year, days = _PUBLISHED.get(testcase, ("", ()))
+    if _of_year(weather) != year:
+        return None
+    return {name: centred_window(name, day) for name, day in zip(BOTH_NAMES, days, strict=False)}
+
+
+def _of_year(weather: Weather) -> str:
+    """Hash of what a release of a file does not change: temperature and irradiance."""
+    rows = np.concatenate([np.round(column, 1) + 0.0 for column in (weather.T_dry_C, weather.global_W_m2)])
+    return hashlib.sha256(rows.astype("<f8").tobytes()).hexdigest()[:12]
 
 
 def heating_windows(power_W: Array) -> dict[str, Period]:
-    """Return both windows by BOPTEST's rule from a year's 15-min means of electric heating power, W, (35040,)."""
-    highest = np.asarray(power_W).reshape(365, _QUARTERS).max(axis=1)
+    """Return both windows by BOPTEST's rule from a year's 15-min means of heating power, W, (35040,)."""
+    return _windows(power_W, NAMES)
+
+
+def all_windows(heating_W: Array, cooling_W: Array) -> dict[str, Period]:
+    """Return the windows of heating, of cooling and of both, from a year's 15-min means of power, W, (35040,) each."""
+    lesser = np.minimum(
+        *(_highest(power_W) / max(float(power_W.max()), _ACTING_W) for power_W in (heating_W, cooling_W))
+    )
+    available = np.arange(_FIRST_DAY, _LAST_DAY)
+    mixed = int(available[np.argmax(lesser[available])])
+    windows = _windows(heating_W, NAMES) | _windows(cooling_W, BOTH_NAMES[2:4])
+    return windows | {"mix_day": centred_window("mix_day", mixed)}
+
+
+def _highest(power_W: Array) -> Array:
+    return np.asarray(np.asarray(power_W).reshape(365, _QUARTERS).max(axis=1))
+
+
+def _windows(power_W: Array, names: tuple[str, ...]) -> dict[str, Period]:
+    highest = _highest(power_W)
     available = np.arange(_FIRST_DAY, _LAST_DAY)
     peak = int(available[np.argmax(highest[available])])
-    median = float(np.median(highest[highest > _HEATING_W])) if (highest > _HEATING_W).any() else 0.0
+    median = float(np.median(highest[highest > _ACTING_W])) if (highest > _ACTING_W).any() else 0.0
     not_above = available[highest[available] <= median]
     typical = int(not_above[np.argmax(highest[not_above])])
-    return {name: centred_window(name, day) for name, day in zip(NAMES, (peak, typical), strict=True)}
+    return {name: centred_window(name, day) for name, day in zip(names, (peak, typical), strict=True)}
 
 
 def centred_window(name: str, day: int) -> Period:

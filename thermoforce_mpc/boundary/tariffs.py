@@ -1,4 +1,4 @@
-"""Electricity tariffs of the test case (EUR/kWh), the price of gas, and their emission factors (kg CO2/kWh)."""
+"""Electricity tariffs of the test cases (EUR/kWh, USD/kWh), prices of gas, and emission factors (kg CO2/kWh)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from thermoforce_mpc.files import DoubtfulInput, read_bounded, read_pieces
 EMISSION_KG_PER_KWH = 0.167
 CONSTANT = 0.2535
 DYNAMIC_DAY, DYNAMIC_NIGHT = 0.2666, 0.2383
-# Gas in Belgium, as in BOPTEST's `bestest_hydronic`: the same price in all three tariffs.
+# Gas in Belgium, of our own houses and offices: the same price in all three tariffs.
 GAS, GAS_EMISSION_KG_PER_KWH = 0.07, 0.181
 # A price for each minute of a year has 10 MB.
 _MOST_BYTES = 20_000_000
@@ -44,6 +44,36 @@ def dynamic(time_s: Array) -> Array:
     hour = (np.asarray(time_s) % DAY_S) / HOUR_S
     # BOPTEST's price series has 15-min samples held to the next: the 22:00 value lasts to 22:15.
     return np.where((hour >= 7.0) & (hour < 22.25), DYNAMIC_DAY, DYNAMIC_NIGHT)
+
+
+def denver_dynamic(time_s: Array) -> Array:
+    """Return the day/night tariff of `bestest_air`, USD/kWh: dearer from 9:00 to 21:00, dearest on working afternoons.
+
+    From June to September both are dearer still. Source: boundary data of the test case.
+    """
+    day = np.floor(np.asarray(time_s) / DAY_S) % 365
+    hour = (np.asarray(time_s) % DAY_S) / HOUR_S
+    summer = (day >= 151) & (day < 273)
+    working = ~np.isin(day % 7, (4, 5))
+    mid, peak = np.where(summer, 0.0842, 0.05413), np.where(summer, 0.13814, 0.0888)
+    by_day = np.where(working & (hour >= 14.0) & (hour < 18.0), peak, mid)
+    return np.where((hour >= 9.0) & (hour < 21.0), by_day, 0.0444)
+
+
+def synthetic_denver_spot() -> Tariff:
+    """Return a synthetic highly dynamic tariff like that of `bestest_air`: hourly, mean near 0.021 USD/kWh, spikes.
+
+    Mean, spread, daily shape, and rare negative and dear hours are those of the test case's own prices.
+    """
+    rng = np.random.default_rng(1)
+    hour = np.arange(8760.0)
+    of_day = hour % 24
+    daylight = np.where((of_day >= 5) & (of_day < 20), np.sin(np.pi * np.clip((of_day - 3.0) / 19.0, 0.0, 1.0)), 0.0)
+    slow = np.repeat(_autoregressive(rng, 365, 0.7) * 0.004, 24)
+    prices = 0.0158 + 0.0115 * daylight + slow + 0.0095 * _autoregressive(rng, 8760, 0.8)
+    for start in rng.choice(8757, size=30, replace=False):
+        prices[start : start + 3] += rng.uniform(0.02, 0.06)
+    return held_prices(hour * HOUR_S, np.asarray(np.round(np.clip(prices, -0.02, 0.1), 5), dtype=np.float64))
 
 
 def synthetic_spot() -> Tariff:

@@ -92,6 +92,17 @@ def _show_warning(message: Warning | str, category: type[Warning], *place: Any, 
         _show_otherwise(message, category, *place, **further)
 
 
+def _run() -> Any:
+    """Run the command; what cannot be imported since something of the user's hides it says so."""
+    try:
+        return cli.main(standalone_mode=False)
+    except ImportError:
+        from thermoforce_mpc.registry import check_nothing_hides_us
+
+        check_nothing_hides_us()
+        raise
+
+
 def main() -> None:
     """Entry point: prints an error of this package as one message and exits with its code."""
     # Read when numpy is loaded. Matrices here are small: more threads gain nothing, and wait for one another where the
@@ -102,7 +113,7 @@ def main() -> None:
     warnings.showwarning = _show_warning
     signal.signal(signal.SIGTERM, _terminate)
     try:
-        code = cli.main(standalone_mode=False)
+        code = _run()
         if isinstance(code, int):  # a command that exits with a code of its own
             sys.exit(code)
     except click.ClickException as error:  # usage errors: exit code 2

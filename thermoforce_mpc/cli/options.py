@@ -106,6 +106,13 @@ mpc_options = added(
 )
 
 
+own_prices_option = click.option(
+    "--prices",
+    type=PATH,
+    help="CSV of prices for all machines (time, price per kWh; MWh or ct in the column's name) instead of the map's.",
+)
+
+
 def _forecaster(name: str) -> dict[str, Any]:
     """Keys of a free response, or of a backbone by name, directory or hub name; refuses what can be none of these."""
     from thermoforce_mpc.errors import ConfigError, suggestion

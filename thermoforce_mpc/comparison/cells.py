@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
-from controllers.registry import controller_config, find_entry
 from thermoforce_mpc.comparison.input_files import file_hashes, named_files
 from thermoforce_mpc.comparison.variants import Variant, variant_scenario
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.execution.keys import digest, source_fingerprint
-from thermoforce_mpc.experiment.checks import validate_scenario
-from thermoforce_mpc.experiment.composition import check_windows, controller_options
-from thermoforce_mpc.experiment.identifying import IdentificationTask, identification_task
+from thermoforce_mpc.experiment.experiment import Experiment
+from thermoforce_mpc.experiment.identifying import IdentificationTask, SavedModel
+from thermoforce_mpc.experiment.windows import check_windows
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.registry import plugin_sources
 from thermoforce_mpc.scenario.own_code import code_file, is_policy, policy_settings
@@ -27,7 +26,8 @@ FORMAT = 2
 
 @dataclass(frozen=True)
 class Cell:
-    """One run of a comparison: `scenario` determines its result, `key` is the hash of all its inputs.
+    """One run of a comparison: `scenario` determines its result, `key` is the hash of all its inputs. It travels to
+    where it is run, is resolved there, and holds no more than what can travel.
 
     `task` is the identification it needs (None: no model, or a saved one) and `identification_key` its hash; cells with
     equal identification settings share one model. `trajectory`: whether its course is kept.
@@ -41,6 +41,7 @@ class Cell:
     key: str
     task: IdentificationTask | None
     identification_key: str | None
+    needs_model: bool
     trajectory: bool = False
 
     @property
@@ -128,32 +129,40 @@ def _cell(name: str, scenario: Scenario, hash_of: Inputs) -> Cell:
     For a controller without a model the identification settings are not part of the key, so that its runs are reused
     beside any other. That of an identification includes the source: models have no result file that reports a change.
     """
-    testcase = validate_scenario(scenario)
-    controller = scenario.controller.name
+    experiment = Experiment.of(scenario)
+    controller, source = experiment.own.name, experiment.own.model_from
     task, identification_key = None, None
     model: str | dict[str, Any] | None = None
-    if find_entry(controller).needs_model:
-        if scenario.identification.model is not None:
-            model = hash_of(scenario.identification.model)
-        else:
-            task = identification_task(scenario, testcase)
-            probed = hash_of(task.probed_files) if task.probed_files else None
-            model = task.to_json() | {"plant": _plant_by_content(task.plant, hash_of), "probed": probed}
-            identification_key = digest({**hash_of.made, "source": source_fingerprint(), "task": model})
-    options = controller_config(controller, controller_options(scenario, controller), testcase).model_dump(mode="json")
+    if isinstance(source, SavedModel):
+        model = hash_of(source.folder)
+    elif source is not None:
+        task = source
+        probed = hash_of(task.probed_files) if task.probed_files else None
+        model = task.to_json() | {"plant": _plant_by_content(task.plant, hash_of), "probed": probed}
+        identification_key = digest({**hash_of.made, "source": source_fingerprint(), "task": model})
+    options = experiment.own.chosen.config.model_dump(mode="json")
     named = [file for name in (controller, *scenario.kpis) if (file := code_file(name)) is not None]
     named += [str(policy_settings(file)) for file in named if is_policy(file)]
     files = {path: hash_of(path) for path in (*named_files(controller, options), *named)}
     # What a controller is compared with decides nothing of its run. Keys that came later count where they are given.
     decides = scenario.model_dump(mode="json", exclude={"equal_comfort"}) | {
-        "testcase": testcase.model_dump(mode="json"),
+        "testcase": experiment.testcase.model_dump(mode="json"),
         "plant": _plant_by_content(scenario.plant, hash_of),
         "controller": {"name": controller, "options": options, "files": files},
         "identification": model,
     }
     key = digest({**hash_of.made, "scenario": decides})
-    uncertainty = scenario.plant.forecast_uncertainty
-    return Cell(name, scenario.period, scenario.price, uncertainty, scenario, key, task, identification_key)
+    return Cell(
+        name,
+        scenario.period,
+        scenario.price,
+        scenario.plant.forecast_uncertainty,
+        scenario,
+        key,
+        task,
+        identification_key,
+        needs_model=source is not None,
+    )
 
 
 def _plant_by_content(spec: PlantSpec, hash_of: Callable[[str], str]) -> dict[str, Any]:

@@ -12,26 +12,23 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from controllers.registry import find_entry, has_gate
 from thermoforce_mpc.comparison.cells import FORMAT, Cell, Inputs, varied
 from thermoforce_mpc.comparison.input_files import NO_FILES, SentFiles, input_files, moved, paths_of, task_of
 from thermoforce_mpc.comparison.store import DONE, FAILED, Identified, Ran, Store
 from thermoforce_mpc.data import DAY_S, PlantInfo
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Task, source_fingerprint, tell
-from thermoforce_mpc.experiment.composition import Setting, controller_options
-from thermoforce_mpc.experiment.equal_comfort import THERMOSTAT, as_comfortable, shifted_options
-from thermoforce_mpc.experiment.identifying import IdentificationTask, model_for, run_identification
+from thermoforce_mpc.experiment.equal_comfort import SET_POINTS, THERMOSTAT, as_comfortable, raised
+from thermoforce_mpc.experiment.experiment import Contestant, Experiment, Setting
+from thermoforce_mpc.experiment.identifying import IdentificationTask, SavedModel, model_for, run_identification
 from thermoforce_mpc.files import write_folder
 from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.model.thermal_model import ThermalModel
 from thermoforce_mpc.plants.registry import build_plant
-from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
-from thermoforce_mpc.records.own_kpis import own_kpis, with_own_kpis
+from thermoforce_mpc.records.own_kpis import with_own_kpis
 from thermoforce_mpc.records.run_folder import trajectory_frame
 from thermoforce_mpc.report.findings import COST, DISCOMFORT
-from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.testcase import TestCase
 from thermoforce_mpc.version import VERSION
 
@@ -85,17 +82,16 @@ def follow(cell: Cell, *needs: SentFiles | Identified) -> Ran:
     files = next((need for need in needs if isinstance(need, SentFiles)), NO_FILES)
     model = next((need for need in needs if isinstance(need, Identified)), None)
     with files.at_hand() as where:
-        scenario = moved(cell.scenario, where)
-        name, testcase = scenario.controller.name, load_testcase(scenario.testcase)
-        with closing(build_plant(scenario.plant, testcase, scenario.seed, scenario.comfort)) as plant:
-            setting = Setting.of(plant, scenario, testcase)
-            acts_on = _model(scenario, testcase, plant, model) if find_entry(name).needs_model else None
+        experiment = Experiment.of(moved(cell.scenario, where))
+        with closing(experiment.plant.build()) as plant:
+            setting, own = Setting.of(plant, experiment), experiment.own
+            acts_on = None if own.model_from is None else _model(own, plant, model)
 
             def on_step(record: StepRecord) -> None:
                 tell((record.time_s - setting.period.start_s) / setting.period.scored_s)
 
-            result = setting.run(setting.controller(name, acts_on), on_step)
-            record = _record(cell, with_own_kpis(result, own_kpis(scenario.kpis)), plant.info)
+            result = setting.run(own.chosen.build(acts_on), on_step)
+            record = _record(cell, with_own_kpis(result, experiment.kpis), plant.info)
             return Ran(record, _parquet(cell, result.steps) if cell.trajectory else b"")
 
 
@@ -109,19 +105,19 @@ def _parquet(cell: Cell, steps: Sequence[StepRecord]) -> bytes:
     return content.getvalue()
 
 
-def _model(scenario: Scenario, testcase: TestCase, plant: Plant, model: Identified | None) -> ThermalModel | str:
+def _model(contestant: Contestant, plant: Plant, model: Identified | None) -> ThermalModel | str:
     """What the controller acts on: a model, or why there is none; raises `DataError` where it has no gate."""
+    source = contestant.model_from
+    assert source is not None  # it needs one
     if model is None:
-        return model_for(scenario, testcase, plant)
+        return model_for(source, plant)
     if model.refused:
-        name = scenario.controller.name
-        if not has_gate(name, controller_options(scenario, name), testcase):
+        if not contestant.chosen.has_gate:
             raise DataError(model.refused)
         return model.refused
     with tempfile.TemporaryDirectory() as folder:
         write_folder(saved := Path(folder) / "model", model.files)
-        spec = scenario.identification.model_copy(update={"model": str(saved)})
-        return model_for(scenario.model_copy(update={"identification": spec}), testcase, plant)
+        return SavedModel(str(saved), source.step_s).load()
 
 
 def _head(cell: Cell) -> dict[str, Any]:
@@ -133,7 +129,7 @@ def _head(cell: Cell) -> dict[str, Any]:
         "source": source_fingerprint(),
         "variant": cell.variant,
         "controller": scenario.controller.name,
-        "needs_model": find_entry(scenario.controller.name).needs_model,
+        "needs_model": cell.needs_model,
         "window": cell.window,
         "price": cell.price,
         "uncertainty": cell.uncertainty,
@@ -200,7 +196,9 @@ class EqualComfort:
 
     def _shifted(self, thermostat: Cell, shift_K: float) -> Mapping[str, float]:
         """KPIs of a thermostat with other set-points, run in this process where they are not stored."""
-        options = shifted_options(thermostat.scenario.controller.options, self.testcase, shift_K)
+        # Its own step and set-backs, and the set-points that it has where it is not shifted.
+        config = raised(Experiment.of(thermostat.scenario).own.chosen, shift_K).config
+        options = thermostat.scenario.controller.options | config.model_dump(include=SET_POINTS)
         cell = varied(thermostat, f"{THERMOSTAT} {shift_K:+.2f} K", options, self.inputs)
         record = self.store.finished(cell)
         if record is None:

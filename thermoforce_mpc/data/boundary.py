@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data.clock import CLOCK_ROUNDING_S, CLOCK_TOLERANCE_S, HOUR_S, Array, check_clock
 from thermoforce_mpc.data.limits import ZONE_C
@@ -33,6 +34,7 @@ class Boundary:
     Shape (Z, N + 1): `occupancy` persons, `lower_C` and `upper_C` comfort bounds °C.
     Shape (M, N + 1): `price_per_kWh` currency/kWh and `emission_kg_per_kWh` kg CO2/kWh of each machine's energy;
     `heating_price_per_kWh` where the heating of a machine that also cools has a carrier of its own, else the same.
+    `guessed`: which values of a signal, by its name and shape, nobody gave, and its source of data made up by a rule.
     Raises `DataError` for another shape, no instant, or instants that do not go up in equal steps.
     """
 
@@ -46,6 +48,7 @@ class Boundary:
     emission_kg_per_kWh: Array
     heating_price_per_kWh: Array = field(default_factory=lambda: np.empty(0))
     names: Names = SINGLE
+    guessed: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = np.size(self.time_s)
@@ -185,11 +188,18 @@ class Boundary:
                 for name in CONDITIONS
             },
             names=names,
+            guessed={
+                name: values[row[AXIS[name]]][None] if name in AXIS else values for name, values in self.guessed.items()
+            },
         )
 
     def head(self, n_steps: int) -> Boundary:
         """The first `n_steps` steps."""
-        return Boundary(**{name: getattr(self, name)[..., : n_steps + 1] for name in CONDITIONS}, names=self.names)
+        return Boundary(
+            **{name: getattr(self, name)[..., : n_steps + 1] for name in CONDITIONS},
+            names=self.names,
+            guessed={name: values[..., : n_steps + 1] for name, values in self.guessed.items()},
+        )
 
 
 @dataclass(frozen=True)

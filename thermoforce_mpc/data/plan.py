@@ -8,6 +8,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data.clock import Array
 from thermoforce_mpc.data.names import SINGLE, Names, of_each
@@ -133,6 +134,10 @@ class PlanStatus(StrEnum):
         return self in (self.ACCEPTABLE, self.SHIFTED, self.THERMOSTAT, self.NATIVE, self.GUARD)
 
 
+# What acts where a plan may not: the plant's own control, or the on/off rule in its place.
+_NOT_FOLLOWED = (PlanStatus.GATE, PlanStatus.WATCH, PlanStatus.NATIVE, PlanStatus.THERMOSTAT)
+
+
 @dataclass(frozen=True)
 class Plan:
     """A decision and its reason.
@@ -196,6 +201,16 @@ class Plan:
         """Predicted zone temperatures at the end of each step, free plus forced (paper eq:compose), (Z, N), °C."""
         return compose(self.T_free_C, self.T_forced_K)
 
+    @property
+    def followed(self) -> NDArray[np.bool_]:
+        """Whether each actuator is left to the plan (A,): its own control or a rule acts where a model may not."""
+        return np.array([status not in _NOT_FOLLOWED for status in self.acting])
+
+    @property
+    def u_to_set(self) -> Array:
+        """Levels to set (A, N): `u`, NaN for actuators that are not left to the plan."""
+        return np.where(self.followed[:, None], self.u, np.nan)
+
     def with_news(self, *news: str) -> Plan:
         """The plan that also says what was learned in its step; empty texts say nothing."""
         text = "; ".join(filter(None, news))
@@ -206,14 +221,14 @@ class Plan:
     def to_dataframe(self) -> pd.DataFrame:
         """The planned horizon, one row per step at its start; no rows where nothing was solved.
 
-        Columns: `u` and mean electric `power_W` over the step; at its end `T_zone_C`, the 80 % band `T_low_C` to
-        `T_high_C` of the free response, `T_free_C`, `T_forced_K` and the comfort violation `slack_K`. With several
-        zones, actuators or machines, one of each per name: `T_zone_C[bath]`.
+        Columns: `u`, NaN where it is not to be set (`u_to_set`), and mean electric `power_W` over the step; at its end
+        `T_zone_C`, the 80 % band `T_low_C` to `T_high_C` of the free response, `T_free_C`, `T_forced_K` and the comfort
+        violation `slack_K`. With several zones, actuators or machines, one of each per name: `T_zone_C[bath]`.
         """
         from thermoforce_mpc.data.dataframes import table
 
         columns = self.names.columns(
-            u=self.u,
+            u=self.u_to_set,
             power_W=self.power_W,
             T_zone_C=self.T_zone_C,
             T_low_C=compose(self.T_free_low_C, self.T_forced_K),

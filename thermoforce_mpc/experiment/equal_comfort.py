@@ -7,17 +7,18 @@ Discomfort falls with the set-point until zones get too warm: doubled steps to w
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any
 
-from controllers.registry import controller_config
-from controllers.rules.thermostat import ThermostatConfig
+from controllers.entries.entry import Chosen
+from controllers.rules.thermostat import ThermostatConfig, shifted
+from thermoforce_mpc.protocols import Controller
 from thermoforce_mpc.report.findings import COST, DISCOMFORT
-from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.scenario.testcase import TestCase
 
 THERMOSTAT = "thermostat"
+SET_POINTS = {"setpoints_C", "cooling_setpoint_C"}
+"""Its options that are shifted."""
 
 # What a thermostat may be less comfortable, K·h.
 ALLOWED_KH = 0.1
@@ -106,18 +107,17 @@ def as_comfortable(run: Callable[[float], Kpis], default: Kpis, discomfort_Kh: f
     return AsComfortable(cheapest * _STEP_K, tried[cheapest], True)
 
 
-def shifted_options(options: Mapping[str, Any], testcase: TestCase, shift_K: float) -> dict[str, Any]:
-    """Options of a thermostat whose zones are kept so much warmer where it heats, and cooler where it cools."""
-    config, layout = controller_config(THERMOSTAT, options, testcase), testcase.layout
+def run_shifted(thermostat: Chosen, run: Callable[[Controller], Kpis]) -> Callable[[float], Kpis]:
+    """KPIs of a thermostat with its set-points raised by so many K, each found by a `run` of it."""
+
+    def kpis(shift_K: float) -> Kpis:
+        return run(raised(thermostat, shift_K).build())
+
+    return kpis
+
+
+def raised(thermostat: Chosen, shift_K: float) -> Chosen:
+    """A thermostat with its set-points raised by so many K."""
+    config = thermostat.config
     assert isinstance(config, ThermostatConfig)
-    set_points = {
-        name: config.setpoints_C.get(name, config.setpoint_C) + sign * shift_K
-        for name, sign in zip(layout.names.actuators, layout.signs, strict=True)
-    }
-    cooling_C = config.cooling_setpoint_C - shift_K
-    return {**options, "setpoints_C": set_points, "cooling_setpoint_C": cooling_C}
-
-
-def searches_equal_comfort(scenario: Scenario) -> bool:
-    """Whether a scenario asks for it, or its plant is one whose further runs take seconds."""
-    return scenario.plant.kind == "embedded" if scenario.equal_comfort is None else scenario.equal_comfort
+    return replace(thermostat, config=shifted(config, thermostat.testcase.layout, shift_K))

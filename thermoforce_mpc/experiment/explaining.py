@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from controllers.registry import build_controller, find_entry
 from thermoforce_mpc.data import HOUR_S, Array, Boundary, Observation
 from thermoforce_mpc.data.clock import seconds_of, words_of
 from thermoforce_mpc.data.superposition import compose
 from thermoforce_mpc.errors import ArtifactError, DataError, InputError
-from thermoforce_mpc.experiment.checks import validate_scenario
-from thermoforce_mpc.experiment.composition import controller_options
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.outside import CODE, unknown
 from thermoforce_mpc.records.journal import NAME, JournalError, making_sense, read_run
 from thermoforce_mpc.records.journal_values import margins_of, planned_of
@@ -163,7 +161,7 @@ def hour_ends(n: int, step_s: float, hours: float) -> range:
 
 
 # What a plan would have been made on does not matter here, so no weights are loaded.
-_FREE_RESPONSE = {"name": "linear_weather", "options": {}}
+_FREE_RESPONSE: dict[str, Any] = {"name": "linear_weather", "options": {}}
 
 
 def alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
@@ -176,20 +174,23 @@ def alternatives_of(folder: Path, decision: Decision) -> Alternatives | str:
         if code or name not in (scenario.controller.name, *scenario.baselines):
             unclear = ", ".join(code) or name
             return f"they need what you have not given here before, or what was changed since: {unclear}"
-        if not find_entry(name).needs_model:
+        contestant = Experiment.of(scenario).contestant(name)
+        if contestant is None or not contestant.chosen.needs_model:
             return f"{name} acts without a model"
         models: Mapping[str, Any] = next((entry.content["models"] for entry in entries if entry.kind == "models"), {})
         entry: Mapping[str, Any] = models.get(name, {})
         if not entry.get("folder"):
             return f"there is no model: {entry.get('refused') or 'the run was given one that it did not keep'}"
         from controllers.mpc.alternatives import alternatives
+        from controllers.mpc.config import FreeResponseConfig
         from controllers.mpc.controller import ThermoForceMPC
         from thermoforce_mpc.model.thermal_model import load_model
 
-        options = controller_options(scenario, name) | {"free_response": _FREE_RESPONSE}
+        chosen = contestant.chosen
+        config = chosen.config.model_copy(update={"free_response": FreeResponseConfig(**_FREE_RESPONSE)})
         try:
             model = load_model(kept_model(folder, entry["folder"]))
-            controller = build_controller(name, options, validate_scenario(scenario), model)
+            controller = replace(chosen, config=config).build(model)
             assert isinstance(controller, ThermoForceMPC)
             planned = decision.step.plan if decision.plan else None
             observation, begin_s = decision.observation, decision.steps[0].time_s

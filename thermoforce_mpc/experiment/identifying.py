@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import BaseModel
 
-from controllers.registry import controller_config
+from controllers.entries.entry import Chosen
+from controllers.registry import choose
 from thermoforce_mpc.data import Period, Record
-from thermoforce_mpc.experiment.composition import check_window, controller_options
+from thermoforce_mpc.experiment.windows import check_window
 from thermoforce_mpc.loop.probing import Identifying, Probed, ProbingProgress, probe_until_known
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.protocols import Plant
@@ -152,10 +153,15 @@ def may_act(model: ThermalModel) -> bool:
     return not any(card.unfit for card in model.cards)
 
 
-def identification_settings(
-    scenario: Scenario, testcase: TestCase, controller: str | None = None
-) -> tuple[ProbingConfig, IdentificationConfig]:
-    """Probing and identification settings for `controller`, by default the scenario's; `ConfigError` names wrong keys.
+def chosen_of(scenario: Scenario, testcase: TestCase, controller: str | None = None) -> Chosen:
+    """A controller of a scenario, by default its own, with its options; raises `ConfigError` as `choose`."""
+    own = scenario.controller
+    name = controller or own.name
+    return choose(name, own.options if name == own.name else {}, testcase, scenario.comfort, scenario.step_s)
+
+
+def identification_settings(scenario: Scenario, chosen: Chosen) -> tuple[ProbingConfig, IdentificationConfig]:
+    """Probing and identification settings of a scenario for a controller; `ConfigError` names wrong keys.
 
     By default the machine is probed at the levels that this controller uses: those between lowest and full if it
     modulates, off and full if it switches. Where that is to be decided (actuation mode auto), a few steps at half level
@@ -164,9 +170,9 @@ def identification_settings(
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.identification.probing.probe import ProbingConfig
 
-    spec, name = scenario.identification, controller or scenario.controller.name
+    spec, testcase = scenario.identification, chosen.testcase
     metered = all(actuator.heat.units for actuator in testcase.points.actuators)
-    actuation = getattr(controller_config(name, controller_options(scenario, name), testcase), "actuation", None)
+    actuation = getattr(chosen.config, "actuation", None)
     defaults: dict[str, Any] = {}
     if actuation is not None and actuation.mode in ("modulating", "supply"):
         # Probe the intermediate levels that a plan can use.
@@ -195,9 +201,10 @@ def identification_settings(
     return probing, validate(IdentificationConfig, options, "identification.options")
 
 
-def identification_task(scenario: Scenario, testcase: TestCase, controller: str | None = None) -> IdentificationTask:
-    """Task of `controller`, by default the scenario's own; raises `ConfigError` for a wrong setting."""
-    probing, config = identification_settings(scenario, testcase, controller)
+def identification_task(scenario: Scenario, chosen: Chosen) -> IdentificationTask:
+    """What is to be identified of a scenario's plant for a controller; raises `ConfigError` for a wrong setting."""
+    testcase = chosen.testcase
+    probing, config = identification_settings(scenario, chosen)
     return IdentificationTask(
         testcase=testcase,
         plant=scenario.plant,
@@ -266,23 +273,27 @@ def taken_probing(task: IdentificationTask, keep: Path | None = None) -> Probed 
     return told.probed if told and told.has_ended else None
 
 
-def model_for(scenario: Scenario, testcase: TestCase, plant: Plant, controller: str | None = None) -> ThermalModel:
-    """Model of `controller`: the saved one named in the scenario, resampled to its step, or a newly identified one.
+def model_for(source: SavedModel | IdentificationTask, plant: Plant) -> ThermalModel:
+    """The model that comes from there: loaded, or newly identified on `plant`.
 
     Raises:
-        ArtifactError, DataError, PlantError: as `saved_model` and `run_identification`.
+        ArtifactError, DataError, PlantError: as `SavedModel.load` and `run_identification`.
     """
-    if scenario.identification.model is not None:
-        return saved_model(scenario, testcase)
-    return run_identification(identification_task(scenario, testcase, controller), plant)
+    return source.load() if isinstance(source, SavedModel) else run_identification(source, plant)
 
 
-def saved_model(scenario: Scenario, testcase: TestCase) -> ThermalModel:
-    """The model that the scenario names, resampled to its step; raises `ArtifactError`."""
-    from thermoforce_mpc.model.thermal_model import load_model
+@dataclass(frozen=True)
+class SavedModel:
+    """A model that is there already: its folder, and the step that it is taken at, s."""
 
-    step_s = scenario.step_s or testcase.step_s
-    model = load_model(Path(str(scenario.identification.model)))
-    if model.operator.step_s == step_s:
-        return model
-    return replace(model, operator=model.operator.resampled(step_s))
+    folder: str
+    step_s: float
+
+    def load(self) -> ThermalModel:
+        """The model at this step; raises `ArtifactError`."""
+        from thermoforce_mpc.model.thermal_model import load_model
+
+        model = load_model(Path(self.folder))
+        if model.operator.step_s == self.step_s:
+            return model
+        return replace(model, operator=model.operator.resampled(self.step_s))

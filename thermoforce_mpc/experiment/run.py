@@ -9,20 +9,18 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from controllers.registry import build_controller, find_entry, lent
+from controllers.registry import lent
 from thermoforce_mpc.data.clock import seconds_of
 from thermoforce_mpc.errors import ConfigError, counted
-from thermoforce_mpc.experiment.checks import check_contestants, validate_scenario
-from thermoforce_mpc.experiment.composition import Setting, attached_plant, controller_options
 from thermoforce_mpc.experiment.equal_comfort import (
     THERMOSTAT,
     as_comfortable,
-    searches_equal_comfort,
-    shifted_options,
+    run_shifted,
 )
+from thermoforce_mpc.experiment.experiment import Experiment, Setting, check_contestants
 from thermoforce_mpc.experiment.identifying import IdentifiedModel
 from thermoforce_mpc.experiment.outside import note_given, with_given
-from thermoforce_mpc.experiment.run_book import RunBook, ended_early, is_real
+from thermoforce_mpc.experiment.run_book import RunBook, ended_early
 from thermoforce_mpc.experiment.run_models import (
     frozen_proof,
     identify_all,
@@ -34,10 +32,9 @@ from thermoforce_mpc.experiment.scenario_result import ScenarioResult, headline,
 from thermoforce_mpc.loop.closed_loop import RunResult, StepRecord
 from thermoforce_mpc.loop.kept_steps import KeptSteps
 from thermoforce_mpc.plants.boptest.token import allow_token
-from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_scenario
 from thermoforce_mpc.protocols import Controller, Plant
-from thermoforce_mpc.records.own_kpis import OwnKpi, own_kpis, with_own_kpis
+from thermoforce_mpc.records.own_kpis import with_own_kpis
 from thermoforce_mpc.records.recorded_plant import JournaledPlant
 from thermoforce_mpc.records.run_folder import (
     clear_partial,
@@ -52,7 +49,6 @@ from thermoforce_mpc.report.display import RunDisplay
 from thermoforce_mpc.report.findings import DISCOMFORT
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import merge
-from thermoforce_mpc.scenario.testcase import TestCase
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
     import pandas as pd
@@ -88,7 +84,7 @@ def run(
         scenario = load_scenario(None, merge({"testcase": testcase, "controller": {"name": name}}, settings))
         if "url" in scenario.plant.model_fields_set:
             allow_token(scenario.plant.url)
-        return _execute(scenario, RunDisplay(quiet=not progress), {}, model, own=own_kpis(kpis))
+        return _execute(Experiment.of(scenario, kpis), RunDisplay(quiet=not progress), {}, model)
 
 
 def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, command: Sequence[str]) -> Path:
@@ -100,15 +96,15 @@ def run_scenario(scenario: Scenario, display: RunDisplay, out: Path | None, comm
             was never reached leaves nothing behind.
         StorageError: the disk is full, or the folder cannot be written any more; the plant was released.
     """
-    testcase = validate_scenario(scenario)
+    experiment = Experiment.of(scenario)
     note_given(scenario)
     folder = create_run_folder(
-        out, f"{testcase.name}-{scenario.period}-{scenario.price}-{file_stem(scenario.controller.name)}"
+        out, f"{experiment.testcase.name}-{experiment.window}-{experiment.price}-{file_stem(experiment.own.name)}"
     )
     with sole_use(folder):
         if not is_empty(folder):  # another run was quicker
             raise ConfigError(f"{folder}: exists already and is never overwritten; choose another folder")
-        return _carry_out(RunBook.begin(folder, scenario, command), display, testcase)
+        return _carry_out(RunBook.begin(folder, experiment, command), display)
 
 
 def resume_run(
@@ -137,7 +133,7 @@ def resume_run(
         book = _reopened(folder, given, code, at)
         steps = sum(entry.kind == "done" for entry in book.told)
         display.say(f"Resuming after {counted(steps, 'recorded step')}")
-        return _carry_out(book, display, validate_scenario(book.scenario))
+        return _carry_out(book, display)
 
 
 def stop_test(folder: Path, given: Mapping[str, str] | None = None, code: Sequence[str] = ()) -> None:
@@ -145,26 +141,26 @@ def stop_test(folder: Path, given: Mapping[str, str] | None = None, code: Sequen
     with sole_use(folder):
         book = _reopened(folder, given, code)
         with closing(book.journal):
-            scenario = book.scenario
-            if not (book.told and is_real(scenario)):
+            plant = book.experiment.plant
+            if not (book.told and plant.outlives_us):
                 raise ConfigError(f"{folder}: its plant is simulated, or was never reached: there is no test to stop")
-            testcase = validate_scenario(scenario)
-            book.connect(lambda testid: attached_plant(scenario, testcase, str(testid))).close()
+            book.connect(plant.build).close()
 
 
 def _reopened(
     folder: Path, given: Mapping[str, str] | None, code: Sequence[str], at: int | float | None = None
 ) -> RunBook:
-    return RunBook.reopen(folder, at, lambda told: with_given(told, given or {}, code, folder))
+    # What acts outside the folder is asked for before anything of it is looked up.
+    return RunBook.reopen(folder, at, lambda told: Experiment.of(with_given(told, given or {}, code, folder)))
 
 
-def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
+def _carry_out(book: RunBook, display: RunDisplay) -> Path:
     """Run what is in the book, and write results and report."""
-    folder = book.folder
+    folder, testcase = book.folder, book.experiment.testcase
     records: dict[str, KeptSteps[StepRecord]] = {}
     try:
         with closing(book.journal), logging_to(folder, display.say):
-            outcome = _execute(book.scenario, display, records, book=book)
+            outcome = _execute(book.experiment, display, records, book=book)
     except BaseException as error:
         ended = ended_early(book, records, error)
         if ended is error:
@@ -189,76 +185,70 @@ def _carry_out(book: RunBook, display: RunDisplay, testcase: TestCase) -> Path:
     return folder
 
 
+def build_plant(experiment: Experiment, testid: str | None = None) -> Plant:
+    """The plant of an experiment; raises as `ChosenPlant.build`."""
+    return experiment.plant.build(testid)
+
+
 def _execute(
-    scenario: Scenario,
+    experiment: Experiment,
     display: RunDisplay,
     records: dict[str, KeptSteps[StepRecord]],
     model: ThermalModel | None = None,
     book: RunBook | None = None,
-    own: Sequence[OwnKpi] = (),
 ) -> ScenarioResult:
-    """Build, identify unless there is a `model`, run everyone; `records` keeps the steps if the plant fails.
+    """Build the plant, identify unless there is a `model`, run everyone; `records` keeps the steps if the plant fails.
 
-    With a `book`, all that the controllers get is written to its journal, or taken from it. `own`: KPIs beside the
-    scenario's.
+    With a `book`, all that the controllers get is written to its journal, or taken from it.
     """
-    testcase = validate_scenario(scenario)
-    own = (*own_kpis(scenario.kpis), *own)
     if book is None or not book.told:  # a run that is resumed has its models in its folder
-        check_contestants(scenario, testcase)
-    name = scenario.controller.name
+        check_contestants(experiment)
+    own, *baselines = experiment.contestants
 
     def build(testid: str | None = None) -> Plant:
-        if testid is None:
-            return build_plant(scenario.plant, testcase, scenario.seed, scenario.comfort)
-        return attached_plant(scenario, testcase, testid)
+        return build_plant(experiment, testid)
 
     with book.released(book.connect(build)) if book else closing(build()) as plant:
-        setting = Setting.of(plant, scenario, testcase)
-        display.say(headline(plant, setting.period, scenario))
+        setting = Setting.of(plant, experiment)
+        display.say(headline(plant, setting.period, experiment))
         identified: Mapping[str, IdentifiedModel] = {}
         models: dict[str, ThermalModel | str] = {}
         if model is not None:
-            models |= {who: model for who in (name, *scenario.baselines) if find_entry(who).needs_model}
+            models |= {one.name: model for one in experiment.contestants if one.chosen.needs_model}
         elif book and isinstance(plant, JournaledPlant):
             # Probing has journals of its own: the journal of the run has the models, which are what comes of it.
-            find = partial(identify_all, scenario, testcase, plant.inside, display, book.folder)
+            find = partial(identify_all, experiment.contestants, plant.inside, display, book.folder)
             identified = kept_models(plant, book.folder, find)
         else:
-            identified = identify_all(scenario, testcase, plant, display)
+            identified = identify_all(experiment.contestants, plant, display)
         models |= {who: found.acts_on for who, found in identified.items()}
 
         def follow(controller: Controller) -> RunResult:
             steps = records.setdefault(controller.name, KeptSteps(book.folder if book else None))
-            return with_own_kpis(_follow(setting, controller, display, steps), own)
+            return with_own_kpis(_follow(setting, controller, display, steps), experiment.kpis)
 
-        controller = setting.controller(name, models.get(name))
+        controller = own.chosen.build(models.get(own.name))
         actuation = getattr(controller, "actuation_in_words", None)
         if actuation:
             display.say(f"Actuation: {actuation}")
         hash_before = weight_hash(controller)
         result = follow(controller)
         forecaster = frozen_proof(controller, hash_before)
-        others = [other for other in scenario.baselines if other != name]
-        baselines = {other: follow(setting.controller(other, models.get(other))) for other in others}
-        equal = None
-        if THERMOSTAT in baselines and find_entry(name).needs_model and searches_equal_comfort(scenario):
+        beside = {one.name: follow(one.chosen.build(models.get(one.name))) for one in baselines}
+        equal, thermostat = None, experiment.contestant(THERMOSTAT)
+        if thermostat and THERMOSTAT in beside and own.chosen.needs_model and experiment.equal_comfort:
             # Not part of the run that a journal tells: it is searched again where that is resumed.
             again = replace(setting, plant=plant.inside) if isinstance(plant, JournaledPlant) else setting
-
-            def run_at(shift_K: float) -> Mapping[str, float]:
-                options = shifted_options(controller_options(scenario, THERMOSTAT), testcase, shift_K)
-                return again.run(build_controller(THERMOSTAT, options, testcase)).kpis
-
+            run_at = run_shifted(thermostat.chosen, lambda shifted: again.run(shifted).kpis)
             with display.working("Searching the thermostat that is as comfortable"):
-                equal = as_comfortable(run_at, baselines[THERMOSTAT].kpis, result.kpis[DISCOMFORT])
+                equal = as_comfortable(run_at, beside[THERMOSTAT].kpis, result.kpis[DISCOMFORT])
         usable = {who: model for who, model in models.items() if not isinstance(model, str)}
-        origins = origins_of(identified, name)
+        origins = origins_of(identified, own.name)
         if actuation and origins:
             origins["actuation"] = actuation
         if isinstance(plant, JournaledPlant) and plant.differing:
             display.say(f"{counted(plant.differing, 'step')} planned otherwise than then; what acted then counts")
-        return ScenarioResult(scenario, plant.info, result, baselines, usable, origins, forecaster, equal)
+        return ScenarioResult(experiment, plant.info, result, beside, usable, origins, forecaster, equal)
 
 
 def _follow(setting: Setting, controller: Controller, display: RunDisplay, steps: KeptSteps[StepRecord]) -> RunResult:
@@ -268,7 +258,7 @@ def _follow(setting: Setting, controller: Controller, display: RunDisplay, steps
     if keeper:
         keeper.noted("loop", lambda: {"controller": controller.name})
     kpis = keeper.kpis_so_far if keeper else plant.kpis
-    with display.loop(controller.name, setting.period, kpis, setting.testcase.currency) as progress:
+    with display.loop(controller.name, setting.period, kpis, setting.experiment.testcase.currency) as progress:
 
         def on_step(record: StepRecord) -> None:
             progress.step(record)

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from thermoforce_mpc.errors import PlantError, StorageError, ThermoForceError, out_of_memory
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.loop.closed_loop import StepRecord
 from thermoforce_mpc.protocols import Plant
 from thermoforce_mpc.records.journal import (
@@ -46,7 +47,7 @@ class RunBook:
     """
 
     folder: Path
-    scenario: Scenario
+    experiment: Experiment
     command: tuple[str, ...]
     journal: Journal
     told: tuple[Entry, ...] = ()
@@ -54,17 +55,17 @@ class RunBook:
     cut: bool = False
 
     @classmethod
-    def begin(cls, folder: Path, scenario: Scenario, command: Sequence[str]) -> RunBook:
+    def begin(cls, folder: Path, experiment: Experiment, command: Sequence[str]) -> RunBook:
         """Begin the journal of a run; raises `StorageError`, and then leaves no folder behind."""
         try:
-            journal = Journal(folder / NAME, durable=is_real(scenario))
+            journal = Journal(folder / NAME, durable=experiment.plant.outlives_us)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)  # what went wrong is the reason, not that it may be gone
             raise
-        book = cls(folder, scenario, tuple(command), journal)
+        book = cls(folder, experiment, tuple(command), journal)
         head = {"format": FORMAT, "version": VERSION, "command": list(command)}
         try:
-            journal.write("run", head | {"scenario": scenario.model_dump(mode="json")})
+            journal.write("run", head | {"scenario": experiment.written.model_dump(mode="json")})
         except BaseException:
             book.discard()
             raise
@@ -72,12 +73,15 @@ class RunBook:
 
     @classmethod
     def reopen(
-        cls, folder: Path, since: float | None = None, settled: Callable[[Scenario], Scenario] = lambda told: told
+        cls,
+        folder: Path,
+        since: float | None = None,
+        resolved: Callable[[Scenario], Experiment] = Experiment.of,
     ) -> RunBook:
         """Go on with the journal of a run, at its end, or before `since`, a line (int) or time (s, float).
 
-        What comes after is set aside. `settled`: what is made of the scenario; called before anything is written, and
-        may refuse it.
+        What comes after is set aside. `resolved`: the experiment of the scenario; called before anything is
+        written, and may refuse it.
 
         Raises:
             JournalError: there is none, it is damaged (names the line), of another format, or has nothing at `since`.
@@ -89,12 +93,14 @@ class RunBook:
         with making_sense(head.where):
             scenario = validate(Scenario, dict(head.content["scenario"]), head.where)
             command = tuple(str(word) for word in head.content["command"])
-        scenario = settled(scenario)
+        experiment = resolved(scenario)
+        goes_on = experiment.plant.outlives_us
         if since is not None:
-            text = _with_its_loop(path, text) if is_real(scenario) else text
+            text = _with_its_loop(path, text) if goes_on else text
             set_aside(path, text)
-        journal = Journal(path, text, durable=is_real(scenario))
-        return cls(folder, scenario, command, journal, text.entries[1:], resumed=True, cut=since is not None)
+        # A plant that goes on while we are down needs a journal that outlasts a power failure.
+        journal = Journal(path, text, durable=goes_on)
+        return cls(folder, experiment, command, journal, text.entries[1:], resumed=True, cut=since is not None)
 
     def connect(self, build: Callable[[str | None], Plant]) -> JournaledPlant:
         """The plant of the run; `build` makes it, or takes up the test of a service by its name."""
@@ -177,11 +183,6 @@ def _with_its_loop(path: Path, text: JournalText) -> JournalText:
     return text
 
 
-def is_real(scenario: Scenario) -> bool:
-    """Whether the plant goes on while we are down, so that the journal must outlast a power failure."""
-    return scenario.plant.kind == "boptest"
-
-
 def ended_early(book: RunBook, records: Mapping[str, Sequence[StepRecord]], error: BaseException) -> BaseException:
     """Keep what there is of a run that `error` ended, or remove a folder that says nothing; the error to raise."""
     lacks_memory = out_of_memory(error)
@@ -203,7 +204,7 @@ def ended_early(book: RunBook, records: Mapping[str, Sequence[StepRecord]], erro
             there += ", with a report: report.html"
     again = f"tf-mpc resume {shlex.quote(str(book.folder))}"
     there += f"; `{again}` goes on from there"
-    if is_real(book.scenario):
+    if book.experiment.plant.outlives_us:
         there += f", `{again} --stop` gives its test back to the service"
     if lacks_memory:
         return StorageError(f"out of memory: close other programs, or give the machine more\n{there}")

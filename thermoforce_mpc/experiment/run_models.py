@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from controllers.registry import find_entry, has_gate
+from controllers.entries.entry import Chosen
 from thermoforce_mpc.errors import ArtifactError, DataError
-from thermoforce_mpc.experiment.composition import controller_options
+from thermoforce_mpc.experiment.experiment import Contestant
 from thermoforce_mpc.experiment.identifying import (
     IdentificationTask,
     IdentifiedModel,
-    identification_task,
+    SavedModel,
     run_identification,
-    saved_model,
 )
 from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.protocols import Plant
@@ -24,8 +23,6 @@ from thermoforce_mpc.records.kept_probing import FOLDER as PROBING
 from thermoforce_mpc.records.recorded_plant import JournaledPlant
 from thermoforce_mpc.records.run_folder import file_stem, kept_model, plain_json
 from thermoforce_mpc.report.display import RunDisplay
-from thermoforce_mpc.scenario.scenario import Scenario
-from thermoforce_mpc.scenario.testcase import TestCase
 
 if TYPE_CHECKING:  # loaded only when a controller needs a model
     from thermoforce_mpc.model.thermal_model import ThermalModel, ZoneModel
@@ -35,49 +32,46 @@ FOLDER = "model"
 
 
 def identify_all(
-    scenario: Scenario, testcase: TestCase, plant: Plant, display: RunDisplay, folder: Path | None = None
+    contestants: Sequence[Contestant], plant: Plant, display: RunDisplay, folder: Path | None = None
 ) -> dict[str, IdentifiedModel]:
-    """The model of every contestant that needs one; those that would probe and identify alike share one.
+    """The model of every contestant that needs one; those whose models come from the same place share one.
 
     Each is probed for on its own account: what a controller does must not depend on whom it is compared with.
     `folder`: of the run, where the probings are kept.
     """
     models: dict[str, IdentifiedModel] = {}
-    by_task: list[tuple[IdentificationTask | None, IdentifiedModel]] = []
-    for name in dict.fromkeys((scenario.controller.name, *scenario.baselines)):
-        if not find_entry(name).needs_model:
+    by_source: list[tuple[SavedModel | IdentificationTask, IdentifiedModel]] = []
+    for one in contestants:
+        if one.model_from is None:
             continue
-        task = None if scenario.identification.model else identification_task(scenario, testcase, name)
-        found = next((identified for other, identified in by_task if other == task), None)
+        found = next((identified for other, identified in by_source if other == one.model_from), None)
         if found is None:
-            if by_task:
-                display.say(f"For {name}, which runs the machine another way:")
-            keep = folder / PROBING / f"{file_stem(name)}.jsonl" if folder else None
-            found = _identify(scenario, testcase, plant, name, display, keep)
-            by_task.append((task, found))
-        models[name] = found
+            if by_source:
+                display.say(f"For {one.name}, which runs the machine another way:")
+            keep = folder / PROBING / f"{file_stem(one.name)}.jsonl" if folder else None
+            found = _identify(one.chosen, one.model_from, plant, display, keep)
+            by_source.append((one.model_from, found))
+        models[one.name] = found
     return models
 
 
 def _identify(
-    scenario: Scenario, testcase: TestCase, plant: Plant, controller: str, display: RunDisplay, keep: Path | None
+    chosen: Chosen, source: SavedModel | IdentificationTask, plant: Plant, display: RunDisplay, keep: Path | None
 ) -> IdentifiedModel:
-    """Load the model of the scenario, or probe and identify one for `controller`, and say what came of it.
+    """Load a model, or probe and identify one for the controller that was chosen, and say what came of it.
 
     Data that cannot be fitted do not end the run: without a model, the controller stands back. Raises `DataError` where
     it has its gate turned off.
     """
-    spec = scenario.identification
     try:
-        if spec.model is not None:
-            model = saved_model(scenario, testcase)
-            display.say(f"Loaded {spec.model} ({model.cards[0].source})")
+        if isinstance(source, SavedModel):
+            model = source.load()
+            display.say(f"Loaded {source.folder} ({model.cards[0].source})")
         else:
-            task = identification_task(scenario, testcase, controller)
-            with display.probing(task.in_words(keep)) as progress:
-                model = run_identification(task, plant, on_progress=progress, keep=keep, say=display.say)
+            with display.probing(source.in_words(keep)) as progress:
+                model = run_identification(source, plant, on_progress=progress, keep=keep, say=display.say)
     except DataError as error:
-        if not has_gate(controller, controller_options(scenario, controller), testcase):
+        if not chosen.has_gate:
             raise
         display.say(f"No model could be identified: {error}")
         return IdentifiedModel(None, {"model": None, "refused": str(error)}, str(error))
@@ -90,12 +84,16 @@ def _identify(
         display.say(found if verdict is None else f"{found}. {verdict.sentence()}")
         if zone.card.sun_on_sensor is not None:
             display.say(f"Sun on the sensor{of}: {zone.card.sun_on_sensor.in_words()}")
+        if zone.card.blocked_hours or zone.card.blocked_cooling_hours:
+            for note in (note for note in zone.card.notes if "blocked_hours" in note):
+                display.say(f"Hours{of}: {note}")
         if verdict is None and zone.card.unfit:
             display.say(zone.card.unfit)
         elif verdict is not None and not verdict.competent:
             lines = [f"The model{of} is {verdict.in_words()}", *(f"  {advice}" for advice in verdict.advice)]
             display.say("\n".join(lines))
-    return IdentifiedModel(model, {"model": spec.model, "source": model.cards[0].source} | origin(model))
+    folder = source.folder if isinstance(source, SavedModel) else None
+    return IdentifiedModel(model, {"model": folder, "source": model.cards[0].source} | origin(model))
 
 
 def origin(model: ThermalModel) -> dict[str, Any]:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 import yaml
 
-from controllers.registry import find_entry
 from thermoforce_mpc.data import DAY_S, Period, PlantInfo
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.experiment.equal_comfort import AsComfortable
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.files import file_sha256
 from thermoforce_mpc.loop.closed_loop import RunResult
 from thermoforce_mpc.protocols import Plant
@@ -53,7 +53,7 @@ class ScenarioResult:
     thermostat that is as comfortable; None where it was not searched.
     """
 
-    scenario: Scenario
+    experiment: Experiment
     plant: PlantInfo
     result: RunResult
     baselines: Mapping[str, RunResult]
@@ -61,6 +61,11 @@ class ScenarioResult:
     identification: Mapping[str, Any]
     forecaster: Mapping[str, Any]
     equal: AsComfortable | None = None
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario that was run."""
+        return self.experiment.written
 
     @property
     def kpis(self) -> dict[str, dict[str, float]]:
@@ -92,7 +97,7 @@ class ScenarioResult:
 
 def write_results(folder: Path, outcome: ScenarioResult, command: Sequence[str], currency: str) -> dict[str, Any]:
     """Write configuration, trajectories, step log, KPIs, manifest with hashes; returns what `kpis.json` holds."""
-    scenario, plant, result, baselines = outcome.scenario, outcome.plant, outcome.result, outcome.baselines
+    scenario, plant, result, baselines = outcome.experiment.written, outcome.plant, outcome.result, outcome.baselines
     resolved = yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False)
     write_plain(folder / "scenario.yaml", resolved)
     write_plain(folder / "trajectory.csv", trajectory_frame(result.steps).to_csv(index=False))
@@ -123,13 +128,13 @@ def write_results(folder: Path, outcome: ScenarioResult, command: Sequence[str],
     return kpis
 
 
-def headline(plant: Plant, period: Period, scenario: Scenario) -> str:
+def headline(plant: Plant, period: Period, experiment: Experiment) -> str:
     """What is run, in three lines."""
     info = plant.info
     return (
         f"Plant: {info.kind} {info.testcase} ({info.description})\n"
         f"Weather: {info.weather}\n"
-        f"Window: {_window(period)}, {scenario.price} tariff; controller {scenario.controller.name}"
+        f"Window: {_window(period)}, {experiment.price} tariff; controller {experiment.own.name}"
     )
 
 
@@ -145,14 +150,14 @@ def print_summary(
     plant, period = outcome.plant, outcome.result.period
     said = verdict(outcome.result.controller, outcome.kpis, currency, period.scored_s / DAY_S)
     display.console.print(f"\n{said}\n", soft_wrap=True, markup=False)
-    title = f"{plant.kind} plant, {plant.weather}\n{_window(period)}, {outcome.scenario.price} tariff"
+    title = f"{plant.kind} plant, {plant.weather}\n{_window(period)}, {outcome.experiment.price} tariff"
     gates = {name: gate.in_words() for name, gate in gates_held(outcome.result, outcome.baselines).items()}
     display.kpi_table(outcome.kpis, title, currency, gates)
     if equal := outcome.equal_in_words(currency):
         display.say(equal)
     for name, figures in power_cap.items():
         display.say(f"{name}: {Capped(**figures).in_words()}")
-    if find_entry(outcome.scenario.controller.name).needs_model:
+    if outcome.experiment.own.chosen.needs_model:
         display.say(f"{outcome.result.controller}: {outcome.planning[outcome.result.controller].in_words()}")
     levels = outcome.result.fallback_levels()
     fallbacks = {level: n for level, n in levels.items() if n and level not in ("solved", "rule", "gate")}

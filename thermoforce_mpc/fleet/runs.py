@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from controllers.registry import find_entry
 from thermoforce_mpc.comparison.cells import Cell, Inputs, expand
 from thermoforce_mpc.comparison.input_files import NO_FILES, SentFiles, input_files, task_of
 from thermoforce_mpc.comparison.store import Identified, Store
@@ -55,7 +54,7 @@ def runs_of(file: FleetFile, buildings: Iterable[Building], path: Path) -> list[
             except ConfigError as error:
                 raise ConfigError(f"{path}: building '{building.name}': {error}") from error
             for cell in cells:
-                if building.no_model and find_entry(cell.scenario.controller.name).needs_model:
+                if building.no_model and cell.needs_model:
                     # As a cell without a model it would be probed; its key may be that of another building's run.
                     without = replace(cell, trajectory=file.trajectories, key="", task=None, identification_key=None)
                     runs.append(Run(building, without, f"no model from its measurements: {building.no_model}"))

@@ -21,7 +21,11 @@ if find_spec("gymnasium") is None:
 
 from gymnasium.envs.registration import register
 
-from thermoforce_mpc.gym.policy import observe, save, spec_of
+from thermoforce_mpc.registry import check_nothing_hides_us
+
+check_nothing_hides_us()
+
+from thermoforce_mpc.gym.policy import observe, save, spec_of  # noqa: E402 - it needs what may be hidden
 
 ID = "thermoforce_mpc/Building-v0"
 register(id=ID, entry_point="thermoforce_mpc.gym.making:building")

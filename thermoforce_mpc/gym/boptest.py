@@ -19,6 +19,7 @@ from thermoforce_mpc.gym.env import BuildingEnv, Episodes
 from thermoforce_mpc.gym.points import PointsView
 from thermoforce_mpc.gym.sources import EmbeddedSource, ServiceSource, Source
 from thermoforce_mpc.gym.wrappers import DiscretizedActionWrapper, NormalizedActionWrapper, NormalizedObservationWrapper
+from thermoforce_mpc.plants.embedded.cases import CASES
 
 __all__ = [
     "BoptestGymEnv",
@@ -29,6 +30,7 @@ __all__ = [
 ]
 
 _ROOM_K = (280.0, 310.0)
+_ROOMS = ("reaTZon_y", "reaTRoo_y", "zon_reaTRooAir_y")
 
 
 def check_keywords(given: Iterable[str], *takers: Callable[..., Any]) -> None:
@@ -109,7 +111,7 @@ class BoptestGymEnv(BuildingEnv):
             view = PointsView(
                 source_of,
                 actions,
-                dict(observations) if observations else {"reaTZon_y": _ROOM_K},
+                dict(observations) if observations else {self._room(source_of): _ROOM_K},
                 step_s=float(step_period),
                 predictive_s=predictive_period,
                 regressive_s=regressive_period,
@@ -159,21 +161,26 @@ class BoptestGymEnv(BuildingEnv):
         """Stop the test."""
         self.close()
 
+    @staticmethod
+    def _room(source: Source) -> str:
+        """The zone temperature, by the names of the test cases of one zone."""
+        return next((name for name in _ROOMS if name in source.measurements), _ROOMS[0])
+
     def _source(self, url: str, testcase: str) -> Source:
         return ServiceSource(url, testcase)
 
 
 class EmbeddedBoptestGymEnv(BoptestGymEnv):
-    """As `BoptestGymEnv` on the embedded emulator of bestest_hydronic_heat_pump, in this process.
+    """As `BoptestGymEnv` on an embedded emulator, in this process.
 
     `url` is accepted so that scripts need no other change; nothing is sent to it. `weather` is a `Weather` year, by
-    default the synthetic one.
+    default a synthetic one of the test case's climate.
     """
 
     def _source(self, url: str, testcase: str, weather: Weather | None = None) -> Source:
-        if testcase != "bestest_hydronic_heat_pump":
+        if testcase not in CASES:
             raise ConfigError(
-                f"testcase: the embedded emulator is bestest_hydronic_heat_pump, not '{testcase}'; use BoptestGymEnv "
-                "with the url of a service"
+                f"testcase: no embedded plant implements '{testcase}', those do for {', '.join(CASES)}; use "
+                "BoptestGymEnv with the url of a service"
             )
-        return EmbeddedSource(weather)
+        return EmbeddedSource(weather, testcase)

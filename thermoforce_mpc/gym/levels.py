@@ -62,7 +62,7 @@ class LevelsView(View):
         if any(isinstance(point.actuator, RoomSetpoints) for point in testcase.points.actuators):
             raise ConfigError(
                 f"test case '{testcase.name}' is run by room set-points, not by levels: choose convention='boptest' "
-                "with url=…, where their points are actions"
+                "where their points are actions"
             )
         self.plant, self._layout, self._perfect = plant, testcase.layout, perfect
         self._step_s, self._ahead_s = step_s, ahead_s

@@ -6,15 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
+from thermoforce_mpc.boundary.weather import load_weather
 from thermoforce_mpc.data import DAY_S, HOUR_S
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.experiment.checks import validate_scenario
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.gym.boptest import BoptestGymEnv, EmbeddedBoptestGymEnv, check_keywords
 from thermoforce_mpc.gym.env import BuildingEnv, Episodes
 from thermoforce_mpc.gym.levels import LevelsView
 from thermoforce_mpc.plants.boptest.token import allow_token
-from thermoforce_mpc.plants.registry import build_plant
 from thermoforce_mpc.plants.testcases import load_scenario
 
 CONVENTIONS = ("levels", "boptest")
@@ -36,7 +35,7 @@ def building(
         convention: 'levels' (see `levels_env`), or 'boptest' for BOPTEST-Gym's points (see `BoptestGymEnv`).
         url: address of a BOPTEST service, instead of a plant of our own.
         fmu: the test case's FMU, instead of a plant of our own ('levels').
-        weather: 'synthetic', or a .mos / .epw file of the embedded test case.
+        weather: 'synthetic', or a .mos / .epw file of an embedded test case.
         options: arguments of the convention.
 
     Raises `ConfigError`, which names the argument that is wrong, `PlantError` where plant or service failed.
@@ -47,12 +46,12 @@ def building(
         check_keywords(options, building, levels_env)
         return levels_env(testcase, url=url, fmu=fmu, weather=weather, **options)
     if fmu is not None:
-        raise ConfigError("fmu: BOPTEST's points need the embedded test case or url=…; take convention='levels'")
+        raise ConfigError("fmu: BOPTEST's points need an embedded test case or url=…; take convention='levels'")
     if url is not None:
         if weather != "synthetic":
             raise ConfigError("weather: a service has its own weather; leave it out")
         return BoptestGymEnv(url, testcase, **options)
-    year = synthetic_weather() if weather == "synthetic" else load_weather(Path(weather))
+    year = None if weather == "synthetic" else load_weather(Path(weather))
     return EmbeddedBoptestGymEnv("", testcase, **options, weather=year)
 
 
@@ -109,7 +108,7 @@ def levels_env(
         plant |= {"kind": "fmu", "path": fmu}
     content = {"testcase": testcase, "plant": plant, "controller": {"name": "native"}, "baselines": []}
     chosen = load_scenario(None, {**content, "seed": plant_seed})
-    described = validate_scenario(chosen)
+    experiment = Experiment.of(chosen)
     episodes = Episodes(
         step_period=float(step_period),
         max_episode_length=float(max_episode_length),
@@ -120,11 +119,11 @@ def levels_env(
         ahead=float(predictive_period),
         behind=float(regressive_period),
     )
-    built = build_plant(chosen.plant, described, chosen.seed)
+    built = experiment.plant.build()
     try:
         view = LevelsView(
             built,
-            described,
+            experiment.testcase,
             step_s=episodes.step_period,
             ahead_s=float(predictive_period),
             every_s=float(forecast_every),

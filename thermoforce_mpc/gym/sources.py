@@ -10,12 +10,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from boptest_client import BoptestClient, Scenario, UnknownTest
-from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.boundary.weather import MARITIME, synthetic_weather
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import ConfigError, PlantError
 from thermoforce_mpc.plants.boptest.plant import failures
-from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.plants.embedded import emulator_of
+from thermoforce_mpc.plants.embedded.cases import CASES, HEAT_PUMP
 
 Limits = tuple[float | None, float | None]
 
@@ -58,23 +59,25 @@ class Source(Protocol):
 
 
 class EmbeddedSource:
-    """The embedded emulator of bestest_hydronic_heat_pump with the points of `tf-mpc serve` (needs psychrolib)."""
+    """An embedded emulator with the points of `tf-mpc serve` (needs psychrolib)."""
 
     perfect = True
 
-    def __init__(self, weather: Weather | None = None) -> None:
+    def __init__(self, weather: Weather | None = None, testcase: str = HEAT_PUMP.name) -> None:
+        """Build the emulator of `testcase`; raises `ConfigError` where there is none."""
         try:
-            from thermoforce_mpc.service import points
+            from thermoforce_mpc.service.points import served_points
         except ModuleNotFoundError as error:
             raise ConfigError(
                 f"BOPTEST's weather points need {error.name}, which is not installed: "
                 "pip install 'thermoforce-mpc[gym]'"
             ) from error
-        self._points = points
-        self._plant = EmbeddedPlant(weather or synthetic_weather())
-        self.inputs: Mapping[str, Limits] = {name: (info.minimum, info.maximum) for name, info in points.INPUTS.items()}
-        self.measurements: Sequence[str] = tuple(points.MEASUREMENT_POINTS)
-        self.forecasts: Sequence[str] = tuple(points.FORECAST_POINTS)
+        climate = CASES[testcase].climate if testcase in CASES else MARITIME
+        self._plant = emulator_of(testcase, weather or synthetic_weather(climate=climate))
+        self._points = points = served_points(testcase)
+        self.inputs: Mapping[str, Limits] = {name: (info.minimum, info.maximum) for name, info in points.inputs.items()}
+        self.measurements: Sequence[str] = tuple(points.measurements)
+        self.forecasts: Sequence[str] = tuple(points.forecasts)
         self._step_s = 900.0
         self._now: Mapping[str, float] = {}
 
@@ -102,18 +105,18 @@ class EmbeddedSource:
         if all(name in self._now for name in names):
             return np.array([self._now[name] for name in names])
         record = self._plant.recorded(self.now_s, self.now_s)
-        series = self._points.recorded_points(self._plant, list(names), record)
+        series = self._points.recorded(self._plant, list(names), record)
         return np.array([series[name][-1] for name in names])
 
     def past(self, names: Sequence[str], time_s: Array) -> Array:
         """See `Source.past`."""
         record = self._plant.recorded(float(time_s.min()) - self._step_s, self.now_s)
-        series = self._points.recorded_points(self._plant, list(names), record)
+        series = self._points.recorded(self._plant, list(names), record)
         return np.array([np.interp(time_s, series["time"], series[name]) for name in names]).reshape(len(names), -1)
 
     def forecast(self, names: Sequence[str], horizon_s: float, interval_s: float) -> Array:
         """See `Source.forecast`."""
-        series = self._points.forecast_points(self._plant, list(names), horizon_s, interval_s)
+        series = self._points.forecast(self._plant, list(names), horizon_s, interval_s)
         return np.array([series[name] for name in names])
 
     def kpis(self) -> dict[str, float]:

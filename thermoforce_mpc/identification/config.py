@@ -43,6 +43,7 @@ class IdentificationConfig(StrictModel):
     sun_on_sensor: bool = Field(
         True, description="look for sun on the zone sensor, and take it off the readings where there is any"
     )
+    foreign_loads: bool = Field(True, description="look for other loads on meters of power and heat, and take them off")
     modulation: Literal["always", "auto", "linear"] = Field(
         "auto",
         description="gain m(x) of the paper, a network: kept always, or (auto) unless it predicts held-out data "

@@ -98,7 +98,7 @@ def identify(
         if not names.single:
             raise DataError(f"the records have {names}: say what acts where (layout)")
         layout = replace(Layout.single(mode, lowest, floor_area_m2), names=names)
-    records = _prepared(runs, pairs, layout)
+    records = _prepared(runs, pairs, layout, config)
     alone = len(layout.home) == 1
     inputs, noted = [], []
     for a, home in enumerate(layout.home):
@@ -159,7 +159,7 @@ class _Records:
     hashes: Mapping[str, str]
 
 
-def _prepared(runs: Sequence[Record], pairs: Sequence[Pair], layout: Layout) -> _Records:
+def _prepared(runs: Sequence[Record], pairs: Sequence[Pair], layout: Layout, config: IdentificationConfig) -> _Records:
     """The records, checked.
 
     Raises:
@@ -182,7 +182,7 @@ def _prepared(runs: Sequence[Record], pairs: Sequence[Pair], layout: Layout) -> 
         check_pairs(pairs)
     metered = _histories(runs, pairs)
     check_steps(metered)
-    foreign = foreign_loads(metered, layout)
+    foreign = foreign_loads(metered if config.foreign_loads else [], layout)
     runs = [foreign.taken_off(run) for run in runs]
     pairs = [replace(p, a=foreign.taken_off(p.a), b=foreign.taken_off(p.b)) for p in pairs]
     notes = [*(remark.in_words() for remark in doubts), *gaps, *pair_gaps]

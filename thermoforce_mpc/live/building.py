@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import pandas as pd
 from controllers.safety.deadline import BoundedCalls, Crashed
 from thermoforce_mpc.commands.loop import LearnedCommand
 from thermoforce_mpc.data import ACTING, DAY_S, SAMPLED, Array, Boundary, Layout, Record
-from thermoforce_mpc.errors import ConfigError, DataError, InputError, NoForecast, PlantError
+from thermoforce_mpc.errors import DataError, InputError, NoForecast, PlantError
 from thermoforce_mpc.measurements.forecast import read_forecast
 from thermoforce_mpc.measurements.load import Measurements, learned_commands, read_measurements
 from thermoforce_mpc.measurements.map.mapping import MeasurementMap
@@ -23,6 +24,9 @@ from thermoforce_mpc.protocols import Connection
 _BACK_DAYS, _OLDEST_DAYS = 28.0, 1.0
 # Longest time for an answer of the connection, s, at most half a step; calls that may be left behind without one.
 ANSWER_S, _LEFT_BEHIND = 60.0, 3
+# Readings stamped after the clock: so little is nothing, so much two clocks that are not the same, s; more is refused,
+# and so much more probably the zone, of half an hour at least less what a reading is old.
+_SAME_CLOCK_S, _CLOCKS_S, _ZONE_S = 60.0, 300.0, 1200.0
 
 
 @dataclass(frozen=True)
@@ -41,13 +45,19 @@ class LiveBuilding:
     and `DataError` where its tables cannot be used.
     """
 
-    def __init__(self, connection: Connection, rules: MeasurementMap, step_s: float) -> None:
+    def __init__(
+        self, connection: Connection, rules: MeasurementMap, step_s: float, prices: Path | None = None
+    ) -> None:
+        """`prices`: a file of them, read anew in each step, in the place of those of the map."""
+        self._prices = prices
         self.connection, self._rules, self._step_s = connection, rules, step_s
         self._origin: pd.Timestamp | None = None
         self._measured: Measurements | None = None
         self._calls, self._answer_s = BoundedCalls(_LEFT_BEHIND), min(ANSWER_S, 0.5 * step_s)
         # Levels are written, and given back, also while a table is still waited for.
         self._reader, self._writer = object(), object()
+        self.left_out: tuple[str, ...] = ()
+        self._now: pd.Timestamp | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -81,24 +91,29 @@ class LiveBuilding:
         """`at` in seconds, as the record has it; known after the first record."""
         return float((at - self.origin).total_seconds())
 
-    def record(self, instant: pd.Timestamp, applied: Sequence[Applied] = ()) -> Record:
+    def record(self, instant: pd.Timestamp, applied: Sequence[Applied] = (), now: pd.Timestamp | None = None) -> Record:
         """What was measured until `instant`; steps without readings are NaN, but for levels that were `applied`.
+
+        `now`: the time, by default `instant`. What was left out of the tables is in `left_out`.
 
         Raises:
             ConfigError: the table has no time zone.
-            DataError: it cannot be used, or ends more than a day before.
+            DataError: it cannot be used, ends more than a day before, or has readings of times to come.
             PlantError: the connection failed.
         """
-        measured = read_measurements(self._call("measurements"), self._rules, step_s=self._step_s).served()
+        self._now = now = instant if now is None else now
+        measured = read_measurements(
+            self._call("measurements"), self._rules, step_s=self._step_s, at=instant, now=now
+        ).served()
         record = measured.record
-        if record.origin.tz is None:
-            raise ConfigError("map: time.zone: name the zone of the time stamps; the clock has one")
+        self.left_out = (*measured.left_out, *self._ahead(measured, now))
         self._origin = record.origin if self._origin is None else self._origin
         shift_s = (record.origin - self._origin).total_seconds()
         record = replace(record, time_s=record.time_s + shift_s, origin=self._origin)
         record = _until(record, self.time_s(instant))
         record = replace(record, u=_with_applied(record, applied)).last(round(_BACK_DAYS * DAY_S / self._step_s))
-        self._measured = replace(measured, record=record)
+        conditions = replace(measured.conditions, time_s=measured.conditions.time_s + shift_s)
+        self._measured = replace(measured, record=record, conditions=conditions)
         return record
 
     def commands(self) -> dict[str, LearnedCommand]:
@@ -106,11 +121,39 @@ class LiveBuilding:
         measured = read_measurements(self._call("measurements"), self._rules, step_s=self._step_s)
         return learned_commands(measured.served())
 
+    def _ahead(self, measured: Measurements, now: pd.Timestamp) -> tuple[str, ...]:
+        """A note on readings stamped a little after the clock; raises `DataError` where it is more: what is of now?"""
+        newest_s = measured.newest_s()
+        ahead_s = newest_s - (now - measured.record.origin).total_seconds()
+        if not ahead_s > _SAME_CLOCK_S:
+            return ()
+        newest = measured.record.origin + pd.Timedelta(seconds=newest_s)
+        after = f"{_duration(ahead_s)} after the clock ({now:%H:%M %Z})"
+        what = f"the newest temperature of a room is stamped {newest}, {after}"
+        if ahead_s <= _CLOCKS_S:
+            return (f"{what}: set one of the clocks",)
+        zone = self._rules.time.zone
+        of_zone = (
+            f"time.zone of the map, {zone}, is not the zone of the stamps" if zone else "the stamps' offset is wrong"
+        )
+        cause = f"probably {of_zone}" if ahead_s >= _ZONE_S else f"one of the clocks is wrong, or {of_zone}"
+        raise DataError(f"{what}: {cause}. Nothing is set on readings of another time")
+
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
         """The forecast from the last `record` on; see `Plant.forecast`."""
         assert self._measured is not None
         try:
-            return read_forecast(self._call("forecast"), self._measured).head(round(horizon_s / interval_s))
+            n, left_out = round(horizon_s / interval_s), list[str]()
+            ahead = read_forecast(
+                self._call("forecast"),
+                self._measured,
+                least_steps=n,
+                prices=self._prices,
+                now=self._now,
+                left_out=left_out,
+            )
+            self.left_out = (*self.left_out, *left_out)
+            return ahead.head(n)
         except (InputError, PlantError) as error:
             raise NoForecast(str(error)) from error
 
@@ -126,6 +169,10 @@ class LiveBuilding:
             return self._calls(self._reader, getattr(self.connection, what), self._answer_s)
         except Exception as error:  # somebody's connection may raise anything
             raise PlantError(f"the connection gives no {what} ({type(error).__name__}: {error})") from error
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds / 3600.0:.3g} h" if seconds >= 3600.0 else f"{seconds / 60.0:.3g} min"
 
 
 def _until(record: Record, now_s: float) -> Record:

@@ -165,7 +165,7 @@ class _Loop:
 
     def _decision(self, instant: pd.Timestamp) -> Decision:
         building, controller = self._building, self._controller
-        as_read = building.record(instant, self._applied)
+        as_read = building.record(instant, self._applied, self._clock.now())
         record, doubts = screened_history(as_read, self._allowed)
         model = getattr(controller, "model", None)
         if model is not None:
@@ -183,7 +183,7 @@ class _Loop:
             blocks = (Block.native(len(building.names), controller.step_s),)
         # A plan that was refused did not act: the controller goes on from what it knew before.
         self._state = self._state if refused else after
-        return Decision(instant, plan, blocks, refused, (*doubts, *gaps))
+        return Decision(instant, plan, blocks, refused, (*building.left_out, *doubts, *gaps))
 
     def _safe_decision(self, instant: pd.Timestamp) -> Decision:
         try:

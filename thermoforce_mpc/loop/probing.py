@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
-from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Array, Layout, Period, PlantInfo, Record
+import numpy as np
+
+from thermoforce_mpc.data import DAY_S, HOUR_S, YEAR_S, Block, Layout, Period, PlantInfo, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.loop.unit_doubts import UnitDoubts
 from thermoforce_mpc.model.sun_on_sensor import LIKELY
@@ -19,7 +22,7 @@ if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.identification.config import IdentificationConfig
     from thermoforce_mpc.identification.probing.probe import ProbingConfig
     from thermoforce_mpc.model.card import ModelCard
-    from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
+    from thermoforce_mpc.model.machine.blocked_hours import Directions
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
 _LOG = logging.getLogger(__name__)
@@ -32,19 +35,27 @@ _PERHAPS, _RATHER = 0.2, 0.5
 
 @dataclass(frozen=True)
 class Probed:
-    """A probing that has ended: its record (n steps), the levels `asked` for (A, n), NaN where none was, and `why`."""
+    """A probing that has ended: its record (n steps), the `blocks` that were asked for, one a step, and `why`."""
 
     record: Record
-    asked: Array
+    blocks: Sequence[Block]
     plant: PlantInfo
     why: str
 
-    def blocked(self, layout: Layout) -> list[BlockedHours]:
+    def blocked(self, layout: Layout) -> list[Directions]:
         """What it tells of the hours in which each actuator is kept off (A,)."""
-        from thermoforce_mpc.model.machine.blocked_hours import BlockedHours
+        from thermoforce_mpc.model.machine.blocked_hours import BlockedHours, called_for, each_direction
 
-        each = enumerate(zip(layout.home, layout.signs, strict=True))
-        return [BlockedHours.found(self.asked[a], self.record.part(z, [a]), sign) for a, (z, sign) in each]
+        found: list[Directions] = []
+        for a, (z, sign, lowest) in enumerate(zip(layout.home, layout.signs, layout.lowest, strict=True)):
+            levels = np.array([math.nan if block.u[a] is None else block.u[a] for block in self.blocks])
+            told = [block.command[a] for block in self.blocks]
+            bands = [pair if isinstance(pair, tuple) else (math.nan, math.nan) for pair in told]
+            heating_C, cooling_C = np.reshape(bands, (-1, 2)).T
+            asked = called_for(levels, heating_C, cooling_C, self.record.T_zone_C[z])
+            each = each_direction(asked, self.record.part(z, [a]), sign, signed=lowest < 0.0)
+            found.append(tuple(BlockedHours.found(*one) for one in each))
+        return found
 
 
 @dataclass(frozen=True)
@@ -143,6 +154,8 @@ class Identifying:
 
         `look`: the last at its record, where there was one. Raises `DataError` where the record is not sufficient.
         """
+        from thermoforce_mpc.model.machine.blocked_hours import said as hours_in_words
+
         look = look or self.look(probed.record, probed.plant)
         ended = f"probing ended after {look.days:.3g} days: {probed.why}"
         _LOG.info("%s", said := ended + (f"; lacking: {', '.join(look.lacks)}" if len(look.lacks) > 1 else ""))
@@ -154,9 +167,17 @@ class Identifying:
         for name, card, off in zip(look.model.operator.actuators, look.model.cards, blocked, strict=True):
             notes = (
                 f"{ended}; {look.lacks[name]}" if name in look.lacks else ended,
-                *[off.in_words()] * bool(off.hours),
+                *[hours_in_words(off)] * any(way.hours for way in off),
             )
-            cards.append(replace(card, notes=(*card.notes, *notes), blocked_hours=tuple(sorted(off.hours))))
+            hours = [tuple(sorted(way.hours)) for way in off]
+            cards.append(
+                replace(
+                    card,
+                    notes=(*card.notes, *notes),
+                    blocked_hours=hours[0],
+                    blocked_cooling_hours=hours[1] if len(hours) > 1 else (),
+                )
+            )
         return replace(look.model, cards=tuple(cards))
 
 
@@ -200,4 +221,4 @@ def probe_until_known(
     why = "enough is known"
     if look.lacks:
         why = "the most days are over" if latest == most_days else f"{ahead} begins"
-    return Probed(run.record, run.asked, plant.info, why), look
+    return Probed(run.record, tuple(run.blocks), plant.info, why), look

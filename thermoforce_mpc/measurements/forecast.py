@@ -6,27 +6,55 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from thermoforce_mpc.data import Array, Boundary
-from thermoforce_mpc.data.dataframes import seconds_since
+from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary
+from thermoforce_mpc.data.dataframes import seconds_since, stamps
+from thermoforce_mpc.data.limits import BRIDGED_GAP_H
+from thermoforce_mpc.data.series import at_instants
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.load import Measurements, sunlight
 from thermoforce_mpc.measurements.map.entries import Signal
 from thermoforce_mpc.measurements.map.mapping import MappedMachine
+from thermoforce_mpc.measurements.prices import prices_over_steps
 from thermoforce_mpc.measurements.signals import SignalReader
+from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import timed
 from thermoforce_mpc.measurements.tables.files import found_files, read_table
 from thermoforce_mpc.measurements.tables.raw_table import raw_table
-from thermoforce_mpc.measurements.tables.readings import BOUND, OUTDOOR, PRICE, Rules
+from thermoforce_mpc.measurements.tables.readings import BOUND, OUTDOOR
+
+# Days before now whose hours tell what a price or bound is likely to be.
+_DAYS = 7
+# A single row of a forecast so far ahead has a wrong stamp.
+_LATEST = pd.Timedelta("60D")
 
 
-def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Boundary:
+def read_forecast(
+    file: str | Path | pd.DataFrame,
+    measured: Measurements,
+    *,
+    least_steps: int = 0,
+    prices: Path | None = None,
+    now: pd.Timestamp | None = None,
+    left_out: list[str] | None = None,
+) -> Boundary:
     """The conditions from the end of `measured` to that of the forecast, at the step of the record.
 
-    Temperatures and irradiance go straight between two rows, bounds and prices hold until the next one. Columns are
-    those of the map's key `forecast`, where it has one, else of the same keys as for measurements; numbers in the map
-    hold throughout. Raises `DataError`, naming file, column and time, for several files, a forecast that does not begin
-    at or before the end of the record, and one that lacks something.
+    Temperatures and irradiance go straight between two rows, bounds hold until the next one, prices are means over a
+    step. Columns are those of the map's key `forecast`, where it has one, else of the same keys as for measurements;
+    numbers in the map hold throughout. Each column ends where it ends, at `least_steps` at least: a price is then the
+    mean of the same hour of the last days that are known, here or in `measured`, a bound that of the week or day before
+    (`Boundary.guessed`); weather is NaN (`model.forecast_gaps` bridges it), and what has no such hour.
+
+    `prices`: a file of them for all machines (`measurements.prices`), in the place of those of the map; `left_out` says
+    how it was read.
+
+    With the time `now` a file that a machine writes is read: what cannot be read is left out and said in `left_out`,
+    as by `read_measurements`.
+
+    Raises `DataError`, naming file, column and time, for several files, a forecast that begins more than 6 h after the
+    end of the record or ends before it, and a column without any value.
     """
     rules, record = measured.map, measured.record
     names = record.names
@@ -35,65 +63,132 @@ def read_forecast(file: str | Path | pd.DataFrame, measured: Measurements) -> Bo
     zones = [rules.zones[name] for name in names.zones]
     bounds = {name: [overrides.get(name, getattr(zone, name)) for zone in zones] for name in ("lower", "upper")}
     machines = [rules.machines.get(name, MappedMachine()) for name in names.machines]
-    prices = [overrides.get("price", machine.price) for machine in machines]
+    tariffs = [0.0 if prices else overrides.get("price", machine.price) for machine in machines]
     weather = [ours.outdoor, *([s for s in (ours.sun.signal, ours.sun.humidity) if s] if ours.sun else [])]
-    signals = [s for s in (*weather, *bounds["lower"], *bounds["upper"], *prices) if isinstance(s, Signal)]
+    signals = [s for s in (*weather, *bounds["lower"], *bounds["upper"], *tariffs) if isinstance(s, Signal)]
     columns = [column for signal in signals for column in signal.columns]
+    clock, notes = ours.time, [] if left_out is None else left_out
+    if now is not None:
+        clock, latest = clock.lenient(), now + _LATEST
     if isinstance(file, pd.DataFrame):
-        table = raw_table(file, ours.time.column, columns, "forecast")
+        table = (
+            raw_table(file, clock.column, columns, "forecast")
+            if now is None
+            else frame_appended(file, columns, clock, latest, notes)
+        )
     else:
         paths = found_files([file])
         if len(paths) > 1:
             raise DataError(f"{file}: names {len(paths)} files, a forecast is one: name the latest")
-        table = read_table(paths[0], ours.time.column, columns, rules.csv)
-    rows = timed([table], ours.time)
+        table = (
+            read_table(paths[0], clock.column, columns, rules.csv)
+            if now is None
+            else read_appended(paths[0], columns, clock, rules.csv, latest, notes)
+        )
+    rows = timed([table], clock, now)
+    if now is not None:
+        notes += rows.notes
     time_s = seconds_since(record.origin, rows.index, table.name)
     now_s, step_s = float(record.time_s[-1]), record.step_s
-    if not time_s[0] <= now_s + 1.0 or not time_s[-1] >= now_s + step_s:
+    if time_s[0] > now_s + BRIDGED_GAP_H * HOUR_S or time_s[-1] < now_s + step_s:
         raise DataError(
             f"{table.name}: goes from {rows.index[0]} to {rows.index[-1]}, the measurements end at "
-            f"{record.stamps()[-1]}: the forecast must begin there (or before) and go on"
+            f"{record.stamps()[-1]}: the forecast must begin there (or before, or up to {BRIDGED_GAP_H:g} h later) and "
+            "go on"
         )
-    grid_s = now_s + np.arange(np.floor((time_s[-1] - now_s) / step_s + 1e-6) + 1.0) * step_s
-    reader = SignalReader(rows, time_s, grid_s, step_s, ours)
+    ahead = max(np.floor((time_s[-1] - now_s) / step_s + 1e-6), least_steps)
+    back = min(round(_DAYS * DAY_S / step_s), int((now_s - time_s[0]) / step_s) if time_s[0] < now_s else 0)
+    back = max(back, min(round(_DAYS * DAY_S / step_s), record.n_steps))
+    grid_s = now_s + np.arange(-back, ahead + 1.0) * step_s
+    reader = SignalReader(rows, time_s, grid_s, step_s, ours, refuse=now is None)
     outdoor = reader.sampled("outdoor", ours.outdoor, OUTDOOR)
     solar, _ = sunlight(ours, reader, grid_s, record.origin)
 
-    def scheduled(what: str, source: float | Signal | None, where: str, of: Rules) -> Array:
+    def found(what: str, source: float | Signal | None, where: str) -> float | Signal:
         if source is None:
             raise DataError(f"forecast: no {what}: name a number or a column in the map ({where})")
-        return reader.scheduled(what, source, of)
+        return source
 
+    of_zones, of_machines = "zones, or forecast for all zones", "machines or forecast"
+    by_schedule: dict[str, Array] = {}
+    if rules.comfort is not None:
+        mapped, at = list(rules.zones), pd.DatetimeIndex(stamps(grid_s, record.origin))
+        rows_of_zones = [mapped.index(zone) for zone in names.zones]
+        for name, of_all in zip(("lower", "upper"), rules.comfort.bounds_at(at, mapped), strict=True):
+            if name not in overrides:
+                by_schedule[name] = of_all[rows_of_zones]
     lower, upper = (
-        [
-            scheduled(f"{name} of {zone}", source, "zones, or forecast for all zones", BOUND)
-            for zone, source in zip(names.zones, sources, strict=True)
-        ]
+        by_schedule[name]
+        if name in by_schedule
+        else np.array(
+            [
+                reader.scheduled(f"{name} of {zone}", found(f"{name} of {zone}", source, of_zones), BOUND)
+                for zone, source in zip(names.zones, sources, strict=True)
+            ]
+        )
         for name, sources in bounds.items()
     )
-    price = [
-        scheduled(f"price of {machine}", tariff, "machines or forecast", PRICE)
-        for machine, tariff in zip(names.machines, prices, strict=True)
-    ]
-    nothing = np.zeros((len(names.machines), grid_s.size))
+    price = np.array(
+        [
+            reader.price(f"price of {machine}", found(f"price of {machine}", tariff, of_machines))
+            for machine, tariff in zip(names.machines, tariffs, strict=True)
+        ]
+    )
+    if prices is not None:
+        of_file, read = prices_over_steps(prices, ours.time, record.origin, grid_s, step_s)
+        price = np.tile(of_file, (len(names.machines), 1))
+        notes.append(read)
+    values, guessed = {"lower_C": lower, "upper_C": upper, "price_per_kWh": price}, {}
+    for name, rows_of in values.items():
+        past = getattr(measured.conditions, name)
+        values[name], guessed[name] = _as_days_before(grid_s, rows_of, measured.conditions.time_s, past, name, back)
+    nothing = np.zeros((len(names.machines), grid_s.size - back))
     boundary = Boundary(
-        grid_s, outdoor, solar, np.zeros((len(names.zones), grid_s.size)), np.array(lower), np.array(upper),
-        np.array(price), nothing, names=names,
+        grid_s[back:], outdoor[back:], solar[back:], np.zeros((len(names.zones), grid_s.size - back)),
+        values["lower_C"], values["upper_C"], values["price_per_kWh"], nothing, names=names,
+        guessed={name: rows_of for name, rows_of in guessed.items() if rows_of.any()},
     )  # fmt: skip
-    _check_complete(boundary, measured, table.name)
+    _check_known(boundary, measured, table.name)
     return boundary
 
 
-def _check_complete(boundary: Boundary, measured: Measurements, name: str) -> None:
-    """Refuse a forecast with gaps; raises `DataError` with signal and time."""
-    stamps = pd.DatetimeIndex(measured.record.origin + pd.to_timedelta(boundary.time_s, unit="s"))
+def _as_days_before(
+    grid_s: Array, values: Array, past_s: Array, past: Array, name: str, back: int
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Values (k, n + 1) from place `back` of `grid_s` on, what is not known as on days before, and which those are.
+
+    `values` (k, back + n + 1): of the forecast; `past` (k, m): of the measurements at `past_s`.
+    """
+    known = values.copy()
+    for row, measured in zip(known, past, strict=True):
+        row[:] = np.where(np.isfinite(row), row, at_instants(grid_s, past_s, measured, 1.0))
+    time_s = grid_s[back:]
+    out = known[:, back:].copy()
+    missing = ~np.isfinite(out)
+    for row, gaps, source in zip(out, missing, known, strict=True):
+        if gaps.any():
+            days = np.stack([at_instants(time_s - day * DAY_S, grid_s, source, 1.0) for day in range(1, _DAYS + 1)])
+            there = np.isfinite(days)
+            if name == "price_per_kWh":
+                same_hour = np.where(there, days, 0.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1)
+            else:  # as a week before, else as on the last day
+                same_hour = days[-1]
+                for day in days[:-1]:
+                    same_hour = np.where(np.isfinite(same_hour), same_hour, day)
+            fill = gaps & there.any(axis=0)
+            row[fill] = same_hour[fill]
+    return out, missing & np.isfinite(out)
+
+
+def _check_known(boundary: Boundary, measured: Measurements, name: str) -> None:
+    """Refuse a forecast in which a column has no value at all, or bounds leave no band; raises `DataError`."""
+    at = stamps(boundary.time_s, measured.record.origin)
     for signal in ("T_out_C", "solar_W_m2", "lower_C", "upper_C", "price_per_kWh"):
-        missing = np.flatnonzero(~np.isfinite(np.atleast_2d(getattr(boundary, signal))).all(axis=0))
-        if missing.size:
+        if not np.isfinite(np.atleast_2d(getattr(boundary, signal))).any(axis=1).all():
             raise DataError(
-                f"{name}: {signal} is missing at {missing.size} of {boundary.time_s.size} instants, first at "
-                f"{stamps[missing[0]]}: fill the gap, or end the file before it"
+                f"{name}: {signal} has no value from {at[0]} to {at[-1]}: fill its column, or name another one"
             )
-    if (boundary.lower_C > boundary.upper_C).any():
-        row = int(np.argmax((boundary.lower_C > boundary.upper_C).any(axis=0)))
-        raise DataError(f"{name}: at {stamps[row]} the lower bound is above the upper one (lower and upper of the map)")
+    crossed = (boundary.lower_C > boundary.upper_C).any(axis=0)
+    if crossed.any():
+        row = int(np.argmax(crossed))
+        raise DataError(f"{name}: at {at[row]} the lower bound is above the upper one (lower and upper of the map)")

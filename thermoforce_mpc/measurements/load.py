@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -13,13 +13,14 @@ import pandas as pd
 from thermoforce_mpc.commands.kinds import AnyCommand
 from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, learn_command
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, Layout, Names, Record
-from thermoforce_mpc.data.dataframes import new_year, seconds_since, stamps
-from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.data.dataframes import new_year, seconds_at, seconds_since, stamps
+from thermoforce_mpc.errors import ConfigError, DataError, counted
 from thermoforce_mpc.measurements.map.entries import Signal
 from thermoforce_mpc.measurements.map.mapping import LEAST_STEP_S, MOST_STEP_S, MappedActuator, MeasurementMap, load_map
 from thermoforce_mpc.measurements.map.starting_map import ROWS, rooms_beside
 from thermoforce_mpc.measurements.signals import SignalReader
 from thermoforce_mpc.measurements.tables import readings
+from thermoforce_mpc.measurements.tables.appended import frame_appended, read_appended
 from thermoforce_mpc.measurements.tables.clock import Timed, timed
 from thermoforce_mpc.measurements.tables.files import MOST_BYTES, found_files, head_of, read_table
 from thermoforce_mpc.measurements.tables.raw_table import RawTable, raw_table
@@ -37,6 +38,11 @@ _STEPS_S = (900.0, 3600.0)
 _LEAST_STEPS = 2
 # A command that is not logged anew holds for so long, h.
 _COMMAND_HOLDS_H = 14 * 24.0
+# A single reading so long after the clock has a wrong stamp.
+_LATEST = pd.Timedelta("2D")
+# A stamp is beside a minute by this share of the usual distance of rows at most; rows are dense from so many steps on
+# apart; of rows denser than this the last boundary is a whole multiple of it, s.
+_BESIDE, _DENSE, _WHOLE_S = 0.05, 0.5, 300.0
 
 
 def sunlight(
@@ -126,8 +132,9 @@ def actuator_levels(rules: MeasurementMap, reader: SignalReader, heat: Array, po
 class Measurements:
     """Measurements of a building: the record, what acts where, the conditions of the time, and what was understood.
 
-    `conditions`: measured weather with the bounds and prices of the map, NaN where it names none. `commands`: what was
-    set, by actuator, of those with a command.
+    `conditions`: measured weather with the bounds and prices of the map, NaN where it names none. `left_out`: what was
+    left out of a table that a machine appends to, in words. `commands`: what was set, by actuator, of those with a
+    command.
     """
 
     record: Record
@@ -135,7 +142,14 @@ class Measurements:
     conditions: Boundary
     understood: Understood
     map: MeasurementMap
+    left_out: tuple[str, ...] = ()
     commands: Mapping[str, CommandRecord] = field(default_factory=dict)
+
+    def newest_s(self) -> float:
+        """Time of the newest temperature of a zone, s; NaN without one."""
+        keys = {f"zones.{zone}.temperature" for zone in self.record.names.zones}
+        times = [signal.newest_s for signal in self.understood.signals if signal.key in keys]
+        return float(np.nanmax(times)) if np.isfinite(times).any() else float("nan")
 
     def served(self) -> Measurements:
         """The zones that an actuator serves, as `identify` needs them; `DataError` where no level was measured."""
@@ -176,6 +190,8 @@ def read_measurements(
     map: str | Path | Mapping[str, Any] | MeasurementMap,
     *,
     step_s: float | None = None,
+    at: pd.Timestamp | Literal["begin", "end"] = "begin",
+    now: pd.Timestamp | None = None,
     most_bytes: int = MOST_BYTES,
 ) -> Measurements:
     """Measurements of a building from CSV or Parquet files, or a data frame, as the map says.
@@ -184,24 +200,53 @@ def read_measurements(
         files: a file, a pattern such as 'data/*.csv', several of them, or a data frame.
         map: the map, its keys and values, or its YAML file.
         step_s: step of the record, s; default: that of the map.
+        at: where a step begins: at the first reading (with several rows in a step of whole minutes of the hour, on the
+            hours of the clock), at the last one, from where a plan goes on, or at this instant.
+        now: the time, with a zone, for tables that a machine appends to: lines, cells and stamps that cannot be read
+            are left out, rows that come late or twice are put in order, a signal out of range is not measured, and the
+            hour that comes twice is told apart; `Measurements.left_out` says it.
         most_bytes: size from which files are refused.
 
     Raises:
-        ConfigError: the map is wrong; names the key.
+        ConfigError: the map is wrong, or without a zone for `at`; names the key.
         DataError: the table cannot be used; names file, line or column, and what to do.
     """
-    rules = _rules(map)
+    rules, left_out = _rules(map), list[str]()
     columns = [column for _, signal in rules.signals() for column in signal.columns]
+    clock = rules.time if now is None else rules.time.lenient()
+    head = None
     if isinstance(files, pd.DataFrame):
-        tables = [raw_table(files, rules.time.column, columns, "table")]
+        if now is None:
+            tables = [raw_table(files, clock.column, columns, "table")]
+        else:
+            tables = [frame_appended(files, columns, clock, now + _LATEST, left_out)]
         head = files.iloc[:ROWS]
     else:
         patterns = [files] if isinstance(files, str | Path) else list(files)
         paths = found_files(patterns, most_bytes)
-        tables = [read_table(path, rules.time.column, columns, rules.csv) for path in paths]
-        head = head_of(paths[0], ROWS, rules.csv)
-    found = _from_table(tables, timed(tables, rules.time), rules, step_s)
-    return replace(found, understood=replace(found.understood, beside=rooms_beside(head, rules)))
+        if now is None:
+            tables = [read_table(path, clock.column, columns, rules.csv) for path in paths]
+            head = head_of(paths[0], ROWS, rules.csv)
+        else:
+            tables = [read_appended(path, columns, clock, rules.csv, now + _LATEST, left_out) for path in paths]
+    rows = timed(tables, clock, now)
+    found = _from_table(tables, rows, rules, step_s, at, refuse=now is None)
+    if now is not None:
+        left_out += [*rows.notes, *_refused(found, now)]
+    understood = replace(found.understood, beside=() if head is None else rooms_beside(head, rules))
+    return replace(found, understood=understood, left_out=tuple(left_out))
+
+
+def _refused(found: Measurements, now: pd.Timestamp) -> list[str]:
+    """Which readings of the last day rules refused, in words."""
+    since_s = seconds_at(found.record.origin, now, "now") - DAY_S
+    return [
+        f"{signal.key} (column {signal.source}): {counted(flag.count, 'reading')} refused ({flag.rule}), first "
+        f"{flag.first}: taken as not measured"
+        for signal in found.understood.signals
+        for flag in signal.flags
+        if flag.last_s >= since_s
+    ]
 
 
 def _rules(map: str | Path | Mapping[str, Any] | MeasurementMap) -> MeasurementMap:
@@ -210,22 +255,36 @@ def _rules(map: str | Path | Mapping[str, Any] | MeasurementMap) -> MeasurementM
     return validate(MeasurementMap, map, "map") if isinstance(map, Mapping) else load_map(Path(map))
 
 
-def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap, step_s: float | None) -> Measurements:
+def _from_table(
+    tables: Sequence[RawTable],
+    table: Timed,
+    rules: MeasurementMap,
+    step_s: float | None,
+    at: pd.Timestamp | Literal["begin", "end"],
+    *,
+    refuse: bool,
+) -> Measurements:
     names, layout = rules.names, rules.layout
     origin = new_year(table.index, tables[0].name)
+    if isinstance(at, pd.Timestamp) and origin.tz is None:
+        raise ConfigError("map: time.zone: name the zone of the time stamps; the clock has one")
     time_s = seconds_since(origin, table.index, tables[0].name)
     rows_every_s = readings.usual_s(time_s)
     if step_s is None:
         step_s = pd.Timedelta(rules.step).total_seconds() if rules.step else _step_s(rows_every_s)
     if not LEAST_STEP_S <= step_s <= MOST_STEP_S:
         raise DataError(f"step_s: {step_s:g} s; the step of a record lies between 1 min and 1 h")
-    grid_s = np.arange(np.ceil(time_s[0] / step_s - 1e-6), np.floor(time_s[-1] / step_s + 1e-6) + 1.0) * step_s
+    if isinstance(at, pd.Timestamp):
+        at_s = seconds_at(origin, at, "at")
+        grid_s = _grid_s(time_s, rows_every_s, step_s, at_s, until_s=at_s)
+    else:
+        grid_s = _grid_s(time_s, rows_every_s, step_s, _at_s(time_s, rows_every_s, step_s, at))
     if grid_s.size < _LEAST_STEPS + 1:
         raise DataError(
             f"{tables[0].name}: {len(time_s)} rows from {table.index[0]} to {table.index[-1]} make fewer than "
             f"{_LEAST_STEPS} steps of {step_s:g} s; give more rows, or a shorter step"
         )
-    reader = SignalReader(table, time_s, grid_s, step_s, rules)
+    reader = SignalReader(table, time_s, grid_s, step_s, rules, refuse=refuse)
     zones, actuators, machines = rules.zones.items(), rules.actuators.items(), rules.machines.items()
     T_zone = np.array([reader.sampled(f"zones.{name}.temperature", z.temperature, readings.ZONE) for name, z in zones])
     T_out = reader.sampled("outdoor", rules.outdoor, readings.OUTDOOR)
@@ -250,22 +309,18 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
         T_out,
         solar,
         np.zeros(T_zone.shape),
-        np.array([reader.scheduled(f"zones.{name}.lower", z.lower, readings.BOUND) for name, z in zones]),
-        np.array([reader.scheduled(f"zones.{name}.upper", z.upper, readings.BOUND) for name, z in zones]),
-        np.array(
-            [reader.scheduled(f"machines.{name}.price", m.price, readings.PRICE) for name, m in machines]
-            or none * np.nan
-        ),
+        *_bounds_C(rules, reader, origin),
+        np.array([reader.price(f"machines.{name}.price", m.price) for name, m in machines] or none * np.nan),
         none,
         names=names,
     )
-    at = stamps(grid_s, origin)
+    instants = stamps(grid_s, origin)
     zone = "" if table.index.tz is None else str(table.index.tz)
     understood = Understood(
         tuple(t.name for t in tables),
         len(time_s),
-        str(at[0]),
-        str(at[-1]),
+        str(instants[0]),
+        str(instants[-1]),
         float(grid_s[-1] - grid_s[0]) / DAY_S,
         zone,
         rows_every_s,
@@ -274,7 +329,7 @@ def _from_table(tables: Sequence[RawTable], table: Timed, rules: MeasurementMap,
         (*table.notes, *of_clock(zone, rows_every_s, step_s), *of_sun, *of_levels),
         missing(rules, record, conditions),
     )
-    return Measurements(record, layout, conditions, understood, rules, commands)
+    return Measurements(record, layout, conditions, understood, rules, commands=commands)
 
 
 def learned_commands(measured: Measurements) -> dict[str, LearnedCommand]:
@@ -294,6 +349,49 @@ def _commanded(reader: SignalReader, name: str, command: AnyCommand) -> CommandR
     signal = Signal(column=command.column, hold_h=_COMMAND_HOLDS_H)
     at = reader.scheduled(f"actuators.{name}.command", signal, readings.COMMAND)
     return CommandRecord(at, reader.again(signal, readings.COMMAND))
+
+
+def _bounds_C(rules: MeasurementMap, reader: SignalReader, origin: pd.Timestamp) -> tuple[Array, Array]:
+    """Lower and upper comfort bounds of the zones (Z, n + 1), °C; NaN where the map has none."""
+    if rules.comfort is not None:
+        return rules.comfort.bounds_at(pd.DatetimeIndex(stamps(reader.grid_s, origin)), tuple(rules.zones))
+    lower, upper = (
+        np.array(
+            [
+                reader.scheduled(f"zones.{name}.{bound}", getattr(zone, bound), readings.BOUND)
+                for name, zone in rules.zones.items()
+            ]
+        )
+        for bound in ("lower", "upper")
+    )
+    return lower, upper
+
+
+def _at_s(time_s: Array, rows_every_s: float, step_s: float, at: Literal["begin", "end"]) -> float:
+    """Where a step begins, s: at the first or last of the rows at `time_s` (n,), or on the clock where rows are dense.
+
+    A stamp a little beside a whole minute means that minute.
+    """
+    row_s = float(time_s[0] if at == "begin" else time_s[-1])
+    beside_s = _BESIDE * min(rows_every_s, step_s) if np.isfinite(rows_every_s) else 0.0
+    minute_s = round(row_s / 60.0) * 60.0
+    row_s = minute_s if abs(row_s - minute_s) <= beside_s else row_s
+    if at == "begin":
+        dense = rows_every_s <= _DENSE * step_s and HOUR_S % step_s == 0.0
+        return 0.0 if dense else row_s
+    return np.floor(row_s / _WHOLE_S) * _WHOLE_S if rows_every_s < _WHOLE_S else row_s
+
+
+def _grid_s(time_s: Array, rows_every_s: float, step_s: float, at_s: float, *, until_s: float = -np.inf) -> Array:
+    """Boundaries of steps, one of them at `at_s`, within the rows at `time_s` (n,), s.
+
+    They go on to `until_s` where rows end not much earlier: the next row is still to come.
+    """
+    usual_s = rows_every_s if np.isfinite(rows_every_s) else step_s
+    beside_s = _BESIDE * min(usual_s, step_s) + 1e-6 * step_s
+    last_s = max(time_s[-1] + beside_s, min(until_s, time_s[-1] + readings.LOOSE * max(usual_s, step_s)))
+    first, last = (time_s[0] - beside_s - at_s) / step_s, (last_s - at_s) / step_s
+    return np.asarray(at_s + step_s * np.arange(np.ceil(first), np.floor(last) + 1.0))
 
 
 def _step_s(rows_every_s: float) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import HOUR_S, Array
+from thermoforce_mpc.data.limits import SignalRule
 from thermoforce_mpc.data.series import stretches
 from thermoforce_mpc.errors import counted
 from thermoforce_mpc.measurements.map.entries import COUNTER, PER_STEP, Irradiance, Power, Signal, converted
@@ -16,10 +17,10 @@ from thermoforce_mpc.measurements.map.starting_map import kind_of
 from thermoforce_mpc.measurements.tables.clock import Timed
 from thermoforce_mpc.measurements.tables.readings import (
     EXCURSION_S,
+    PRICE,
     SOLAR,
     Flag,
     Readings,
-    Rules,
     around,
     durations_s,
     held,
@@ -28,6 +29,7 @@ from thermoforce_mpc.measurements.tables.readings import (
     sampled,
     screened,
     usual_s,
+    with_map,
 )
 from thermoforce_mpc.measurements.understood import SignalSummary
 
@@ -38,15 +40,24 @@ _UNUSUAL = 10.0
 class SignalReader:
     """Reads signals of `table`, whose rows stand at `time_s` (n,), at the boundaries `grid_s` of the steps.
 
-    `summaries` collects what was read.
+    `summaries` collects what was read. Without `refuse` a signal that is mostly out of range is not measured.
     """
 
-    def __init__(self, table: Timed, time_s: Array, grid_s: Array, step_s: float, rules: MeasurementMap) -> None:
-        self.grid_s, self.summaries = grid_s, list[SignalSummary]()
+    def __init__(
+        self,
+        table: Timed,
+        time_s: Array,
+        grid_s: Array,
+        step_s: float,
+        rules: MeasurementMap,
+        *,
+        refuse: bool = True,
+    ) -> None:
+        self.grid_s, self.summaries, self._refuse = grid_s, list[SignalSummary](), refuse
         self._table, self._time_s, self._step_s = table, time_s, step_s
         self._marks, self._coverage = rules.time.marks, rules.coverage
 
-    def sampled(self, key: str, signal: Signal, rules: Rules) -> Array:
+    def sampled(self, key: str, signal: Signal, rules: SignalRule) -> Array:
         """A signal at the boundaries (n + 1,)."""
         readings, unit, flags = self._readings(key, signal, rules)
         return self._summarised(key, signal, unit, readings, sampled(readings, self.grid_s), flags)
@@ -57,14 +68,27 @@ class SignalReader:
         values = around(readings, self.grid_s, self._step_s, self._coverage)
         return self._summarised("sun", signal, unit, readings, values, flags)
 
-    def scheduled(self, key: str, source: float | Signal | None, rules: Rules) -> Array:
+    def scheduled(self, key: str, source: float | Signal | None, rules: SignalRule) -> Array:
         """A bound or price at the boundaries (n + 1,): a number, the last reading of a column, or NaN for None."""
         if not isinstance(source, Signal):
             return np.full(self.grid_s.size, np.nan if source is None else float(source))
         readings, unit, flags = self._readings(key, source, rules)
         return self._summarised(key, source, unit, readings, held(readings, self.grid_s), flags)
 
-    def mean(self, key: str, signal: Signal | None, rules: Rules) -> Array:
+    def price(self, key: str, source: float | Signal | None) -> Array:
+        """A price at the boundaries (n + 1,): the mean over the step that begins there, as `scheduled`."""
+        if not isinstance(source, Signal):
+            return self.scheduled(key, source, PRICE)
+        readings, unit, flags = self._readings(key, source, PRICE)
+        values = held(readings, self.grid_s)
+        if readings.values.size > 1 and self.grid_s.size > 1:
+            lasts = durations_s(readings.time_s, readings.longest_s, "start")
+            edges = np.append(self.grid_s, self.grid_s[-1] + self._step_s)
+            over_step = means(readings.time_s, lasts, readings.values, edges, self._coverage)
+            values = np.where(np.isfinite(over_step), over_step, values)
+        return self._summarised(key, source, unit, readings, values, flags)
+
+    def mean(self, key: str, signal: Signal | None, rules: SignalRule) -> Array:
         """Means of a signal over the steps (n,); NaN where it is not measured."""
         if signal is None:
             return np.full(self.grid_s.size - 1, np.nan)
@@ -74,7 +98,7 @@ class SignalReader:
         values = means(starts, lasts, readings.values, self.grid_s, self._coverage)
         return self._summarised(key, signal, unit, readings, values, flags)
 
-    def again(self, signal: Signal, rules: Rules) -> Array:
+    def again(self, signal: Signal, rules: SignalRule) -> Array:
         """Means over the steps (n,) of a signal that is read as `scheduled` too: it holds until the next reading."""
         readings, _, _ = self._readings("", signal, rules)
         if not readings.values.size:
@@ -83,10 +107,10 @@ class SignalReader:
         lasts = np.minimum(ends - readings.time_s, readings.longest_s)
         return means(readings.time_s, lasts, readings.values, self.grid_s, self._coverage)
 
-    def _readings(self, key: str, signal: Signal, rules: Rules) -> tuple[Readings, Rules, tuple[Flag, ...]]:
+    def _readings(self, key: str, signal: Signal, rules: SignalRule) -> tuple[Readings, SignalRule, tuple[Flag, ...]]:
         """The readings of a signal that hold, in the unit inside, its rules, and what was flagged."""
         declared = getattr(signal, "unit", "")
-        rules = rules.of(signal)
+        rules = with_map(rules, signal)
         raw = np.sum([self._table.columns[column] for column in signal.columns], axis=0) * signal.factor
         values, time_s = converted(raw, declared) if declared else np.asarray(raw), self._time_s
         if declared.endswith(PER_STEP):
@@ -101,7 +125,9 @@ class SignalReader:
             flags += of_counter
         name = f"{key} (column {' + '.join(signal.columns)})"
         if values.size:
-            holds, flagged = screened(time_s, values, raw, rules, name, declared or rules.unit, self._at)
+            holds, flagged = screened(
+                time_s, values, raw, rules, name, declared or rules.unit, self._at, refuse=self._refuse
+            )
             values, time_s = values[holds], time_s[holds]
             flags += flagged
         return Readings(time_s, values, longest_s(time_s, self._step_s, signal.hold_h)), rules, tuple(flags)
@@ -113,7 +139,7 @@ class SignalReader:
         return self._at(int(np.searchsorted(self._time_s, at_s)))
 
     def _summarised(
-        self, key: str, signal: Signal, rules: Rules, readings: Readings, values: Array, flags: tuple[Flag, ...]
+        self, key: str, signal: Signal, rules: SignalRule, readings: Readings, values: Array, flags: tuple[Flag, ...]
     ) -> Array:
         finite = np.isfinite(values)
         least, median, most = (
@@ -136,12 +162,13 @@ class SignalReader:
                 most,
                 flags,
                 doubt,
+                float(readings.time_s[-1]) if readings.time_s.size else float("nan"),
             )
         )
         return values
 
 
-def _doubt(signal: Signal, rules: Rules, readings: Readings, median: float, most: float) -> str:
+def _doubt(signal: Signal, rules: SignalRule, readings: Readings, median: float, most: float) -> str:
     """What is odd about readings that were accepted, '' if nothing."""
     if isinstance(signal, Power) and "unit" not in signal.model_fields_set and "energy" in map(kind_of, signal.columns):
         return "read as W, and its name says energy: name the unit (W, Wh per step, kWh counter, …)"

@@ -22,7 +22,7 @@ class SignalSummary:
 
     `readings`: how many; `usual_s`: usual time between them, s; `measured`: share of the record's values that are
     known; `longest_gap_h`: longest stretch of unknown ones, h; `least`, `median`, `most` in `unit`; `flags`: what the
-    rules refused; `doubt`: what looks odd, '' if nothing.
+    rules refused; `doubt`: what looks odd, '' if nothing; `newest_s`: time of the newest reading that holds, s.
     """
 
     name: str
@@ -38,6 +38,7 @@ class SignalSummary:
     most: float
     flags: tuple[Flag, ...] = ()
     doubt: str = ""
+    newest_s: float = float("nan")
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,6 +15,16 @@ _UNJUDGED = (
     "This model may not act, since it was not judged on data that it had not seen; the building is controlled without "
     "it. Next: identify it again from its data, or turn the gate off (gate.enabled: false) to act on it all the same."
 )
+
+# Lead times that must be judged: a plan is made anew every step and pre-heats by hours.
+JUDGED_H = (1.0, 6.0)
+# Largest RMSE by lead time, K. The comfort guard acts 1 K outside the band: a plan that errs by more within the hours
+# of a pre-heating is not the one that decides. One step ahead half of it must hold.
+MOST_ERROR_K = {1.0: 0.5, 6.0: 1.0}
+# Largest relative standard deviation of the effect of eight hours at full level, the length of a pre-heating; plans of
+# later steps correct what comes later. At 0.43 the sign is certain to 99 %; at 0.4 the 90 % interval is a third to five
+# thirds of what was planned, which re-planning still corrects.
+MOST_RELATIVE_SD = 0.4
 
 
 @dataclass(frozen=True)
@@ -36,7 +47,7 @@ class HorizonScore:
 
 @dataclass(frozen=True)
 class Competence:
-    """Verdict on a model; `identification.competence` computes it and owns the criteria.
+    """Verdict on a model; `identification.validation.competence` computes it and owns the criteria.
 
     `competent`: whether a controller may act on it. `reasons`: each criterion that it misses, in words. `advice`: what
     to do about them. `effect_K` and `effect_sd_K`: change of the zone after 8 h at full level and its standard
@@ -60,6 +71,24 @@ class Competence:
     def relative_sd(self) -> float:
         """Standard deviation of the effect of 8 h at full level, as a share of it."""
         return self.effect_sd_K / abs(self.effect_K) if self.effect_K else float("inf")
+
+    def contradiction(self, *, by_loops: bool) -> str:
+        """Why this verdict cannot follow from its own numbers, or ''.
+
+        `by_loops`: levels are signed, so that the plant's own loops keep the band whatever is predicted.
+        """
+        if not self.competent:
+            return ""
+        if self.reasons:
+            return f"it is competent and is not, since {self.reasons[0]}"
+        if not self.relative_sd <= MOST_RELATIVE_SD:
+            return f"its effect is known to ± {100 * self.relative_sd:.0f} % only"
+        errors_K = {score.hours: score.model_K for score in self.horizons}
+        for hours in JUDGED_H:
+            error_K, most_K = errors_K.get(hours, math.nan), math.inf if by_loops else MOST_ERROR_K[hours]
+            if not error_K <= most_K:
+                return f"its error {hours:g} h ahead is {error_K:.3g} K"
+        return ""
 
     def in_words(self) -> str:
         """One line for an engineer: the verdict, and what it rests on."""
@@ -87,7 +116,8 @@ class ModelCard:
     data. `competence` is the verdict on held-out data; None: not judged (given by hand, or identified before there was
     one). `sun_on_sensor` is the sun in the readings of the zone sensor, `foreign_heat` what the heat meter of the
     actuator shows beside its heat; None: none was found. `blocked_hours`: hours of the day in which nothing came while
-    it was probed, whatever was asked for (`machine.blocked_hours`).
+    it was probed, whatever was asked for (`machine.blocked_hours`), of signed levels no heat; `blocked_cooling_hours`:
+    of signed levels no cold.
     """
 
     source: str = _GIVEN
@@ -101,6 +131,7 @@ class ModelCard:
     sun_on_sensor: SunOnSensor | None = None
     foreign_heat: ForeignLoad | None = None
     blocked_hours: tuple[int, ...] = ()
+    blocked_cooling_hours: tuple[int, ...] = ()
 
     @property
     def unfit(self) -> str:

@@ -57,7 +57,7 @@ def forced_history(operator: BuildingOperator, history: Record, *, initial_force
 def heat_drive(operator: BuildingOperator, history: Record, start: int, stop: int) -> Array:
     """Return v of each actuator over the steps `start` … `stop` − 1, (A, stop − start), from measured heat if any.
 
-    Identification is driven by v(u) instead; `identification.regression_data.run_regression` says why. Raises
+    Identification is driven by v(u) instead; `identification.estimation.regression` says why. Raises
     `DataError`, with the step, where the weather or u without measured heat has gaps, or u leaves [0, 1].
     """
     T_out, solar = history.T_out_C[start : stop + 1], history.solar_W_m2[start : stop + 1]

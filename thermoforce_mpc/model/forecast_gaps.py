@@ -5,7 +5,9 @@
 | weather | interpolation up to 6 h between two values; the last whole forecast; the day before; the mean of that hour |
 | prices, bounds, occupancy, emissions | the last whole forecast; the day before; the value before, or the first known |
 
-The day before is in the record or a forecast. A weather value that cannot be (`limits`) is none.
+The day before is in the record or a forecast; the last reading of the record is one end of a gap at the begin. A
+weather value that cannot be (`limits`) is none. Values that a source of data has filled itself (`Boundary.guessed`) are
+said in the same words.
 """
 
 from __future__ import annotations
@@ -16,12 +18,13 @@ from typing import Any
 import numpy as np
 
 from thermoforce_mpc.data import CONDITIONS, DAY_S, HOUR_S, Array, Boundary, Record
-from thermoforce_mpc.data.limits import BRIDGED_GAP_H, OUTDOOR_C, SOLAR_W_M2
+from thermoforce_mpc.data.limits import BRIDGED_GAP_H, RULES
 from thermoforce_mpc.data.series import WEATHER, at_instants, gap_s
 
-_RANGES = {"T_out_C": OUTDOOR_C, "solar_W_m2": SOLAR_W_M2}
 # Instants nearer than this are the same, s.
 _SAME_S = 1.0
+# How a source of data fills what follows a schedule.
+BY_DAYS = "the same hour of the days before"
 _DAYS_BEFORE = 7
 
 
@@ -45,10 +48,17 @@ def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tup
     where part of them is known. `last`: the last forecast of this run that was whole.
     """
     filled: dict[str, Any] = {}
-    notes: list[str] = []
+    notes = [
+        f"{boundary.names.label(name, row)} at {guessed.sum()} of {guessed.size} instants "
+        f"({100 * guessed.mean():.0f} % of the plan) by {BY_DAYS}"
+        for name, rows in boundary.guessed.items()
+        for row, guessed in enumerate(rows)
+        if guessed.any() and not (name == "heating_price_per_kWh" and "price_per_kWh" in boundary.guessed)
+    ]
+    labels: set[str] = {note.partition(" ")[0] for note in notes}
     for name in CONDITIONS[1:]:
         rows = np.atleast_2d(getattr(boundary, name))
-        low, high = _RANGES[name] if name in WEATHER else (-np.inf, np.inf)
+        low, high = RULES[name].range if name in WEATHER else (-np.inf, np.inf)
         missing = ~(np.isfinite(rows) & (rows >= low) & (rows <= high))
         if not missing.any():
             continue
@@ -60,15 +70,18 @@ def completed(boundary: Boundary, history: Record, last: Boundary | None) -> tup
             if how:
                 out[row] = complete
                 label = boundary.names.label(name, row) if np.ndim(getattr(boundary, name)) == 2 else name
+                if name == "heating_price_per_kWh" and label.replace("heating_", "", 1) in labels:
+                    continue  # the same price
+                labels.add(label)
                 notes.append(f"{label} at {missing[row].sum()} of {missing[row].size} instants by {how}")
         filled[name] = out.reshape(np.shape(getattr(boundary, name)))
-    if not filled:
-        return boundary, ""
-    return replace(boundary, **filled), f"forecast: {', '.join(notes)}" if notes else ""
+    return (replace(boundary, **filled) if filled else boundary), f"forecast: {', '.join(notes)}" if notes else ""
 
 
 def whole(boundary: Boundary) -> bool:
-    """Whether weather, bounds and prices are known at every instant."""
+    """Whether weather, bounds and prices were given at every instant."""
+    if any(guessed.any() for guessed in boundary.guessed.values()):
+        return False
     return all(np.isfinite(getattr(boundary, name)).all() for name in (*WEATHER, "lower_C", "upper_C", "price_per_kWh"))
 
 
@@ -86,7 +99,7 @@ def _row(
 
     weather = name in WEATHER
     if weather:
-        fill(_between(time_s, out), "interpolation")
+        fill(_between(time_s, out, history, name), "interpolation")
     # Of the record only the weather is known; of the other signals, what forecasts say of the day before.
     sources = [(time_s, out)]
     if last is not None:
@@ -112,13 +125,18 @@ def _row(
     return out, " and ".join(dict.fromkeys(how))
 
 
-def _between(time_s: Array, values: Array) -> Array:
-    """Values (n,) with gaps of up to 6 h between two known ones filled by a straight line."""
-    known_s = time_s[np.isfinite(values)]
+def _between(time_s: Array, values: Array, history: Record, name: str) -> Array:
+    """Values (n,) with gaps of up to 6 h between two known ones filled by a straight line, from the last reading on."""
+    known = np.isfinite(values)
+    known_s, levels = time_s[known], values[known]
+    measured = np.flatnonzero(np.isfinite(getattr(history, name)) & (history.time_s <= time_s[0]))
+    if measured.size and known_s.size and history.time_s[measured[-1]] < known_s[0]:
+        known_s = np.append(history.time_s[measured[-1]], known_s)
+        levels = np.append(getattr(history, name)[measured[-1]], levels)
     if known_s.size < 2:
         return values
-    line = np.interp(time_s, known_s, values[np.isfinite(values)])
-    inside = (time_s > known_s[0]) & (time_s < known_s[-1])
+    line = np.interp(time_s, known_s, levels)
+    inside = (time_s >= known_s[0]) & (time_s < known_s[-1])
     return np.where(inside & (gap_s(time_s, known_s) <= BRIDGED_GAP_H * HOUR_S), line, values)
 
 

@@ -38,7 +38,7 @@ _WORDS = {bool: "true or false", str: "a text", list: "a list", dict: "an object
 _OPERATOR_ARRAYS = ("poles", "gains", "hidden_weight", "hidden_bias", "output_weight", "feature_mean", "feature_scale")
 _FREE_ARRAYS = ("poles", "weights", "process_K2", "start_K2")
 FORMAT = "thermoforce-mpc thermal model"
-FORMAT_VERSION = 8
+FORMAT_VERSION = 9
 JSON_NAME = "model.json"
 ARRAYS_NAME = "arrays.safetensors"
 # Thirty rooms with all pairs coupled: 0.8 MB of JSON, 2.1 MB of arrays.

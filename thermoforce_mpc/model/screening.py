@@ -19,19 +19,7 @@ if TYPE_CHECKING:  # the predictor is loaded only when a controller needs it
     from thermoforce_mpc.model.thermal_model import ThermalModel
 
 _INFINITE = (-np.inf, np.inf)
-# Checked signals and their units.
-_UNITS = {
-    "T_zone_C": " °C",
-    "T_out_C": " °C",
-    "solar_W_m2": " W/m²",
-    "u": "",
-    "power_W": " W",
-    "heat_W": " W",
-    "T_return_C": " °C",
-}
 _NOT_MEASURED = "taken as not measured"
-# Signals that every plant reports; a missing value gives a note. Heat and power are not metered everywhere.
-_ALWAYS = ("T_zone_C", "T_out_C", "solar_W_m2")
 
 
 @dataclass(frozen=True)
@@ -74,16 +62,12 @@ class Limits:
 
     def range(self, name: str) -> tuple[float, float]:
         """Return the lowest and highest value of the signal `name` of a `Record` or `Measurement`, in its unit."""
-        ranges = {
-            "T_zone_C": limits.ZONE_C,
-            "T_out_C": limits.OUTDOOR_C,
-            "solar_W_m2": limits.SOLAR_W_M2,
+        of_building = {
             "u": (self.lowest + limits.LEVEL[0], limits.LEVEL[1]),
             "power_W": self.power_W,
             "heat_W": self.heat_W,
-            "T_return_C": limits.RETURN_WATER_C,
         }
-        return ranges[name]
+        return of_building.get(name, limits.RULES[name].range)
 
 
 def limits_of(controller: object, floor_area_m2: float | None = None, lowest: float = 0.0) -> Limits:
@@ -104,7 +88,7 @@ def screened(measurement: Measurement, allowed: Limits, history: Record) -> tupl
     cleaned: dict[str, Any] = {}
     notes: list[str] = []
     names = measurement.names
-    for name in _UNITS:
+    for name in limits.RULES:
         readings = np.atleast_1d(getattr(measurement, name))
         refused = np.zeros(readings.size, dtype=bool)
         for row, value in enumerate(readings):
@@ -113,7 +97,7 @@ def screened(measurement: Measurement, allowed: Limits, history: Record) -> tupl
             refused[row] = note is not None
             if note is not None:
                 notes.append(note)
-            elif name in _ALWAYS and np.isnan(value):
+            elif limits.RULES[name].always and np.isnan(value):
                 notes.append(f"{label} was not measured")
         if refused.any():
             kept = np.where(refused, np.nan, readings)
@@ -125,7 +109,7 @@ def _refusal(
     measurement: Measurement, name: str, row: int, value: float, label: str, allowed: Limits, history: Record
 ) -> str | None:
     if _outside(np.array([value]), allowed.range(name))[0]:
-        return f"{label} of {value:.6g}{_UNITS[name]} is not {_words(allowed, name)}: {_NOT_MEASURED}"
+        return f"{label} of {value:.6g}{_unit(name)} is not {_words(allowed, name)}: {_NOT_MEASURED}"
     if name != "T_zone_C":
         return None
     accepted = np.flatnonzero(np.isfinite(history.T_zone_C[row]))
@@ -145,7 +129,7 @@ def screened_history(history: Record, allowed: Limits) -> tuple[Record, tuple[st
     """Return a record with implausible readings set to NaN, and one note per signal."""
     refused: dict[str, Any] = {}
     notes: list[str] = []
-    for name in _UNITS:
+    for name in limits.RULES:
         rows = np.atleast_2d(getattr(history, name))
         wrong = _outside(rows, allowed.range(name))
         if name == "T_zone_C":
@@ -156,11 +140,11 @@ def screened_history(history: Record, allowed: Limits) -> tuple[Record, tuple[st
             first, values = int(np.argmax(outside)), rows[row]
             what = _words(allowed, name)
             if not _outside(values, allowed.range(name))[outside].all():
-                what += f", or more than {limits.ZONE_JUMP_K:g} K from one instant to the next"
+                what += f", or more than {limits.RULES[name].jump[0]:g} K from one instant to the next"
             label = history.names.label(name, row) if name in AXIS else name
             notes.append(
                 f"{label} at {outside.sum()} of {values.size} places of the record is not {what} "
-                f"(first {values[first]:.6g}{_UNITS[name]} at {history.time_s[first]:.10g} s): {_NOT_MEASURED}"
+                f"(first {values[first]:.6g}{_unit(name)} at {history.time_s[first]:.10g} s): {_NOT_MEASURED}"
             )
         if wrong.any():
             refused[name] = np.where(wrong, np.nan, rows).reshape(np.shape(getattr(history, name)))
@@ -179,14 +163,20 @@ def _outside(values: Array, allowed: tuple[float, float]) -> NDArray[np.bool_]:
     return np.asarray((values < low) | (values > high) | np.isinf(values))
 
 
+def _unit(name: str) -> str:
+    unit = limits.RULES[name].unit
+    return f" {unit}" if unit else ""
+
+
 def _words(allowed: Limits, name: str) -> str:
     low, high = allowed.range(name)
-    return f"a number between {low:.4g} and {high:.4g}{_UNITS[name]}"
+    return f"a number between {low:.4g} and {high:.4g}{_unit(name)}"
 
 
 def _reach_K(since_s: float) -> float:
     """Return the largest plausible change of the zone temperature over `since_s` s, K."""
-    return limits.ZONE_JUMP_K + limits.ZONE_JUMP_K_PER_H * since_s / HOUR_S
+    at_once, per_h = limits.RULES["T_zone_C"].jump
+    return at_once + per_h * since_s / HOUR_S
 
 
 def _jumps(time_s: Array, T_zone_C: Array) -> NDArray[np.bool_]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -9,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from thermoforce_mpc.data import SINGLE, Array, Boundary, Layout, Names, Observation, Record
+from thermoforce_mpc.data import HOUR_S, SINGLE, Array, Boundary, Layout, Names, Observation, Record
+from thermoforce_mpc.data.limits import EFFECT_K
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ArtifactError, DataError
 from thermoforce_mpc.files import check_replaceable
@@ -26,6 +29,10 @@ from thermoforce_mpc.model.predictor import Prediction, Predictor
 from thermoforce_mpc.model.saved import JSON_NAME, decode, encode, read_model_file, write_model_file
 from thermoforce_mpc.model.sun_on_sensor import SunOnSensor, off_sensors
 from thermoforce_mpc.protocols import FreeResponse
+
+# What a card says of its arrays, and how exactly: it is worked out from them.
+_STEP_RESPONSE = re.compile(r"step_response_(\d+)h_K(?:\[(.+)\])?")
+_SAME, _EFFECT_H = 1e-3, 8.0
 
 
 @dataclass(frozen=True)
@@ -246,6 +253,13 @@ class ThermalModel:
             lines.append(f"{prefix}a day at full level changes the zone by {operator.sign * effect:+.1f} ± {sd:.1f} K")
         return lines
 
+    def implausible(self, a: int) -> str:
+        """Why what actuator `a` does to its zone cannot be (`data.limits.EFFECT_K`), or ''."""
+        effect_K = _step_response_K(self.operator.of_actuator(a), _EFFECT_H)
+        if abs(effect_K) <= EFFECT_K:
+            return ""
+        return f"{_EFFECT_H:g} h at full level change the zone by {effect_K:.4g} K, at most {EFFECT_K:g} are plausible"
+
     def save(self, folder: Path | str, *, overwrite: bool = False) -> Path:
         """Write the model to `folder`; the same model gives the same bytes.
 
@@ -265,7 +279,10 @@ class ThermalModel:
 
 
 def load_model(folder: Path | str) -> ThermalModel:
-    """Read a saved model and prove its certificate again; raises `ArtifactError` naming the file and the reason."""
+    """Read a saved model; what its card says of its arrays, and its certificate, are worked out again.
+
+    Raises `ArtifactError` naming the file and the reason.
+    """
     folder = Path(folder)
     content, arrays = read_model_file(folder)
     return model_from(content, arrays, folder / JSON_NAME)
@@ -280,7 +297,41 @@ def model_from(content: Mapping[str, Any], arrays: Mapping[str, Array], path: Pa
     except (DataError, TypeError, ValueError, AttributeError) as error:
         raise ArtifactError(f"{path}: {error!s:.500}") from error
     _check_proofs(model.operator.certificates(), f"{path}: ")
+    for a in range(len(model.cards)):
+        if why := _disbelieved(model, a):
+            of = "" if len(model.cards) == 1 else f" of {model.operator.actuators[a]}"
+            raise ArtifactError(f"{path}: the model{of} is not what its card says: {why}; identify again")
     return model
+
+
+def _disbelieved(model: ThermalModel, a: int) -> str:
+    """Why the card of actuator `a` cannot be that of the model's arrays, or the arrays those of a building; or ''."""
+    operator, card, z = model.operator, model.cards[a], model.operator.home[a]
+    verdict, own = card.competence, operator.of_actuator(a)
+    if too_much := model.implausible(a):
+        return too_much
+    for name, said_K in card.uncertainty.items():
+        found = _STEP_RESPONSE.fullmatch(name)
+        other = operator.actuators.index(found[2]) if found and found[2] in operator.actuators else a
+        pair = operator.pairs[z][other] if found else None
+        if found is None or pair is None or (found[2] and other == a):
+            continue
+        response_K = _step_response_K(pair, float(found[1])) * (own.sign if other == a else 1)
+        if not math.isclose(said_K, response_K, rel_tol=_SAME, abs_tol=_SAME):
+            return f"{name} is {said_K:.4g}, by its arrays {response_K:.4g}"
+    if verdict is None:
+        return ""
+    said_K = own.sign * card.uncertainty.get(f"step_response_{_EFFECT_H:g}h_K", math.nan)
+    if math.isfinite(said_K) and not math.isclose(verdict.effect_K, said_K, rel_tol=_SAME, abs_tol=_SAME):
+        return f"its verdict is on an effect of {verdict.effect_K:.4g} K, by its arrays it is {said_K:.4g} K"
+    why = verdict.contradiction(by_loops=own.heat_input.lowest < 0.0)
+    return f"it is called competent, but {why}" if why else ""
+
+
+def _step_response_K(pair: OperatorParameters, hours: float) -> float:
+    """Change by `hours` at full level where the gain is 1, K."""
+    steps = max(1, int(hours * HOUR_S // pair.step_s))
+    return float(pair.impulse(steps).sum())
 
 
 def _check_proofs(proofs: Mapping[tuple[str, str], Certificate], where: str) -> None:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from boptest_client import TransportConfig
     from thermoforce_mpc.boundary.forecast_error import ForecastError
     from thermoforce_mpc.boundary.tariffs import Tariff
+    from thermoforce_mpc.boundary.weather import SyntheticClimate
     from thermoforce_mpc.boundary.weather.year import Weather
 
 WEATHER, PRICES, UNCERTAINTY, PEOPLE = "weather", "prices_file", "forecast_uncertainty", "people"
@@ -44,6 +45,8 @@ class PlantEntry:
         takes: keys of the scenario's `plant` that it heeds, of weather, prices_file, forecast_uncertainty and people.
         missing: says what has to be installed first, or nothing.
         windows: names of its windows beside start days; None where only the plant itself knows them.
+        implements: whether it is the plant of a test case that names none.
+        attach: takes up the test of this name that a plant which goes on without us has; None for all others.
     """
 
     summary: str
@@ -52,19 +55,45 @@ class PlantEntry:
     takes: frozenset[str] = frozenset()
     missing: Callable[[], str] = lambda: ""
     windows: Callable[[PlantSpec, TestCase], Collection[str] | None] = lambda spec, testcase: None
+    implements: Callable[[TestCase], bool] = lambda testcase: False
+    attach: Callable[[PlantSpec, TestCase, int, str], Plant] | None = None
+
+
+@dataclass(frozen=True)
+class ChosenPlant:
+    """A plant that was looked up and whose options were checked, once; `comfort` takes the place of its own bounds."""
+
+    name: str
+    entry: PlantEntry
+    spec: PlantSpec
+    options: StrictModel
+    testcase: TestCase
+    seed: int
+    comfort: Comfort | None = None
+
+    @property
+    def outlives_us(self) -> bool:
+        """Whether it goes on while we are down."""
+        return self.entry.attach is not None
+
+    def build(self, testid: str | None = None) -> Plant:
+        """The plant; with `testid` the test that a service has already.
+
+        Raises:
+            ConfigError: the FMU cannot be used, or a zone of `comfort` does not fit the plant.
+            WeatherError: the weather file cannot be used.
+            NoSuchTest, PlantError: the service does not answer.
+        """
+        if testid is not None and self.entry.attach is not None:
+            plant = self.entry.attach(self.spec, self.testcase, self.seed, testid)
+        else:
+            plant = self.entry.build(self.spec, self.testcase, self.options, self.seed)
+        return with_comfort(plant, self.comfort, self.testcase)
 
 
 def build_plant(spec: PlantSpec, testcase: TestCase, seed: int, comfort: Comfort | None = None) -> Plant:
-    """Build the plant of a scenario; `comfort` takes the place of its own comfort bounds.
-
-    Raises:
-        ConfigError: the FMU cannot be used, or the test case, a setting or a zone of `comfort` does not fit the plant.
-        WeatherError: the weather file cannot be used.
-        PlantError: the service does not answer.
-    """
-    options = check_plant(spec, testcase)
-    plant = REGISTRY.find(plant_name(spec, testcase)).build(spec, testcase, options, seed)
-    return with_comfort(plant, comfort, testcase)
+    """Build the plant of a scenario; raises as `choose_plant` and `ChosenPlant.build`."""
+    return choose_plant(spec, testcase, seed, comfort).build()
 
 
 def with_comfort(plant: Plant, comfort: Comfort | None, testcase: TestCase) -> Plant:
@@ -80,17 +109,20 @@ def plant_name(spec: PlantSpec, testcase: TestCase) -> str:
     """Name of the plant that a scenario names, else of that which implements its test case; raises `ConfigError`."""
     if spec.kind != "embedded":
         return spec.kind
-    own = "emulator" if testcase.embedded else "energyplus" if testcase.energyplus else testcase.plant
+    own = next((name for name, entry in REGISTRY.own.items() if entry.implements(testcase)), testcase.plant)
     if own is None:
         raise ConfigError(
-            f"plant.kind: the embedded emulator is bestest_hydronic_heat_pump, not {testcase.name}; "
+            f"plant.kind: no embedded plant implements {testcase.name}, those do for {', '.join(_EMBEDDED)}; "
             "give the address of a BOPTEST service (--url, in Python url=), or the test case's FMU (--fmu, fmu=)"
         )
     return own
 
 
-def check_plant(spec: PlantSpec, testcase: TestCase) -> StrictModel:
-    """Validated options of a scenario's plant; raises `ConfigError` where it lacks or would ignore something."""
+def choose_plant(spec: PlantSpec, testcase: TestCase, seed: int, comfort: Comfort | None = None) -> ChosenPlant:
+    """The plant of a scenario with its validated options; `comfort` takes the place of its own comfort bounds.
+
+    Raises `ConfigError` where it lacks or would ignore something.
+    """
     name = plant_name(spec, testcase)
     entry = REGISTRY.find(name)
     for key in (WEATHER, PRICES, UNCERTAINTY, PEOPLE):
@@ -99,7 +131,8 @@ def check_plant(spec: PlantSpec, testcase: TestCase) -> StrictModel:
     missing = entry.missing()
     if missing:
         raise ConfigError(f"test case '{testcase.name}': {missing}")
-    return validate(entry.config(), spec.options, f"plant.options of plant '{name}'")
+    options = validate(entry.config(), spec.options, f"plant.options of plant '{name}'")
+    return ChosenPlant(name, entry, spec, options, testcase, seed, comfort)
 
 
 def check_surroundings(spec: PlantSpec) -> None:
@@ -143,7 +176,7 @@ def _fmu(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
 def _rooms(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
     from thermoforce_mpc.plants.rooms import house_of_rooms
 
-    return house_of_rooms(testcase.name, spec.people)
+    return house_of_rooms(testcase.name, spec.people, _tariff(spec))
 
 
 def _generated(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
@@ -176,16 +209,31 @@ def _emulator(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> P
     return EmbeddedPlant(_weather(spec), highly_dynamic=tariff, forecast_error=error, people=spec.people)
 
 
+def _point_emulator(spec: PlantSpec, testcase: TestCase, options: Any, seed: int) -> Plant:
+    from thermoforce_mpc.plants.embedded import PointEmulator
+    from thermoforce_mpc.plants.embedded.cases import CASES
+
+    weather = _weather(spec, CASES[testcase.plant or ""].climate)
+    error, tariff = _error(spec, seed), _tariff(spec)
+    return PointEmulator(testcase, weather, highly_dynamic=tariff, forecast_error=error, people=spec.people)
+
+
 def _error(spec: PlantSpec, seed: int) -> ForecastError | None:
     from thermoforce_mpc.boundary.forecast_error import ForecastError
 
-    return None if spec.forecast_uncertainty == "none" else ForecastError(spec.forecast_uncertainty, seed)
+    return (
+        None
+        if spec.forecast_uncertainty == "none"
+        else ForecastError(spec.forecast_uncertainty, spec.forecast_uncertainty, seed)
+    )
 
 
-def _weather(spec: PlantSpec) -> Weather:
-    from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
+def _weather(spec: PlantSpec, climate: SyntheticClimate | None = None) -> Weather:
+    from thermoforce_mpc.boundary.weather import MARITIME, load_weather, synthetic_weather
 
-    return synthetic_weather() if spec.weather == "synthetic" else load_weather(Path(spec.weather))
+    if spec.weather != "synthetic":
+        return load_weather(Path(spec.weather))
+    return synthetic_weather(climate=climate or MARITIME)
 
 
 def _tariff(spec: PlantSpec) -> Tariff | None:
@@ -195,9 +243,9 @@ def _tariff(spec: PlantSpec) -> Tariff | None:
 
 
 def _of_weather(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
-    from thermoforce_mpc.boundary.periods import NAMES
+    from thermoforce_mpc.plants.embedded.cases import CASES
 
-    return NAMES
+    return CASES[testcase.plant or testcase.name].periods
 
 
 def _weeks(spec: PlantSpec, testcase: TestCase) -> Collection[str]:
@@ -227,17 +275,26 @@ def _without_engine() -> str:
 # Which of them a service's test case has, only the service knows.
 _OF_BOPTEST = ("peak_heat_day", "typical_heat_day", "peak_cool_day", "typical_cool_day", "mix_day", "cold_day")
 _ON_ENGINE = frozenset({PRICES, UNCERTAINTY})
+_EMBEDDED = ("bestest_hydronic_heat_pump", "bestest_hydronic", "bestest_air")
+_SURROUNDED = frozenset({WEATHER, PRICES, UNCERTAINTY, PEOPLE})
 _OWN = {
     "emulator": PlantEntry(
         "embedded emulator of bestest_hydronic_heat_pump",
         _emulator,
-        takes=frozenset({WEATHER, PRICES, UNCERTAINTY, PEOPLE}),
+        takes=_SURROUNDED,
         windows=_of_weather,
+        implements=lambda testcase: testcase.embedded,
+    ),
+    "bestest_hydronic": PlantEntry(
+        "embedded emulator of bestest_hydronic", _point_emulator, takes=_SURROUNDED, windows=_of_weather
+    ),
+    "bestest_air": PlantEntry(
+        "embedded emulator of bestest_air", _point_emulator, takes=_SURROUNDED, windows=_of_weather
     ),
     "rooms": PlantEntry(
         "drawn house or office of rooms, a valve each, one heat pump (--testcase house:5rooms, office:5rooms)",
         _rooms,
-        takes=frozenset({PEOPLE}),
+        takes=frozenset({PRICES, PEOPLE}),
         windows=_weeks,
     ),
     "generated": PlantEntry(
@@ -252,6 +309,7 @@ _OWN = {
         takes=_ON_ENGINE,
         missing=_without_engine,
         windows=lambda _, testcase: testcase.energyplus.periods if testcase.energyplus else (),
+        implements=lambda testcase: testcase.energyplus is not None,
     ),
     "small_office": PlantEntry(
         "an office of five zones on EnergyPlus (--testcase energyplus:small_office), extra [energyplus]",
@@ -261,7 +319,11 @@ _OWN = {
         windows=_of_office,
     ),
     "boptest": PlantEntry(
-        "a BOPTEST service (--url)", boptest_plant, takes=frozenset({UNCERTAINTY}), windows=lambda *_: _OF_BOPTEST
+        "a BOPTEST service (--url)",
+        boptest_plant,
+        takes=frozenset({UNCERTAINTY}),
+        windows=lambda *_: _OF_BOPTEST,
+        attach=lambda spec, testcase, seed, testid: boptest_plant(spec, testcase, None, seed, testid),
     ),
     "fmu": PlantEntry("a test case's FMU (--fmu), extra [fmu]", _fmu, takes=frozenset({UNCERTAINTY}), windows=_of_fmu),
 }

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from thermoforce_mpc.errors import ConfigError, InputError
+from thermoforce_mpc.files import read_bounded
 from thermoforce_mpc.registry import Registry, builder
 from thermoforce_mpc.scenario.scenario import Scenario
 from thermoforce_mpc.scenario.settings import find_config, is_config, merge, read_yaml, validate
 from thermoforce_mpc.scenario.testcase import TestCase
+from thermoforce_mpc.scenario.yaml_file import MOST_BYTES, parse_yaml
 
 
 def _house(name: str) -> TestCase:
@@ -46,7 +49,13 @@ def load_testcase(name: str) -> TestCase:
         except InputError as error:
             raise ConfigError(f"testcase: {error}") from error
     path = find_config("testcases", name.replace("energyplus:", "energyplus_", 1), MADE_TESTCASES.names)
-    return validate(TestCase, read_yaml(path), str(path))
+    return _of_content(path, read_bounded(path, MOST_BYTES, ConfigError))
+
+
+@lru_cache(maxsize=64)
+def _of_content(path: Path, content: bytes) -> TestCase:
+    """The test case in a file of this content; that of a scenario is asked for several times before it is run."""
+    return validate(TestCase, parse_yaml(content, path), str(path))
 
 
 def load_scenario(path: Path | None, overrides: Mapping[str, Any]) -> Scenario:

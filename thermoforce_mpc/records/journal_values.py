@@ -109,7 +109,8 @@ def boundary_rows(boundary: Boundary) -> Array:
 
 def boundary_of(rows: Array, names: Names) -> Boundary:
     """The boundary conditions of `boundary_rows`."""
-    signals, at = {}, 0
+    signals: dict[str, Any] = {}
+    at = 0
     for name in CONDITIONS:
         single = name in ("time_s", "T_out_C", "solar_W_m2")
         n = 1 if single else names.rows(name)

@@ -12,8 +12,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from thermoforce_mpc.data import DAY_S, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.files import storage_errors
@@ -79,11 +77,11 @@ class ToldProbing:
             why = str(end["why"]) if self.has_ended else "its run was ended before its time"
             reset = next(entry.content["answer"] for entry in self.entries if entry.kind == "reset")
             names = names_of(reset["names"])
-            record, asked = Record.beginning(measurement_of(reset, names)), []
+            record, blocks = Record.beginning(measurement_of(reset, names)), []
             for advance in self._advances:
                 record = record.extended(measurement_of(advance["answer"], names))
-                asked.append(block_of(advance["asked"]).as_array())
-            return Probed(record, np.stack(asked, axis=1), PlantInfo(**plant), why)
+                blocks.append(block_of(advance["asked"]))
+            return Probed(record, tuple(blocks), PlantInfo(**plant), why)
 
 
 def told_probing(path: Path) -> ToldProbing | None:

@@ -7,14 +7,18 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
+from pydantic import BeforeValidator, Field, field_validator
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array
 from thermoforce_mpc.errors import ConfigError, suggestion
 from thermoforce_mpc.scenario.strict_model import StrictModel
+
+if TYPE_CHECKING:  # loaded only where a calendar is
+    import pandas as pd
 
 _DATE = re.compile(r"\d{4}-\d{1,2}-\d{1,2}")
 _NO_LEAP_YEAR = 2001
@@ -153,6 +157,15 @@ class Comfort(StrictModel):
         bounds = np.array([_bounds(rules_from(text), day, hour, holiday) for text in texts])
         return bounds[:, 0], bounds[:, 1]
 
+    def bounds_at(self, at: pd.DatetimeIndex, zones: Sequence[str]) -> tuple[Array, Array]:
+        """As `bounds_C`, at instants of a calendar (n,), on the clock of their zone; holidays count in their year."""
+        texts = self._of_zones(zones)
+        hour = np.asarray(at.hour + at.minute / 60.0 + at.second / 3600.0, dtype=np.float64)
+        holiday = np.isin(at.strftime("%Y-%m-%d"), [_full_date(date) for date in self.holidays])
+        day = np.asarray(at.day_of_week, dtype=np.float64)
+        bounds = np.array([_bounds(rules_from(text), day, hour, holiday) for text in texts])
+        return bounds[:, 0], bounds[:, 1]
+
     def strictest_C(self, zones: Sequence[str]) -> list[tuple[float, float]]:
         """The highest lower and the lowest upper bound of each of `zones`, °C; raises as `bounds_C`."""
         rules = [rules_from(text) for text in self._of_zones(zones)]
@@ -172,9 +185,22 @@ class Comfort(StrictModel):
         return [self.schedule.get(zone, self.schedule.get("others", "")) for zone in zones]
 
 
+def _full_date(date: str) -> str:
+    year, month, day = map(int, date.split("-"))
+    return f"{year:04d}-{month:02d}-{day:02d}"
+
+
 def _bounds(rules: Sequence[Rule], day: Array, hour: Array, holiday: NDArray[np.bool_]) -> Array:
     """Bounds (2, n), °C, by the first rule that holds; a holiday that no rule names is a Sunday."""
     named = any(_HOLIDAY in rule.days and len(rule.days) == 1 for rule in rules)
     kind = np.where(holiday, _HOLIDAY if named else WEEK.index("sunday"), day)
     first = np.argmax([rule.holds(kind, hour) for rule in rules], axis=0)
     return np.array([[rule.lower_C for rule in rules], [rule.upper_C for rule in rules]])[:, first]
+
+
+def _schedule_alone(value: object) -> object:
+    return {"schedule": value} if isinstance(value, str) else value
+
+
+OfComfort = Annotated[Comfort, BeforeValidator(_schedule_alone, json_schema_input_type=str | Comfort)]
+"""A schedule of comfort bounds; a mere text stands for one without holidays."""

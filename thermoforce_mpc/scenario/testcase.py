@@ -31,7 +31,7 @@ from thermoforce_mpc.scenario.strict_model import PointName, StrictModel, one_of
 __all__ = ["PRICES", "Actuator", "ForecastPoints", "Measurements", "Price", "TestCase"]
 
 
-_OWN_PLANTS = ("rooms", "generated", "small_office")
+_OWN_PLANTS = ("bestest_hydronic", "bestest_air", "rooms", "generated", "small_office")
 PlantName = Annotated[str, AfterValidator(known_name("plant", "plants", *_OWN_PLANTS)), one_of(*_OWN_PLANTS)]
 
 

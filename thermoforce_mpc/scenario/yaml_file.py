@@ -110,7 +110,11 @@ for _name, _pattern, _first in (
 
 def read_yaml(path: Path) -> YamlDocument:
     """Read one YAML mapping; raises `ConfigError` naming file, line and reason."""
-    content = read_bounded(Path(path), MOST_BYTES, ConfigError)
+    return parse_yaml(read_bounded(Path(path), MOST_BYTES, ConfigError), path)
+
+
+def parse_yaml(content: bytes, path: Path) -> YamlDocument:
+    """The YAML mapping that is the content of the file at `path`; raises `ConfigError` naming file, line and reason."""
     try:
         document, lines = _load(content.decode("utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:

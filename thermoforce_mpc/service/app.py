@@ -15,9 +15,11 @@ from flask import Flask, Request, Response, request
 from werkzeug.exceptions import HTTPException, MethodNotAllowed, NotFound
 
 from thermoforce_mpc.data import Period
-from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.plants.embedded.cases import HEAT_PUMP
+from thermoforce_mpc.plants.embedded.emulator import Emulator
 from thermoforce_mpc.service.access import Names, Rate, Refusal, check_authorization
-from thermoforce_mpc.service.endpoints import ENDPOINTS, FORMS, NAMESPACE, TESTCASE, Endpoint, document
+from thermoforce_mpc.service.endpoints import FORMS, NAMESPACE, Endpoint, document, endpoints
+from thermoforce_mpc.service.points import served_points
 from thermoforce_mpc.service.session import Session
 from thermoforce_mpc.service.sessions import Sessions, UnknownTestid
 from thermoforce_mpc.version import VERSION
@@ -41,14 +43,17 @@ class Limits:
 
 
 def create_app(
-    make_plant: Callable[[], EmbeddedPlant],
+    make_plant: Callable[[], Emulator],
     limits: Limits | None = None,
     *,
+    testcase: str = HEAT_PUMP.name,
     token: str | None = None,
     names: Iterable[str] = (),
 ) -> Flask:
-    """WSGI application of the service: plants of `make_plant`, the `token` that every request needs (None: none), and
-    `names` by which it may be asked, besides addresses and localhost.
+    """WSGI application of the service: plants of `make_plant`, of `testcase`.
+
+    `token`: what every request needs (None: nothing). `names`: by which it may be asked, besides addresses and
+    localhost.
     """
     limits = limits or Limits()
     lock, first_plant = threading.Lock(), functools.cache(make_plant)
@@ -69,7 +74,8 @@ def create_app(
     app.config["MAX_CONTENT_LENGTH"] = limits.most_bytes
     app.url_map.merge_slashes = False
     rate, own = Rate(limits.per_second), Names(names)
-    described = document(token=token is not None)
+    points = served_points(testcase)
+    described = document(points, token=token is not None)
 
     @app.before_request
     def admit() -> None:
@@ -89,15 +95,15 @@ def create_app(
     @app.get("/testcases")
     @app.get(f"/testcases/{NAMESPACE}")
     def testcases() -> Response:
-        return _json(200, [{"testcaseid": TESTCASE}])
+        return _json(200, [{"testcaseid": testcase}])
 
     @app.post("/testcases/<name>/select")
     @app.post("/testcases/<name>/select<how>")
     @app.post(f"/testcases/{NAMESPACE}/<name>/select")
     @app.post(f"/testcases/{NAMESPACE}/<name>/select<how>")
     def select(name: str, how: str = "") -> Response:
-        if name != TESTCASE:
-            return _envelope(404, f"No test case {name[:80]!r}; this service offers {TESTCASE}.", None)
+        if name != testcase:
+            return _envelope(404, f"No test case {name[:80]!r}; this service offers {testcase}.", None)
         return _json(200, {"testid": sessions.select(_client())})
 
     @app.get("/status/<testid>")
@@ -121,7 +127,7 @@ def create_app(
         for path in (f"/{endpoint.verb}", f"/{endpoint.verb}/<testid>"):
             app.add_url_rule(path, f"{endpoint.method} {path}", answer, methods=[endpoint.method])
 
-    for endpoint in ENDPOINTS:
+    for endpoint in endpoints(points):
         add(endpoint)
 
     @app.errorhandler(Refusal)

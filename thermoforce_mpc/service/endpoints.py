@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H
-from thermoforce_mpc.service.points import FORECAST_POINTS, INPUTS, MEASUREMENT_POINTS, PointInfo
+from thermoforce_mpc.service.points import PointInfo, ServedPoints
 from thermoforce_mpc.service.scenario import LEVELS
-from thermoforce_mpc.service.session import LEAST_STEP_S, MOST_STEP_S, PERIODS, Reply, Session
+from thermoforce_mpc.service.session import LEAST_STEP_S, MOST_STEP_S, Reply, Session
 from thermoforce_mpc.version import VERSION
 
-TESTCASE = "bestest_hydronic_heat_pump"
 Schema = dict[str, Any]
 
 _NUMBER_OR_NULL: Schema = {"type": ["number", "null"]}
@@ -66,32 +65,21 @@ _SERIES = _each({"type": "array", "items": _NUMBER_OR_NULL})
 _ERROR = f"forecast error; with one, a horizon of at most {MAX_HORIZON_H} h"
 _SCENARIO: dict[str, Schema] = {
     "electricity_price": {"type": ["string", "null"], "enum": [None, "", "constant", "dynamic", "highly_dynamic"]},
-    "time_period": {"type": ["string", "null"], "enum": [None, "", *PERIODS]},
     "temperature_uncertainty": _nothing(f"of TDryBul: {_ERROR}"),
     "solar_uncertainty": _nothing(f"of HGloHor: {_ERROR}"),
     "seed": {"type": ["number", "null"], "minimum": 0, "multipleOf": 1, "description": "null or 0: none"},
 }
-_SCENARIO_SET = _reply(**(_SCENARIO | {"time_period": {"anyOf": [_STATE, {"type": "null"}]}}))
+_STEP_SET = _reply(step={"type": "number"})
 _STEP = {"step": _number("control step, s", LEAST_STEP_S, MOST_STEP_S)}
 _WARMUP = {"start_time": _number("s since 1 January", 0.0), "warmup_period": _number("s", 0.0)}
 _START = _WARMUP | {"final_time": {"type": ["number", "null"], "description": "end of the test, s since 1 January"}}
-_AHEAD = {
-    "point_names": _names(FORECAST_POINTS, "forecast points"),
-    "horizon": _number("s", 0.0),
-    "interval": _number("s", 1.0),
-}
-_PAST = {
-    "point_names": _names({**MEASUREMENT_POINTS, **INPUTS}, "measurements and inputs"),
-    "start_time": _number("s since 1 January"),
-    "final_time": _number("s since 1 January"),
-}
 _SWITCH: Schema = {"enum": [0, 1, True, False, "0", "1", "true", "false", None]}
 
 
-def _input(name: str) -> Schema:
+def _input(name: str, info: PointInfo) -> Schema:
     if name.endswith("_activate"):
-        return _SWITCH | {"description": INPUTS[name].description}
-    number = _number(INPUTS[name].description)
+        return _SWITCH | {"description": info.description}
+    number = _number(info.description)
     return {"anyOf": [*number.pop("anyOf"), {"type": "null"}], **number}
 
 
@@ -113,48 +101,70 @@ def _listing(verb: str, points: Mapping[str, PointInfo], *, limits: bool = True)
     return Endpoint("GET", verb, lambda *_: reply, what.capitalize(), _each(_POINT))
 
 
-_NAMED = _reply(name={"const": TESTCASE})
-_NAME = Reply("The name of the test case.", {"name": TESTCASE})
 _SUMMARY = "Key performance indicators since the end of the warm-up"
-_INPUTS = _object({name: _input(name) for name in INPUTS}, closed=True)
-ENDPOINTS: tuple[Endpoint, ...] = (
-    Endpoint("GET", "name", lambda *_: _NAME, "Name of the test case", _NAMED),
-    _listing("inputs", INPUTS),
-    _listing("measurements", MEASUREMENT_POINTS),
-    _listing("forecast_points", FORECAST_POINTS, limits=False),
-    Endpoint("GET", "step", lambda s, _: s.step(), "Control step, s", {"type": "number"}),
-    Endpoint(
-        "PUT", "step", Session.set_step, "Set the control step", _reply(step={"type": "number"}), _object(_STEP, "step")
-    ),
-    Endpoint("GET", "scenario", lambda s, _: s.scenario(), "Scenario in force", _reply(**_SCENARIO)),
-    Endpoint(
-        "PUT",
-        "scenario",
-        Session.set_scenario,
-        "Change the scenario; a time period initialises the test",
-        _SCENARIO_SET,
-        _object(_SCENARIO),
-    ),
-    Endpoint(
-        "PUT",
-        "initialize",
-        Session.initialize,
-        "Start at a time of the year after a warm-up under native control",
-        _STATE,
-        _object(_START, *_WARMUP),
-    ),
-    Endpoint(
-        "POST",
-        "advance",
-        Session.advance,
-        "Simulate one step with the given inputs; others keep their values",
-        _STATE,
-        _INPUTS,
-    ),
-    Endpoint("PUT", "forecast", Session.forecast, "Forecast from now on", _SERIES, _object(_AHEAD, *_AHEAD)),
-    Endpoint("PUT", "results", Session.results, "Recorded values between two times", _SERIES, _object(_PAST, *_PAST)),
-    Endpoint("GET", "kpi", lambda s, _: s.kpi(), _SUMMARY, _each(_NUMBER_OR_NULL)),
-)
+
+
+def endpoints(points: ServedPoints) -> tuple[Endpoint, ...]:
+    """The endpoints of a test of a test case."""
+    name = points.case.name
+    told = Reply("The name of the test case.", {"name": name})
+    inputs = _object({name: _input(name, info) for name, info in points.inputs.items()}, closed=True)
+    periods: Schema = {"type": ["string", "null"], "enum": [None, "", *points.case.periods]}
+    scenario = _SCENARIO | {"time_period": periods}
+    scenario_set = _reply(**(scenario | {"time_period": {"anyOf": [_STATE, {"type": "null"}]}}))
+    ahead = {
+        "point_names": _names(points.forecasts, "forecast points"),
+        "horizon": _number("s", 0.0),
+        "interval": _number("s", 1.0),
+    }
+    past = {
+        "point_names": _names({**points.measurements, **points.inputs}, "measurements and inputs"),
+        "start_time": _number("s since 1 January"),
+        "final_time": _number("s since 1 January"),
+    }
+    return (
+        Endpoint("GET", "name", lambda *_: told, "Name of the test case", _reply(name={"const": name})),
+        _listing("inputs", points.inputs),
+        _listing("measurements", points.measurements),
+        _listing("forecast_points", points.forecasts, limits=False),
+        Endpoint("GET", "step", lambda s, _: s.step(), "Control step, s", {"type": "number"}),
+        Endpoint(
+            "PUT",
+            "step",
+            Session.set_step,
+            "Set the control step",
+            _reply(step={"type": "number"}),
+            _object(_STEP, "step"),
+        ),
+        Endpoint("GET", "scenario", lambda s, _: s.scenario(), "Scenario in force", _reply(**scenario)),
+        Endpoint(
+            "PUT",
+            "scenario",
+            Session.set_scenario,
+            "Change the scenario; a time period initialises the test",
+            scenario_set,
+            _object(scenario),
+        ),
+        Endpoint(
+            "PUT",
+            "initialize",
+            Session.initialize,
+            "Start at a time of the year after a warm-up under native control",
+            _STATE,
+            _object(_START, *_WARMUP),
+        ),
+        Endpoint(
+            "POST",
+            "advance",
+            Session.advance,
+            "Simulate one step with the given inputs; others keep their values",
+            _STATE,
+            inputs,
+        ),
+        Endpoint("PUT", "forecast", Session.forecast, "Forecast from now on", _SERIES, _object(ahead, *ahead)),
+        Endpoint("PUT", "results", Session.results, "Recorded values between two times", _SERIES, _object(past, *past)),
+        Endpoint("GET", "kpi", lambda s, _: s.kpi(), _SUMMARY, _each(_NUMBER_OR_NULL)),
+    )
 
 
 # Namespace of BOPTEST's own test cases.
@@ -170,7 +180,7 @@ _REASONS = {
 }
 
 
-def document(*, token: bool) -> dict[str, Any]:
+def document(points: ServedPoints, *, token: bool) -> dict[str, Any]:
     """The OpenAPI document of a service that needs a token, or none."""
     paths: dict[str, dict[str, Any]] = {}
 
@@ -190,13 +200,13 @@ def document(*, token: bool) -> dict[str, Any]:
         for end in ("", "{how}"):
             chosen = _object({"testid": _TEXT}, "testid")
             add("post", f"{prefix}/{{name}}/select{end}", "Start a test", chosen, {"type": "object"})
-    for endpoint in ENDPOINTS:
+    for endpoint in endpoints(points):
         for path in (f"/{endpoint.verb}/{{testid}}", f"/{endpoint.verb}"):
             add(endpoint.method.lower(), path, endpoint.summary, _envelope(endpoint.payload), endpoint.body)
     specification: dict[str, Any] = {
         "openapi": "3.1.0",
         "info": {
-            "title": f"{TESTCASE} by thermoforce-mpc",
+            "title": f"{points.case.name} by thermoforce-mpc",
             "version": VERSION,
             "description": "The embedded plant behind BOPTEST's protocol. Paths without a test id are those of BOPTEST "
             "before 0.7, where a service ran one test.",

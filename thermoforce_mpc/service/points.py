@@ -1,7 +1,8 @@
-"""Points of the test case: names, units and limits as in BOPTEST's documentation, and their values."""
+"""Points of the test cases: names, units and limits as in BOPTEST's documentation, and their values."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -9,39 +10,75 @@ from typing import NamedTuple
 import numpy as np
 import psychrolib
 
-from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.weather.solar import Sun, sun_position
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import HOUR_S, YEAR_S, ZERO_C_K, Array
-from thermoforce_mpc.plants.embedded import EmbeddedPlant, schedule
-from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS, OVERWRITES
+from thermoforce_mpc.plants.embedded.cases import BOILER, CASES, FAN_COIL, HEAT_PUMP, EmulatedCase
+from thermoforce_mpc.plants.embedded.emulator import Emulator
+from thermoforce_mpc.plants.embedded.exposure import PRESSURE_PA
+from thermoforce_mpc.plants.embedded.schedule import set_points_C
 
 # Descriptions are part of the protocol: verbatim, typing errors included, from the replies of BOPTEST
-# (github.com/ibpsa/project1-boptest) to /inputs, /measurements and /forecast_points of this test case.
+# (github.com/ibpsa/project1-boptest) to /inputs, /measurements and /forecast_points of each test case.
 _OVERWRITES = {
-    "oveHeaPumY": (
-        "1",
-        "Heat pump modulating signal for compressor speed between 0 (not working) and 1 (working at maximum capacity)",
-    ),
-    "oveTSet": ("K", "Zone operative temperature setpoint"),
-    "ovePum": ("1", "Integer signal to control the emission circuit pump either on or off"),
-    "oveFan": ("1", "Integer signal to control the heat pump evaporator fan either on or off"),
+    HEAT_PUMP.name: {
+        "oveHeaPumY": (
+            "1",
+            "Heat pump modulating signal for compressor speed between 0 (not working) and 1 (working at maximum "
+            "capacity)",
+        ),
+        "oveTSet": ("K", "Zone operative temperature setpoint"),
+        "ovePum": ("1", "Integer signal to control the emission circuit pump either on or off"),
+        "oveFan": ("1", "Integer signal to control the heat pump evaporator fan either on or off"),
+    },
+    BOILER.name: {
+        "oveTSetHea": ("K", "Zone operative temperature setpoint for heating"),
+        "oveTSetCoo": ("K", "Zone operative temperature setpoint for cooling"),
+        "oveTSetSup": ("K", "Supply temperature setpoint of the heater"),
+        "ovePum": ("1", "Integer signal to control the stage of the pump either on or off"),
+    },
+    FAN_COIL.name: {
+        "con_oveTSetHea": ("K", "Zone temperature setpoint for heating"),
+        "con_oveTSetCoo": ("K", "Zone temperature setpoint for cooling"),
+        "fcu_oveTSup": ("K", "Supply air temperature setpoint"),
+        "fcu_oveFan": ("1", "Fan control signal as air mass flow rate normalized to the design air mass flow rate"),
+    },
 }
 _MEASUREMENTS = {
-    "reaTZon_y": ("K", "Zone operative temperature"),
-    "reaPHeaPum_y": ("W", "Heat pump electrical power"),
-    "reaPFan_y": ("W", "Electrical power of the heat pump evaporator fan"),
-    "reaPPumEmi_y": ("W", "Emission circuit pump electrical power"),
-    "reaQHeaPumCon_y": ("W", "Heat pump thermal power exchanged in the condenser"),
-    "reaQHeaPumEva_y": ("W", "Heat pump thermal power exchanged in the evaporator"),
-    "reaQFloHea_y": ("W", "Floor heating thermal power released to the zone"),
-    "reaTSup_y": ("K", "Supply water temperature to radiant floor"),
-    "reaTRet_y": ("K", "Return water temperature from radiant floor"),
-    "reaCOP_y": ("1", "Heat pump COP"),
-    "reaTSetHea_y": ("K", "Zone operative temperature setpoint for heating"),
-    "reaTSetCoo_y": ("K", "Zone operative temperature setpoint for cooling"),
-    "reaCO2RooAir_y": ("ppm", "CO2 concentration in the zone"),
+    HEAT_PUMP.name: {
+        "reaTZon_y": ("K", "Zone operative temperature"),
+        "reaPHeaPum_y": ("W", "Heat pump electrical power"),
+        "reaPFan_y": ("W", "Electrical power of the heat pump evaporator fan"),
+        "reaPPumEmi_y": ("W", "Emission circuit pump electrical power"),
+        "reaQHeaPumCon_y": ("W", "Heat pump thermal power exchanged in the condenser"),
+        "reaQHeaPumEva_y": ("W", "Heat pump thermal power exchanged in the evaporator"),
+        "reaQFloHea_y": ("W", "Floor heating thermal power released to the zone"),
+        "reaTSup_y": ("K", "Supply water temperature to radiant floor"),
+        "reaTRet_y": ("K", "Return water temperature from radiant floor"),
+        "reaCOP_y": ("1", "Heat pump COP"),
+        "reaTSetHea_y": ("K", "Zone operative temperature setpoint for heating"),
+        "reaTSetCoo_y": ("K", "Zone operative temperature setpoint for cooling"),
+        "reaCO2RooAir_y": ("ppm", "CO2 concentration in the zone"),
+    },
+    BOILER.name: {
+        "reaTRoo_y": ("K", "Operative zone temperature"),
+        "reaQHea_y": ("W", "Heating thermal power"),
+        "reaPPum_y": ("W", "Pump electrical power"),
+        "reaCO2RooAir_y": ("ppm", "CO2 concentration in the zone"),
+    },
+    FAN_COIL.name: {
+        "zon_reaTRooAir_y": ("K", "Zone air temperature"),
+        "fcu_reaPHea_y": ("W", "Heating thermal power consumption"),
+        "fcu_reaPCoo_y": ("W", "Cooling electrical power consumption"),
+        "fcu_reaPFan_y": ("W", "Supply fan electrical power consumption"),
+        "fcu_reaFloSup_y": ("kg/s", "Supply air mass flow rate"),
+        "zon_reaCO2RooAir_y": ("ppm", "Zone air CO2 concentration"),
+        "zon_reaPLig_y": ("W", "Lighting power submeter"),
+        "zon_reaPPlu_y": ("W", "Plug load power submeter"),
+    },
 }
+# What stands before the name of a measurement of the weather station.
+_STATION_AT = {HEAT_PUMP.name: "", BOILER.name: "", FAN_COIL.name: "zon_"}
 # Weather station; keys are the forecast names of the signals.
 _STATION = {
     "HDifHor": "Horizontal diffuse solar radiation measurement",
@@ -70,6 +107,7 @@ _STATION = {
 }
 _FORECAST = {
     "EmissionsElectricPower": "Kilograms of carbon dioxide to produce 1 kWh of electricity",
+    "EmissionsGasPower": "Kilograms of carbon dioxide to produce 1 kWh thermal from gas",
     "HDifHor": "Horizontal diffuse solar radiation",
     "HDirNor": "Direct normal radiation",
     "HGloHor": "Horizontal global radiation",
@@ -82,6 +120,7 @@ _FORECAST = {
     "PriceElectricPowerConstant": "Completely constant electricity price",
     "PriceElectricPowerDynamic": "Electricity price for a day/night tariff",
     "PriceElectricPowerHighlyDynamic": "Spot electricity price",
+    "PriceGasPower": "Price to produce 1 kWh thermal from gas",
     "TBlaSky": "Black Sky temperature",
     "TDewPoi": "Dew point temperature",
     "TDryBul": "Dry bulb temperature at ground level",
@@ -106,8 +145,6 @@ _FORECAST = {
 }
 
 
-# The test case's weather reader takes the pressure from a parameter, not from the file.
-_PRESSURE_PA = 101_325.0
 psychrolib.SetUnitSystem(psychrolib.SI)
 
 
@@ -133,7 +170,7 @@ def _sun(weather: Weather, time_s: Array) -> Sun:
 def _wet_bulb_K(weather: Weather, time_s: Array) -> Array:
     """Wet bulb temperature, K, from dry bulb, relative humidity and pressure (ASHRAE Fundamentals 2017, ch. 1)."""
     dry_C, humidity = weather.at("T_dry_C", time_s), weather.at("relative_humidity", time_s)
-    return np.asarray(psychrolib.GetTWetBulbFromRelHum(dry_C, humidity, _PRESSURE_PA)) + ZERO_C_K
+    return np.asarray(psychrolib.GetTWetBulbFromRelHum(dry_C, humidity, PRESSURE_PA)) + ZERO_C_K
 
 
 # Keys: forecast names.
@@ -152,7 +189,7 @@ WEATHER_SIGNALS: dict[str, WeatherSignal] = {
     "lon": WeatherSignal("rad", _constant(lambda w: float(np.deg2rad(w.longitude_deg)))),
     "nOpa": WeatherSignal("1", _column("opaque_cover")),
     "nTot": WeatherSignal("1", _column("total_cover")),
-    "pAtm": WeatherSignal("Pa", _constant(lambda _: _PRESSURE_PA)),
+    "pAtm": WeatherSignal("Pa", _constant(lambda _: PRESSURE_PA)),
     "relHum": WeatherSignal("1", _column("relative_humidity")),
     "solAlt": WeatherSignal("rad", lambda w, t: np.pi / 2 - _sun(w, t).zenith),
     "solDec": WeatherSignal("rad", lambda w, t: _sun(w, t).declination),
@@ -163,10 +200,6 @@ WEATHER_SIGNALS: dict[str, WeatherSignal] = {
     "winDir": WeatherSignal("rad", _column("wind_from_rad")),
     "winSpe": WeatherSignal("m/s", _column("wind_m_s")),
 }
-
-
-# Occupants' gains, W per person: 60 % of the sensible part is radiative.
-_RADIANT_W, _CONVECTIVE_W, _LATENT_W = 43.8, 29.2, 45.0
 
 
 @dataclass(frozen=True)
@@ -184,100 +217,119 @@ class PointInfo:
         return content | {"Minimum": self.minimum, "Maximum": self.maximum} if limits else content
 
 
-# Column of the emulator's record with the applied signal, overwritten or native.
-INPUT_COLUMNS = {"oveHeaPumY_u": "level", "oveTSet_u": "T_setpoint", "ovePum_u": "pump", "oveFan_u": "fan"}
-
-INPUTS: dict[str, PointInfo] = {}
-for _name, _low, _high in OVERWRITES:
-    _unit, _text = _OVERWRITES[_name]
-    INPUTS[f"{_name}_u"] = PointInfo(_unit, _text, _low, _high)
-    INPUTS[f"{_name}_activate"] = PointInfo(None, f"Activation for {_text}")
-
-_EVAPORATOR = "reaQHeaPumEva_y"
-_SET_POINTS = ("reaTSetHea_y", "reaTSetCoo_y")
-# Forecast names of the signals of the weather station, by the names of its measurements.
-_MEASURED = {f"weaSta_reaWea{signal[0].upper()}{signal[1:]}_y": signal for signal in WEATHER_SIGNALS}
-
-MEASUREMENT_POINTS = {name: PointInfo(*told) for name, told in _MEASUREMENTS.items()}
-MEASUREMENT_POINTS |= {name: PointInfo(WEATHER_SIGNALS[of].unit, _STATION[of]) for name, of in _MEASURED.items()}
-MEASUREMENT_POINTS = dict(sorted(MEASUREMENT_POINTS.items()))
+def _in_evaporator(plant: Emulator, record: Mapping[str, Array]) -> Array:
+    return -record["Q_evaporator"]
 
 
-def recorded_points(plant: EmbeddedPlant, names: list[str], record: Mapping[str, Array]) -> dict[str, Array]:
-    """Values of measurements and inputs, (n,), at the n samples of a plant record, with 'time'; names must be known."""
-    time_s = record["time"]
+def _set_point(which: int) -> Callable[[Emulator, Mapping[str, Array]], Array]:
+    """A set-point of the schedule, heating or cooling.
 
-    def series(name: str) -> Array:
-        if name in INPUT_COLUMNS:
-            return record[INPUT_COLUMNS[name]]
-        if name in MEASUREMENTS:
-            return record[MEASUREMENTS[name]]
-        if name in _MEASURED:
-            return WEATHER_SIGNALS[_MEASURED[name]].at(plant.weather, time_s)
-        if name == _EVAPORATOR:
-            return -record["Q_evaporator"]
-        # Remaining: the set-points of the schedule. The heating control follows its set-point with an offset or an
-        # overwrite; the cooling set-point has no effect, since the house has no cooling.
-        return schedule.set_points_C(schedule.occupied(time_s))[_SET_POINTS.index(name)] + ZERO_C_K
-
-    return {name: series(name) for name in names} | {"time": time_s}
-
-
-_People = Callable[[Array], Array]
-
-
-def _per_person(watts: float) -> _People:
-    return lambda time_s: schedule.PEOPLE * watts * schedule.occupied_sample(time_s)
-
-
-# Unit and value at times (n,), s, of the points that depend on time alone.
-_FORECAST_CLOCK: Mapping[str, tuple[str, _People]] = {
-    "Occupancy[1]": ("number of people", _per_person(1.0)),
-    "InternalGainsRad[1]": ("W", _per_person(_RADIANT_W)),
-    "InternalGainsCon[1]": ("W", _per_person(_CONVECTIVE_W)),
-    "InternalGainsLat[1]": ("W", _per_person(_LATENT_W)),
-    "LowerSetp[1]": ("K", lambda t: schedule.bounds_C(t)[0] + ZERO_C_K),
-    "UpperSetp[1]": ("K", lambda t: schedule.bounds_C(t)[1] + ZERO_C_K),
-    "UpperCO2[1]": ("ppm", lambda t: np.full(t.shape, schedule.CO2_LIMIT_PPM)),
-    "EmissionsElectricPower": ("kgCO2/kWh", lambda t: np.full(t.shape, tariffs.EMISSION_KG_PER_KWH)),
-}
-_PRICES = {
-    "PriceElectricPowerConstant": "constant",
-    "PriceElectricPowerDynamic": "dynamic",
-    "PriceElectricPowerHighlyDynamic": "highly_dynamic",
-}
-
-_FORECAST_UNIT = (
-    {name: unit for name, (unit, _) in _FORECAST_CLOCK.items()}
-    | dict.fromkeys(_PRICES, "($/Euro)/kWh")
-    | {name: signal.unit for name, signal in WEATHER_SIGNALS.items()}
-)
-FORECAST_POINTS = {name: PointInfo(_FORECAST_UNIT[name], text) for name, text in _FORECAST.items()}
-
-
-def forecast_points(
-    plant: EmbeddedPlant, names: list[str], horizon_s: float, interval_s: float, erring_names: Collection[str] = ()
-) -> dict[str, Array]:
-    """Forecast of each point from now, with 'time'; `erring_names`: which of TDryBul and HGloHor have errors.
-
-    Raises `InputError` where one of these is asked for beyond 48 h.
+    The heating control follows it with an offset or an overwrite; the cooling one has no effect, since the house has
+    no cooling.
     """
-    steps = np.arange(int(horizon_s / interval_s + 1e-9) + 1, dtype=np.float64)
-    time_s: Array = plant.now_s + steps * interval_s
-    erring: dict[str, Array] = {}
-    if set(erring_names) & set(names):
-        # A plant forecasts one interval at least; here the present alone may be asked for.
-        boundary = plant.forecast(*((horizon_s, interval_s) if steps.size > 1 else (HOUR_S, HOUR_S)))
-        series_of = {"TDryBul": boundary.T_out_C + ZERO_C_K, "HGloHor": boundary.solar_W_m2}
-        erring = {name: series_of[name][: steps.size] for name in erring_names}
+    return lambda plant, record: set_points_C(plant.case.schedule.occupied(record["time"]))[which] + ZERO_C_K
 
-    def series(name: str) -> Array:
-        if name in erring:
-            return erring[name]
-        if name in _PRICES:
-            return plant.tariff(_PRICES[name])(time_s)
-        if name in _FORECAST_CLOCK:
-            return np.asarray(_FORECAST_CLOCK[name][1](time_s), dtype=np.float64)
-        return WEATHER_SIGNALS[name].at(plant.weather, time_s)
 
-    return {name: series(name) for name in names} | {"time": time_s}
+# Measurements that follow from the record otherwise than as a column of it.
+_DERIVED: dict[str, dict[str, Callable[[Emulator, Mapping[str, Array]], Array]]] = {
+    HEAT_PUMP.name: {
+        "reaQHeaPumEva_y": _in_evaporator,
+        "reaTSetHea_y": _set_point(0),
+        "reaTSetCoo_y": _set_point(1),
+    }
+}
+_SCHEDULED_UNITS = {"Price": "($/Euro)/kWh", "Emissions": "kgCO2/kWh", "InternalGains": "W", "UpperCO2": "ppm"}
+
+
+def _scheduled_unit(name: str) -> str:
+    if name.startswith("Occupancy"):
+        return "number of people"
+    return next((unit for start, unit in _SCHEDULED_UNITS.items() if name.startswith(start)), "K")
+
+
+@dataclass(frozen=True)
+class ServedPoints:
+    """Points of a test case by name: inputs and measurements with limits, forecast points."""
+
+    case: EmulatedCase
+    inputs: Mapping[str, PointInfo]
+    measurements: Mapping[str, PointInfo]
+    forecasts: Mapping[str, PointInfo]
+
+    @property
+    def _columns(self) -> dict[str, str]:
+        """Column of the record of each input's signal in force, and of measurements."""
+        applied = {f"{name}_u": column for name, column in zip(self.case.limits, self.case.applied, strict=True)}
+        return applied | dict(self.case.measurements)
+
+    @property
+    def _station(self) -> dict[str, str]:
+        return _station(self.case)
+
+    def recorded(self, plant: Emulator, names: list[str], record: Mapping[str, Array]) -> dict[str, Array]:
+        """Values of measurements and inputs, (n,), at the n samples of a record, with 'time'; names must be known."""
+        time_s, columns, station = record["time"], self._columns, self._station
+
+        def series(name: str) -> Array:
+            if name in columns:
+                return record[columns[name]]
+            if name in station:
+                return WEATHER_SIGNALS[station[name]].at(plant.weather, time_s)
+            return _DERIVED[self.case.name][name](plant, record)
+
+        return {name: series(name) for name in names} | {"time": time_s}
+
+    def forecast(
+        self,
+        plant: Emulator,
+        names: list[str],
+        horizon_s: float,
+        interval_s: float,
+        erring_names: Collection[str] = (),
+    ) -> dict[str, Array]:
+        """Forecast of each point from now, with 'time'; `erring_names`: which of TDryBul and HGloHor have errors.
+
+        Raises `InputError` where one of these is asked for beyond 48 h.
+        """
+        steps = np.arange(int(horizon_s / interval_s + 1e-9) + 1, dtype=np.float64)
+        time_s: Array = plant.now_s + steps * interval_s
+        erring: dict[str, Array] = {}
+        if set(erring_names) & set(names):
+            # A plant forecasts one interval at least; here the present alone may be asked for.
+            boundary = plant.forecast(*((horizon_s, interval_s) if steps.size > 1 else (HOUR_S, HOUR_S)))
+            series_of = {"TDryBul": boundary.T_out_C + ZERO_C_K, "HGloHor": boundary.solar_W_m2}
+            erring = {name: series_of[name][: steps.size] for name in erring_names}
+        scheduled = plant.scheduled
+
+        def series(name: str) -> Array:
+            if name in erring:
+                return erring[name]
+            if name in scheduled:
+                return np.asarray(scheduled[name](time_s), dtype=np.float64)
+            return WEATHER_SIGNALS[name].at(plant.weather, time_s)
+
+        return {name: series(name) for name in names} | {"time": time_s}
+
+
+def _station(case: EmulatedCase) -> dict[str, str]:
+    """Forecast names of the signals of the weather station, by the names of its measurements."""
+    at = _STATION_AT[case.name]
+    return {f"{at}weaSta_reaWea{signal[0].upper()}{signal[1:]}_y": signal for signal in WEATHER_SIGNALS}
+
+
+@functools.cache
+def served_points(testcase: str) -> ServedPoints:
+    """Points of an embedded test case by name."""
+    case = CASES[testcase]
+    inputs: dict[str, PointInfo] = {}
+    for name, low, high in case.overwrites:
+        unit, text = _OVERWRITES[testcase][name]
+        inputs[f"{name}_u"] = PointInfo(unit, text, low, high)
+        inputs[f"{name}_activate"] = PointInfo(None, f"Activation for {text}")
+    measurements = {name: PointInfo(*told) for name, told in _MEASUREMENTS[testcase].items()}
+    measurements |= {name: PointInfo(WEATHER_SIGNALS[of].unit, _STATION[of]) for name, of in _station(case).items()}
+    scheduled = case.scheduled(case.prices(None))
+    units = {name: _scheduled_unit(name) for name in scheduled}
+    units |= {name: signal.unit for name, signal in WEATHER_SIGNALS.items()}
+    forecasts = {name: PointInfo(units[name], text) for name, text in _FORECAST.items() if name in units}
+    return ServedPoints(case, inputs, dict(sorted(measurements.items())), forecasts)

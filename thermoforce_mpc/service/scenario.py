@@ -1,4 +1,4 @@
-"""Values of a BOPTEST scenario; its forecast uncertainty has separate levels for temperature and irradiance."""
+"""Values of a BOPTEST scenario."""
 
 from __future__ import annotations
 
@@ -6,30 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from thermoforce_mpc.boundary.forecast_error import ForecastError, Level
-from thermoforce_mpc.data import Array
 from thermoforce_mpc.service.access import Refusal
 
 # What stands for no value where one may be left out.
 NOTHING = (None, "")
 LEVELS: tuple[Level, ...] = ("low", "medium", "high")
-
-
-class SeparateErrors(ForecastError):
-    """Forecast errors with one level for the temperature and one for the irradiance; None: no error."""
-
-    def __init__(self, temperature: Level | None, solar: Level | None, seed: int) -> None:
-        super().__init__(temperature or solar or "low", seed)
-        self._temperature = ForecastError(temperature, seed) if temperature else None
-        self._solar = ForecastError(solar, seed) if solar else None
-
-    def apply(self, time_s: Array, T_out_C: Array, hourly_solar_W_m2: Array, solar_W_m2: Array) -> tuple[Array, Array]:
-        """See `ForecastError.apply`."""
-        T_seen, solar_seen = T_out_C, solar_W_m2
-        if self._temperature:
-            T_seen, _ = self._temperature.apply(time_s, T_out_C, hourly_solar_W_m2, solar_W_m2)
-        if self._solar:
-            _, solar_seen = self._solar.apply(time_s, T_out_C, hourly_solar_W_m2, solar_W_m2)
-        return T_seen, solar_seen
 
 
 def choice(body: Mapping[str, Any], key: str, choices: Sequence[str], nothing: Sequence[str | None] = NOTHING) -> Any:
@@ -53,7 +34,5 @@ def seed(value: Any) -> int | None:
 
 
 def forecast_error(temperature: Level | None, solar: Level | None, seed: int | None) -> ForecastError | None:
-    """Forecast errors of a scenario, or None for a perfect forecast; without a seed, seed 0 is used."""
-    if temperature is None and solar is None:
-        return None
-    return SeparateErrors(temperature, solar, seed or 0)
+    """Forecast errors of a scenario, or None for a perfect forecast."""
+    return ForecastError(temperature, solar, seed) if temperature or solar else None

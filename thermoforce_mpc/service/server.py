@@ -19,7 +19,9 @@ from waitress.server import TcpWSGIServer  # type: ignore[import-untyped]
 from thermoforce_mpc.boundary.tariffs import Tariff
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.errors import ConfigError, PlantError
-from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.plants.embedded import emulator_of
+from thermoforce_mpc.plants.embedded.cases import HEAT_PUMP
+from thermoforce_mpc.plants.embedded.emulator import Emulator
 from thermoforce_mpc.service.access import check_token, is_loopback
 from thermoforce_mpc.service.app import Limits, create_app
 from thermoforce_mpc.service.points import WEATHER_SIGNALS
@@ -104,6 +106,7 @@ def serve_on(listening: socket.socket, app: Callable[..., Any], *, threads: int,
 def build_server(
     weather: Weather,
     *,
+    testcase: str = HEAT_PUMP.name,
     host: str = DEFAULT_HOST,
     port: int = DEFAULT_PORT,
     highly_dynamic: Tariff | None = None,
@@ -113,9 +116,9 @@ def build_server(
 ) -> Server:
     """Bind the service to `host` and `port` (0: a free one); `run()` of the server serves until `close()`.
 
-    `highly_dynamic`: tariff of that name, by default a synthetic one. `token`: see `check_token`. `names`: by which it
-    may be asked, besides `host`, addresses and localhost. `limits`: fields of `Limits`; by default one address has half
-    of the tests where other machines reach `host`.
+    `testcase`: an embedded one. `highly_dynamic`: tariff of that name, by default a synthetic one. `token`: see
+    `check_token`. `names`: by which it may be asked, besides `host`, addresses and localhost. `limits`: fields of
+    `Limits`; by default one address has half of the tests where other machines reach `host`.
 
     Raises:
         ConfigError: `port`, a limit or the token is out of range, or the token is missing.
@@ -131,7 +134,9 @@ def build_server(
         bounds = replace(bounds, tests_each=(bounds.most_tests + 1) // 2)
     check_token(host, token)
     listening = bound(host, port, "another address or port")
-    app = create_app(plants(weather, highly_dynamic), bounds, token=token, names=(host, *names))
+    app = create_app(
+        plants(weather, highly_dynamic, testcase), bounds, testcase=testcase, token=token, names=(host, *names)
+    )
     # One thread per admitted request, plus free ones: long simulations do not block other requests.
     threads = bounds.most_tests * MOST_ASKING + _FREE_THREADS
     # Twice as long, so that what is moderately too long gets an answer in the service's own form.
@@ -158,13 +163,15 @@ def effective_port(server: Server) -> int:
     return int(server.effective_port)
 
 
-def plants(weather: Weather, highly_dynamic: Tariff | None = None) -> Callable[[], EmbeddedPlant]:
+def plants(
+    weather: Weather, highly_dynamic: Tariff | None = None, testcase: str = HEAT_PUMP.name
+) -> Callable[[], Emulator]:
     """Builder of plants that share constant data, such as the irradiance on each surface."""
-    first = EmbeddedPlant(weather, highly_dynamic=highly_dynamic)
+    first = emulator_of(testcase, weather, highly_dynamic=highly_dynamic)
     # The first wet bulb temperature compiles psychrolib, which takes seconds: done here, not in a request.
     WEATHER_SIGNALS["TWetBul"].at(weather, np.zeros(1))
 
-    def another() -> EmbeddedPlant:
+    def another() -> Emulator:
         # A reset gives the copy a state, a record and a clock of its own.
         plant = copy.copy(first)
         plant.reset(0.0, 0.0)

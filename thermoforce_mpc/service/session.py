@@ -18,21 +18,20 @@ import numpy as np
 from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H
 from thermoforce_mpc.data import HOUR_S, Array, Period
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.plants.embedded.emulator import LEAST_STEP_S, NEVER_GIVEN
+from thermoforce_mpc.plants.embedded.emulator import LEAST_STEP_S, NEVER_GIVEN, Emulator
 from thermoforce_mpc.plants.embedded.kernel import STEP_S
+from thermoforce_mpc.plants.kpis import PEAKS
 from thermoforce_mpc.service.access import Refusal
-from thermoforce_mpc.service.points import FORECAST_POINTS, INPUTS, MEASUREMENT_POINTS, forecast_points, recorded_points
+from thermoforce_mpc.service.points import served_points
 from thermoforce_mpc.service.scenario import LEVELS, NOTHING, choice, forecast_error, seed
 
-__all__ = ["DEFAULT_STEP_S", "LEAST_STEP_S", "MOST_STEP_S", "MOST_VALUES", "PERIODS", "Reply", "Session"]
+__all__ = ["DEFAULT_STEP_S", "LEAST_STEP_S", "MOST_STEP_S", "MOST_VALUES", "Reply", "Session"]
 
 DEFAULT_STEP_S = 3600.0
 MOST_STEP_S = 364 * 86400.0
 # Limits that bound memory: values per reply, samples per test.
 MOST_VALUES = 5_000_000
 _MOST_SAMPLES = 400 * 2880
-PERIODS = ("peak_heat_day", "typical_heat_day")
 
 
 class Reply(NamedTuple):
@@ -45,8 +44,9 @@ class Reply(NamedTuple):
 class Session:
     """A running test; `period` returns the scored window of a name. Not thread-safe: the caller holds the lock."""
 
-    def __init__(self, plant: EmbeddedPlant, period: Callable[[str], Period]) -> None:
+    def __init__(self, plant: Emulator, period: Callable[[str], Period]) -> None:
         self._plant = plant
+        self._points = served_points(plant.case.name)
         self._period = period
         self._step_s = DEFAULT_STEP_S
         self._start_s, self._end_s = plant.now_s, math.inf
@@ -92,7 +92,7 @@ class Session:
         Price and time period are kept when not given; uncertainties and seed are reset. Other keys are ignored.
         """
         price = choice(body, "electricity_price", self._plant.tariff_names)
-        period = choice(body, "time_period", PERIODS)
+        period = choice(body, "time_period", self._plant.case.periods)
         changed: dict[str, Any] = {
             name: choice(body, name, LEVELS, (*NOTHING, "none"))
             for name in ("temperature_uncertainty", "solar_uncertainty")
@@ -144,7 +144,7 @@ class Session:
 
     def forecast(self, body: Mapping[str, Any]) -> Reply:
         """Forecast of `point_names` from now to `horizon`, s, every `interval`, s."""
-        names = _names(body, FORECAST_POINTS, "forecast points")
+        names = _names(body, self._points.forecasts, "forecast points")
         horizon_s = _number(body, "horizon", low=0.0)
         interval_s = _number(body, "interval", low=1.0)
         of_point = {"TDryBul": "temperature_uncertainty", "HGloHor": "solar_uncertainty"}
@@ -156,12 +156,12 @@ class Session:
                 )
         _check_size(len(names), horizon_s / interval_s)
         with _refusing():
-            series = forecast_points(self._plant, names, horizon_s, interval_s, erring)
+            series = self._points.forecast(self._plant, names, horizon_s, interval_s, erring)
         return Reply("The forecast.", _lists(series))
 
     def results(self, body: Mapping[str, Any]) -> Reply:
         """Recorded values of `point_names` between `start_time` and `final_time`, s, warm-up included."""
-        names = _names(body, {**MEASUREMENT_POINTS, **INPUTS}, "inputs and measurements")
+        names = _names(body, {**self._points.measurements, **self._points.inputs}, "inputs and measurements")
         start_s = _number(body, "start_time", finite=False)
         final_s = _number(body, "final_time", finite=False)
         if start_s > self._plant.now_s or final_s < self._plant.begin_s:
@@ -177,12 +177,12 @@ class Session:
         if self._plant.now_s > self._start_s:
             kpis: dict[str, float | None] = dict(self._plant.kpis())
         else:
-            names = ("cost_tot", "emis_tot", "ener_tot", "idis_tot", "pele_tot", "tdis_tot")
-            kpis = dict.fromkeys(names, 0.0)
+            peaks = [PEAKS[name] for name in self._plant.case.carriers]
+            kpis = dict.fromkeys(("cost_tot", "emis_tot", "ener_tot", "idis_tot", "tdis_tot", *peaks), 0.0)
         wait = self._waited / self._n_waits if self._n_waits else None
-        # Electricity only: no gas, no district heat.
-        extra = {"pgas_tot": None, "pdih_tot": None, "time_rat": wait}
-        return Reply("The key performance indicators.", dict(sorted((kpis | extra).items())))
+        # Of carriers that the test case has not.
+        absent: dict[str, float | None] = dict.fromkeys(("pele_tot", "pgas_tot", "pdih_tot"))
+        return Reply("The key performance indicators.", dict(sorted((absent | kpis | {"time_rat": wait}).items())))
 
     def _start(self, start_s: float, warmup_s: float, end_s: float) -> Reply:
         with _refusing():
@@ -194,14 +194,14 @@ class Session:
 
     def _state(self) -> dict[str, float | None]:
         now_s = self._plant.now_s
-        series = self._recorded([*MEASUREMENT_POINTS, *INPUTS], now_s, now_s)
+        series = self._recorded([*self._points.measurements, *self._points.inputs], now_s, now_s)
         return {name: _plain(values[-1]) for name, values in series.items()}
 
     def _recorded(self, names: list[str], start_s: float, final_s: float) -> dict[str, Array]:
         switches = [name for name in names if name.endswith("_activate")]
         record = self._plant.recorded(start_s, final_s)
         _check_size(len(names), record["time"].size)
-        series = recorded_points(self._plant, [name for name in names if name not in switches], record)
+        series = self._points.recorded(self._plant, [name for name in names if name not in switches], record)
         # A sample belongs to the step that ends there or later; nothing was overwritten before the first step. Only the
         # switches in force within the requested time are searched.
         first, last = bisect_left(self._switched_s, start_s), bisect_left(self._switched_s, final_s)
@@ -215,8 +215,8 @@ class Session:
     def _read_inputs(self, body: Mapping[str, Any]) -> tuple[dict[str, float], dict[str, bool], list[str]]:
         overwrites, active, notes = dict(self._overwrites), dict(self._active), []
         for key, value in body.items():
-            if key not in INPUTS:
-                raise Refusal(400, f"Unexpected input {key!r}; known: {', '.join(INPUTS)}.")
+            if key not in self._points.inputs:
+                raise Refusal(400, f"Unexpected input {key!r}; known: {', '.join(self._points.inputs)}.")
             if value is None:
                 continue
             name, _, ending = key.rpartition("_")
@@ -224,7 +224,7 @@ class Session:
                 active[name] = _switch(key, value)
                 continue
             number = _number(body, key)
-            info = INPUTS[key]
+            info = self._points.inputs[key]
             overwrites[name] = min(max(number, info.minimum or 0.0), info.maximum or 0.0)
             if overwrites[name] != number:
                 # Wording of the BOPTEST service, which clients search for.

@@ -14,8 +14,8 @@ import pandas as pd
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import Array
-from thermoforce_mpc.plants.embedded import schedule
-from thermoforce_mpc.plants.embedded.emulator import OVERWRITES
+from thermoforce_mpc.plants.embedded.cases import HEAT_PUMP
+from thermoforce_mpc.plants.embedded.schedule import CO2_LIMIT_PPM
 
 _HERE = Path(__file__).parent
 KPIS = {
@@ -33,14 +33,14 @@ def build_house(folder: Path) -> Path:
     time_s = np.arange(0.0, 365 * 86400.0 + 1.0, 900.0)
     weather = synthetic_weather()
     T_out = weather.at("T_dry_C", time_s)
-    lower, upper = schedule.bounds_C(time_s)
+    lower, upper = HEAT_PUMP.schedule.bounds_C(time_s)
     files = {
         "weather.csv": _csv(time_s, TDryBul=T_out + 273.15, HGloHor=weather.at("global_W_m2", time_s)),
         "setpoints.csv": _csv(
             time_s, **{"LowerSetp[1]": lower + 273.15, "UpperSetp[1]": upper + 273.15,
-                       "UpperCO2[1]": np.full(time_s.shape, schedule.CO2_LIMIT_PPM)},
+                       "UpperCO2[1]": np.full(time_s.shape, CO2_LIMIT_PPM)},
         ),
-        "occupancy.csv": _csv(time_s, **{"Occupancy[1]": schedule.PEOPLE * schedule.occupied_sample(time_s)}),
+        "occupancy.csv": _csv(time_s, **{"Occupancy[1]": HEAT_PUMP.schedule.occupants(time_s)}),
         "prices.csv": _csv(
             time_s,
             PriceElectricPowerConstant=tariffs.constant(time_s),
@@ -92,7 +92,7 @@ def _csv(time_s: Array, **columns: Array) -> str:
 
 def _describe(root: ElementTree.Element) -> None:
     """Units and limits, which PythonFMU does not write."""
-    limits = {f"{name}_u": (low, high) for name, low, high in OVERWRITES}
+    limits = {f"{name}_u": (low, high) for name, low, high in HEAT_PUMP.overwrites}
     for variable in root.iter("ScalarVariable"):
         name, real = variable.get("name", ""), variable.find("Real")
         if real is None:

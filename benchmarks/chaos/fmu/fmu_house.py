@@ -18,7 +18,7 @@ from pythonfmu import DefaultExperiment
 
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS, OVERWRITES
+from thermoforce_mpc.plants.embedded.cases import HEAT_PUMP
 
 _LEVELS = {"oveHeaPumY": "level", "oveTSet": "T_setpoint"}
 
@@ -31,8 +31,8 @@ class FmuHouse(FmuWithPoints):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.default_experiment = DefaultExperiment(tolerance=1e-6)
-        overwrites = {name: low for name, low, _ in OVERWRITES}
-        self.declare(overwrites, [*MEASUREMENTS, *(f"{name}_y" for name in overwrites)])
+        overwrites = {name: low for name, low, _ in HEAT_PUMP.overwrites}
+        self.declare(overwrites, [*HEAT_PUMP.measurements, *(f"{name}_y" for name in overwrites)])
 
     def setup_experiment(
         self, start_time: float, stop_time: float | None = None, tolerance: float | None = None
@@ -65,7 +65,9 @@ class FmuHouse(FmuWithPoints):
         if self._in_trouble("CREEPS", current_time):
             self._steps_in_trouble += 1
             time.sleep(0.05 * 2**self._steps_in_trouble)
-        forced = {name: self._inputs[f"{name}_u"] for name, _, _ in OVERWRITES if self._inputs[f"{name}_activate"]}
+        forced = {
+            name: self._inputs[f"{name}_u"] for name, _, _ in HEAT_PUMP.overwrites if self._inputs[f"{name}_activate"]
+        }
         self._plant.advance_points(forced, step_size)
         self._show()
         return True
@@ -83,9 +85,9 @@ class FmuHouse(FmuWithPoints):
     def _show(self) -> None:
         now = self._plant.now_s
         record = {name: column[-1] for name, column in self._plant.recorded(now, now).items()}
-        for name, column in MEASUREMENTS.items():
+        for name, column in HEAT_PUMP.measurements.items():
             self._outputs[name] = float(record[column])
         self._outputs["reaTZon_y"] += self._shift_K
-        for name, low, _ in OVERWRITES:
+        for name, low, _ in HEAT_PUMP.overwrites:
             shown = record[_LEVELS[name]] if name in _LEVELS else self.acting(name, low)
             self._outputs[f"{name}_y"] = float(shown)

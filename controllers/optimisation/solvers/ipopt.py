@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,15 @@ from pydantic import Field
 
 from controllers.optimisation.problem import ProblemShape
 from controllers.optimisation.solution import Answer, StatementSolver
+from controllers.optimisation.solvers.highs import Highs, MilpConfig
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.scenario.settings import StrictModel
 
 # Statuses with which Ipopt reports an optimum, to its tolerance or to a looser one; any other is a failed solve.
 _OPTIMAL, _ACCEPTED = "Solve_Succeeded", {"Solve_Succeeded", "Solved_To_Acceptable_Level"}
+# Gap that rounded choices may leave to be the optimum, as of `MilpConfig`.
+_ROUNDED = 1e-3
 # Of a second try.
 _CAREFUL = {"mehrotra_algorithm": "no"}
 
@@ -32,6 +36,8 @@ class IpoptSolver(StatementSolver):
     """By Ipopt. Where it fails from the guess, it starts cold, with a line search.
 
     Choices between off and on are relaxed, rounded, and solved again as they are then: good, but not the best of all.
+    Beside a weight of comfort that is extreme, Ipopt, which scales its objective down, ends above the optimum of convex
+    instances: there HiGHS, which leaves the curvature out, has the last word.
     """
 
     name = "ipopt"
@@ -52,24 +58,36 @@ class IpoptSolver(StatementSolver):
         self.model.functions.ipopt(self._options)  # built once
 
     def _answers(self, p: Array, guess: Array | None) -> Iterator[Answer]:
-        cold = self.model.cold()
-        yield self._answer(p, cold if guess is None else guess, self._options)
-        yield self._answer(p, cold, self._options | _CAREFUL)
+        cold, choices = self.model.cold(), self.model.choices
+        answers = []
+        for start, options in ((cold if guess is None else guess, self._options), (cold, self._options | _CAREFUL)):
+            answers.append(self._answer(p, start, options))
+            yield answers[-1]
+        if any(answer.claimed is not None for answer in answers) and self.model.convex and not choices.size:
+            programme = self.model.local(p)
+            found = Highs(MilpConfig())(programme, choices)
+            why, claimed = "" if found.solved else f"HiGHS ended with {found.status}", programme.objective(found.x)
+            multipliers = programme.unit * found.multipliers
+            yield Answer(found.x, claimed, f"highs:{found.status}", found.iterations, why, multipliers=multipliers)
 
     def _answer(self, p: Array, start: Array, options: Mapping[str, Any]) -> Answer:
         """Its answer from levels (A, N)."""
         model, (low, high) = self.model, self.model.bounds(p)
-        x, claimed, status, iterations = self._ipopt(p, model.evaluate(p, start).variables, low, high, options)
-        if model.choices.size and status in _ACCEPTED:
-            low[model.choices] = high[model.choices] = model.rounded(x)
-            x, claimed, status, more = self._ipopt(p, np.clip(x, low, high), low, high, options)
-            iterations += more
-        why = "" if status == _OPTIMAL else f"Ipopt ended with {status}"
-        return Answer(x, claimed if status in _ACCEPTED else None, f"ipopt:{status}", iterations, why)
+        begin = self._ipopt(p, model.evaluate(p, start).variables, low, high, options)
+        if not (model.choices.size and begin.claimed is not None):
+            return begin
+        low[model.choices] = high[model.choices] = model.rounded(begin.x)
+        found = self._ipopt(p, np.clip(begin.x, low, high), low, high, options)
+        found = replace(found, iterations=begin.iterations + found.iterations)
+        if found.claimed is None or found.why:
+            return found
+        gap = max(found.claimed - begin.claimed, 0.0) / max(abs(found.claimed), 1e-9)
+        if gap <= _ROUNDED:
+            return replace(found, gap=gap)
+        why = f"its choices are rounded, {gap:.1%} above what they cost where they need not be whole"
+        return replace(found, why=why, gap=gap)
 
-    def _ipopt(
-        self, p: Array, x: Array, low: Array, high: Array, options: Mapping[str, Any]
-    ) -> tuple[Array, float, str, int]:
+    def _ipopt(self, p: Array, x: Array, low: Array, high: Array, options: Mapping[str, Any]) -> Answer:
         n_rows, n_equal = self.model.functions.rows.size1_out(1), self.model.functions.n_equal
         upper = np.full(n_rows, np.inf)
         upper[:n_equal] = 0.0
@@ -77,5 +95,8 @@ class IpoptSolver(StatementSolver):
         with self.model.functions.busy:  # status and iterations are those of the call before
             found = solver(x0=x, p=p, lbx=low, ubx=high, lbg=np.zeros(n_rows), ubg=upper)
             stats = solver.stats()
-        x = np.asarray(found["x"], dtype=np.float64).ravel()
-        return x, float(found["f"]), str(stats["return_status"]), int(stats["iter_count"])
+        x, multipliers = (np.asarray(found[name], dtype=np.float64).ravel() for name in ("x", "lam_g"))
+        status = str(stats["return_status"])
+        claimed, why = float(found["f"]) if status in _ACCEPTED else None, f"Ipopt ended with {status}"
+        why = "" if status == _OPTIMAL else why
+        return Answer(x, claimed, f"ipopt:{status}", int(stats["iter_count"]), why, multipliers=multipliers)

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator
 
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.problem import ProblemShape
+from controllers.optimisation.programme import QPData
 from controllers.optimisation.solution import Answer, Solver, StatementSolver
-from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, QPData, SolverResult
+from controllers.optimisation.solvers.qp_backends import Piqp, QPConfig, SolverResult
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.model.operator.building import BuildingOperator
 
@@ -38,4 +39,5 @@ class QPSolver(StatementSolver):
         found = self._solve(programme)
         claimed = programme.objective(found.x) if found.solved else None
         why = "" if found.solved else f"piqp: ended with {found.status}"
-        yield Answer(found.x, claimed, f"piqp:{found.status}", found.iterations, why)
+        multipliers = programme.unit * found.multipliers
+        yield Answer(found.x, claimed, f"piqp:{found.status}", found.iterations, why, multipliers=multipliers)

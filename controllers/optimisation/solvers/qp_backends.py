@@ -1,14 +1,14 @@
-"""Sparse quadratic programmes and PIQP, which solves them (Schwan et al. 2023)."""
+"""PIQP (Schwan et al. 2023), which solves sparse quadratic programmes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from pydantic import Field
-from scipy import sparse
 
+from controllers.optimisation.programme import FAR, QPData
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.scenario.settings import StrictModel
 
@@ -18,33 +18,6 @@ class QPConfig(StrictModel):
 
     tolerance: float = Field(1e-7, gt=0, description="absolute and relative tolerance")
     max_iterations: int = Field(100, ge=1, description="iterations before a solve counts as failed")
-
-
-@dataclass(frozen=True)
-class QPData:
-    """One quadratic programme: min ½ x'Qx + c'x s.t. A x = b, low ≤ G x ≤ high, x_low ≤ x ≤ x_high.
-
-    The objective in currency is `unit` times this one plus `constant`.
-    """
-
-    quadratic: sparse.csc_matrix
-    linear: Array
-    A: sparse.csc_matrix
-    b: Array
-    G: sparse.csc_matrix
-    low: Array
-    high: Array
-    x_low: Array
-    x_high: Array
-    unit: float
-    constant: float
-
-    def objective(self, x: Array, *, with_quadratic: bool = True) -> float:
-        """Objective at `x` including the constant, currency; NaN where `x` is of another size."""
-        if x.size != self.linear.size:
-            return float("nan")
-        bend = 0.5 * x @ (self.quadratic @ x) if with_quadratic else 0.0
-        return self.constant + self.unit * float(bend + self.linear @ x)
 
 
 @dataclass(frozen=True)
@@ -60,32 +33,39 @@ class SolverResult:
 
 
 class Piqp:
-    """PIQP, set up once and updated with the numbers of each instance."""
+    """PIQP, set up once and updated with the numbers of each instance of the same pattern."""
 
     def __init__(self, config: QPConfig) -> None:
         self._config = config
         self._solver: Any = None
+        self._patterns: tuple[Array, ...] = ()
 
     def __call__(self, q: QPData) -> SolverResult:
-        """Solve one programme; all programmes share the structure. `multipliers` of the equations, then of G."""
+        """Solve one programme. `multipliers` of the equations, then of G.
+
+        Bounds that are far are taken as none where the optimum keeps them all the same: PIQP calls a programme with
+        bounds of 1e9 beside numbers of about 1 infeasible, or ends far from its optimum.
+        """
+        low, high = (
+            np.where(np.abs(bound) >= FAR, far, bound) for bound, far in ((q.x_low, -np.inf), (q.x_high, np.inf))
+        )
+        if np.array_equal(low, q.x_low) and np.array_equal(high, q.x_high):
+            return self._solved(q)
+        found = self._solved(replace(q, x_low=low, x_high=high))
+        if found.solved and (found.x >= q.x_low).all() and (found.x <= q.x_high).all():
+            return found
+        return self._solved(q)
+
+    def _solved(self, q: QPData) -> SolverResult:
         import piqp
 
-        solver, self._solver = self._solver, None  # after a failed solve the solver is set up again
+        # A solver that has failed is not used again, nor one of another pattern: its update takes the numbers of any
+        # matrix with as many elements, or fewer, as those of its own pattern.
+        patterns = tuple(index for matrix in (q.quadratic, q.A, q.G) for index in (matrix.indptr, matrix.indices))
+        same = len(patterns) == len(self._patterns) and all(map(np.array_equal, patterns, self._patterns))
+        solver, self._solver = self._solver if same else None, None
         if solver is None:
-            solver = piqp.SparseSolver()
-            settings = solver.settings
-            settings.kkt_solver = piqp.KKTSolver.sparse_ldlt  # the fastest of its five on this structure
-            # K, shares and prices relative to the largest are already well scaled.
-            settings.preconditioner_iter = 0
-            # Longer steps towards the bounds than the default 0.99 save an iteration.
-            settings.tau = 0.999
-            # Residuals of the difference equation accumulate over the rows, so they need a tighter tolerance.
-            settings.reg_lower_limit = 1e-8
-            settings.reg_finetune_lower_limit = 1e-10
-            settings.eps_abs = settings.eps_rel = self._config.tolerance
-            settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = self._config.tolerance
-            settings.max_iter = self._config.max_iterations
-            solver.setup(q.quadratic, q.linear, q.A, q.b, q.G, q.low, q.high, q.x_low, q.x_high)
+            solver, self._patterns = self._set_up(q), tuple(index.copy() for index in patterns)
         else:
             solver.update(
                 P=q.quadratic, c=q.linear, A=q.A, b=q.b, G=q.G, h_l=q.low, h_u=q.high, x_l=q.x_low, x_u=q.x_high
@@ -98,3 +78,22 @@ class Piqp:
         multipliers = np.concatenate([result.y, result.z_u - result.z_l])
         x = np.array(result.x, dtype=np.float64)
         return SolverResult(solved, x, str(status.name), int(result.info.iter), multipliers)
+
+    def _set_up(self, q: QPData) -> Any:
+        import piqp
+
+        solver = piqp.SparseSolver()
+        settings = solver.settings
+        settings.kkt_solver = piqp.KKTSolver.sparse_ldlt  # the fastest of its five on this structure
+        # K, shares and prices relative to the largest are already well scaled.
+        settings.preconditioner_iter = 0
+        # Longer steps towards the bounds than the default 0.99 save an iteration.
+        settings.tau = 0.999
+        # Residuals of the difference equation accumulate over the rows, so they need a tighter tolerance.
+        settings.reg_lower_limit = 1e-8
+        settings.reg_finetune_lower_limit = 1e-10
+        settings.eps_abs = settings.eps_rel = self._config.tolerance
+        settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = self._config.tolerance
+        settings.max_iter = self._config.max_iterations
+        solver.setup(q.quadratic, q.linear, q.A, q.b, q.G, q.low, q.high, q.x_low, q.x_high)
+        return solver

@@ -8,11 +8,9 @@ near those of the iterate where the local model promises more than the rollout g
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
 import numpy as np
 from pydantic import Field
-from scipy import sparse
 
 from controllers.checks import ControllerConfigError
 from controllers.optimisation.problem import ProblemShape
@@ -52,9 +50,8 @@ class SQPSolver(StatementSolver):
         self._config, self._qp = config, qp or QPConfig()
         if self.model.structure.chosen:
             raise ControllerConfigError("solver sqp: choices between off and on need solver: milp or ipopt")
-        near = np.zeros(self.model.n_variables)
-        near[self.model.levels_at] = near[self.model.own_at] = 1.0
-        self._near = sparse.diags(near, format="csc")
+        self._near = np.zeros(self.model.n_variables)
+        self._near[self.model.levels_at] = self._near[self.model.own_at] = 1.0
 
     def _answers(self, p: Array, guess: Array | None) -> Iterator[Answer]:
         model, solver = self.model, Piqp(self._qp)
@@ -64,10 +61,11 @@ class SQPSolver(StatementSolver):
         cost = model.evaluate(p, model.levels(x), own).cost
         for iteration in range(1, self._config.max_iterations + 1):
             programme = model.local(p, x, multipliers)
-            answer = solver(replace(programme, quadratic=sparse.csc_matrix(programme.quadratic + near * self._near)))
+            answer = solver(programme.near(near * self._near))
             promised = programme.constant - programme.objective(answer.x)
             if answer.solved and promised <= self._config.tolerance * (1.0 + abs(cost)):
-                yield Answer(x, cost, "sqp:converged", iteration)
+                found_at = programme.unit * answer.multipliers
+                yield Answer(x, cost, "sqp:converged", iteration, multipliers=found_at)
                 return
             found = self._shorter(p, x, answer.x, cost - _ENOUGH * promised) if answer.solved else None
             if found is None:
@@ -87,7 +85,7 @@ class SQPSolver(StatementSolver):
         model = self.model
         for length in _LENGTHS:
             moved = x + length * step
-            u, own = model.levels(moved), model.own(moved)
+            u, own = model.levels(moved), model.own(p, moved)
             found = model.evaluate(p, u, own)
             if found.cost <= at_most and not found.broken:
                 return found.variables, found.cost, length

@@ -23,7 +23,7 @@ has e = 0 and c = u². The first steps decide which of actuators that exclude on
 The free response T_free is fixed. The slack makes every instance feasible. λ is the value of heat stored at the end.
 
 A machine's actuators begin together; w_a is the share of the time that it runs while only actuator a is on
-(`model.machine.running`), and it runs at least as long as its capacity asks.
+(`model.machine.load`), and it runs at least as long as its capacity asks.
 
 The gain m(x) is a number worked out beforehand, unless it sees the predicted temperature (`feedback`). All numbers, of
 the instance and of the operator, are parameters q, so one statement serves all buildings of one structure.

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from controllers.optimisation.statement.algebra import Algebra
 
 _KEY = "controller.options.terms"
+# Slopes of a term's rows up to this are left as they are.
+_STEEP = 100.0
 # Expressions that are 0 or 1: a constraint is an expression that is at least 0, or 0.
 _COMPARISONS = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR}
 
@@ -53,11 +55,21 @@ class PlanExpressions:
 
     def require(self, expression: ca.SX, what: str = "a term of yours") -> None:
         """Require that every element is at least 0; where it cannot be, there is no plan and the fallback acts."""
-        self.algebra.require(what, self._checked(expression, "require"))
+        self.algebra.require(what, self._scaled(self._checked(expression, "require")))
 
     def equal(self, expression: ca.SX, what: str = "a term of yours") -> None:
         """Require that every element is 0."""
-        self.algebra.equal_to_zero(what, self._checked(expression, "equal"))
+        self.algebra.equal_to_zero(what, self._scaled(self._checked(expression, "equal")))
+
+    def _scaled(self, row: ca.SX) -> ca.SX:
+        """The same rows with slopes of at most `_STEEP`, where they are linear: joules beside watts stop solvers."""
+        row = ca.densify(ca.vec(row))
+        x = ca.veccat(*self.algebra.x)
+        slopes = ca.jacobian(row, x)
+        if ca.depends_on(slopes, x):
+            return row
+        steepest = [ca.mmax(ca.fabs(slopes[i, :])) for i in range(row.numel())]
+        return ca.vertcat(*(row[i] / ca.fmax(1.0, slope / _STEEP) for i, slope in enumerate(steepest)))
 
     def _checked(self, expression: object, method: str) -> ca.SX:
         if not isinstance(expression, ca.SX | ca.DM | float | int | np.ndarray):

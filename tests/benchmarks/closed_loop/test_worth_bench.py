@@ -66,7 +66,7 @@ def test_no_watch_takes_control_from_the_plans_that_are_compared():
 @pytest.mark.slow
 def test_a_case_runs_each_free_response_on_the_same_days_and_says_where_there_is_no_model(monkeypatch):
     case = Case(worth.HEAT_PUMP, "108", "constant", 7, "none", 0.25, (1,), ("linear_weather", "oracle"))
-    monkeypatch.setattr(worth, "model_for", lambda scenario, testcase, plant: simple_model())
+    monkeypatch.setattr(worth, "model_for", lambda task, plant: simple_model())
     first, known = run_case(case)
     assert (first["free response"], known["free response"]) == ("linear_weather", "oracle")
     assert first["cost"] != known["cost"]

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.building.plan import drawn_plan, plan_table
-from thermoforce_mpc.data import DAY_S, Boundary, Names, Plan, PlanStatus, Record
+from thermoforce_mpc.data import DAY_S, Boundary, Layout, Names, Plan, PlanStatus, Record
 from thermoforce_mpc.errors import ConfigError, DataError, ThermoForceError
 from thermoforce_mpc.identification.probing.probe import probe
 from thermoforce_mpc.identification.validation import competence
@@ -233,6 +233,43 @@ def test_a_plan_of_several_zones_has_a_column_for_each(tmp_path):
         len(axes.get_legend_handles_labels()[1]) for axes in drawn_plan(plan, table, ahead).axes[1::-1]
     )
     assert (temperatures, levels) == (2, 2)
+
+
+def test_what_may_not_act_has_no_level_and_its_room_no_temperature():
+    names, n = Names(("bath", "hall"), ("towel", "floor"), ("grid",)), 4
+    two, time_s = np.ones((2, n)), np.arange(n) * 3600.0
+    plan = Plan(
+        (), PlanStatus.GATE, "", two, np.array([20.0, 21.0]), 20 * two, two, 19 * two, 22 * two, 0 * two,
+        np.full((1, n), 500.0), time_s, pd.Timestamp("2025-01-01", tz="UTC"), names=names,
+        acting=(PlanStatus.SOLVED, PlanStatus.GATE),
+    )  # fmt: skip
+    edges = np.arange(n + 1) * 3600.0
+    rows, price = np.full((2, n + 1), 20.0), np.full((1, n + 1), 0.3)
+    ahead = Boundary(edges, edges, edges, 0 * rows, rows, rows + 3.0, price, 0 * price, names=names)
+    layout = Layout(names, (1, 1), (0, 1), (0, 0), (0.0, 0.0), (0.5, 0.5), (20.0, 20.0))
+    table = plan_table(plan, ahead, layout)
+    assert (table["u[towel]"] == 1.0).all()
+    assert table[["u[floor]", "T_zone_C[hall]", "slack_K[hall]", "power_W", "cost"]].isna().all().all()
+    assert (table["T_zone_C[bath]"] == 21.0).all()
+    assert plan.to_dataframe()["u[floor]"].isna().all()
+    assert len(drawn_plan(plan, table, ahead).axes[1].patches) == 1
+
+
+@pytest.mark.parametrize(
+    ("step", "message"),
+    [
+        ("30", "--step 30: has no unit; write one from 5min to 1h"),
+        ("1h30min", "--step 1h30min: is no step of a plan"),
+        ("soon", "--step soon: is no duration"),
+        ("NaT", "--step NaT: is no step of a plan"),
+        ("7min", "--step 7min: a plan of on/off blocks has 10min to 1h"),
+    ],
+)
+def test_a_step_of_a_plan_is_refused_by_its_name(folder, model, step, message):
+    words = ("--model", str(model), "--data", "probed.csv", "--map", "map.yaml", "--forecast", "ahead.csv")
+    done = tf_mpc(folder, "plan", *words, "--step", step)
+    assert isinstance(done.exception, ConfigError)
+    assert message in str(done.exception)
 
 
 def test_a_plan_refuses_what_does_not_belong_together(folder, model):

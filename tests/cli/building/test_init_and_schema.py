@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.inside.schemas import KINDS, schema_of, schema_text
 from thermoforce_mpc.errors import ConfigError
-from thermoforce_mpc.experiment.checks import validate_scenario
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.scenario.settings import configs_folder, named_configs, read_yaml
 from thermoforce_mpc.scenario.yaml_file import parse_value
@@ -90,7 +90,7 @@ def test_a_scenario_to_start_from_is_whole_and_valid(tmp_path, testcase):
     scenario = load_scenario(path, {})
     assert scenario.testcase == testcase
     if "energyplus" not in testcase:  # EnergyPlus may not be installed
-        validate_scenario(scenario)
+        Experiment.of(scenario)
     assert (scenario.plant.kind == "boptest") == ("set plant.url" in done.output)
     text = path.read_text(encoding="utf-8")
     assert not wrong("scenario", text)

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from thermoforce_mpc.cli import cli
 from thermoforce_mpc.experiment import run_models
 from thermoforce_mpc.experiment.identifying import may_act
-from thermoforce_mpc.model.card import Competence, ModelCard
+from thermoforce_mpc.model.card import Competence, HorizonScore, ModelCard
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.part_load import LevelCost
 from thermoforce_mpc.model.machine.power import PowerModel
@@ -19,12 +19,14 @@ from thermoforce_mpc.model.operator.building import BuildingOperator
 from thermoforce_mpc.model.operator.parameters import linear_operator
 from thermoforce_mpc.model.thermal_model import ThermalModel
 
-GOOD = Competence(True, effect_K=2.0, effect_sd_K=0.2)
-POOR = Competence(False, ("too weak",), ("hold full level",), effect_K=2.0, effect_sd_K=2.0)
+KNOWN_K = {h: 4.0 * (1.0 - 0.9**h) for h in (1, 2, 4, 8, 12, 24, 48)}
+JUDGED = tuple(HorizonScore(hours, 0.1, 0.5, 0.4, 3.0, 9) for hours in (1.0, 6.0))
+GOOD = Competence(True, horizons=JUDGED, effect_K=KNOWN_K[8], effect_sd_K=0.2)
+POOR = Competence(False, ("too weak",), ("hold full level",), effect_K=KNOWN_K[8], effect_sd_K=2.0)
 
 
 def card(verdict: Competence) -> ModelCard:
-    known = {f"step_response_{h}h_K": 0.1 * h for h in (1, 2, 4, 8, 12, 24, 48)}
+    known = {f"step_response_{h}h_K": of for h, of in KNOWN_K.items()}
     sds = {f"step_response_{h}h_sd_K": 0.01 * h for h in (1, 2, 4, 8, 12, 24, 48)}
     return ModelCard(source="3 days of probing", uncertainty=known | sds, competence=verdict)
 
@@ -50,7 +52,7 @@ def test_every_actuator_machine_and_pair_is_told(tmp_path):
     assert "every pair CERTIFIED" in told
     bath, hall = (line for line in told.splitlines() if line.lstrip("│ ").startswith(("bath", "hall")))
     assert "no effect" in bath
-    assert "4.80 (4.01 to 5.59)" in bath
+    assert "3.97 (3.18 to 4.76)" in bath
     assert hall.count("(") == 1, "the radiator's effect on the hall has no band on its card"
     for head in ("radiator in bath", "floor in hall"):
         assert head in told

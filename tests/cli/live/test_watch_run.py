@@ -22,6 +22,7 @@ from thermoforce_mpc.cli import cli
 from thermoforce_mpc.cli.live.watch import shown
 from thermoforce_mpc.data import DAY_S, HOUR_S, Period
 from thermoforce_mpc.errors import InputError, PlantError
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.experiment.run_book import RunBook
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.plants.testcases import load_scenario
@@ -35,7 +36,9 @@ OPTIONS = {"step_s": 3600, "horizon_h": 12, "gate": {"enabled": False}, "free_re
 
 def run(folder, plant, model, hours: float = 12):
     folder.mkdir(exist_ok=True)
-    book = RunBook.begin(folder, load_scenario(None, {"testcase": "bestest_hydronic_heat_pump"}), ["tf-mpc", "run"])
+    book = RunBook.begin(
+        folder, Experiment.of(load_scenario(None, {"testcase": "bestest_hydronic_heat_pump"})), ["tf-mpc", "run"]
+    )
     journaled = book.connect(lambda _: plant)
     journaled.noted("loop", lambda: {"controller": "thermoforce_mpc"})
     controller = ThermoForceMPC(model, MPCConfig(**OPTIONS))
@@ -179,7 +182,9 @@ def test_the_end_of_a_run_is_said(single, tmp_path):
 
 
 def test_a_finished_run_shows_its_controller_and_names_the_baselines(tmp_path):
-    book = RunBook.begin(tmp_path, load_scenario(None, {"testcase": "bestest_hydronic_heat_pump"}), ["tf-mpc", "run"])
+    book = RunBook.begin(
+        tmp_path, Experiment.of(load_scenario(None, {"testcase": "bestest_hydronic_heat_pump"})), ["tf-mpc", "run"]
+    )
     journaled = book.connect(lambda _: SimpleHouse())
     for name in ("thermoforce_mpc", "thermostat"):
         journaled.noted("loop", lambda name=name: {"controller": name})

@@ -16,7 +16,7 @@ from controllers.actuation.actuators import Actuators
 from controllers.actuation.choice import choose_actuation
 from controllers.registry import controller_config
 from thermoforce_mpc.data import DAY_S, Record
-from thermoforce_mpc.experiment.identifying import identification_settings
+from thermoforce_mpc.experiment.identifying import chosen_of, identification_settings
 from thermoforce_mpc.identification import identify
 from thermoforce_mpc.model.machine.load import MachineLoad
 from thermoforce_mpc.model.machine.part_load import LevelCost
@@ -165,14 +165,14 @@ def test_set_points_modulate_and_rules_follow_the_map():
 
 def test_probing_sees_part_load_where_it_is_to_be_decided():
     pump = Scenario(testcase="bestest_hydronic_heat_pump")
-    probing, identification = identification_settings(pump, load_testcase(pump.testcase))
+    probing, identification = identification_settings(pump, chosen_of(pump, load_testcase(pump.testcase)))
     assert (probing.levels, probing.trial_levels) == ((0.0, 1.0), (0.5, 0.25))
     assert identification.lowest_level == 0.25
     named = Scenario(testcase=pump.testcase, controller={"options": {"actuation": {"mode": "duty"}}})
-    probing, identification = identification_settings(named, load_testcase(pump.testcase))
+    probing, identification = identification_settings(named, chosen_of(named, load_testcase(pump.testcase)))
     assert (probing.trial_levels, identification.lowest_level) == ((), None)
     water = Scenario(testcase="bestest_hydronic")
-    probing, identification = identification_settings(water, load_testcase(water.testcase))
+    probing, identification = identification_settings(water, chosen_of(water, load_testcase(water.testcase)))
     assert probing.trial_levels == (), "its own levels show part load"
     assert identification.lowest_level == 0.1
 
@@ -182,7 +182,7 @@ def test_blocks_below_full_level_are_identified_at_the_one_level_that_is_probed(
     """Before, a run ended after probing: "the data have only off and full level"."""
     blocks = {"mode": "duty", "level": 0.6}
     pump = Scenario(testcase="bestest_hydronic_heat_pump", controller={"options": {"actuation": blocks}})
-    probing, identification = identification_settings(pump, load_testcase(pump.testcase))
+    probing, identification = identification_settings(pump, chosen_of(pump, load_testcase(pump.testcase)))
     assert (probing.levels, identification.lowest_level) == ((0.0, 0.6), 0.6)
     levels = np.tile(np.repeat([0.0, 0.6], 16), 6)
     run = record(House(), 2.0, u=levels, noise_K=0.01)

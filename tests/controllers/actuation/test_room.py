@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import numpy_problem
 import pytest
-from light_office import LightOffice
 from mpc_problems import N, random_operator, random_problem, unit_responses
 from scipy.optimize import linprog
 
+from benchmarks.detectors.air_unit import LightOffice
 from controllers.actuation.actuator import Actuation
 from controllers.actuation.actuators import Actuators
 from controllers.actuation.room_setpoints import room_blocks

@@ -20,7 +20,8 @@ from controllers.actuation.actuator import ActuationConfig
 from controllers.checks import ControllerConfigError, PackedState
 from controllers.many.portfolio import Portfolio, plan_many
 from controllers.many.worker import read_shared, write_shared
-from controllers.optimisation.solvers.milp import Highs
+from controllers.optimisation.solvers.highs import Highs
+from controllers.optimisation.solvers.ipopt import IpoptSolver
 from thermoforce_mpc.data import HOUR_S, Observation, PlanStatus
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.card import Competence
@@ -122,8 +123,16 @@ def test_what_is_wrong_with_a_building_costs_that_building(monkeypatch):
         "unknown, one instant": Observation(one.history, one.boundary.head(0)),
     }
     options |= dict.fromkeys(buildings.keys() - {"no solution"}, WEATHER_MODEL)
-    options["no solution"] = MPCConfig(**HOURLY, free_response={"name": "linear_weather"}, solver="milp")
+    broken = {"solver": "milp", "ipopt": {"max_iterations": 1}}  # Ipopt is asked where HiGHS fails
+    options["no solution"] = MPCConfig(**HOURLY, free_response={"name": "linear_weather"}, **broken)
+    build = IpoptSolver.__init__
+
+    def unless_one_iteration(self, operator, shape, config):
+        assert config.max_iterations > 1, "out of order"
+        build(self, operator, shape, config)
+
     monkeypatch.setattr(Highs, "__call__", lambda *given: 1 / 0)
+    monkeypatch.setattr(IpoptSolver, "__init__", unless_one_iteration)
     found = plan_many(buildings, observations, {"bad state": "a state"}, config=options)
     expected = plan_many(models(3), houses(3), config=WEATHER_MODEL)
     for name, planned in expected.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -117,7 +118,20 @@ def test_a_look_that_fails_costs_no_plan(sunlit, monkeypatch):
     assert night.status is PlanStatus.SOLVED
     assert "sun on the sensors could not be looked for (LinAlgError: Singular matrix)" in night.news
     later = _planned(controller, sunlit, replace(night.state, last_s=None))
-    assert later.news == "", "it is tried again when more sun has shone"
+    assert later.news == "", "it is tried again in another night"
+
+
+def test_no_step_waits_for_a_look_beyond_its_deadline(sunlit, monkeypatch):
+    controller = _controller(deadline={"look_s": 0.05})
+    state = _planned(controller, sunlit.slice(0, sunlit.n_steps - DAY), None).state
+    goes_on = threading.Event()
+    monkeypatch.setattr("controllers.monitoring.sun_on_sensors.sun_on_sensor", lambda *_: goes_on.wait(20.0))
+    night = _planned(controller, sunlit, state)
+    goes_on.set()
+    assert night.status is PlanStatus.SOLVED
+    assert "sun on the sensors could not be looked for" in night.news
+    assert "no answer within 0.05 s" in night.news
+    assert night.state.sun.found == (None,)
 
 
 def test_days_that_tell_nothing_change_nothing(sunlit):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import gc
+import re
 import threading
 import weakref
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from faults import ChangedResponse, ChangedSolver
+from faults import ChangedResponse, ChangedSolver, shifted
 from simple_house import FIXED_W, GAIN_K, PER_U_W, OutdoorResponse, SimpleHouse, simple_model
 from waiting import wait_for
 
@@ -64,6 +65,23 @@ def test_a_slower_mode_without_gain_stores_nothing():
         mpc = ThermoForceMPC(model, config, free_response=OutdoorResponse())
         prices.append(mpc.instance(mpc.predictor.context(seen), seen.history).terminal_price_per_K[0, 0])
     np.testing.assert_allclose(prices[1], [*prices[0], 0.0])
+
+
+@pytest.mark.parametrize("off_K", [59_574.0, -80.0])
+def test_a_plan_that_predicts_what_no_room_can_be_is_none(off_K):
+    """ "59,574 K above the comfort band cannot be avoided" was a plan that was solved."""
+    plan = controller(free=shifted(off_K), free_response={"substitutes": False}).plan(observation())
+    assert plan.status.fallen_back
+    assert plan.u.size == 0
+    assert plan.blocks
+    assert re.search("no plan can be right that predicts .* h ahead .*beyond -30 to 60 °C", plan.why)
+
+
+def test_a_model_whose_heat_cannot_be_is_refused():
+    zone = simple_model().only
+    strong = ThermalModel.of_zone(replace(zone, operator=replace(zone.operator, gains=1e6 * zone.operator.gains)))
+    with pytest.raises(ControllerConfigError, match=r"the model of .* cannot be right: 8 h at full level change"):
+        ThermoForceMPC(strong, MPCConfig(step_s=None, horizon_h=24.0), free_response=OutdoorResponse())
 
 
 @pytest.mark.slow

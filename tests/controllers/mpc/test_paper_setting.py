@@ -10,7 +10,7 @@ from controllers import ThermoForceMPC
 from controllers.actuation.actuator import ActuationConfig
 from controllers.registry import controller_config
 from thermoforce_mpc.data import HOUR_S, Observation
-from thermoforce_mpc.experiment.identifying import identification_settings
+from thermoforce_mpc.experiment.identifying import chosen_of, identification_settings
 from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
 from thermoforce_mpc.scenario.settings import find_config
 
@@ -19,7 +19,7 @@ def test_the_scenario_says_what_the_paper_prints():
     scenario = load_scenario(find_config("scenarios", "paper_closed_loop"), {})
     testcase = load_testcase(scenario.testcase)
     c = controller_config(scenario.controller.name, scenario.controller.options, testcase)
-    identification = identification_settings(scenario, testcase)[1]
+    identification = identification_settings(scenario, chosen_of(scenario, testcase))[1]
     assert (c.solver, c.horizon_h, c.step_s, scenario.step_s) == ("ipopt", 24.0, None, HOUR_S)
     assert (c.free_response.name, c.backoff_level, c.comfort_margin_K, c.offset_h) == ("chronos", 0.5, 0.0, None)
     assert (identification.method, identification.order, identification.heat_input) == ("two_stage", 1, "identity")

@@ -17,14 +17,15 @@ from thermoforce_mpc.data import DAY_S, HOUR_S, Observation
 from thermoforce_mpc.data.plan import NOT_ECONOMICAL
 
 SPENT, OFF = "cannot be avoided at full power", "cannot be avoided with nothing on"
+LATE = "cannot be avoided in time any more"
 HOURS = 24
 
 
 def why(u, *, below=True, at=3, machinery: EquipmentLayout | None = None, zone: int | None = None,
-        capacity: float | None = None) -> str:  # fmt: skip
-    """What is said of 0.5 K beyond a bound at the end of step `at` of a plan with levels `u`.
+        capacity: float | None = None, missing_K=0.5, margin_K=0.0, free_steps=HOURS) -> str:  # fmt: skip
+    """What is said of `missing_K` beyond a bound at the end of step `at` of a plan with levels `u`.
 
-    `zone`: that of two; `capacity`: of a machine that they share.
+    `zone`: that of two; `capacity`: of a machine that they share; `margin_K` are kept inside the bounds and missed too.
     """
     model = simple_model() if zone is None else two_model(shared=capacity is not None)
     mpc = ThermoForceMPC(model, MPCConfig(step_s=None, horizon_h=float(HOURS)), free_response=OutdoorResponse())
@@ -41,8 +42,11 @@ def why(u, *, below=True, at=3, machinery: EquipmentLayout | None = None, zone: 
         nothing = np.zeros((1, HOURS))
         problem = replace(problem, machinery=machinery, cooling=Cooling(nothing, nothing))
     T, slack = np.full((len(u), HOURS), 22.0), np.zeros((len(u), HOURS))
-    T[zone or 0, at], slack[zone or 0, at] = 10.0 if below else 40.0, 0.5
-    return reason_of(problem, mpc.planning_operator, np.array(u), T, slack, context.free)
+    slack[zone or 0, at] = missing_K + margin_K
+    comfort_C = np.stack([np.full(T.shape, 20.0), np.full(T.shape, 24.0)])
+    problem = replace(problem, lower_C=comfort_C[0] + margin_K, upper_C=comfort_C[1] - margin_K)
+    T[zone or 0, at] = 20.0 - missing_K if below else 24.0 + missing_K
+    return reason_of(problem, mpc.planning_operator, np.array(u), T, slack, context.free, comfort_C, free_steps)
 
 
 def observation(T_start_C: float = 21.0) -> Observation:
@@ -57,7 +61,8 @@ def levels(*first: float, rest: float = 0.0) -> list[list[float]]:
 
 def test_what_full_level_cannot_avoid_is_no_matter_of_money():
     assert f"0.50 K below the comfort band {SPENT} in 4 h" in why(levels(1.0, 1.0, 0.99, 1.0))
-    assert NOT_ECONOMICAL in why(levels(1.0, 1.0, 0.9, 1.0)), "a step of it was to spare"
+    assert NOT_ECONOMICAL in why(levels(1.0, 1.0, 0.9, 1.0), missing_K=0.05), "a step of it was to spare"
+    assert LATE in why(levels(1.0, 1.0, 0.9, 1.0)), "which would not have brought half of it"
     assert NOT_ECONOMICAL in why(levels(0.0, 1.0, 1.0, 1.0)), "it could have begun earlier"
     assert SPENT in why(levels(0.5, 0.5, 0.5, 0.5), machinery=EquipmentLayout.one(0.5)), (
         "full level is what actuation gives"
@@ -65,16 +70,25 @@ def test_what_full_level_cannot_avoid_is_no_matter_of_money():
     assert SPENT in why(levels(1.0), at=0)
 
 
+def test_what_is_missing_of_a_margin_or_is_planned_again_before_it_comes_is_no_discomfort():
+    spare = levels(0.0)
+    assert "0.30 K below the comfort band cannot be avoided econ" in why(spare, missing_K=0.3, margin_K=0.1)
+    missed = "lower bound with its margin, 20.10 °C, is missed by 0.10 K in 4 h"
+    assert missed in why(spare, missing_K=0.0, margin_K=0.1)
+    assert "upper bound with its margin" in why(spare, missing_K=0.0, margin_K=0.1, below=False)
+    assert "is missed by 0.30 K in 14 h" in why(spare, missing_K=0.3, at=13, free_steps=12)
+
+
 def test_a_heated_zone_that_is_too_warm_can_only_be_heated_less():
     assert f"0.50 K above the comfort band {OFF}" in why(levels(0.0), below=False)
-    assert NOT_ECONOMICAL in why(levels(0.0, 0.6), below=False)
+    assert NOT_ECONOMICAL in why(levels(0.0, 0.6), below=False, missing_K=0.2)
     assert OFF in why(levels(0.0, 0.0, 0.0, 0.0, rest=1.0), below=False), "what comes later is no cause"
 
 
 def test_levels_of_both_signs_are_full_at_either_end():
     both = EquipmentLayout.one(u_min=-0.6)
     assert SPENT in why(levels(-0.6, -0.6, -0.6, -0.6), below=False, machinery=both)
-    assert NOT_ECONOMICAL in why(levels(-0.6, -0.3, -0.6, -0.6), below=False, machinery=both)
+    assert NOT_ECONOMICAL in why(levels(-0.6, -0.3, -0.6, -0.6), below=False, machinery=both, missing_K=0.1)
 
 
 def test_a_zone_is_judged_by_its_own_actuator():

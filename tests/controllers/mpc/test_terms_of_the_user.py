@@ -13,8 +13,8 @@ from controllers import ThermoForceMPC
 from controllers.checks import ControllerConfigError
 from controllers.mpc.config import MPCConfig
 from thermoforce_mpc.data import HOUR_S, Observation, Plan, PlanStatus
-from thermoforce_mpc.experiment.checks import check_contestants
-from thermoforce_mpc.plants.testcases import load_scenario, load_testcase
+from thermoforce_mpc.experiment.experiment import Experiment, check_contestants
+from thermoforce_mpc.plants.testcases import load_scenario
 
 TESTCASE = "bestest_hydronic_heat_pump"
 OPTIONS = {"step_s": None, "horizon_h": 24.0}
@@ -164,4 +164,4 @@ def test_a_run_refuses_a_file_of_terms_before_the_building_is_probed(tmp_path, m
     monkeypatch.chdir(tmp_path)
     scenario = load_scenario(None, {"testcase": TESTCASE, "controller": {"options": {"terms": "none.py:ramp"}}})
     with pytest.raises(ControllerConfigError, match=r"controller\.options\.terms: 'none\.py:ramp': no such file"):
-        check_contestants(scenario, load_testcase(TESTCASE))
+        check_contestants(Experiment.of(scenario))

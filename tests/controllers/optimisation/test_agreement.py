@@ -32,10 +32,10 @@ CHOICES = {name: case for name, case in CASES.items() if "exclusive" in case.mac
 SMOOTH = {name: case for name, case in CASES.items() if name not in CHOICES}
 
 
-def cost(solution: Solution, problem: MPCProblem, operator: BuildingOperator) -> float:
+def cost(solution: Solution, problem: MPCProblem, operator: BuildingOperator, *, optimal: bool = True) -> float:
     """What its levels cost; by numpy too, where every step of the plan is a control step."""
     assert solution.ok, solution.problem
-    assert solution.optimal, solution.problem
+    assert solution.optimal or not optimal, solution.problem
     if solution.evaluation.forced_K.shape[1] == problem.n_steps:
         found = float(numpy_problem.cost(problem, operator, solution.u))
         assert solution.cost == pytest.approx(found, rel=1e-9, abs=1e-9)
@@ -116,7 +116,7 @@ def test_milp_refuses_a_quadratic_term_that_it_would_leave_out():
 
 def test_from_any_start_sqp_ends_in_ipopts_optimum_or_near_it_where_the_gain_sees_much():
     """There may be several local optima: of 300 random starts three ended above, by up to 1.4 %."""
-    above = []
+    above, shown = [], []
     for seed in range(30):
         rng = np.random.default_rng(seed)
         operator, problem, shape = instance(CASES["feedback"], rng)
@@ -125,7 +125,9 @@ def test_from_any_start_sqp_ends_in_ipopts_optimum_or_near_it_where_the_gain_see
         solver = SQPSolver(operator, shape, SQPConfig())
         for _ in range(3):
             found = solver.solve(problem, rng.uniform(0.0, 1.0, (1, shape.n_steps)))
-            above.append(cost(found, problem, operator) / best - 1.0)
+            above.append(cost(found, problem, operator, optimal=False) / best - 1.0)
+            shown.append(found.optimal)
+    assert np.mean(shown) > 0.95
     assert -1e-6 < min(above) < max(above) < 0.02
     assert np.mean(np.array(above) < 1e-6) > 0.95
 
@@ -135,10 +137,12 @@ def test_ipopts_choices_are_never_better_than_those_of_milp_and_seldom_much_wors
     """Rounded and solved again: as cheap in nine of ten instances (of 540), else 1 % dearer, at worst 5 %."""
     for seed in range(4):
         operator, problem, shape = instance(case, np.random.default_rng(seed))
-        found = cost(IpoptSolver(operator, shape, PRECISE).solve(problem), problem, operator)
+        solution = IpoptSolver(operator, shape, PRECISE).solve(problem)
+        found = cost(solution, problem, operator, optimal=False)
         if case.convex:
             best = cost(MilpSolver(operator, shape, EXACT).solve(problem), problem, operator)
             assert best * (1 - 1e-6) <= found <= 1.1 * best
+            assert not solution.optimal or found <= best * (1 + 2e-3)
 
 
 def cheapest_by_trying(problem: MPCProblem, operator: BuildingOperator) -> float:

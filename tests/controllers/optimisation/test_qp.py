@@ -128,15 +128,29 @@ def test_a_problem_that_is_not_convex_is_refused_with_advice():
 
 
 def test_a_claim_that_is_true_is_accepted_and_one_that_is_too_good_is_not():
+    """And levels are called the optimum only with multipliers that show it."""
     rng = np.random.default_rng(13)
     operator, problem = single(random_operator(rng, 1)), random_problem(rng, 1)
-    u = np.full((1, N), 0.5)
-    cost = float(numpy_problem.cost(problem, operator, u))
+    problem = replace(problem, T_free_C=problem.T_free_C + 6.0)
     model = PlanModel(operator, ProblemShape(every_step(N)))
     p = model.numbers(problem)
+    best = Piqp(QPConfig())(model.local(p))
+    shows = model.local(p).unit * best.multipliers
+    u = model.levels(best.x)
+    cost = float(numpy_problem.cost(problem, operator, u))
+    true = checked(model, problem, p, Answer(model.evaluate(p, u).variables, cost, "ok", 1, multipliers=shows))
+    assert (true.ok, true.optimal, true.problem) == (True, True, "")
+    assert not checked(model, problem, p, Answer(best.x, 0.9 * cost, "ok", 1, multipliers=shows)).ok
+    unshown = checked(model, problem, p, Answer(best.x, cost, "ok", 1))
+    assert (unshown.ok, unshown.optimal) == (True, False)
+    assert "without what shows" in unshown.problem
+    u[0, u[0].argmax()] *= 0.9
     x = model.evaluate(p, u).variables
-    assert checked(model, problem, p, Answer(x, cost, "ok", 1)).ok
-    assert not checked(model, problem, p, Answer(x, 0.9 * cost, "ok", 1)).ok
+    worse = checked(
+        model, problem, p, Answer(x, float(numpy_problem.cost(problem, operator, u)), "ok", 1, multipliers=shows)
+    )
+    assert (worse.ok, worse.optimal) == (True, False)
+    assert "may cost" in worse.problem
 
 
 def test_the_difference_equation_answers_like_the_modes_whatever_the_lengths_of_steps():

@@ -11,7 +11,7 @@ from controllers.registry import controller_config
 from controllers.rules.pi import PIConfig, PIController
 from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Period, PlanStatus, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.experiment.checks import validate_scenario
+from thermoforce_mpc.experiment.experiment import Experiment
 from thermoforce_mpc.loop.closed_loop import run_closed_loop
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.scenario.scenario import Scenario
@@ -116,7 +116,7 @@ def test_a_step_too_short_for_blocks_is_refused():
 def test_it_is_a_baseline_as_any_other():
     """Its actuation counts for how the machine is probed, as that of the others."""
     scenario = Scenario(testcase="bestest_hydronic_heat_pump", baselines=("pi", "thermostat"))
-    validate_scenario(scenario)
+    Experiment.of(scenario)
     options = {"actuation": {"mode": "modulating", "lowest_level": 0.6}}
     held = controller_config("pi", options, load_testcase("bestest_hydronic_heat_pump"))
     assert held.actuation.lowest_level == 0.6
@@ -130,7 +130,7 @@ def test_room_set_points_that_heat_and_cool_are_left_to_the_thermostat():
         PIController(layout=Layout.single("both", -0.5))
     for controller, baselines in (("pi", ()), ("thermostat", ("pi",))):
         with pytest.raises(ControllerConfigError, match=says):
-            validate_scenario(Scenario(testcase="bestest_air", controller={"name": controller}, baselines=baselines))
+            Experiment.of(Scenario(testcase="bestest_air", controller={"name": controller}, baselines=baselines))
 
 
 def test_twice_on_the_same_window_is_twice_the_same():

@@ -11,7 +11,7 @@ from houses import House, record
 from controllers.actuation.actuator import ActuationConfig
 from controllers.actuation.choice import choose_actuation
 from thermoforce_mpc.data import Layout
-from thermoforce_mpc.experiment.identifying import identification_settings
+from thermoforce_mpc.experiment.identifying import chosen_of, identification_settings
 from thermoforce_mpc.identification import IdentificationConfig, identify
 from thermoforce_mpc.identification.effects.level_laws import laws_of
 from thermoforce_mpc.model.machine.load import MachineLoad
@@ -149,11 +149,12 @@ def test_laws_leave_off_and_full_level_as_they_are():
 def test_a_run_asks_for_what_its_test_case_does_not_meter():
     metered = load_testcase("bestest_hydronic_heat_pump")
     scenario = Scenario(testcase=metered.name)
-    probing, config = identification_settings(scenario, metered)
+    probing, config = identification_settings(scenario, chosen_of(scenario, metered))
     assert (probing.trial_levels, probing.trial_steps, config.part_load) == ((0.5, 0.25), 4, False)
     measured = metered.measurements.model_copy(update={"heat": ()})
     blind = metered.model_copy(update={"measurements": measured})
-    probing, config = identification_settings(scenario, blind)
+    probing, config = identification_settings(scenario, chosen_of(scenario, blind))
     assert (probing.trial_levels, probing.trial_steps, config.part_load) == ((0.5, 0.25), 8, True)
     water = load_testcase("bestest_hydronic")
-    assert identification_settings(Scenario(testcase=water.name), water)[1].heat_input == "identity"
+    heated = Scenario(testcase=water.name)
+    assert identification_settings(heated, chosen_of(heated, water))[1].heat_input == "identity"

@@ -73,7 +73,14 @@ def test_a_record_tells_all_at_once_and_later_it_is_known():
     known = BlockedHours.known(found.hours, 40 * DAY_S)
     assert known.hours == found.hours
     assert BlockedHours.known((), 40 * DAY_S) == BlockedHours()
-    a_week = 40 * DAY_S + DAY_S * np.array([[6.9], [7.1]]) + 900.0 * np.arange(2)
-    assert [known.available(instants, 900.0)[0] for instants in a_week] == [1.0, 1.0]
-    midnight = 40 * DAY_S + DAY_S * np.array([[6.0], [8.0]]) + 900.0 * np.arange(2)
-    assert [known.available(instants, 900.0)[0] for instants in midnight] == [0.0, 1.0], "tried again after a week"
+    midnight = 40 * DAY_S + 900.0 * np.arange(8)
+    np.testing.assert_array_equal(known.available(midnight, 900.0), np.arange(8) < 4)  # only probing has seen it
+    confirmed = told([1.0, 1.0], [0.0, 0.0], [20.0, 20.0], known=told([1.0], [0.0], [20.0], known=known))
+    later = DAY_S * (confirmed.last_s // DAY_S + np.array([[0.0], [1.0]])) + 900.0 * np.arange(2)
+    assert [confirmed.available(instants, 900.0)[0] for instants in later] == [0.0, 1.0], "one day of it, then more"
+
+
+def test_hours_here_and_there_are_no_schedule():
+    scattered = BlockedHours.known((0, 1, 2, 10, 11, 20, 21, 23), 40 * DAY_S)
+    assert scattered.hours == frozenset()
+    assert BlockedHours.known((0, 1, 2, 20, 21, 23), 40 * DAY_S).hours == {0, 1, 2, 20, 21, 23}

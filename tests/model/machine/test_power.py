@@ -30,6 +30,24 @@ def test_levels_recover_fixed_and_proportional_part():
     np.testing.assert_allclose(model(np.array([0.0, 0.5]), 3.0), [0.0, _machine(0.5, 3.0)], rtol=1e-3)
 
 
+def test_a_record_of_three_kelvin_does_not_outvote_the_prior_of_colder_days():
+    """Of three mild days, in which what a circuit takes goes up and down for other reasons than the weather."""
+    rng = np.random.default_rng(4)
+    steps = np.arange(288)
+    T = 0.6 + 1.3 * np.sin(2 * np.pi * steps / 96)
+    swing = np.convolve(rng.standard_normal(400), np.ones(24) / np.sqrt(24.0), "valid")[:288]
+    u = np.repeat(rng.choice([0.0, 0.3, 0.6, 1.0], 36), 8)
+    power = (u > 0) * 1.5e5 * (1.0 + 0.15 * swing + 0.06 * (T - 0.6))
+    model = fit_power([machine_history(u, T, power_W=power)])
+    cold, mild, warm = (float(model(np.array([1.0]), T_out)[0]) for T_out in (-15.0, 0.6, 15.0))
+    assert mild == pytest.approx(1.5e5, rel=0.15)
+    assert 0.75 * mild < cold < 1.25 * mild
+    assert 0.75 * mild < warm < 1.25 * mild
+    both = fit_both_directions([machine_history(u, T, power_W=power * u)], u, np.zeros(288))
+    cold, warm = (float(both(np.array([1.0]), T_out)[0]) for T_out in (-15.0, 15.0))
+    assert 0.5 < cold / warm < 2.0
+
+
 def test_power_that_grows_faster_than_heat_is_told_apart():
     rng = np.random.default_rng(5)
     u, T = rng.choice([0, 0.2, 0.4, 0.7, 1.0], 400), rng.uniform(-5, 12, 400)

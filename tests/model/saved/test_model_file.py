@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,12 +11,12 @@ import pytest
 from operators import HEAT_MAP, random_features, random_operator
 
 from thermoforce_mpc.errors import ArtifactError, DataError
-from thermoforce_mpc.model.card import ModelCard
+from thermoforce_mpc.model.card import Competence, HorizonScore, ModelCard
 from thermoforce_mpc.model.free_response.rc import RcParameters
 from thermoforce_mpc.model.machine.power import PowerModel
 from thermoforce_mpc.model.operator.building import forced_rollout
 from thermoforce_mpc.model.operator.parameters import linear_operator
-from thermoforce_mpc.model.saved import ARRAYS_NAME, JSON_NAME, content_sha256
+from thermoforce_mpc.model.saved import ARRAYS_NAME, JSON_NAME, content_sha256, read_model_file, write_model_file
 from thermoforce_mpc.model.thermal_model import ThermalModel, load_model
 
 
@@ -114,6 +115,51 @@ def _edit(folder, **changes):
     document.update(changes)
     document["sha256"] = content_sha256(document)
     path.write_text(json.dumps(document))
+
+
+def _judged() -> ThermalModel:
+    """A model with what identification writes of it."""
+    operator = linear_operator([0.9], [0.4], step_s=3600.0)
+    known = {f"step_response_{h}h_K": 4.0 * (1.0 - 0.9**h) for h in (1, 8, 24)}
+    scores = tuple(HorizonScore(hours, 0.2, 0.5, 0.4, 3.0, 9) for hours in (1.0, 6.0))
+    verdict = Competence(True, horizons=scores, effect_K=known["step_response_8h_K"], effect_sd_K=0.2)
+    return ThermalModel.single(operator, card=ModelCard(source="probing", uncertainty=known, competence=verdict))
+
+
+def _verdict(**changes) -> Callable[[dict, dict], None]:
+    return lambda content, arrays: content["actuators"][0]["card"]["competence"].update(changes)
+
+
+def _gains(factor: float) -> Callable[[dict, dict], None]:
+    return lambda content, arrays: arrays.update({"pair.0.0.gains": factor * arrays["pair.0.0.gains"]})
+
+
+def _no_card(content: dict, arrays: dict) -> None:
+    _gains(1e6)(content, arrays)
+    content["actuators"][0]["card"] |= {"competence": None, "uncertainty": {}}
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (_gains(1e6), "8 h at full level change the zone by 2.278e\\+06 K"),
+        (_no_card, "at most 300 are plausible"),
+        (_gains(1.2), "step_response_1h_K is 0.4, by its arrays 0.48"),
+        (_gains(-1.0), "gains .* of sign|wrong sign"),
+        (_verdict(effect_K=9.0), "its verdict is on an effect of 9 K"),
+        (_verdict(effect_sd_K=3.0), "its effect is known to ± 132 % only"),
+        (_verdict(reasons=["too weak"]), "is not, since too weak"),
+        (_verdict(horizons=[]), "its error 1 h ahead is nan K"),
+    ],
+)
+def test_a_card_is_not_believed_where_its_arrays_or_its_own_numbers_say_otherwise(tmp_path, edit, message):
+    """All hashes are right, as in a file that somebody made."""
+    assert load_model(_judged().save(tmp_path / "true")).only.card.unfit == ""
+    content, arrays = read_model_file(tmp_path / "true")
+    edit(content, arrays)
+    write_model_file(tmp_path / "made", content, arrays)
+    with pytest.raises(ArtifactError, match=message):
+        load_model(tmp_path / "made")
 
 
 def test_damage_is_named(tmp_path, model):

@@ -93,7 +93,7 @@ def test_the_windows_are_the_published_ones_in_whatever_form_the_weather_comes(p
 
 @pytest.mark.slow
 def test_the_rule_itself_finds_the_published_peak_day(plant):
-    assert heating_windows(plant.native_power_W())["peak_heat_day"].start_s == 16 * DAY_S
+    assert heating_windows(plant.native_powers_W()["P_heat_pump"])["peak_heat_day"].start_s == 16 * DAY_S
 
 
 def test_the_boundary_is_the_test_cases_own(plant, shared):

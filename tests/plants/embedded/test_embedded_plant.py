@@ -14,8 +14,8 @@ from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S
 from thermoforce_mpc.errors import InputError
-from thermoforce_mpc.plants.embedded import EmbeddedPlant, emulator, heat_pump, schedule
-from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
+from thermoforce_mpc.plants.embedded import EmbeddedPlant, emulator, heat_pump
+from thermoforce_mpc.plants.embedded.houses import HEAT_PUMP_HOUSE
 from thermoforce_mpc.plants.embedded.kernel import integrals
 from thermoforce_mpc.protocols import Plant
 
@@ -50,11 +50,12 @@ def test_saturation_pressure_of_r410a(T, pressure):
 
 
 def test_the_network_holds_the_published_node_capacities():
-    net = build_network()
-    top = net.capacity[net.pipe - 2 : net.pipe + 1] / 1e6
+    net = HEAT_PUMP_HOUSE.envelope
+    pipe, slab = net.heated
+    top = net.capacity[pipe - 2 : pipe + 1] / 1e6
     np.testing.assert_allclose(top, [1.693, 6.129, 4.717], atol=1e-3)
-    np.testing.assert_allclose(net.coupling[net.pipe - 2 : net.pipe + 1], [26880.0, 2304.0, 57.6])
-    assert net.capacity[net.slab] / 1e6 == pytest.approx(12.70 + 16.32, abs=0.01)
+    np.testing.assert_allclose(net.coupling[pipe - 2 : pipe + 1], [26880.0, 2304.0, 57.6])
+    assert net.capacity[slab] / 1e6 == pytest.approx(12.70 + 16.32, abs=0.01)
 
 
 def test_any_control_step_gives_the_same_bytes(weather):
@@ -176,11 +177,11 @@ def test_kpis_count_from_the_end_of_the_warm_up_and_add_up(plant):
     plant.reset(10 * DAY_S, 2 * DAY_S, "dynamic")
     parts = [plant.advance(None, 900) for _ in range(96)]
     kpis = plant.kpis()
-    energy = sum(part.power_W[0] * 900 / 3.6e6 for part in parts) / AREA_M2
+    energy = sum(part.power_W[0] * 900 / 3.6e6 for part in parts) / HEAT_PUMP_HOUSE.area_m2
     assert kpis["ener_tot"] == pytest.approx(energy, rel=2e-3)
     assert kpis["emis_tot"] == pytest.approx(0.167 * kpis["ener_tot"])
     assert 0.2383 < kpis["cost_tot"] / kpis["ener_tot"] < 0.2666
-    assert kpis["pele_tot"] >= max(part.power_W[0] for part in parts) / 1e3 / AREA_M2 * 0.99
+    assert kpis["pele_tot"] >= max(part.power_W[0] for part in parts) / 1e3 / HEAT_PUMP_HOUSE.area_m2 * 0.99
 
 
 def test_kpis_asked_at_every_step_are_those_of_the_whole_record(weather, monkeypatch):
@@ -197,7 +198,7 @@ def test_kpis_asked_at_every_step_are_those_of_the_whole_record(weather, monkeyp
 
     def check(price):
         record = plant.recorded(30 * DAY_S + 10.0, 1e9)
-        lower, upper = schedule.bounds_C(record["time"])
+        lower, upper = plant.case.schedule.bounds_C(record["time"])
         expected = compute_kpis(
             record["time"],
             power_W=record["P_heat_pump"] + record["P_fan"] + record["P_pump"],
@@ -208,7 +209,7 @@ def test_kpis_asked_at_every_step_are_those_of_the_whole_record(weather, monkeyp
             co2_limit_ppm=894.0,
             price_per_kWh=plant.tariff(price)(record["time"]),
             emission_kg_per_kWh=np.full(record["time"].size, 0.167),
-            area_m2=AREA_M2,
+            area_m2=HEAT_PUMP_HOUSE.area_m2,
         )
         assert plant.kpis() == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
@@ -265,7 +266,7 @@ def test_the_forecast_carries_bounds_as_the_test_case_samples_them(plant):
 @pytest.mark.parametrize("level", ["low", "medium", "high"])
 def test_forecast_errors_are_seeded_and_leave_the_plant_alone(weather, level):
     def forecast(seed):
-        plant = EmbeddedPlant(weather, forecast_error=ForecastError(level, seed))
+        plant = EmbeddedPlant(weather, forecast_error=ForecastError(level, level, seed))
         plant.reset(100 * DAY_S, 0)
         return plant.forecast(DAY_S, 3600), plant.advance(0.0, 3600)
 
@@ -284,7 +285,7 @@ def test_forecast_errors_are_seeded_and_leave_the_plant_alone(weather, level):
 
 
 def test_a_long_horizon_is_refused_under_uncertainty(weather):
-    plant = EmbeddedPlant(weather, forecast_error=ForecastError("low", 1))
+    plant = EmbeddedPlant(weather, forecast_error=ForecastError("low", "low", 1))
     plant.reset(100 * DAY_S, 0)
     plant.advance(0.0, 900.0)
     assert plant.forecast(48 * 3600, 900.0).n_steps == 192, "48 h from now, whatever the minute"
@@ -352,7 +353,7 @@ def test_the_machine_runs_at_the_first_sample(plant):
     second = plant.advance(0.0, 30).points
     assert second["reaPHeaPum_y"] == 0.0
     watts = 2444.4 + 530.7
-    assert plant.kpis()["pele_tot"] == pytest.approx(watts / 2 / 1e3 / AREA_M2, rel=1e-3), "trapezoid, first sample on"
+    assert plant.kpis()["pele_tot"] == pytest.approx(watts / 2 / 1e3 / 192.0, rel=1e-3), "trapezoid, first sample on"
 
 
 def test_native_control_follows_the_clock_at_the_very_sample(plant):

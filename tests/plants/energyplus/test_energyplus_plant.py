@@ -144,21 +144,21 @@ def test_a_scenario_runs_to_its_end(tmp_path):
 
 
 def test_without_the_engine_it_says_what_to_install(monkeypatch):
-    from thermoforce_mpc.experiment import checks
+    from thermoforce_mpc.experiment.experiment import Experiment
     from thermoforce_mpc.plants.energyplus import engine
 
     monkeypatch.setattr(engine.importlib.util, "find_spec", lambda name: None)
     scenario = Scenario(testcase="energyplus:heating_chicago")
     with pytest.raises(ConfigError, match=r"pip install 'thermoforce-mpc\[energyplus\]'"):
-        checks.validate_scenario(scenario)
+        Experiment.of(scenario)
 
 
 def test_its_own_weather_is_not_replaced_in_silence():
-    from thermoforce_mpc.experiment.checks import validate_scenario
+    from thermoforce_mpc.experiment.experiment import Experiment
 
     scenario = Scenario(testcase="energyplus:heating_chicago", plant={"weather": "Brussels.mos"})
     with pytest.raises(ConfigError, match=r"plant\.weather"):
-        validate_scenario(scenario)
+        Experiment.of(scenario)
 
 
 @needs_engine

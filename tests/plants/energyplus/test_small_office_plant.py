@@ -210,7 +210,7 @@ def test_the_same_actions_give_the_same_bits_and_an_uncertain_forecast_keeps_bou
             told(plant, 900.0, **rooms)
         return plant.past(900.0), plant.forecast(DAY_S, HOUR_S)
 
-    with office() as plant, office(forecast_error=ForecastError("medium", 1)) as erring:
+    with office() as plant, office(forecast_error=ForecastError("medium", "medium", 1)) as erring:
         (a, exact), (b, uncertain) = run(plant), run(erring)
     for name in ("T_zone_C", "heat_W", "power_W", "u"):
         assert getattr(a, name).tobytes() == getattr(b, name).tobytes()

@@ -91,7 +91,7 @@ def test_windows_are_those_of_the_fmu(file):
 
 @pytest.mark.slow
 def test_forecast_errors_leave_the_truth_alone(file):
-    with FmuPlant(file, TESTCASE, forecast_error=ForecastError("high", 3)) as plant:
+    with FmuPlant(file, TESTCASE, forecast_error=ForecastError("high", "high", 3)) as plant:
         plant.reset(30 * DAY_S, 0.0)
         seen = plant.forecast(DAY_S, HOUR_S)
         truth = synthetic_weather().at("T_dry_C", seen.time_s)

@@ -20,7 +20,7 @@ import numpy as np
 from thermoforce_mpc.boundary.weather import synthetic_weather
 from thermoforce_mpc.data import DAY_S, Period
 from thermoforce_mpc.plants.embedded import EmbeddedPlant
-from thermoforce_mpc.plants.embedded.emulator import MEASUREMENTS, OVERWRITES
+from thermoforce_mpc.plants.embedded.cases import HEAT_PUMP
 
 NAME = "bestest_hydronic_heat_pump"
 _FORECAST = {
@@ -141,7 +141,7 @@ class Service:
 
     def _inputs(self, testid, plant, body):
         out = {}
-        for name, low, high in OVERWRITES:
+        for name, low, high in HEAT_PUMP.overwrites:
             unit = "K" if name == "oveTSet" else "1"
             out[f"{name}_u"] = {"Unit": unit, "Description": name, "Minimum": low, "Maximum": high}
             out[f"{name}_activate"] = {"Unit": None, "Description": name, "Minimum": None, "Maximum": None}
@@ -150,7 +150,7 @@ class Service:
     def _measurements(self, testid, plant, body):
         return {
             name: {"Unit": unit_of(name), "Description": name, "Minimum": None, "Maximum": None}
-            for name in MEASUREMENTS
+            for name in HEAT_PUMP.measurements
         }
 
     def _forecast_points(self, testid, plant, body):
@@ -159,7 +159,7 @@ class Service:
 
     def _now(self, plant):
         record = plant.recorded(plant.now_s, plant.now_s)
-        points = {name: float(record[column][-1]) for name, column in MEASUREMENTS.items()}
+        points = {name: float(record[column][-1]) for name, column in HEAT_PUMP.measurements.items()}
         level = float(record["level"][-1]) if plant.now_s > plant.begin_s else 0.0
         # JSON has no NaN: the service writes null.
         points = {name: None if np.isnan(value) else value for name, value in points.items()}
@@ -203,7 +203,7 @@ class Service:
             self.message = "End of test case scenario time period reached."
             return {}
         overrides = {}
-        for name, low, high in OVERWRITES:
+        for name, low, high in HEAT_PUMP.overwrites:
             if body.get(f"{name}_activate"):
                 value = float(body[f"{name}_u"])
                 overrides[name] = min(max(value, low), high)
@@ -232,8 +232,8 @@ class Service:
             raise Bare(500, {"status": 500, "message": "Internal BOPTEST error", "payload": reason})
         out = {"time": record["time"].tolist()}
         for name in body["point_names"]:
-            if name in MEASUREMENTS:
-                column = MEASUREMENTS[name]
+            if name in HEAT_PUMP.measurements:
+                column = HEAT_PUMP.measurements[name]
             elif name == "oveHeaPumY_u":
                 column = "level"
             elif name.startswith("ove"):

@@ -1,25 +1,104 @@
-"""Deterministic synthetic weather year of a temperate-maritime climate, the default without a weather file.
+"""Deterministic synthetic weather year of a climate, the default without a weather file.
 
-Seasonal and daily cycles, passing weather systems and clouds with the statistics of a north-west European coast, not a
-real site; the name says 'synthetic'. Comparison with a measured year: docs/how-it-works/plants.md.
+Seasonal and daily cycles, passing weather systems and clouds with the statistics of a north-west European coast, or of
+a high plain in the middle of a continent, not a real site; the name says 'synthetic'. Comparison with measured years:
+docs/how-it-works/plants.md.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from thermoforce_mpc.boundary.weather.year import STEFAN_BOLTZMANN_W_M2_K4, Weather, black_body_sky_C
+from thermoforce_mpc.boundary.weather.year import (
+    STEFAN_BOLTZMANN_W_M2_K4,
+    Weather,
+    black_body_sky_C,
+    vapour_pressure_Pa,
+)
 from thermoforce_mpc.data import HOUR_S, YEAR_S, ZERO_C_K, Array
 
 _HOURS = 8760
-# Transmittance of a hazy maritime sky relative to Haurwitz' clear sky.
-_TURBIDITY = 0.86
-_LATITUDE, _LONGITUDE, _ZONE = 51.0, 4.5, 1.0
 # Value of IWEC files for an unlimited ceiling.
 _UNLIMITED_CEILING_M = 22_000.0
 
 
-def synthetic_weather(seed: int = 0, *, warmer_K: float = 0.0, clearer: float = 0.0) -> Weather:
+@dataclass(frozen=True)
+class SyntheticClimate:
+    """Statistics of a climate, and the place whose sun it has.
+
+    Attributes:
+        name: as the year's name says it.
+        latitude_deg, longitude_deg, timezone_h: the place.
+        mean_C, season_K: mean of the year, and half of what summer is warmer than winter.
+        systems_K: deviation by weather systems of 90 h and fronts of 14 h.
+        swing_K: half of the daily swing in winter, and how much more it is in summer.
+        cover: mean, and deviations of 18 h and 4 h, of the cloud process.
+        transmittance: of its sky relative to Haurwitz' clear sky.
+        dry_K: how far the dew point lies below, overcast, and how much further when clear.
+        wind_m_s: mean and deviation of the wind.
+        wind_from_deg, wind_veers_rad: where it comes from, and deviation.
+        pressure_Pa: mean pressure.
+    """
+
+    name: str
+    latitude_deg: float
+    longitude_deg: float
+    timezone_h: float
+    mean_C: float
+    season_K: float
+    systems_K: tuple[float, float]
+    swing_K: tuple[float, float]
+    cover: tuple[float, float, float]
+    transmittance: float
+    dry_K: tuple[float, float]
+    wind_m_s: tuple[float, float]
+    wind_from_deg: float
+    wind_veers_rad: float
+    pressure_Pa: float
+
+
+MARITIME = SyntheticClimate(
+    name="temperate-maritime",
+    latitude_deg=51.0,
+    longitude_deg=4.5,
+    timezone_h=1.0,
+    mean_C=10.3,
+    season_K=7.0,
+    systems_K=(3.1, 1.2),
+    swing_K=(1.2, 3.2),
+    cover=(0.55, 0.85, 0.5),
+    transmittance=0.86,
+    dry_K=(1.2, 3.0),
+    wind_m_s=(3.9, 1.9),
+    wind_from_deg=235.0,
+    wind_veers_rad=1.0,
+    pressure_Pa=101_300.0,
+)
+# Of the order of the year of `bestest_air` (Denver).
+CONTINENTAL = SyntheticClimate(
+    name="continental",
+    latitude_deg=39.8,
+    longitude_deg=-104.9,
+    timezone_h=-7.0,
+    mean_C=9.7,
+    season_K=11.5,
+    systems_K=(3.9, 2.0),
+    swing_K=(5.0, 1.8),
+    cover=(-0.25, 0.85, 0.5),
+    transmittance=1.08,
+    dry_K=(5.5, 10.5),
+    wind_m_s=(4.0, 2.1),
+    wind_from_deg=190.0,
+    wind_veers_rad=1.6,
+    pressure_Pa=83_500.0,
+)
+
+
+def synthetic_weather(
+    seed: int = 0, *, warmer_K: float = 0.0, clearer: float = 0.0, climate: SyntheticClimate = MARITIME
+) -> Weather:
     """Return the synthetic year of `seed`; the same arguments give the same bytes.
 
     `warmer_K` shifts the outdoor temperature over the whole year, `clearer` the cloud process towards a clear sky, in
@@ -29,26 +108,31 @@ def synthetic_weather(seed: int = 0, *, warmer_K: float = 0.0, clearer: float = 
     hour = np.arange(float(_HOURS))
     day = hour / 24.0
     # Weather systems of about 90 h and fronts of 14 h.
-    systems = 3.1 * _periodic_noise(rng, 90.0) + 1.2 * _periodic_noise(rng, 14.0)
-    cover = _cover(rng, clearer)
+    systems = climate.systems_K[0] * _periodic_noise(rng, 90.0) + climate.systems_K[1] * _periodic_noise(rng, 14.0)
+    cover = _cover(rng, clearer, climate)
     clear = 1.0 - cover
     season = -np.cos(2.0 * np.pi * (day - 20.0) / 365.0)  # coldest around 20 January
     # The daily amplitude rises in summer and falls with cloud cover.
-    swing = (1.2 + 3.2 * (season + 1.0) / 2.0) * (0.35 + 1.1 * clear)
+    swing = (climate.swing_K[0] + climate.swing_K[1] * (season + 1.0) / 2.0) * (0.35 + 1.1 * clear)
     cycle = np.cos(2.0 * np.pi * (hour % 24 - 15.0) / 24.0)
     # Clear winter weather is cold, clear summer weather warm.
-    T_dry = 10.3 + warmer_K + 7.0 * season + systems + swing * cycle + 4.0 * (clear - 0.35) * season
-    depression = np.clip(1.2 + 3.0 * clear + 2.5 * np.maximum(cycle, 0) * (season + 1.2) / 2.2, 0.3, 12.0)
-    wind = np.clip(3.9 - 0.7 * season + 1.9 * _periodic_noise(rng, 16.0) + 0.5 * cycle, 0.0, 20.0)
-    wind_from = np.mod(np.deg2rad(235.0) + 1.0 * _periodic_noise(rng, 40.0), 2.0 * np.pi)
-    pressure = 101_300.0 + 900.0 * _periodic_noise(rng, 70.0)
-    global_, normal, diffuse = _radiation(hour, cover)
+    T_dry = climate.mean_C + warmer_K + climate.season_K * season + systems + swing * cycle
+    T_dry = T_dry + 4.0 * (clear - 0.35) * season
+    overcast_K, clear_K = climate.dry_K
+    depression = overcast_K + clear_K * clear + 2.5 * np.maximum(cycle, 0) * (season + 1.2) / 2.2
+    depression = np.clip(depression, 0.3, 12.0 + clear_K - 3.0)
+    wind_m_s, gusts = climate.wind_m_s
+    wind = np.clip(wind_m_s - 0.7 * season + gusts * _periodic_noise(rng, 16.0) + 0.5 * cycle, 0.0, 20.0)
+    wind_from = np.deg2rad(climate.wind_from_deg) + climate.wind_veers_rad * _periodic_noise(rng, 40.0)
+    wind_from = np.mod(wind_from, 2.0 * np.pi)
+    pressure = climate.pressure_Pa + 900.0 * _periodic_noise(rng, 70.0)
+    global_, normal, diffuse = _radiation(hour, cover, climate)
     T_dry, T_dew, cover = np.round(T_dry, 1), np.round(T_dry - depression, 1), np.round(cover, 1)
     return Weather(
-        name=f"synthetic temperate-maritime year (seed {seed}{_shifts(warmer_K, clearer)})",
-        latitude_deg=_LATITUDE,
-        longitude_deg=_LONGITUDE,
-        timezone_h=_ZONE,
+        name=f"synthetic {climate.name} year (seed {seed}{_shifts(warmer_K, clearer)})",
+        latitude_deg=climate.latitude_deg,
+        longitude_deg=climate.longitude_deg,
+        timezone_h=climate.timezone_h,
         T_dry_C=T_dry,
         T_dew_C=T_dew,
         global_W_m2=np.round(global_),
@@ -58,7 +142,7 @@ def synthetic_weather(seed: int = 0, *, warmer_K: float = 0.0, clearer: float = 
         wind_from_rad=wind_from,
         opaque_cover=cover,
         pressure_Pa=np.round(pressure, -2),
-        relative_humidity=_vapour_pressure_Pa(T_dew) / _vapour_pressure_Pa(T_dry),
+        relative_humidity=vapour_pressure_Pa(T_dew) / vapour_pressure_Pa(T_dry),
         infrared_W_m2=STEFAN_BOLTZMANN_W_M2_K4 * (black_body_sky_C(T_dry, T_dew, cover) + ZERO_C_K) ** 4,
         total_cover=cover,
         ceiling_m=np.full(_HOURS, _UNLIMITED_CEILING_M),
@@ -67,11 +151,6 @@ def synthetic_weather(seed: int = 0, *, warmer_K: float = 0.0, clearer: float = 
 
 def _shifts(warmer_K: float, clearer: float) -> str:
     return (f", {warmer_K:+.1f} K" if warmer_K else "") + (f", {clearer:+.2f} clearer" if clearer else "")
-
-
-def _vapour_pressure_Pa(T_C: Array) -> Array:
-    """Return saturation pressure over water, supercooled below 0 °C (Magnus formula, Alduchov 1996)."""
-    return np.asarray(610.94 * np.exp(17.625 * T_C / (T_C + 243.04)))
 
 
 def _periodic_noise(rng: np.random.Generator, hours: float) -> Array:
@@ -85,13 +164,14 @@ def _periodic_noise(rng: np.random.Generator, hours: float) -> Array:
     return np.asarray(noise / noise.std())
 
 
-def _cover(rng: np.random.Generator, clearer: float) -> Array:
+def _cover(rng: np.random.Generator, clearer: float, climate: SyntheticClimate) -> Array:
     """Return opaque cover, 0 to 1: often overcast, sometimes clear, rarely in between."""
-    state = 0.85 * _periodic_noise(rng, 18.0) + 0.5 * _periodic_noise(rng, 4.0) + 0.55 - clearer
+    mean, slow, quick = climate.cover
+    state = slow * _periodic_noise(rng, 18.0) + quick * _periodic_noise(rng, 4.0) + mean - clearer
     return np.asarray(np.clip(0.5 + 0.55 * np.tanh(1.3 * state), 0.0, 1.0))
 
 
-def _radiation(hour: Array, cover: Array) -> tuple[Array, Array, Array]:
+def _radiation(hour: Array, cover: Array, climate: SyntheticClimate) -> tuple[Array, Array, Array]:
     """Return global horizontal, direct normal and diffuse horizontal irradiance, W/m², means over the hour that ends.
 
     Clear sky after Haurwitz (1945), cover factor after Kasten and Czeplak (1980), diffuse share after Erbs, Klein and
@@ -103,9 +183,9 @@ def _radiation(hour: Array, cover: Array) -> tuple[Array, Array, Array]:
 
     minutes = (np.arange(6) + 0.5) * 600.0 - HOUR_S
     time_s = hour[:, None] * HOUR_S + minutes[None, :]
-    sun = sun_position(np.mod(time_s, YEAR_S), _LATITUDE, _LONGITUDE, _ZONE)
+    sun = sun_position(np.mod(time_s, YEAR_S), climate.latitude_deg, climate.longitude_deg, climate.timezone_h)
     cos_zenith = np.maximum(np.cos(sun.zenith), 0.0)
-    global_ = (_TURBIDITY * clear_sky_W_m2(sun) * (1.0 - 0.75 * cover[:, None] ** 3.4)).mean(axis=1)
+    global_ = (climate.transmittance * clear_sky_W_m2(sun) * (1.0 - 0.75 * cover[:, None] ** 3.4)).mean(axis=1)
     cos_mean = cos_zenith.mean(axis=1)
     clearness = np.clip(global_ / np.maximum(1367.0 * cos_mean, 1.0), 0.0, 0.85)
     diffuse_share = np.where(

@@ -136,3 +136,8 @@ def black_body_sky_C(T_dry_C: Array, T_dew_C: Array, opaque_cover: Array) -> Arr
     clear = 0.787 + 0.764 * np.log((T_dew_C + ZERO_C_K) / ZERO_C_K)
     emissivity = clear * (1.0 + 0.0224 * tenths - 0.0035 * tenths**2 + 0.00028 * tenths**3)
     return np.asarray((T_dry_C + ZERO_C_K) * emissivity**0.25 - ZERO_C_K)
+
+
+def vapour_pressure_Pa(T_C: Array) -> Array:
+    """Return saturation pressure over water, supercooled below 0 °C (Magnus formula, Alduchov 1996)."""
+    return np.asarray(610.94 * np.exp(17.625 * T_C / (T_C + 243.04)))

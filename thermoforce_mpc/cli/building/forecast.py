@@ -60,6 +60,7 @@ def forecast(
       tf-mpc forecast --model my_house --data 2026.csv --map map.yaml --start 2026-01-20
     """
     from thermoforce_mpc.measurements.load import read_measurements
+    from thermoforce_mpc.model.forecast_gaps import completed
     from thermoforce_mpc.model.thermal_model import load_model
 
     if (forecast_file is None) == (start is None):
@@ -69,7 +70,7 @@ def forecast(
     if forecast_file and level is None and schedule is None:
         raise click.UsageError("give the levels ahead: --level or --schedule")
     thermal = load_model(model)
-    measured = read_measurements(list(files), map_file).served()
+    measured = read_measurements(list(files), map_file, at="begin" if start else "end").served()
     record = measured.record
     check_same_building(f"--model {model}:", thermal.names, f"the map {map_file}", record.names)
     n = round(hours * HOUR_S / record.step_s)
@@ -87,7 +88,9 @@ def forecast(
         past, ahead = record, read_forecast(str(forecast_file), neutral_measured)
         if ahead.n_steps < n:
             raise DataError(f"--forecast {forecast_file}: covers {ahead.n_steps} steps, {hours:g} h need {n}")
-        ahead = ahead.head(n)
+        ahead, filled = completed(ahead.head(n), past, None)
+        if filled:
+            click.echo(filled[0].upper() + filled[1:])
     if level is not None or schedule is not None:
         applied = levels_of(schedule, level, record.names, ahead.time_s[:-1], record.origin)
     elif applied is None or not np.isfinite(applied).all():

@@ -69,9 +69,8 @@ def identify(**options: Any) -> None:
         return
     if options["data_days"] is not None:
         raise click.UsageError("--data-days belongs to --data")
-    from thermoforce_mpc.experiment.checks import validate_scenario
+    from thermoforce_mpc.experiment.experiment import Experiment
     from thermoforce_mpc.experiment.identifying import identification_task, run_identification
-    from thermoforce_mpc.plants.registry import build_plant
     from thermoforce_mpc.report.display import RunDisplay
     from thermoforce_mpc.scenario.scenario import Scenario
     from thermoforce_mpc.scenario.settings import merge, validate
@@ -80,11 +79,11 @@ def identify(**options: Any) -> None:
     if options["probe_days"] is not None:
         changed = merge(scenario.model_dump(), {"identification": {"days": options["probe_days"]}})
         scenario = validate(Scenario, changed, "--probe-days")
-    testcase = validate_scenario(scenario)
-    task = identification_task(scenario, testcase)
+    experiment = Experiment.of(scenario)
+    task = identification_task(scenario, experiment.own.chosen)
     display = RunDisplay()
     records: list[Record] = []
-    with closing(build_plant(scenario.plant, testcase, scenario.seed, scenario.comfort)) as plant:
+    with closing(experiment.plant.build()) as plant:
         display.say(f"Plant: {plant.info.kind} {plant.info.testcase}\nWeather: {plant.info.weather}")
         with display.probing(task.in_words()) as progress:
             model = run_identification(task, plant, records.append, progress, say=display.say)

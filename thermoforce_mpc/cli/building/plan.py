@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -10,13 +11,23 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from thermoforce_mpc.cli.building.courses import on_clock, write_json_file, write_picture, write_table
 from thermoforce_mpc.cli.building.identify import NOT_COMPETENT
-from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option, model_option, out_option, plot_option
-from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Observation, Plan, PlannedSaving
+from thermoforce_mpc.cli.options import (
+    PATH,
+    FiniteRange,
+    map_option,
+    model_option,
+    out_option,
+    own_prices_option,
+    plot_option,
+)
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Layout, Observation, Plan, PlannedSaving
 from thermoforce_mpc.data.names import check_same_building
 from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.measurements.map.mapping import MOST_STEP_S
 from thermoforce_mpc.report.display import RunDisplay
 from thermoforce_mpc.report.whole_tables import plain_table, print_whole
 from thermoforce_mpc.scenario.settings import parse_overrides, validate
@@ -28,6 +39,8 @@ if TYPE_CHECKING:
 
 # Least and usual length of a plan, h, and how much of the measurements it looks back at, days.
 _LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 28.0
+# Least step of a plan, s: that of the controller.
+_LEAST_STEP_S = 300.0
 
 
 @click.command()
@@ -35,7 +48,8 @@ _LEAST_H, _USUAL_H, _BACK_DAYS = 6.0, 48.0, 28.0
 @click.option("--data", "files", required=True, multiple=True, metavar="FILE", help="Recent measurements; repeatable.")
 @map_option
 @click.option("--forecast", required=True, metavar="FILE", help="Weather, prices and bounds from their end on.")
-@click.option("--step", default="60min", help="Step of the plan.")
+@own_prices_option
+@click.option("--step", default="60min", help="Step of the plan, 5min to 1h.")
 @click.option("--hours", type=FiniteRange(_LEAST_H, 96.0), help="Length.  [default: the forecast's, up to 48]")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any option of the controller.")
 @click.option("--commands", "commands_file", type=PATH, help="Write the commands as .csv or .json.")
@@ -46,6 +60,7 @@ def plan(
     files: tuple[str, ...],
     map_file: Path,
     forecast: str,
+    prices: Path | None,
     step: str,
     hours: float | None,
     assignments: tuple[str, ...],
@@ -60,8 +75,12 @@ def plan(
     numbers. Nothing is connected: set the levels yourself, and plan again when new measurements are there.
 
     Where the map names a command of an actuator (docs/how-it-works/commands.md), that is what to set, with what it
-    saves against leaving the building alone. Of others the level is: between 0 and 1 of a machine that is only on or
-    off it means that share of the step.
+    saves against leaving the building alone. Of others the level is.
+
+    A level between 0 and 1 of a machine that is only on or off means that share of the step. Where a step does not hold
+    its minimum on and off times (actuation.min_on_s, min_off_s), levels are those of runs that keep them, also towards
+    the last levels of the record. An actuator whose model may not act has no level ("own control", null in JSON, empty
+    in CSV), nor have rooms that it alone serves a temperature, or its machine a power.
 
     Exit code 4 where the model is not competent, 1 where readings, forecast or solver give no plan: leave the building
     to its own control then.
@@ -70,22 +89,21 @@ def plan(
     Example:
       tf-mpc plan --model my_house --data recent.csv --map map.yaml --forecast tomorrow.csv --out plan.csv
     """
+    from controllers.checks import ControllerConfigError
     from controllers.mpc.config import MPCConfig
     from controllers.mpc.controller import ThermoForceMPC
     from thermoforce_mpc.measurements.forecast import read_forecast
     from thermoforce_mpc.measurements.load import learned_commands, read_measurements
     from thermoforce_mpc.model.thermal_model import load_model
 
-    try:
-        step_s = pd.Timedelta(step).total_seconds()
-    except ValueError as error:
-        raise click.BadParameter(f"{step}: write for example 15min or 1h", param_hint="--step") from error
+    step_s = _seconds(step)
     display = RunDisplay()
     thermal = load_model(model)
-    measured = read_measurements(files, map_file, step_s=step_s).served()
+    measured = read_measurements(files, map_file, step_s=step_s, at="end").served()
     record = measured.record
     check_same_building(f"--model {model}:", thermal.names, str(map_file), record.names)
-    ahead = read_forecast(forecast, measured)
+    notes: list[str] = []
+    ahead = read_forecast(forecast, measured, prices=prices, left_out=notes)
     there_h = ahead.n_steps * step_s / HOUR_S
     horizon_h = min(_USUAL_H, there_h) if hours is None else hours
     if there_h < (hours or _LEAST_H):
@@ -93,29 +111,43 @@ def plan(
             f"--forecast {forecast}: covers {there_h:g} h from {record.stamps()[-1]} on, need {hours or _LEAST_H:g}"
         )
     history = record.last(round(_BACK_DAYS * DAY_S / step_s))
-    chosen = {"step_s": step_s, "horizon_h": horizon_h} | parse_overrides(assignments)
+    chosen = {"step_s": step_s, "horizon_h": horizon_h, "whole_runs": True} | parse_overrides(assignments)
+    config = validate(MPCConfig, chosen, "--set")
     if commands_file is not None:
         if not measured.commands:
             raise ConfigError(f"--commands {commands_file}: --map {map_file} names no command of an actuator")
         if commands_file.suffix not in (".csv", ".json"):
             raise ConfigError(f"--commands {commands_file}: a .csv or .json file")
     commands = learned_commands(measured)
-    controller = ThermoForceMPC(thermal, validate(MPCConfig, chosen, "--set"), commands=commands)
+    try:
+        controller = ThermoForceMPC(thermal, config, commands=commands)
+    except ControllerConfigError as error:
+        if "block_s" not in str(error):
+            raise
+        least = 2.0 * max(config.actuation_of(name).block_s for name in record.names.actuators) / 60.0
+        raise ControllerConfigError(
+            f"--step {step}: a plan of on/off blocks has {least:g}min to 1h; {error}"
+        ) from error
+    ahead = ahead.head(round(controller.horizon_s / step_s))
     plan = controller.plan(Observation(history, ahead))
-    display.say(f"Plan from {record.stamps()[-1]} for {horizon_h:g} h: {plan.why}")
+    display.say(f"Plan from {record.stamps()[-1]} for {horizon_h:.4g} h: {plan.why}")
     display.say(f"Actuation: {controller.actuation_in_words}")
+    for note in notes:
+        display.say(f"Prices: {note}")
     if not plan.u.size:
         display.say("There is no plan: leave the building to its own control.")
         click.get_current_context().exit(NOT_COMPETENT if plan.status == "gate" else 1)
-    table = plan_table(plan, ahead.head(plan.u.shape[1]))
-    _show(plan, table, display)
+    table = plan_table(plan, ahead.head(plan.u.shape[1]), measured.layout)
+    _show(plan, table, measured.layout, display)
     found = command_rows(plan, commands)
     if commands:
         _show_commands(plan, found, display)
     if commands_file is not None:
         _write_commands(commands_file, plan, found, display)
     if out is not None:
+        acting = dict(zip(plan.names.actuators, map(str, plan.acting), strict=True))
         beside: dict[str, Any] = {"status": str(plan.status), "why": plan.why, "solver": plan.solver_status}
+        beside["acting"] = acting
         if commands:
             beside |= {"commands": found, "saving": _saving_json(plan)}
         write_table(out, table, display.console, "Plan", **beside)
@@ -123,10 +155,36 @@ def plan(
         write_picture(plot, drawn_plan(plan, table, ahead.head(plan.u.shape[1])), display.console)
 
 
-def plan_table(plan: Plan, ahead: Boundary) -> pd.DataFrame:
-    """The plan, one row per step at its start: `Plan.to_dataframe` with weather, bounds, price and cost of the step."""
-    table = plan.to_dataframe()
+def _seconds(step: str) -> float:
+    """The step of a plan, s; raises `ConfigError` for what is none."""
+    possible = f"write one from {_LEAST_STEP_S / 60.0:g}min to {MOST_STEP_S / HOUR_S:g}h, such as 15min"
+    try:
+        seconds = pd.Timedelta(step).total_seconds()
+    except ValueError as error:
+        raise ConfigError(f"--step {step}: is no duration; {possible}") from error
+    if re.fullmatch(r"[\d\s.+-]+", step):  # pandas takes it for nanoseconds
+        raise ConfigError(f"--step {step}: has no unit; {possible}")
+    if not _LEAST_STEP_S <= seconds <= MOST_STEP_S:
+        raise ConfigError(f"--step {step}: is no step of a plan; {possible}")
+    return seconds
+
+
+def plan_table(plan: Plan, ahead: Boundary, layout: Layout | None = None) -> pd.DataFrame:
+    """The plan, one row per step at its start: `Plan.to_dataframe` with weather, bounds, price and cost of the step.
+
+    With the `layout` of the building, temperatures of zones that no planned actuator serves are NaN, and power of
+    machines that feed others.
+    """
     names = plan.names
+    zones, machines = _told(plan, layout)
+    table = plan.to_dataframe()
+    for names_of, told, signals in (
+        (names.zones, zones, ("T_zone_C", "T_low_C", "T_high_C", "T_free_C", "T_forced_K", "slack_K")),
+        (names.machines, machines, ("power_W",)),
+    ):
+        for row in range(len(names_of)):
+            if not told[row]:
+                table[[names.label(signal, row) for signal in signals]] = np.nan
     hours = ahead.step_s / HOUR_S
     table["T_out_C"], table["solar_W_m2"] = ahead.T_out_C[:-1], ahead.solar_W_m2[:-1]
     bounds = names.columns(lower_C=ahead.lower_C[:, 1:], upper_C=ahead.upper_C[:, 1:])
@@ -134,7 +192,8 @@ def plan_table(plan: Plan, ahead: Boundary) -> pd.DataFrame:
     prices = names.columns(price_per_kWh=price)
     for name, values in (bounds | prices).items():
         table[name] = values
-    table["cost"] = (plan.power_W / 1000.0 * hours * price).sum(axis=0)
+    cost = plan.power_W / 1000.0 * hours * price
+    table["cost"] = cost[machines].sum(axis=0) if machines.any() else np.nan
     return table
 
 
@@ -196,31 +255,66 @@ def _write_commands(path: Path, plan: Plan, rows: list[dict[str, Any]], display:
     display.say(f"Commands: {path}")
 
 
-def _show(plan: Plan, table: pd.DataFrame, display: RunDisplay) -> None:
+def _told(plan: Plan, layout: Layout | None) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Zones (Z,) of whose temperature a plan tells, and machines (M,) of whose power: those that follow it."""
+    followed = plan.followed
+    if layout is None:
+        return np.ones(len(plan.names.zones), dtype=bool), np.ones(len(plan.names.machines), dtype=bool)
+    served = [layout.actuators_of(z) for z in range(len(plan.names.zones))]
+    zones = [not own or bool(followed[own].any()) for own in served]
+    machines = [bool(followed[layout.fed_by(m)].all()) for m in range(len(plan.names.machines))]
+    return np.array(zones), np.array(machines)
+
+
+def _show(plan: Plan, table: pd.DataFrame, layout: Layout, display: RunDisplay) -> None:
     names, one_zone = plan.names, len(plan.names.zones) == 1
+    zones_told, machines_told = _told(plan, layout)
     title = "Levels to set (of a machine that is on or off: share of the step), and what they lead to by its end"
     zones = [f"{zone}, °C{' (80 % band)' if one_zone else ''}" for zone in names.zones]
     bounds = ["bounds, °C"] if one_zone else []
     shown = plain_table(["from", *names.actuators, *zones, *bounds, "power, kW", "price", "cost"], title)
-    prices = names.columns(price_per_kWh=plan.power_W)
-    day = ""
+    machines = names.columns(price_per_kWh=plan.power_W)
+    day, power_W = "", plan.power_W[machines_told]
     for k, (at, row) in enumerate(table.iterrows()):
         cells = [f"{at:%a %d %b %H:%M}" if f"{at:%j}" != day else f"{at:%H:%M}"]
         day = f"{at:%j}"
-        cells += [f"{100 * level:.0f} %" for level in plan.u[:, k]]
+        cells += ["own control" if np.isnan(level) else f"{100 * level:.0f} %" for level in plan.u_to_set[:, k]]
         if one_zone:
             cells.append(f"{row['T_zone_C']:.1f} ({row['T_low_C']:.1f} to {row['T_high_C']:.1f})")
             cells.append(f"{row['lower_C']:g} to {row['upper_C']:g}")
         else:
-            cells += [f"{T:.1f}" for T in plan.T_zone_C[:, k]]
-        cells.append(f"{plan.power_W[:, k].sum() / 1000:.2f}")
-        cells.append(", ".join(f"{price:.3f}" for price in dict.fromkeys(row[name] for name in prices)))
-        shown.add_row(*cells, f"{row['cost']:.2f}")
+            cells += [f"{T:.1f}" if told else "–" for T, told in zip(plan.T_zone_C[:, k], zones_told, strict=True)]
+        cells.append(f"{power_W[:, k].sum() / 1000:.2f}" if machines_told.any() else "–")
+        cells.append(", ".join(f"{price:.3f}" for price in dict.fromkeys(row[name] for name in machines)))
+        shown.add_row(*cells, f"{row['cost']:.2f}" if machines_told.any() else "–")
     print_whole(shown, display.console)
     step_h = (table.index[1] - table.index[0]).total_seconds() / HOUR_S if len(table) > 1 else float("nan")
-    energy = plan.power_W.sum() / 1000.0 * step_h
-    slack = plan.slack_K.sum() * step_h
-    display.say(f"Energy {energy:.1f} kWh, cost {table['cost'].sum():.2f}, expected outside the bounds {slack:.1f} K·h")
+    slack = plan.slack_K[zones_told].sum() * step_h
+    outside = f"expected outside the bounds {slack:.1f} K·h"
+    if machines_told.any():
+        energy = power_W.sum() / 1000.0 * step_h
+        display.say(f"Energy {energy:.1f} kWh, cost {table['cost'].sum():.2f}, {outside}")
+    else:
+        display.say(outside[0].upper() + outside[1:])
+    if not plan.followed.all():
+        display.say(_left_out(plan, zones_told, machines_told))
+
+
+def _left_out(plan: Plan, zones_told: NDArray[np.bool_], machines_told: NDArray[np.bool_]) -> str:
+    """What a plan does not tell, because the building's own control acts, in words."""
+    names = plan.names
+    own = [name for name, followed in zip(names.actuators, plan.followed, strict=True) if not followed]
+    told = (("bounds", names.zones, zones_told), ("energy and cost", names.machines, machines_told))
+    what = [
+        f"{of} of {', '.join(name for name, flag in zip(those, flags, strict=True) if not flag)}"
+        for of, those, flags in told
+        if not flags.all()
+    ]
+    left = f": {' and '.join(what)} left out" if what else ""
+    return (
+        f"{', '.join(own)}: own control, set nothing{left}. The plan of the others takes it that own control keeps the "
+        "bounds of its rooms"
+    )
 
 
 def drawn_plan(plan: Plan, table: pd.DataFrame, ahead: Boundary) -> Figure:
@@ -233,6 +327,8 @@ def drawn_plan(plan: Plan, table: pd.DataFrame, ahead: Boundary) -> Figure:
     figure = Figure(figsize=(10.0, 7.0), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
     for z, zone in enumerate(names.zones):
+        if table[names.label("T_zone_C", z)].isna().all():  # its own control acts
+            continue
         label = {name: table[names.label(name, z)] for name in ("T_zone_C", "T_low_C", "T_high_C")}
         upper.fill_between(edges[1:], label["T_low_C"], label["T_high_C"], color=f"C{z % 10}", alpha=0.2, linewidth=0)
         upper.plot(edges[1:], label["T_zone_C"], color=f"C{z % 10}", label=zone)
@@ -244,6 +340,8 @@ def drawn_plan(plan: Plan, table: pd.DataFrame, ahead: Boundary) -> Figure:
     if len(names.zones) > 1:
         upper.legend(frameon=False, ncols=5, fontsize="small")
     for a, actuator in enumerate(names.actuators):
+        if not plan.followed[a]:
+            continue
         lower.stairs(plan.u[a], edges, color=f"C{a % 10}", fill=len(names.actuators) == 1, alpha=0.6, label=actuator)
     lower.set_ylabel("level u")
     lower.set_ylim(min(0.0, float(plan.u.min())) * 1.05, 1.05)

@@ -131,7 +131,7 @@ def validate_file(file: Path) -> None:
     is said by `tf-mpc data check`. Exit code 2 when it is invalid.
     """
     from thermoforce_mpc.cli.inside.schemas import KINDS
-    from thermoforce_mpc.experiment.checks import check_contestants, validate_scenario
+    from thermoforce_mpc.experiment.experiment import Experiment, check_contestants
     from thermoforce_mpc.plants.registry import check_surroundings
     from thermoforce_mpc.scenario.scenario import Scenario
     from thermoforce_mpc.scenario.settings import read_yaml, validate
@@ -143,9 +143,9 @@ def validate_file(file: Path) -> None:
         click.echo(f"{file}: valid {kind}")
         return
     scenario = validate(Scenario, data, str(file))
-    testcase = validate_scenario(scenario)
+    experiment = Experiment.of(scenario)
     check_surroundings(scenario.plant)
-    check_contestants(scenario, testcase)
+    check_contestants(experiment)
     click.echo(f"{file}: valid scenario, {scenario.controller.name} on {scenario.testcase}, {scenario.period}")
 
 

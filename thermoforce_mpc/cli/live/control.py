@@ -7,13 +7,14 @@ import os
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
+from datetime import timedelta
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option, model_option
+from thermoforce_mpc.cli.options import PATH, FiniteRange, map_option, model_option, own_prices_option
 from thermoforce_mpc.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -25,11 +26,14 @@ if TYPE_CHECKING:
     from thermoforce_mpc.protocols import Connection
 
 _LOG = logging.getLogger(__name__)
+# A note that stays the same is said again after so long.
+_SAID_AGAIN = timedelta(days=1)
 
 
 @click.command()
 @model_option
 @map_option
+@own_prices_option
 @click.option("--connection", default="files", metavar="NAME", help="See `tf-mpc connections`.")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="connection.KEY or controller.KEY.")
 @click.option("--dry-run", is_flag=True, help="Decide once, set nothing.")
@@ -42,6 +46,7 @@ _LOG = logging.getLogger(__name__)
 def control(
     model: Path,
     map_file: Path,
+    prices: Path | None,
     connection: str,
     assignments: tuple[str, ...],
     dry_run: bool,
@@ -99,14 +104,28 @@ def control(
         say(f"Control of {', '.join(thermal.names.actuators)} by connection {connection}; log: {out}/log.jsonl")
         say(f"Actuation: {mpc.actuation_in_words}")
         control(
-            LiveBuilding(building, rules, mpc.step_s),
+            LiveBuilding(building, rules, mpc.step_s, prices),
             mpc,
             steps=steps,
             delay_s=0.0 if dry_run else delay_s,
             dry=dry_run,
             kept=None if dry_run else KeptState(out / "state.npz", controller_key(thermal, mpc.config)),
-            told=lambda decision: say(in_words(decision, commands)),
+            told=_told(say, commands),
         )
+
+
+def _told(say: Callable[[str], None], commands: Mapping[str, LearnedCommand]) -> Callable[[Decision], None]:
+    """Says each decision, and what is noted of its readings when that was not said for a day."""
+    said: dict[str, Any] = {}
+
+    def told(decision: Decision) -> None:
+        say(in_words(decision, commands))
+        for note in decision.notes:
+            if note not in said or decision.instant - said[note] >= _SAID_AGAIN:
+                said[note] = decision.instant
+                say(f"  note: {note}")
+
+    return told
 
 
 def commands_of(building: Connection, rules: MeasurementMap, step_s: float) -> dict[str, LearnedCommand]:

@@ -14,6 +14,13 @@ _TESTS, _LEAST_1 = click.IntRange(1, 100), FiniteRange(1.0)
 
 
 @click.command()
+@click.option(
+    "--testcase",
+    type=click.Choice(["bestest_hydronic_heat_pump", "bestest_hydronic", "bestest_air"]),
+    default="bestest_hydronic_heat_pump",
+    show_default=True,
+    help="Which of the embedded test cases.",
+)
 @click.option("--host", default="127.0.0.1", help="Address to listen on.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8000, help="Port; 0 picks a free one.")
 @click.option(
@@ -51,8 +58,8 @@ _TESTS, _LEAST_1 = click.IntRange(1, 100), FiniteRange(1.0)
     show_envvar=True,
     help="Every request must send it as 'Authorization: Bearer TOKEN'. As an option it shows in the process list.",
 )
-def serve(host: str, weather: str, prices: Path | None, token: str | None, **options: Any) -> None:
-    """Serve the embedded plant over BOPTEST's REST protocol, as test case bestest_hydronic_heat_pump.
+def serve(testcase: str, host: str, weather: str, prices: Path | None, token: str | None, **options: Any) -> None:
+    """Serve an embedded plant over BOPTEST's REST protocol.
 
     A test takes up to about 150 MB of memory for a simulated year. An address that other machines can reach needs a
     token: set BOPTEST_TOKEN here and where the client runs. Traffic is not encrypted. /openapi.json describes the
@@ -69,8 +76,10 @@ def serve(host: str, weather: str, prices: Path | None, token: str | None, **opt
         ) from error
     from thermoforce_mpc.boundary.tariffs import tariff_from_file
     from thermoforce_mpc.boundary.weather import load_weather, synthetic_weather
+    from thermoforce_mpc.plants.embedded.cases import CASES
 
-    year = synthetic_weather() if weather == "synthetic" else load_weather(Path(weather))
+    synthetic = weather == "synthetic"
+    year = synthetic_weather(climate=CASES[testcase].climate) if synthetic else load_weather(Path(weather))
     tariff = tariff_from_file(prices) if prices else None
     check_token(host, token or None)
     if not is_loopback(host):
@@ -82,6 +91,6 @@ def serve(host: str, weather: str, prices: Path | None, token: str | None, **opt
 
     def ready(url: str) -> None:
         needed = " Requests need the token." if token else ""
-        click.echo(f"Serving bestest_hydronic_heat_pump ({year.name}) at {url}.{needed} Stop with Ctrl-C.")
+        click.echo(f"Serving {testcase} ({year.name}) at {url}.{needed} Stop with Ctrl-C.")
 
-    serve(year, host=host, highly_dynamic=tariff, token=token or None, on_ready=ready, **options)
+    serve(year, testcase=testcase, host=host, highly_dynamic=tariff, token=token or None, on_ready=ready, **options)

@@ -46,8 +46,8 @@ from thermoforce_mpc.comparison.variants import (
     variants_by_name,
 )
 from thermoforce_mpc.errors import ConfigError, counted
-from thermoforce_mpc.experiment.composition import check_window
-from thermoforce_mpc.experiment.equal_comfort import searches_equal_comfort
+from thermoforce_mpc.experiment.experiment import Experiment
+from thermoforce_mpc.experiment.windows import check_window
 from thermoforce_mpc.plants.testcases import load_testcase
 from thermoforce_mpc.report.display import zone_table
 from thermoforce_mpc.report.whole_tables import plain_table, print_whole
@@ -249,7 +249,7 @@ def _run_comparison(
     run_cells(tasks_of(todo), store, console, options["engine"], quiet, stored)
     # With the names of this comparison: two may refer to the same run.
     records: list[dict[str, Any]] = [{**stored[cell.key], "variant": cell.variant} for cell in cells]
-    if searches_equal_comfort(base):
+    if Experiment.of(cells[0].scenario).equal_comfort:
         search = EqualComfort(store, inputs, testcase, lambda text: say(f"searching a thermostat: {text}"))
         records = search.beside(cells, records)
     result = write_outcome(store.folder, records, name=name, title=title, currency=testcase.currency, swept=swept)

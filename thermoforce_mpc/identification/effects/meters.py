@@ -48,7 +48,9 @@ class ForeignLoads:
 
 
 def foreign_loads(histories: Sequence[Record], layout: Layout) -> ForeignLoads:
-    """What else is on the meters; nothing where signed levels never are off."""
+    """What else is on the meters; nothing where signed levels never are off, and without records."""
+    if not histories:
+        return ForeignLoads((None,) * len(layout.names.machines), (None,) * len(layout.home), layout)
     u, power_W, heat_W = (
         np.concatenate([getattr(h, name) for h in histories], axis=1) for name in ("u", "power_W", "heat_W")
     )

@@ -74,7 +74,7 @@ class Pair:
 def prepared_runs(runs: Sequence[Record], allowed: Limits) -> tuple[list[Record], list[str]]:
     """Return usable runs without implausible readings and gaps, and notes on the changes.
 
-    Short gaps of the weather and of u are bridged as in `data.series.gaps`. Steps in longer gaps are dropped; each
+    Short gaps of the weather and of u are bridged as in `data.series`. Steps in longer gaps are dropped; each
     part between them becomes a run of its own if it passes `check_run`, a long one several.
 
     Raises:

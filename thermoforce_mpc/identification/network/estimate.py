@@ -151,8 +151,13 @@ def posterior(room: Room, theta: Array, runs: Sequence[Run]) -> tuple[float, Arr
     return value, gradient
 
 
-def estimate_room(room: Room, runs: Sequence[Run], before: RoomFit | None = None) -> RoomFit:
-    """The largest posterior of a room's parameters, searched from several starts, or from a fit to fewer runs."""
+def estimate_room(
+    room: Room, runs: Sequence[Run], before: RoomFit | None = None, most_starts: int | None = None
+) -> RoomFit:
+    """The largest posterior of a room's parameters, searched from several starts, or from a fit to fewer runs.
+
+    `most_starts`: no more than these.
+    """
     starts = []
     for shifts in _STARTS:
         start = np.zeros(room.sd.size)
@@ -161,8 +166,25 @@ def estimate_room(room: Room, runs: Sequence[Run], before: RoomFit | None = None
         starts.append(start)
     if before is not None and before.room.place == room.place:
         starts = [np.asarray((before.theta - room.mean) / room.sd)]
-    best = min((searched(room, runs, start) for start in starts), key=lambda result: float(result.fun))
+    best = min((searched(room, runs, start) for start in starts[:most_starts]), key=lambda result: float(result.fun))
     return RoomFit(room, room.mean + room.sd * best.x, float(best.fun), runs)
+
+
+def gain_of_one_more(room: Room, runs: Sequence[Run], start: Array, spread: Array) -> tuple[float, float]:
+    """What the last parameter of `room` gains where the others were fitted without it, nats, and its value there.
+
+    `start` (p,): the fit, and 0; `spread` (p − 1, p − 1): covariance of the fit. By the slope and curvature there
+    (score test, Rao 1948): two evaluations in the place of a search. The value is in prior standard deviations.
+    """
+    slope = _scaled(room, runs, start)[1]
+    unit = np.zeros(start.size)
+    unit[-1] = _DIFFERENCE
+    column = (_scaled(room, runs, start + unit)[1] - slope) / _DIFFERENCE
+    with_others = column[:-1]
+    curvature = float(column[-1] - with_others @ spread @ with_others)
+    if not curvature > 0.0:
+        return np.inf, 0.0
+    return float(0.5 * slope[-1] ** 2 / curvature), float(-slope[-1] / curvature)
 
 
 def _scaled(room: Room, runs: Sequence[Run], z: Array) -> tuple[float, Array]:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from thermoforce_mpc.data import Array
+from thermoforce_mpc.data.compiled import njit
 
 
 class Slopes(NamedTuple):

@@ -3,7 +3,8 @@
 Sun on a sensor enters its reading at once and leaves it behind the next cloud, while a room follows the sun through its
 surfaces and structure. The room's network, with the sun through each facade as heat, is fitted without and with sun on
 the sensor: for each facade and lag of the sensor one number more, K in full sun. What that gains in posterior, less
-what one number more costs, are the odds.
+what one number more costs, and less what is known beforehand (few sensors stand in the sun, and rooms answer it faster
+than a few nodes do), are the odds. Where the slope of the posterior shows no gain, nothing is searched.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from thermoforce_mpc.data import DAY_S, Array, Layout, Record
 from thermoforce_mpc.identification.config import IdentificationConfig
 from thermoforce_mpc.identification.estimation.records import resolution_K
 from thermoforce_mpc.identification.network.building import Actuators, room_run
-from thermoforce_mpc.identification.network.estimate import Run, estimate_room, searched
+from thermoforce_mpc.identification.network.estimate import Run, estimate_room, gain_of_one_more, searched
 from thermoforce_mpc.identification.network.priors import SENSOR_SD_K
 from thermoforce_mpc.model.operator.heat_input import HeatInput
 from thermoforce_mpc.model.sun_on_sensor import FULL_SUN_W_M2, SunOnSensor, facade_W_m2, off_sensors, sensor_lag, sun_at
@@ -31,6 +32,8 @@ _LAGS_S, _LATITUDE_DEG = (120.0, 900.0), 50.0
 _MOST_K, _SPREAD = 8.0, 0.05
 # The least gain that is more than what searches leave, nats.
 _LEAST_GAIN = 1e-3
+# Share of sensors that stand in the sun, beforehand, and the probability by slopes below which none is searched for.
+_IN_THE_SUN, _HOPELESS = 0.1, 0.02
 # Share of the largest irradiance from which it is day: clouds move the middle of the light, not that of the day.
 _DAYLIGHT = 0.02
 
@@ -86,25 +89,46 @@ def sun_on_sensor(
     grid_K = resolution_K([run.part(zone, [home[0]], [layout.machine_of[home[0]]]) for run in runs])
     lit = [_with_windows(room_run(run, zone, actuators, grid_K), run, noon_s) for run in runs]
     room = replace(actuators.room(zone), facades=len(_WINDOWS_DEG))
-    fit, sunlit = estimate_room(room, lit), replace(room, sensor=True)
-    without, start, spread = fit.value, np.append(fit.scaled, 0.0), block_diag(fit.spread, _SPREAD)
-    explanations = []
+    sunlit, shone = replace(room, sensor=True), {}
     for azimuth_deg in _AZIMUTHS_DEG:
         facades = [facade_W_m2(run.time_s, run.solar_W_m2, _LATITUDE_DEG, noon_s, (azimuth_deg,)) for run in runs]
         for lag_s in _LAGS_S:
             parts = [
                 sensor_lag(f[:, 0] / FULL_SUN_W_M2, run.time_s, lag_s) for f, run in zip(facades, runs, strict=True)
             ]
-            shone = [replace(run, on_sensor=part) for run, part in zip(lit, parts, strict=True)]
-            found = searched(sunlit, shone, start, spread)
-            full_K = float(found.x[-1] * SENSOR_SD_K)
-            explanations.append(_Explanation(azimuth_deg, lag_s, full_K, float(found.fun), found.x[:-1]))
+            shone[azimuth_deg, lag_s] = [replace(run, on_sensor=part) for run, part in zip(lit, parts, strict=True)]
+    fit = estimate_room(room, lit, most_starts=1)
+    start = np.append(fit.scaled, 0.0)
+    explanations = [
+        _Explanation(*where, at * SENSOR_SD_K, fit.value - gain, fit.scaled)
+        for where, seen in shone.items()
+        for gain, at in [gain_of_one_more(sunlit, seen, start, fit.spread)]
+    ]
+    if _probability(explanations, fit.value) < _HOPELESS:
+        return _found(explanations, fit.value, noon_s)
+    fit = estimate_room(room, lit)
+    without, start, spread = fit.value, np.append(fit.scaled, 0.0), block_diag(fit.spread, _SPREAD)
+    explanations = []
+    for where, seen in shone.items():
+        found = searched(sunlit, seen, start, spread)
+        full_K = float(found.x[-1] * SENSOR_SD_K)
+        explanations.append(_Explanation(*where, full_K, float(found.fun), found.x[:-1]))
     best = max(explanations, key=lambda explanation: explanation.gained(without))
     # The search with sun may have found a better room, which owes nothing to the sun.
     without = min(without, float(searched(room, lit, best.at, fit.spread).fun))
-    gained = [explanation.gained(without) for explanation in explanations]
-    best = explanations[int(np.argmax(gained))]
-    probability = float(expit(np.logaddexp.reduce(gained) - np.log(len(gained))))
+    return _found(explanations, without, noon_s)
+
+
+def _probability(explanations: Sequence[_Explanation], without: float) -> float:
+    """Probability that the sensor stands in the sun, all explanations together."""
+    gained = np.logaddexp.reduce([explanation.gained(without) for explanation in explanations])
+    beforehand = np.log(_IN_THE_SUN / (1.0 - _IN_THE_SUN))
+    return float(expit(gained - np.log(len(explanations)) + beforehand))
+
+
+def _found(explanations: Sequence[_Explanation], without: float, noon_s: float) -> SunOnSensor:
+    best = explanations[int(np.argmax([explanation.gained(without) for explanation in explanations]))]
+    probability = _probability(explanations, without)
     # With a probability of less than one, the mean is less and the spread more than those of a sensor in the sun.
     variance = probability * best.sd_K(without) ** 2 + probability * (1.0 - probability) * best.full_K**2
     size = probability * best.full_K, float(np.sqrt(variance))

@@ -102,7 +102,7 @@ def probe(
 
 
 class Probing:
-    """A probing that can be continued; `record` is what was measured so far, `asked` the levels asked for (A, n).
+    """A probing that can be continued; `record` is what was measured so far, `blocks` what was asked for, one a step.
 
     Each actuator has draws of its own, so that their effects can be told apart, and follows the comfort band of the
     zone that it serves.
@@ -125,7 +125,7 @@ class Probing:
         self.config = c = config or ProbingConfig()
         self._plant, self._layout = plant, layout or Layout.single()
         now = plant.reset(start_s, min(c.warmup_days * DAY_S, start_s))
-        self.record, self.asked = Record.beginning(now), np.empty((len(self._layout.home), 0))
+        self.record, self.blocks = Record.beginning(now), list[Block]()
         # The past bounds the effect of a level; rooms need none.
         past = plant.past(c.step_s) if any(lowest >= 0.0 for lowest in self._layout.lowest) else self.record
         self._excites: list[_Levels | RoomExcitation] = []
@@ -194,8 +194,8 @@ class Probing:
             blocks[a] = Block(0.0, c.step_s)
             self._excites[a].withheld()
         levels = tuple(block.u[0] for block in blocks)
-        self.asked = np.concatenate([self.asked, np.array([levels], dtype=np.float64).T], axis=1)
         commands = tuple(block.command[0] for block in blocks)
+        self.blocks.append(Block(levels, c.step_s, commands))
         if any(command is not None for command in commands):
             now = cast(RoomSetpointPlant, plant).advance(levels, c.step_s, commands)
         else:

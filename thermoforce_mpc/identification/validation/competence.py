@@ -27,25 +27,16 @@ from thermoforce_mpc.identification.validation.blocks import (
 )
 from thermoforce_mpc.identification.validation.errors_ahead import Fold, HeldOutErrors, errors_of
 from thermoforce_mpc.identification.validation.reasons import Kind, Missed, advice, plainly
-from thermoforce_mpc.model.card import Competence, HorizonScore
+from thermoforce_mpc.model.card import JUDGED_H, MOST_ERROR_K, MOST_RELATIVE_SD, Competence, HorizonScore
 from thermoforce_mpc.model.operator.parameters import OperatorParameters
 
 LEAD_TIMES_H = (1.0, 3.0, 6.0, 12.0, 24.0)
 """Lead times, h: at none may the model be significantly worse than the weather alone or an unchanged temperature, and
 at one it must be better than the weather alone."""
-# Lead times that must be judged: a plan is made anew every step and pre-heats by hours.
-JUDGED_H = (1.0, 6.0)
-# Largest RMSE by lead time, K. The comfort guard acts 1 K outside the band: a plan that errs by more within the hours
-# of a pre-heating is not the one that decides. One step ahead half of it must hold.
-MOST_ERROR_K = {1.0: 0.5, 6.0: 1.0}
 # One-sided probabilities of the tests, by which a model as good as what it is compared with is called worse, or better,
 # at one of the five lead times in at most one of 20, or 8, cases (Bonferroni). Of actuators that do nothing, hardly one
 # comes to the second (`python -m benchmarks.zones.placebo`): the odds that they act stop them.
 WORSE_PROBABILITY, BETTER_PROBABILITY = 0.99, 0.975
-# Largest relative standard deviation of the effect of eight hours at full level, the length of a pre-heating; plans of
-# later steps correct what comes later. At 0.43 the sign is certain to 99 %; at 0.4 the 90 % interval is a third to five
-# thirds of what was planned, which re-planning still corrects.
-MOST_RELATIVE_SD = 0.4
 # Probing ends early at this relative standard deviation: what the record does not know is then no more than the 0.05
 # that a few nodes are not, however long it is.
 WELL_KNOWN_SD = 0.07
@@ -72,7 +63,7 @@ def judge(
         before: fitted to a part of these rows, tested on the rest of them; None where there is none.
         operator: what is returned, fitted to all rows. Where its levels are signed, the plant's own loops keep the
             comfort band, so that a wrong prediction costs energy only.
-        uncertainty: standard deviations of the final fit, see `identification.uncertainty`.
+        uncertainty: standard deviations of the final fit, see `identification.estimation.modes`.
         log_odds: that the actuator acts, see `network.estimate.RoomFit.without`.
         heat_W_m2: metered heat of full level per m² of floor, NaN where it is not known.
     """

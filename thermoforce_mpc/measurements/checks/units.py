@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array, Layout, Record
-from thermoforce_mpc.data.limits import LOAD_W_PER_M2, OUTDOOR_C, ZONE_C
+from thermoforce_mpc.data.limits import LOAD_W_PER_M2, RULES, SignalRule
 from thermoforce_mpc.measurements.checks.common import Remark, fitted
 
 # Heat per energy: least of any heater over a season; share of Carnot's between outdoor air and water of 35 °C that no
@@ -36,16 +36,12 @@ _MOST_WARM_SHARE, _WARM_K, _COLDER_K = 0.3, 1.0, 3.0
 _ON, _LEAST_ROWS, _CLEAR = 0.1, 24, 2.0
 # Without known levels a machine runs where its load goes up and down by this factor.
 _UP_AND_DOWN = 10.0
-# Temperatures, °C, of rooms that are lived in, and of weather.
-_ROOM_C, _WEATHER_C = (5.0, 40.0), (-40.0, 50.0)
 
 
 def unit_remarks(record: Record, layout: Layout) -> list[Remark]:
     """Units of temperatures, heat and power that cannot be right, in a record as it was read."""
-    rows = [(record.names.label("T_zone_C", z), T, ZONE_C, _ROOM_C) for z, T in enumerate(record.T_zone_C)]
-    found = [
-        one for row in [*rows, ("T_out_C", record.T_out_C, OUTDOOR_C, _WEATHER_C)] if (one := _of_temperature(*row))
-    ]
+    rows = [(record.names.label("T_zone_C", z), T, RULES["T_zone_C"]) for z, T in enumerate(record.T_zone_C)]
+    found = [one for row in [*rows, ("T_out_C", record.T_out_C, RULES["T_out_C"])] if (one := _of_temperature(*row))]
     outdoors = _of_outdoors(record, layout)
     if outdoors:  # then it tells nothing of losses and machines
         record = replace(record, T_out_C=np.full_like(record.T_out_C, np.nan))
@@ -54,10 +50,9 @@ def unit_remarks(record: Record, layout: Layout) -> list[Remark]:
     return found + outdoors
 
 
-def _of_temperature(
-    where: str, values_C: Array, possible_C: tuple[float, float], usual_C: tuple[float, float]
-) -> Remark | None:
+def _of_temperature(where: str, values_C: Array, rule: SignalRule) -> Remark | None:
     """Readings (n,) of which most are impossible, and another unit that makes them usual."""
+    possible_C, usual_C = rule.range, rule.usual
     known = values_C[np.isfinite(values_C)]
     outside = known[(known < possible_C[0]) | (known > possible_C[1])]
     if 2 * outside.size <= known.size:

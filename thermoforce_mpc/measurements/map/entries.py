@@ -109,6 +109,11 @@ class Clock(StrictModel):
             self.counted_from()
         return self
 
+    def lenient(self) -> Clock:
+        """The clock of a table that a machine appends to: what a person would be asked is decided."""
+        kept = self.duplicates if self.duplicates != "refuse" else "last"
+        return self.model_copy(update={"order": "sort", "duplicates": kept, "nonexistent": "gap"})
+
     def counted_from(self) -> pd.Timestamp:
         """The instant `since`, in `zone` where it has no offset; of an hour that comes twice the first is meant.
 

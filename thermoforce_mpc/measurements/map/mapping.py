@@ -24,6 +24,7 @@ from thermoforce_mpc.measurements.map.entries import (
     OfTemperature,
     Signal,
 )
+from thermoforce_mpc.scenario.comfort import OfComfort
 from thermoforce_mpc.scenario.settings import StrictModel, read_yaml, validate
 
 LEAST_STEP_S, MOST_STEP_S = 60.0, 3600.0
@@ -117,6 +118,12 @@ class MeasurementMap(StrictModel):
         None, description="global horizontal irradiance; without it the sun counts as a disturbance"
     )
     zones: dict[str, MappedZone] = Field(min_length=1)
+    comfort: OfComfort | None = Field(
+        None,
+        description="comfort bounds by weekday, hour and holiday on the clock of time.zone, of zones without lower and "
+        "upper",
+        examples=["weekdays 6:00-22:00 21-24, else 17-26"],
+    )
     actuators: dict[str, MappedActuator] = Field(default_factory=dict)
     machines: dict[str, MappedMachine] = Field(default_factory=dict)
     forecast: ForecastMap = ForecastMap()
@@ -157,6 +164,16 @@ class MeasurementMap(StrictModel):
         for name, zone in self.zones.items():
             if zone.temperature.columns == self.outdoor.columns:
                 raise ValueError(f"zones.{name}.temperature and outdoor are the same column")
+        if self.comfort is not None:
+            try:
+                self.comfort.strictest_C(tuple(self.zones))
+            except ConfigError as error:
+                raise ValueError(str(error)) from error
+            if self.time.zone is None:
+                raise ValueError("comfort needs time.zone, whose clock its hours are of")
+            for name, zone in self.zones.items():
+                if zone.lower is not None or zone.upper is not None:
+                    raise ValueError(f"zones.{name}: give lower and upper, or comfort for it, not both")
         estimates = [sun for sun in (self.sun, self.forecast.sun) if sun is not None and sun.estimate]
         if estimates and (self.site is None or self.time.zone is None):
             raise ValueError("sun.estimate needs site (latitude, longitude) and time.zone")

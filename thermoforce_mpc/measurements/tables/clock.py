@@ -18,12 +18,21 @@ from thermoforce_mpc.measurements.tables.raw_table import RawTable
 
 _ISO = re.compile(r"\s*\d{4}-\d{2}-\d{2}")
 _OFFSET = "(?:[+-][0-9]{2}:?[0-9]{2}|Z) *$"
+# An offset in whole hours after a time of day, as PostgreSQL, TimescaleDB and DuckDB write them.
+_WHOLE_HOURS = r":[0-9]{2}(?:[.,][0-9]+)? ?[+-][0-9]{2} *$"
+# Rows looked at for such an offset before all are read.
+_LOOKED_AT = 1000
 _AN_HOUR = pd.Timedelta("1h")
 _MOST_YEARS = 20
+# The clock of a table that is being written may be ahead of ours by so much.
+_AHEAD = pd.Timedelta("5min")
 
 
-def instants(table: RawTable, clock: Clock, notes: list[str]) -> pd.Series:
-    """The instants of a table's rows, in the zone of the map; rows that are left out are missing from its index."""
+def instants(table: RawTable, clock: Clock, notes: list[str], now: pd.Timestamp | None = None) -> pd.Series:
+    """The instants of a table's rows, in the zone of the map; rows that are left out are missing from its index.
+
+    `now`: the time, with a zone, of a table that is being written; it tells the hour that comes twice apart.
+    """
     stamps = table.stamps
     empty = np.flatnonzero(stamps.isna().to_numpy())
     if empty.size:
@@ -42,7 +51,7 @@ def instants(table: RawTable, clock: Clock, notes: list[str]) -> pd.Series:
         return times
     if clock.zone is None:
         return times
-    return _localised(table, times, clock, notes)
+    return _localised(table, times, clock, notes, now)
 
 
 def _counted(table: RawTable, clock: Clock) -> pd.Series:
@@ -68,6 +77,8 @@ def _counted(table: RawTable, clock: Clock) -> pd.Series:
 
 def _parsed(table: RawTable, text: pd.Series, clock: Clock) -> pd.Series:
     form = clock.format or "ISO8601"
+    if _in_whole_hours(text.iloc[:: max(1, len(text) // _LOOKED_AT)]):
+        text = _with_minutes(text)
     if clock.format is None and not _ISO.match(text.iloc[0]):
         raise DataError(
             f"{table.where(0)}: the time stamp {text.iloc[0]!r} is not of the form 2025-01-31 14:30; set time.format, "
@@ -78,6 +89,8 @@ def _parsed(table: RawTable, text: pd.Series, clock: Clock) -> pd.Series:
     try:
         return pd.to_datetime(text, format=form, utc=as_instants)
     except (ValueError, OverflowError) as error:
+        if _in_whole_hours(text):
+            return _parsed(table, _with_minutes(text), clock)
         with_one = _with_offset(text)
         if with_one.any() and not with_one.all():
             other = int(np.argmax(with_one != with_one[0]))
@@ -103,12 +116,47 @@ def _parsed(table: RawTable, text: pd.Series, clock: Clock) -> pd.Series:
         return times
 
 
+def parsed_or_nat(text: pd.Series, clock: Clock) -> pd.Series:
+    """Stamps (n,) as text to times of UTC, those without an offset as if they were of UTC; NaT for what is none.
+
+    Of stamps with and without an offset in one table the fewer are none.
+    """
+    if clock.unit is not None:
+        numbers = pd.to_numeric(text, errors="coerce")
+        finite = np.isfinite(numbers.to_numpy(dtype=np.float64))
+        within = finite & (np.abs(numbers.to_numpy(dtype=np.float64)) < 1e15)
+        since = clock.counted_from()
+        since = since.tz_localize("UTC") if since.tz is None else since.tz_convert("UTC")
+        elapsed = pd.to_timedelta(numbers.where(within), unit=clock.unit, errors="coerce")
+        return pd.Series(since + elapsed)
+    text = _with_minutes(text.astype(object).where(text.notna(), "").astype(str))
+    if clock.format is None:
+        text = text.where(text.str.match(_ISO), "")
+    at = pd.to_datetime(text, format=clock.format or "ISO8601", utc=True, errors="coerce")
+    offset = _with_offset(text)
+    read = at.notna().to_numpy()
+    fewer = offset if 2 * int((offset & read).sum()) < int(read.sum()) else ~offset
+    return at.mask(fewer)
+
+
+def _in_whole_hours(text: pd.Series) -> bool:
+    return bool(text.str.contains(_WHOLE_HOURS, regex=True).any())
+
+
+def _with_minutes(text: pd.Series) -> pd.Series:
+    """Stamps (n,) whose offset in whole hours has minutes: '+01' as '+01:00'."""
+    whole = text.str.contains(_WHOLE_HOURS, regex=True)
+    return text.where(~whole, text.str.rstrip().str.replace(" +", "+", regex=False).str.replace(" -", "-") + ":00")
+
+
 def _with_offset(text: pd.Series) -> NDArray[np.bool_]:
     """Which stamps (n,) end with an offset from UTC."""
     return np.asarray(text.str.contains(_OFFSET, regex=True), dtype=bool)
 
 
-def _localised(table: RawTable, times: pd.Series, clock: Clock, notes: list[str]) -> pd.Series:
+def _localised(
+    table: RawTable, times: pd.Series, clock: Clock, notes: list[str], now: pd.Timestamp | None
+) -> pd.Series:
     """Stamps of the wall clock as instants, by the rules of the map for the hours of summer time's begin and end."""
     zone = str(clock.zone)
     existing = times.dt.tz_localize(zone, ambiguous=np.ones(len(times), dtype=bool), nonexistent="NaT")
@@ -130,6 +178,8 @@ def _localised(table: RawTable, times: pd.Series, clock: Clock, notes: list[str]
         ambiguous = rule or np.full(len(times), clock.ambiguous == "first")
         local = times.dt.tz_localize(zone, ambiguous=ambiguous)
     except ValueError as error:
+        if now is not None:
+            return _by_the_clock(table, times, zone, notes, now)
         twice = times.dt.tz_localize(zone, ambiguous="NaT")
         row = int(times.index[int(np.argmax(twice.isna().to_numpy()))])
         raise DataError(
@@ -141,6 +191,31 @@ def _localised(table: RawTable, times: pd.Series, clock: Clock, notes: list[str]
     if unclear:
         notes.append(f"{table.name}: {unclear} rows in the hour that the end of summer time repeats were left out")
     return local[local.notna()]
+
+
+def _by_the_clock(table: RawTable, times: pd.Series, zone: str, notes: list[str], now: pd.Timestamp) -> pd.Series:
+    """Stamps of a table that is being written, whose order does not tell the hour that comes twice, by the time `now`.
+
+    Rows from the last step back on are of its second pass. Without one they are of the first, which is the older, if
+    they go on from the row before and nothing came after them; what would lie after now is of the first anyway. Where
+    that does not tell it they are left out.
+    """
+    first, second = (times.dt.tz_localize(zone, ambiguous=np.full(len(times), summer)) for summer in (True, False))
+    rows = np.flatnonzero((first != second).to_numpy())
+    back = np.flatnonzero(np.diff(times.to_numpy()[rows].astype(np.int64)) < 0)
+    what = f"{table.name}: {rows.size} rows in the hour that the end of summer time repeats"
+    later = np.zeros(len(times), dtype=bool)
+    if back.size:
+        later[rows[back[-1] + 1] :] = True
+    elif rows[-1] < len(times) - 1:
+        notes.append(f"{what}: left out, since their order does not tell which it is")
+        local = times.dt.tz_localize(zone, ambiguous="NaT")
+        return local[local.notna()]
+    elif rows[0] > 0 and first.iloc[rows[0]] - first.iloc[rows[0] - 1] > _AN_HOUR:
+        later[rows] = True
+    later &= (second <= now + _AHEAD).to_numpy()
+    notes.append(f"{what}: told apart by the clock")
+    return times.dt.tz_localize(zone, ambiguous=~later)
 
 
 def _all_year(zone: str, stamp: pd.Timestamp) -> str:
@@ -161,14 +236,16 @@ class Timed:
     notes: tuple[str, ...] = field(default=())
 
 
-def timed(tables: Sequence[RawTable], clock: Clock) -> Timed:
+def timed(tables: Sequence[RawTable], clock: Clock, now: pd.Timestamp | None = None) -> Timed:
     """The rows of `tables` in the order of time, in the zone of the map, without a zone where there is none.
+
+    `now`: the time, of tables that are being written (`instants`).
 
     Raises `DataError`, with file, line and what to do, for a stamp that cannot be read, is out of order, comes twice or
     does not exist, and for zones that differ.
     """
     notes: list[str] = []
-    stamps = [instants(table, clock, notes) for table in tables]
+    stamps = [instants(table, clock, notes, now) for table in tables]
     has = [stamp.dt.tz is not None for stamp in stamps]
     if len(set(has)) > 1:
         naive, aware = tables[has.index(False)].name, tables[has.index(True)].name

@@ -28,7 +28,7 @@ from thermoforce_mpc.measurements.tables.raw_table import RawTable, known_column
 MOST_BYTES = 1_000_000_000
 _COMPRESSED: dict[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
 _BLOCK = 1_000_000
-_PARQUET = (".parquet", ".pq")
+PARQUET = (".parquet", ".pq")
 # Bytes of one value of a table; a Parquet file may pack a million equal ones into a few.
 _CELL = 8
 _SEPARATORS = ",;\t"
@@ -73,7 +73,7 @@ def _unpacked_bytes(path: Path, most_bytes: int) -> int:
     if path.suffix not in _COMPRESSED:
         return path.stat().st_size
     n = 0
-    with _reading(path), _opened(path) as file:
+    with reading(path), opened(path) as file:
         while n <= most_bytes and (piece := file.read(_BLOCK)):
             n += len(piece)
     return n
@@ -85,7 +85,7 @@ def read_table(path: Path, stamps: str | None, columns: Sequence[str], form: Csv
     Raises `DataError`, with column and line, for one that cannot be read, is empty, lacks a column or holds text in
     one.
     """
-    if path.suffix in _PARQUET:
+    if path.suffix in PARQUET:
         df, line = _parquet(path, stamps, columns), 1
     else:
         df, line = _csv(path, stamps, columns, form)
@@ -95,8 +95,8 @@ def read_table(path: Path, stamps: str | None, columns: Sequence[str], form: Csv
 def check_columns(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> None:
     """Refuse a file that lacks a column or is too large; raises `DataError` as `found_files` and `read_table`."""
     found_files([path])
-    if path.suffix not in _PARQUET:
-        _known_header(path, stamps, columns, form)
+    if path.suffix not in PARQUET:
+        header_of(path, stamps, columns, form)
         return
     pyarrow = pyarrow_for(path, DataError)
     try:
@@ -132,9 +132,9 @@ def _parquet(path: Path, stamps: str | None, columns: Sequence[str] | None) -> p
 
 
 def _csv(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat) -> tuple[pd.DataFrame, int]:
-    separator, names, keys = _known_header(path, stamps, columns, form)
+    separator, names, keys = header_of(path, stamps, columns, form)
     places = sorted(names.index(key) for key in keys)
-    with _reading(path, " as CSV"):
+    with reading(path, " as CSV"):
         _check_lines(path, form, separator, len(names))
     # Blank lines are kept, so that the number of a row tells its line.
     more: dict[str, Any] = {
@@ -148,7 +148,7 @@ def _csv(path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat
     return df.iloc[: filled[-1] + 1 if filled.size else 0], form.skip_lines + 2
 
 
-def _known_header(
+def header_of(
     path: Path, stamps: str | None, columns: Sequence[str], form: CsvFormat
 ) -> tuple[str, list[str], list[str]]:
     """Separator and names of the columns, and those that are read; raises `DataError` where one is not there."""
@@ -163,7 +163,7 @@ def _known_header(
 
 def _check_lines(path: Path, form: CsvFormat, separator: str, n: int) -> None:
     """Refuse lines with more or fewer than `n` cells, whose values would land in wrong columns."""
-    with _opened(path, "rt", form.encoding) as lines:
+    with opened(path, "rt", form.encoding) as lines:
         begun = 1
         while block := lines.readlines(_BLOCK):
             for k in np.flatnonzero(np.array([line.count(separator) for line in block]) != n - 1):
@@ -179,25 +179,25 @@ def _check_lines(path: Path, form: CsvFormat, separator: str, n: int) -> None:
 
 def head_of(path: Path, rows: int, form: CsvFormat) -> pd.DataFrame:
     """The first `rows` rows of a file with all its columns, stamps (or index) first; raises `DataError`."""
-    if path.suffix in _PARQUET:
+    if path.suffix in PARQUET:
         df = _parquet(path, None, None).iloc[:rows]
         return df.reset_index() if isinstance(df.index, pd.DatetimeIndex) else df
     separator, names = _header(path, form)
-    with _reading(path, " as CSV"):  # its columns may be fewer than the names
+    with reading(path, " as CSV"):  # its columns may be fewer than the names
         return _frame(path, form, separator, nrows=rows, index_col=False).set_axis(names, axis=1)
 
 
 def _frame(path: Path, form: CsvFormat, separator: str, **more: Any) -> pd.DataFrame:
-    with _reading(path, " as CSV"):
+    with reading(path, " as CSV"):
         rules: dict[str, Any] = {"decimal": form.decimal, "encoding": form.encoding, "skiprows": form.skip_lines}
         return pd.read_csv(path, sep=separator, **rules, **more)
 
 
 def guessed_form(path: Path) -> CsvFormat:
     """How a CSV file seems to be written: UTF-8, else UTF-16 or the code page of Excel; decimal point or comma."""
-    if path.suffix in _PARQUET:
+    if path.suffix in PARQUET:
         return CsvFormat()
-    with _reading(path), _opened(path) as file:
+    with reading(path), opened(path) as file:
         start = file.read(_BLOCK)
     encoding = "utf-16" if start[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8"
     decoder = codecs.getincrementaldecoder(encoding)
@@ -215,7 +215,7 @@ def guessed_form(path: Path) -> CsvFormat:
 
 def _header(path: Path, form: CsvFormat) -> tuple[str, list[str]]:
     try:
-        with _reading(path, but=(UnicodeError,)), _opened(path, "rt", form.encoding) as lines:
+        with reading(path, but=(UnicodeError,)), opened(path, "rt", form.encoding) as lines:
             parts = iter(lambda: lines.readline(_BLOCK), "")  # not the whole of a line without end
             header = next(itertools.islice(parts, form.skip_lines, None), "").lstrip("\ufeff").rstrip("\r\n")
             if not header.strip():
@@ -230,17 +230,18 @@ def _header(path: Path, form: CsvFormat) -> tuple[str, list[str]]:
             "cp1252 for a file of Excel, utf-16 for its Unicode text"
         ) from error
     separator = form.separator or max(_SEPARATORS, key=header.count)
-    with _reading(path, " as CSV"):
+    with reading(path, " as CSV"):
         names = next(csv.reader([header], delimiter=separator, skipinitialspace=True))
     return separator, [name.strip() for name in names]
 
 
-def _opened(path: Path, mode: str = "rb", encoding: str | None = None) -> Any:
+def opened(path: Path, mode: str = "rb", encoding: str | None = None) -> Any:
+    """A file, opened as it is packed."""
     return _COMPRESSED.get(path.suffix, open)(path, mode, encoding=encoding)
 
 
 @contextmanager
-def _reading(path: Path, how: str = "", but: tuple[type[Exception], ...] = ()) -> Iterator[None]:
+def reading(path: Path, how: str = "", but: tuple[type[Exception], ...] = ()) -> Iterator[None]:
     """Say which file is damaged; errors `but` go through."""
     try:
         yield

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from thermoforce_mpc.data import Array
 from thermoforce_mpc.errors import DataError
@@ -21,21 +22,29 @@ _SWITCH = {"on": 1.0, "off": 0.0, "ein": 1.0, "an": 1.0, "aus": 0.0, "true": 1.0
 class RawTable:
     """Columns of one file as they stand there: `stamps` (n,) of any kind, `columns` by name (n,) numbers.
 
-    `line`: that of its first row in file `name` (1 where rows are counted, as in Parquet files and data frames).
+    `line`: that of its first row in file `name` (1 where rows are counted, as in Parquet files and data frames), or of
+    each row (n,).
     """
 
     name: str
     stamps: pd.Series
     columns: dict[str, Array]
-    line: int
+    line: int | NDArray[np.intp]
 
     def where(self, row: int) -> str:
         """Name of the file and place of a row in it."""
+        if isinstance(self.line, np.ndarray):
+            return f"{self.name}, line {self.line[row]}"
         return f"{self.name}, {'row' if self.line == 1 else 'line'} {row + self.line}"
 
 
 def raw_table(
-    df: pd.DataFrame, stamps: str | None, columns: Sequence[str], name: str, line: int = 1, decimal: str = "."
+    df: pd.DataFrame,
+    stamps: str | None,
+    columns: Sequence[str],
+    name: str,
+    line: int | NDArray[np.intp] = 1,
+    decimal: str = ".",
 ) -> RawTable:
     """The time stamps and `columns` of a data frame (text with the mark `decimal`); raises as `read_table` does."""
     # A column of stamps whose offset changes, as with summer time, is left as text by pandas.

@@ -16,12 +16,13 @@ the step around each boundary. Readings farther apart than the longest time with
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, limits
+from thermoforce_mpc.data.limits import SignalRule
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.measurements.map.entries import Signal, likelier
 
@@ -35,64 +36,61 @@ _ZERO_OFFSET_W_M2, _DARK_W_M2 = 30.0, 1.0
 # A level may lie outside its range by this much from calibration; it is cut, not refused.
 LEVEL_SLACK = 0.02
 # Longest time between readings that is no gap: this many times their 90th percentile.
-_LOOSE, _PERCENTILE = 1.5, 90.0
+LOOSE, _PERCENTILE = 1.5, 90.0
 
 
-@dataclass(frozen=True)
-class Rules:
-    """Rules of one kind of signal: what it is, its unit inside, range, spike and stuck time, and its usual values."""
-
-    kind: str
-    unit: str
-    range: tuple[float, float] = (-np.inf, np.inf)
-    spike: float = np.inf
-    stuck_h: float = 0.0
-    usual: tuple[float, float] = (-np.inf, np.inf)
-
-    def of(self, signal: Signal) -> Rules:
-        """These rules with what the map sets for `signal`."""
-        return Rules(
-            self.kind,
-            self.unit,
-            signal.range or self.range,
-            signal.spike or self.spike,
-            self.stuck_h if signal.stuck_h is None else signal.stuck_h,
-            self.usual,
-        )
+def with_map(rule: SignalRule, signal: Signal) -> SignalRule:
+    """`rule` with what the map sets for `signal`."""
+    return replace(
+        rule,
+        range=signal.range or rule.range,
+        spike=signal.spike or rule.spike,
+        stuck_h=rule.stuck_h if signal.stuck_h is None else signal.stuck_h,
+    )
 
 
-ZONE = Rules("temperature", "°C", limits.ZONE_C, 5.0, 48.0, (5.0, 40.0))
-OUTDOOR = Rules("temperature", "°C", limits.OUTDOOR_C, 10.0, 24.0, (-30.0, 45.0))
-WATER = Rules("temperature", "°C", limits.RETURN_WATER_C, usual=(5.0, 90.0))
-# Nights of 18 h and more read the zero offset of the sensor, so below that a day and more must be alike.
-SOLAR = Rules("irradiance", "W/m²", limits.SOLAR_W_M2, stuck_h=6.0, usual=(0.0, 1200.0))
-LEVEL = Rules("level", "", (-LEVEL_SLACK, 1.0 + LEVEL_SLACK), usual=(0.05, 1.0))
-SIGNED_LEVEL = Rules("level", "", (-1.0 - LEVEL_SLACK, 1.0 + LEVEL_SLACK), usual=(0.05, 1.0))
-HUMIDITY = Rules("level", "", (0.0, 1.0 + LEVEL_SLACK), usual=(0.05, 1.0))
-POWER = Rules("power", "W")
-BOUND = Rules("temperature", "°C", limits.ZONE_C, usual=(5.0, 40.0))
-PRICE = Rules("price", "per kWh")
-COMMAND = Rules("command", "")
+# Of signals that a record has, by its names, and of others that a table may have. A level of a table may be off by its
+# calibration.
+ZONE, OUTDOOR, WATER = (limits.RULES[name] for name in ("T_zone_C", "T_out_C", "T_return_C"))
+SOLAR, POWER = (limits.RULES[name] for name in ("solar_W_m2", "power_W"))
+LEVEL = replace(limits.RULES["u"], range=(-LEVEL_SLACK, 1.0 + LEVEL_SLACK))
+SIGNED_LEVEL = replace(LEVEL, range=(-1.0 - LEVEL_SLACK, 1.0 + LEVEL_SLACK))
+HUMIDITY = replace(LEVEL, range=(0.0, 1.0 + LEVEL_SLACK))
+BOUND = SignalRule("temperature", "°C", ZONE.range, ZONE.usual)
+PRICE = SignalRule("price", "per kWh")
+COMMAND = SignalRule("command", "")
 
 
 @dataclass(frozen=True)
 class Flag:
-    """Readings that a rule refused: `count` of them, the `first` in words, and up to 200 as (s, value) `points`."""
+    """Readings that a rule refused: `count` of them, the `first` in words, and up to 200 as (s, value) `points`.
+
+    `last_s`: time of the last one, s.
+    """
 
     rule: str
     count: int
     first: str
     points: tuple[tuple[float, float], ...] = ()
+    last_s: float = float("nan")
 
 
 def screened(
-    time_s: Array, values: Array, raw: Array, rules: Rules, name: str, declared: str, where: Callable[[int], str]
+    time_s: Array,
+    values: Array,
+    raw: Array,
+    rules: SignalRule,
+    name: str,
+    declared: str,
+    where: Callable[[int], str],
+    *,
+    refuse: bool = True,
 ) -> tuple[NDArray[np.bool_], tuple[Flag, ...]]:
     """Which readings of a signal hold (n,), and what was flagged.
 
     `time_s` increases, `values` are in the unit inside and finite, `raw` as in the table, (n,) each; `name` (of signal
     and column), `declared` unit and `where` (time stamp of a reading) are for messages. Raises `DataError` where more
-    than 10 % are out of range; says which unit they look like.
+    than 10 % are out of range; says which unit they look like. Without `refuse` that is said of what is flagged.
     """
     flags: list[Flag] = []
 
@@ -103,13 +101,13 @@ def screened(
         shown = rows[:: -(-rows.size // _SHOWN)]
         points = tuple(zip(time_s[shown].tolist(), values[shown].tolist(), strict=True))
         words = f"{values[rows[0]]:.4g} {rules.unit} at {where(int(rows[0]))}{what}"
-        flags.append(Flag(rule, int(rows.size), words, points))
+        flags.append(Flag(rule, int(rows.size), words, points, float(time_s[rows[-1]])))
         return kept[~wrong]
 
     low, high = rules.range
     kept = np.arange(values.size)
     outside = ~((values >= low) & (values <= high))
-    if outside.mean() > _MOST_REFUSED:
+    if refuse and outside.mean() > _MOST_REFUSED:
         unit = likelier(raw, declared, rules.kind, rules.usual)
         hint = f"they look like {unit}: set unit: '{unit}'" if unit else "check column, unit and factor"
         raise DataError(
@@ -117,7 +115,10 @@ def screened(
             f"{rules.unit} (first {values[int(np.argmax(outside))]:.4g} at {where(int(np.argmax(outside)))}, read as "
             f"{declared}; readings from {np.min(raw):.4g} to {np.max(raw):.4g}); {hint}, or set range"
         )
-    kept = flag("range", outside, kept, f", possible are {low:g} to {high:g}")
+    possible = f", possible are {low:g} to {high:g}"
+    if outside.any() and (unit := likelier(raw[outside], declared, rules.kind, rules.usual)):
+        possible += f"; in {unit} they were usual: set unit: '{unit}' if it is so"
+    kept = flag("range", outside, kept, possible)
     if np.isfinite(rules.spike):
         far = _excursions(time_s[kept], values[kept], rules.spike)
         kept = flag("spike", far, kept, f", more than {rules.spike:g} {rules.unit} from those before and after")
@@ -184,7 +185,7 @@ def longest_s(time_s: Array, step_s: float, hold_h: float | None) -> float:
         return hold_h * 3600.0
     if time_s.size < 2:
         return step_s
-    return max(_LOOSE * float(np.percentile(np.diff(time_s), _PERCENTILE)), step_s)
+    return max(LOOSE * float(np.percentile(np.diff(time_s), _PERCENTILE)), step_s)
 
 
 def durations_s(time_s: Array, longest: float, marks: str) -> Array:
@@ -215,7 +216,10 @@ def means(starts_s: Array, lasts_s: Array, values: Array, edges_s: Array, covera
 
 
 def sampled(readings: Readings, at_s: Array) -> Array:
-    """Values (m,) at `at_s` on the line between the readings around, NaN in gaps."""
+    """Values (m,) at `at_s` on the line between the readings around, NaN in gaps.
+
+    The last one holds until the next would be there.
+    """
     time_s, values = readings.time_s, readings.values
     if not values.size:
         return np.full(at_s.size, np.nan)
@@ -228,7 +232,8 @@ def sampled(readings: Readings, at_s: Array) -> Array:
     step_s = float(at_s[1] - at_s[0]) if at_s.size > 1 else np.inf
     nearest = np.where(np.abs(at_s - time_s[before]) <= np.abs(time_s[after] - at_s), before, after)
     near = np.abs(time_s[nearest] - at_s) <= 0.25 * min(readings.longest_s, readings.usual_s or 0.0, step_s)
-    return np.where(bridged, line, np.where(near, values[nearest], np.nan))
+    newest = (at_s > time_s[-1]) & (at_s - time_s[-1] < readings.usual_s - 1.0)
+    return np.where(bridged, line, np.where(near | newest, values[nearest], np.nan))
 
 
 def around(readings: Readings, at_s: Array, step_s: float, coverage: float) -> Array:

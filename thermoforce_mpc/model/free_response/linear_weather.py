@@ -14,12 +14,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtrs
 from scipy.optimize import nnls
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free, quantiles_from_errors
 

@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.special import ndtri
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Boundary, FreeForecast, Record
+from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.free_response.checks import LEVELS, checked_free
 

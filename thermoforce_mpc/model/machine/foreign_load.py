@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from thermoforce_mpc.data import DAY_S, HOUR_S, Array, Record
 from thermoforce_mpc.errors import DataError
-from thermoforce_mpc.model.machine.load import LEVEL_EDGE
+from thermoforce_mpc.model.machine.load import LEVEL_EDGE, error_of_a_step
 
 # Least mean of such a load as a share of full power: below, it is a standby or an error of the meter.
 _LEAST_SHARE = 0.03
@@ -97,6 +97,7 @@ def foreign_load(u: Array, time_s: Array, T_out_C: Array, meter_W: Array) -> For
     if _fades(design, load_W, off_h[settled]):
         return None
     found = _coefficients(design, load_W)
+    found = _coefficients(design, load_W, error_of_a_step(design @ found - load_W, _ERROR * mean_W))
     rmse_W = float(np.sqrt(np.mean((design @ found - load_W) ** 2)))
     return ForeignLoad(
         tuple(np.maximum(found[:HOURS], 0.0).tolist()),
@@ -128,15 +129,19 @@ def _fades(design: Array, load_W: Array, off_h: Array) -> bool:
     return bool(found[-1] * fading.mean() > _FADES_SHARE * load_W.mean() and found[-1] > _SURE_SD * sd_W)
 
 
-def _coefficients(design: Array, load_W: Array) -> Array:
-    """Of each hour, of the outdoor temperature and of what may follow (k,), W each, around their priors."""
+def _coefficients(design: Array, load_W: Array, error_W: float | None = None) -> Array:
+    """Of each hour, of the outdoor temperature and of what may follow (k,), W each, around their priors.
+
+    `error_W`: of a step, by default a share of the mean.
+    """
     mean_W, k = float(load_W.mean()), design.shape[1]
+    error_W = error_W or _ERROR * mean_W
     smooth = np.zeros((HOURS, k))  # from each hour to the next, around the clock
     smooth[:, :HOURS] = np.eye(HOURS) - np.roll(np.eye(HOURS), 1, axis=1)
     flat = np.zeros((1, k))
     flat[0, HOURS] = 1.0
-    rows = np.vstack([design / (_ERROR * mean_W), smooth / (_BY_HOUR * mean_W), flat / (_PER_K * mean_W)])
-    values = np.concatenate([load_W / (_ERROR * mean_W), np.zeros(HOURS + 1)])
+    rows = np.vstack([design / error_W, smooth / (_BY_HOUR * mean_W), flat / (_PER_K * mean_W)])
+    values = np.concatenate([load_W / error_W, np.zeros(HOURS + 1)])
     return np.asarray(np.linalg.lstsq(rows, values, rcond=None)[0])
 
 

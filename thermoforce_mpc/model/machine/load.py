@@ -199,6 +199,23 @@ class EndValues:
         )
 
 
+# Largest correlation of the errors of two steps that is believed.
+_MOST_CORRELATED = 0.97
+
+
+def error_of_a_step(error: Array, least: float) -> float:
+    """Standard deviation that a step counts with, whose errors (n,) of a fit follow one another; at least `least`.
+
+    Of n steps whose errors go on with correlation ρ from one to the next, n (1 − ρ) / (1 + ρ) tell anew (first-order
+    autoregression). Taken as independent, steps of a few hours outvote any prior.
+    """
+    sd = float(np.sqrt(np.mean(error**2))) if error.size else 0.0
+    if not sd > 0.0 or error.size < _MIN_STEPS:
+        return max(sd, least)
+    correlation = float(np.clip(np.mean(error[1:] * error[:-1]) / sd**2, 0.0, _MOST_CORRELATED))
+    return max(sd, least) * float(np.sqrt((1.0 + correlation) / (1.0 - correlation)))
+
+
 @dataclass(frozen=True)
 class Quality:
     """Quality of a fit: `rmse_W` over `n_running` steps, `r2` over all `n_samples`."""

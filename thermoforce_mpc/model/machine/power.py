@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.optimize import lsq_linear
 
@@ -27,6 +28,7 @@ from thermoforce_mpc.model.machine.load import (
     MachineLoad,
     Quality,
     Steps,
+    error_of_a_step,
     levels_to_try,
     running_share,
     usable_steps,
@@ -199,13 +201,11 @@ def fit_both_directions(histories: Sequence[Record], heating: Array, cooling: Ar
     load_W = power[measured]
     full = float(np.max(load_W))
     prior = [end_values.sloping(POWER_SLOPE.mean_per_K) / (POWER_SLOPE.sd_per_K * full) for end_values in ends.values()]
-    rows = np.vstack([design / (RESIDUAL_SCALE * full), block_diag(*prior)])
-    values = np.concatenate([load_W / (RESIDUAL_SCALE * full), np.zeros(len(ends))])
-    solution = lsq_linear(rows, values, bounds=(LEAST_W, np.inf)).x
+    both = (heating + cooling)[measured]
+    solution = _with_prior(design, load_W, block_diag(*prior), full, both > LEVEL_EDGE)
     loads = {
         name: end_values.load(solution[2 * i : 2 * i + 2], 1.0) for i, (name, end_values) in enumerate(ends.items())
     }
-    both = (heating + cooling)[measured]
     quality = Quality.of(design @ solution, Steps(both, T_out[measured], load_W, both > LEVEL_EDGE, measured))
     source = f"fitted to {quality.n_samples} steps"
     if len(loads) == 1:
@@ -257,15 +257,29 @@ def _fit_at(
     bends = np.zeros((steps.u.size, 0)) if squares is None else (times * squares)[:, None]
     design = np.hstack([design, bends])
     full = float(np.max(steps.load_W[steps.running]))
-    rows: list[Array] = [design / (RESIDUAL_SCALE * full)]
-    values: list[Array] = [steps.load_W / (RESIDUAL_SCALE * full)]
+    prior = np.empty((0, design.shape[1]))
     if slope is not None:
         # Prior of the slope, scaled by the size of the load.
         per_part = slope.sd_per_K * full / len(carriers)
         flat = np.kron(np.eye(len(carriers)), ends.sloping(slope.mean_per_K)) / per_part
-        rows.append(np.hstack([flat, np.zeros((len(carriers), bends.shape[1]))]))
-        values.append(np.zeros(len(carriers)))
-    solution = lsq_linear(np.concatenate(rows), np.concatenate(values), bounds=(LEAST_W, np.inf)).x
+        prior = np.hstack([flat, np.zeros((len(carriers), bends.shape[1]))])
+    solution = _with_prior(design, steps.load_W, prior, full, steps.running)
     parts = 2 * len(carriers)
     curve_W = float(solution[parts:].sum())
     return LoadFit(ends.load(solution[:parts], lowest_level, curve_W), Quality.of(design @ solution, steps))
+
+
+def _with_prior(design: Array, load_W: Array, prior: Array, full_W: float, running: NDArray[np.bool_]) -> Array:
+    """Coefficients (k,) of a load by least squares, around `prior` (rows of mean 0 and standard deviation 1).
+
+    A step counts as its error does: what the record did not span, such as cold weather, stays at the prior.
+    """
+
+    def fitted(scale_W: float) -> Array:
+        rows = np.vstack([design / scale_W, prior])
+        values = np.concatenate([load_W / scale_W, np.zeros(len(prior))])
+        return np.asarray(lsq_linear(rows, values, bounds=(LEAST_W, np.inf)).x)
+
+    first = fitted(RESIDUAL_SCALE * full_W)
+    error = (design @ first - load_W)[running]
+    return fitted(error_of_a_step(error, RESIDUAL_SCALE * full_W)) if len(prior) else first

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
 from thermoforce_mpc.data import SINGLE, Array
+from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.model.operator.certificate import Certificate, certificate
 from thermoforce_mpc.model.operator.features import N_FEATURES

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from pvlib import iam
 
 from thermoforce_mpc.boundary.weather.solar import on_plane, sun_position
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import YEAR_S, Array
+from thermoforce_mpc.data.compiled import njit
 
 # Step of the physics and of the samples, and of the grids of weather and schedules, s.
 STEP_S, GRID_S = 30.0, 900.0

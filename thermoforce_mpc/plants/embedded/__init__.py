@@ -1,5 +1,6 @@
-"""Embedded plant: the emulator that ships with the package, without further dependencies."""
+"""Embedded plants: emulators that ship with the package, without further dependencies."""
 
 from thermoforce_mpc.plants.embedded.emulator import EmbeddedPlant
+from thermoforce_mpc.plants.embedded.point_emulator import PointEmulator, emulator_of
 
-__all__ = ["EmbeddedPlant"]
+__all__ = ["EmbeddedPlant", "PointEmulator", "emulator_of"]

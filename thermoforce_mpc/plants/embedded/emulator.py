@@ -1,4 +1,4 @@
-"""Embedded plant: emulator of the BOPTEST test case `bestest_hydronic_heat_pump` from its documented physics."""
+"""Embedded plants: emulators of test cases of BOPTEST from their documented physics."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from thermoforce_mpc.boundary import tariffs
 from thermoforce_mpc.boundary.forecast_error import ForecastError, forecast_weather
-from thermoforce_mpc.boundary.periods import heating_windows, published_windows
+from thermoforce_mpc.boundary.periods import all_windows, heating_windows, published_windows
 from thermoforce_mpc.boundary.weather.year import Weather
 from thermoforce_mpc.data import (
     HOUR_S,
@@ -26,62 +26,41 @@ from thermoforce_mpc.data import (
 )
 from thermoforce_mpc.errors import InputError
 from thermoforce_mpc.plants.checks import day_period, is_day
-from thermoforce_mpc.plants.embedded import exposure, kernel, schedule
-from thermoforce_mpc.plants.embedded.constructions import AREA_M2, build_network
+from thermoforce_mpc.plants.embedded import exposure
+from thermoforce_mpc.plants.embedded.cases import ELECTRICITY, HEAT_PUMP, EmulatedCase
+from thermoforce_mpc.plants.embedded.envelope import AS_SCHEDULED, COOKING, PEOPLE, WINDOWS
 from thermoforce_mpc.plants.embedded.exposure import build_exposure
-from thermoforce_mpc.plants.embedded.kernel import integrals
-from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, peak_power
+from thermoforce_mpc.plants.embedded.kernel import STEP_S, integrals
+from thermoforce_mpc.plants.embedded.schedule import Schedule
+from thermoforce_mpc.plants.kpis import PEAK_WINDOW_S, PEAKS, Supply, Violation, building_kpis, excess, peak_power
 from thermoforce_mpc.plants.people import live
 from thermoforce_mpc.plants.records import interval_means
 from thermoforce_mpc.plants.shell import CLOCK_S, BranchingShell
 from thermoforce_mpc.scenario.building import Price
 from thermoforce_mpc.version import VERSION
 
-_COLUMN = {name: i for i, name in enumerate(kernel.RECORD)}
-_POWERS = ("P_heat_pump", "P_fan", "P_pump")
-
 # Shortest step, s; shorter ones are lost in the rounding of the clock.
 LEAST_STEP_S = 1e-3
 
-# Overwrite inputs of the test case in the kernel's order: (name, lowest, highest), in units of BOPTEST's interface.
-OVERWRITES = (("oveHeaPumY", 0.0, 1.0), ("oveTSet", 278.15, 308.15), ("ovePum", 0.0, 1.0), ("oveFan", 0.0, 1.0))
-_LIMITS = {name: (low, high) for name, low, high in OVERWRITES}
 # Initial value of every input, outside the limits of a set-point (0 K).
 NEVER_GIVEN = 0.0
 
-# Measurements of the test case: BOPTEST name and column of the record.
-MEASUREMENTS = {
-    "reaTZon_y": "T_operative",
-    "reaPHeaPum_y": "P_heat_pump",
-    "reaPFan_y": "P_fan",
-    "reaPPumEmi_y": "P_pump",
-    "reaQHeaPumCon_y": "Q_condenser",
-    "reaQFloHea_y": "Q_floor",
-    "reaTSup_y": "T_supply",
-    "reaTRet_y": "T_return",
-    "reaCOP_y": "COP",
-    "reaCO2RooAir_y": "CO2",
-    "weaSta_reaWeaTDryBul_y": "T_out",
-    "weaSta_reaWeaHGloHor_y": "solar",
-}
 
-
-class EmbeddedPlant(BranchingShell):
-    """Emulator behind the `Plant` protocol. Deterministic: same inputs, same bytes.
-
-    ```python
-    with EmbeddedPlant(load_weather(Path("Brussels.mos"))) as plant:
-        plant.reset(start_s=16 * 86400, warmup_s=7 * 86400)
-        measurement = plant.advance(u=0.5, duration_s=900)
-    ```
+class Emulator(BranchingShell):
+    """An emulated test case behind the `Plant` protocol. Deterministic: same inputs, same bytes.
 
     The weather year is periodic: time may run over its end.
+
+    Attributes:
+        case, weather: as given.
+        scheduled: forecast points that depend on the time alone, see `EmulatedCase.scheduled`.
     """
 
     _changing = (*BranchingShell._changing, "_nodes", "_scalars")
 
     def __init__(
         self,
+        case: EmulatedCase,
         weather: Weather,
         *,
         highly_dynamic: tariffs.Tariff | None = None,
@@ -92,18 +71,23 @@ class EmbeddedPlant(BranchingShell):
         """Build the plant for a weather year.
 
         Args:
+            case: the test case.
             highly_dynamic: highly dynamic tariff; default: a synthetic one, see `boundary.tariffs`.
             forecast_error: weather forecast errors; default: a perfect forecast.
             periods: windows by name; default: those of BOPTEST's rule for this weather.
             people: seed of people who do not keep to the schedule, see `plants.people`; default: they keep to it.
         """
+        self.case = case
         self.weather = weather
+        self._column = {name: i for i, name in enumerate(case.system.RECORD)}
+        self._limits = case.limits
         self._forecast_error = forecast_error
-        self._network = build_network()
-        grid = build_exposure(weather)
-        self._scheduled = grid, kernel.AS_SCHEDULED
-        self._lived = self._scheduled if people is None else _with_people(grid, people)
-        self._tariffs = tariffs.by_name(highly_dynamic)
+        self._envelope = case.house.envelope
+        grid = build_exposure(weather, case.house.facade)
+        self._scheduled = grid, AS_SCHEDULED
+        self._lived = self._scheduled if people is None else _with_people(grid, case.schedule, people)
+        self._tariffs = case.prices(highly_dynamic)
+        self.scheduled = case.scheduled(self._tariffs)
         self._periods = periods
         self.reset(0.0, 0.0)
 
@@ -112,36 +96,33 @@ class EmbeddedPlant(BranchingShell):
         """Plant, weather and version."""
         return PlantInfo(
             kind="embedded",
-            testcase="bestest_hydronic_heat_pump",
-            description="emulator of the BOPTEST test case, written from its documented physics",
+            testcase=self.case.name,
+            description=self.case.description,
             weather=self.weather.name,
             version=VERSION,
         )
 
     def period(self, name: str) -> Period:
-        """Return 'peak_heat_day' or 'typical_heat_day' by BOPTEST's rule, or a start day; raises `InputError`."""
+        """Return a window of `case.periods` by BOPTEST's rule, or a start day; raises `InputError`."""
         if is_day(name):
             return day_period(name, ())
         if self._periods is None:
-            self._periods = published_windows(self.weather.fingerprint) or heating_windows(self.native_power_W())
+            self._periods = published_windows(self.case.name, self.weather) or self._windows_of_year()
         return self._periods[name] if name in self._periods else day_period(name, self._periods)
 
+    def _windows_of_year(self) -> dict[str, Period]:
+        of_year = self.native_powers_W()
+        if self.case.cooling is None:
+            return heating_windows(of_year[self.case.heating])
+        return all_windows(of_year[self.case.heating], of_year[self.case.cooling])
+
     def _first_row(self) -> Array:
-        self._nodes = self._network.start_K.copy()
-        self._scalars = np.zeros(kernel.N_SCALARS)
-        self._scalars[[kernel.T_AIR, kernel.T_SUPPLY, kernel.T_RETURN, kernel.T_OPERATIVE]] = 293.15
-        self._scalars[kernel.LAST_T_PIPE] = self._nodes[self._network.pipe]
-        self._scalars[kernel.T_EVAPORATOR] = 278.15
-        self._scalars[kernel.CO2_PPM] = 400.0
-        row = np.empty(len(kernel.RECORD))
-        kernel.sample(self._scalars, self._now_s, np.full(len(OVERWRITES), math.nan), self._scheduled[0], row)
+        self._nodes = self._envelope.start_K.copy()
+        self._scalars = np.zeros(self.case.system.N_SCALARS)
+        row = np.empty(len(self._column))
+        native = np.full(len(self._limits), math.nan)
+        self.case.system.start(self._nodes, self._scalars, self._now_s, native, self._scheduled[0], self._envelope, row)
         return row
-
-    def _run(self, block: Block) -> None:
-        self._samples.append(*self._simulated(_overrides(block), block.duration_s))
-
-    def _advanced(self, block: Block) -> Measurement:
-        return self.advance_points(_overrides(block), block.duration_s)
 
     def advance_points(self, overrides: Mapping[str, float], duration_s: float) -> Measurement:
         """Advance with overwrite inputs by BOPTEST name (temperatures in K); inputs not given stay native.
@@ -150,9 +131,9 @@ class EmbeddedPlant(BranchingShell):
         duration that is not between 1 ms and a year.
         """
         for name, value in overrides.items():
-            if name not in _LIMITS:
-                raise InputError(f"unknown input '{name}'; known: {', '.join(_LIMITS)}")
-            low, high = _LIMITS[name]
+            if name not in self._limits:
+                raise InputError(f"unknown input '{name}'; known: {', '.join(self._limits)}")
+            low, high = self._limits[name]
             number = isinstance(value, int | float | np.number) and math.isfinite(value)
             if not number or not (low <= value <= high or value == NEVER_GIVEN):
                 raise InputError(f"input '{name}' is {value!r}, expected a number from {low:g} to {high:g}")
@@ -164,60 +145,30 @@ class EmbeddedPlant(BranchingShell):
         self._samples.append(*self._simulated(overrides, float(duration_s)))
         return self._measured(before_s)
 
-    def _boundary(self, time_s: Array) -> Boundary:
-        lower, upper = schedule.bounds_C(time_s)
-        T_out, solar = forecast_weather(self.weather, self._forecast_error, time_s)
-        price, emission = self._bought(time_s)
-        return Boundary(
-            time_s=time_s,
-            T_out_C=T_out,
-            solar_W_m2=solar,
-            occupancy=schedule.PEOPLE * schedule.occupied_sample(time_s),
-            lower_C=lower,
-            upper_C=upper,
-            price_per_kWh=price,
-            emission_kg_per_kWh=emission,
-        )
-
-    def _past(self, edges: Array) -> Record:
-        record = self.recorded(self._begin_s, self._now_s)
-        names = ("T_operative", "T_out", "solar")
-        T_zone, T_out, solar = (np.interp(edges, record["time"], record[name]) for name in names)
-        return Record(
-            time_s=edges,
-            T_zone_C=T_zone - ZERO_C_K,
-            T_out_C=T_out - ZERO_C_K,
-            solar_W_m2=solar,
-            u=interval_means(record, ["level"], edges),
-            power_W=interval_means(record, _POWERS, edges),
-            heat_W=interval_means(record, ["Q_condenser"], edges),
-            T_return_C=interval_means(record, ["T_return"], edges) - ZERO_C_K,
-        )
-
     def kpis(self) -> dict[str, float]:
         """Return BOPTEST's KPIs since the end of the warm-up, except the computing time, which the loop measures."""
         if self._now_s - self._start_s < CLOCK_S:  # no step simulated yet: BOPTEST returns zeros
-            return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot", "idis_tot", "pele_tot"), 0.0)
+            peaks = (PEAKS[name] for name in self.case.carriers)
+            return dict.fromkeys(("ener_tot", "cost_tot", "emis_tot", "tdis_tot", "idis_tot", *peaks), 0.0)
         return self._kpis_so_far(self._kpis_between)
 
     def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
         time_s, rows = self._samples.between(start_s, final_s)
-        Wh, cost, discomfort_Kh, excess_ppm_h = integrals(time_s, rows, self._tariffs[self._price](time_s)).tolist()
-        span_s = final_s - start_s
-        # The mean over one window, as after every step of a quarter of an hour.
-        peak_W = Wh * HOUR_S / span_s
-        if span_s > PEAK_WINDOW_S + CLOCK_S:
-            heat_pump_W, fan_W, pump_W = (rows[:, _COLUMN[name]] for name in _POWERS)
-            peak_W = peak_power(time_s, heat_pump_W + fan_W + pump_W)
-        kWh = Wh / 1e3 / AREA_M2
-        return {
-            "ener_tot": kWh,
-            "cost_tot": cost / 1e3 / AREA_M2,
-            "emis_tot": kWh * tariffs.EMISSION_KG_PER_KWH,
-            "tdis_tot": discomfort_Kh,
-            "idis_tot": excess_ppm_h,
-            "pele_tot": peak_W / 1e3 / AREA_M2,
-        }
+        use, known = self.case.schedule, self.scheduled
+        supplies = []
+        for name, carrier in self.case.carriers.items():
+            price = self._tariffs[self._price] if carrier.price_per_kWh is None else known[f"Price{name}"]
+            power_W = np.sum([rows[:, self._column[column]] for column in carrier.columns], axis=0)
+            supplies.append(Supply(name, power_W, price(time_s), known[f"Emissions{name}"](time_s)))
+        T_C = rows[:, self._column[self.case.zone]] - ZERO_C_K
+        too_much = np.maximum(rows[:, self._column["CO2"]] - use.co2_limit_ppm(time_s), 0.0)
+        return building_kpis(
+            time_s,
+            supplies=supplies,
+            thermal=[Violation("1", excess(T_C, *use.bounds_C(time_s)))],
+            air_quality=[Violation("1", too_much)],
+            area_m2=self.case.house.area_m2,
+        )
 
     @property
     def now_s(self) -> float:
@@ -246,55 +197,130 @@ class EmbeddedPlant(BranchingShell):
         self._price, self._forecast_error = cast(Price, price), forecast_error
 
     def recorded(self, start_s: float, final_s: float) -> dict[str, Array]:
-        """Return the samples between two times: 'time' s and every column of `kernel.RECORD`, in its units, (n,) each.
+        """Return the samples between two times: 'time' s and every column of `case.system.RECORD`, (n,) each.
 
         Each advance adds equally spaced samples, 30 to 60 s apart (30 s if its length is a multiple of 30 s), or one if
         it is shorter. The record starts with the warm-up and ends now; arrays are empty if nothing was recorded.
         """
         time_s, values = self._samples.between(start_s, final_s)
-        return {"time": time_s} | {name: values[:, i] for name, i in _COLUMN.items()}
+        return {"time": time_s} | {name: values[:, i] for name, i in self._column.items()}
 
     def _simulated(self, overrides: Mapping[str, float], duration_s: float) -> tuple[Array, Array]:
-        """Simulate, and set the clock to the end; times (n,) and samples (n, 17)."""
+        """Simulate, and set the clock to the end; times (n,) and samples (n, columns)."""
         before_s = self._now_s
         # As in BOPTEST: the number of equal steps is that of whole 30 s in the duration, at least one.
-        time_s = self._spaced(duration_s, kernel.STEP_S)
+        time_s = self._spaced(duration_s, STEP_S)
         n = time_s.size
-        rows = np.empty((n, len(kernel.RECORD)))
-        forced = np.array([overrides.get(name, math.nan) for name in _LIMITS], dtype=np.float64)
+        rows = np.empty((n, len(self._column)))
+        forced = np.array([overrides.get(name, math.nan) for name in self._limits], dtype=np.float64)
         state = self._nodes, self._scalars, before_s, n, duration_s / n
-        kernel.advance(*state, forced, *self._lived, self._network, rows)
+        self.case.system.advance(*state, forced, *self._lived, self._envelope, rows)
         return time_s, rows
 
-    def native_power_W(self) -> Array:
-        """Return 15-min means of the compressor power over a year under native control and schedule, W, (35040,)."""
+    def native_powers_W(self) -> dict[str, Array]:
+        """Return 15-min means over a year under native control and schedule, W, (35040,), of the powers of its case."""
         here, lived = self.snapshot(), self._lived
         self._lived = self._scheduled
         try:
             self.reset(0.0, 0.0)
             _, rows = self._simulated({}, YEAR_S)
-            return np.asarray(rows[:, _COLUMN["P_heat_pump"]].reshape(-1, 30).mean(axis=1))
+            names = [name for name in (self.case.heating, self.case.cooling) if name]
+            return {name: np.asarray(rows[:, self._column[name]].reshape(-1, 30).mean(axis=1)) for name in names}
         finally:
             self._lived = lived
             self.restore(here)
 
+
+_POWERS = HEAT_PUMP.carriers[ELECTRICITY].columns
+
+
+class EmbeddedPlant(Emulator):
+    """Emulator of `bestest_hydronic_heat_pump`, whose level is the speed of its compressor.
+
+    ```python
+    with EmbeddedPlant(load_weather(Path("Brussels.mos"))) as plant:
+        plant.reset(start_s=16 * 86400, warmup_s=7 * 86400)
+        measurement = plant.advance(u=0.5, duration_s=900)
+    ```
+    """
+
+    def __init__(self, weather: Weather, **options: Any) -> None:
+        """Build the plant for a weather year; options as of `Emulator`."""
+        super().__init__(HEAT_PUMP, weather, **options)
+
+    def _run(self, block: Block) -> None:
+        self._samples.append(*self._simulated(_overrides(block), block.duration_s))
+
+    def _advanced(self, block: Block) -> Measurement:
+        return self.advance_points(_overrides(block), block.duration_s)
+
+    def _boundary(self, time_s: Array) -> Boundary:
+        lower, upper = self.case.schedule.bounds_C(time_s)
+        T_out, solar = forecast_weather(self.weather, self._forecast_error, time_s)
+        price, emission = self._bought(time_s)
+        return Boundary(
+            time_s=time_s,
+            T_out_C=T_out,
+            solar_W_m2=solar,
+            occupancy=self.case.schedule.occupants(time_s),
+            lower_C=lower,
+            upper_C=upper,
+            price_per_kWh=price,
+            emission_kg_per_kWh=emission,
+        )
+
+    def _past(self, edges: Array) -> Record:
+        record = self.recorded(self._begin_s, self._now_s)
+        names = ("T_operative", "T_out", "solar")
+        T_zone, T_out, solar = (np.interp(edges, record["time"], record[name]) for name in names)
+        return Record(
+            time_s=edges,
+            T_zone_C=T_zone - ZERO_C_K,
+            T_out_C=T_out - ZERO_C_K,
+            solar_W_m2=solar,
+            u=interval_means(record, ["level"], edges),
+            power_W=interval_means(record, _POWERS, edges),
+            heat_W=interval_means(record, ["Q_condenser"], edges),
+            T_return_C=interval_means(record, ["T_return"], edges) - ZERO_C_K,
+        )
+
+    def _kpis_between(self, start_s: float, final_s: float) -> dict[str, float]:
+        time_s, rows = self._samples.between(start_s, final_s)
+        Wh, cost, discomfort_Kh, excess_ppm_h = integrals(time_s, rows, self._tariffs[self._price](time_s)).tolist()
+        span_s = final_s - start_s
+        # The mean over one window, as after every step of a quarter of an hour.
+        peak_W = Wh * HOUR_S / span_s
+        if span_s > PEAK_WINDOW_S + CLOCK_S:
+            heat_pump_W, fan_W, pump_W = (rows[:, self._column[name]] for name in _POWERS)
+            peak_W = peak_power(time_s, heat_pump_W + fan_W + pump_W)
+        area_m2 = self.case.house.area_m2
+        kWh = Wh / 1e3 / area_m2
+        return {
+            "ener_tot": kWh,
+            "cost_tot": cost / 1e3 / area_m2,
+            "emis_tot": kWh * tariffs.EMISSION_KG_PER_KWH,
+            "tdis_tot": discomfort_Kh,
+            "idis_tot": excess_ppm_h,
+            "pele_tot": peak_W / 1e3 / area_m2,
+        }
+
     def _measured(self, before_s: float) -> Measurement:
         """Return the last sample, with means since `before_s`, the last advance."""
         last = self._samples.rows[-1].tolist()
-        means: list[Any] = [math.nan] * len(kernel.RECORD)
+        means: list[Any] = [math.nan] * len(self._column)
         if before_s < self._now_s:
             rows = self._samples.between(before_s, self._now_s)[1][1:]
             means = (np.add.reduce(rows, axis=0) / len(rows)).tolist()
-        points = {name: last[_COLUMN[column]] for name, column in MEASUREMENTS.items()}
+        points = {name: last[self._column[column]] for name, column in self.case.measurements.items()}
         return Measurement(
             time_s=self._now_s,
             T_zone_C=points["reaTZon_y"] - ZERO_C_K,
             T_out_C=points["weaSta_reaWeaTDryBul_y"] - ZERO_C_K,
             solar_W_m2=points["weaSta_reaWeaHGloHor_y"],
-            u=means[_COLUMN["level"]],
-            power_W=sum(means[_COLUMN[name]] for name in _POWERS),
-            heat_W=means[_COLUMN["Q_condenser"]],
-            T_return_C=means[_COLUMN["T_return"]] - ZERO_C_K,
+            u=means[self._column["level"]],
+            power_W=sum(means[self._column[name]] for name in _POWERS),
+            heat_W=means[self._column["Q_condenser"]],
+            T_return_C=means[self._column["T_return"]] - ZERO_C_K,
             points=points,
         )
 
@@ -304,19 +330,20 @@ def _overrides(block: Block) -> dict[str, float]:
     return {} if level is None else {"oveHeaPumY": level}
 
 
-def _with_people(grid: Array, seed: int) -> tuple[Array, Array]:
-    """Return the exposure behind the blinds of people, and what else differs from the schedule, see `kernel.PEOPLE`."""
+def _with_people(grid: Array, schedule: Schedule, seed: int) -> tuple[Array, Array]:
+    """Return the exposure behind the blinds of people, and what else differs from the schedule, see `AS_SCHEDULED`."""
     usual = schedule.occupied(np.arange(0.0, YEAR_S + exposure.GRID_S, exposure.GRID_S))
     life = live(
         [seed],
-        usual.astype(np.bool_),
-        schedule.PEOPLE,
+        usual,
+        schedule.people,
         T_out_C=grid[:, exposure.T_OUT] - ZERO_C_K,
         solar_W_m2=grid[:, exposure.GLOBAL],
+        cooks=not schedule.equipped,
     )
     shaded = grid.copy()
     shaded[:, [exposure.BEAM_IN, exposure.DIFFUSE_IN]] *= life.sun[0][:, None]
-    differs = np.zeros((len(grid) - 1, len(kernel.AS_SCHEDULED[0])))
-    differs[:, kernel.PEOPLE] = (life.present - schedule.PEOPLE * usual)[:-1]
-    differs[:, kernel.COOKING], differs[:, kernel.WINDOWS] = life.cooking_W[:-1], life.windows_1_h[0, :-1]
+    differs = np.zeros((len(grid) - 1, AS_SCHEDULED.shape[1]))
+    differs[:, PEOPLE] = (life.present - schedule.people * usual)[:-1]
+    differs[:, COOKING], differs[:, WINDOWS] = life.cooking_W[:-1], life.windows_1_h[0, :-1]
     return shaded, differs

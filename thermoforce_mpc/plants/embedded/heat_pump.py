@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from thermoforce_mpc.data.compiled import njit
 
 CRITICAL_K = 345.25
 _CRITICAL_PA = 4926.1e3

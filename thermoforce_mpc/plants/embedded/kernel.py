@@ -1,10 +1,7 @@
 """Time step of the whole plant, native control to walls, and its integrals. Compiled; no allocation per step.
 
 Control, refrigerant, pump and fan at a sample follow from the state at that instant and act over the next step.
-
-The envelope uses implicit Euler (first order, L-stable) with film coefficients of the previous step. The nodes of all
-constructions form one tridiagonal system that shares only the air and the radiant node. It is solved for three
-right-hand sides (constant, per K of air, per K of the radiant node); two balances then give air and radiant node.
+The envelope, and with it the air, advance by implicit Euler, see `envelope`.
 """
 
 from __future__ import annotations
@@ -12,14 +9,26 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array
+from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.plants.embedded import constructions as c
 from thermoforce_mpc.plants.embedded import exposure as x
 from thermoforce_mpc.plants.embedded import heat_pump as hp
 from thermoforce_mpc.plants.embedded import schedule as s
+from thermoforce_mpc.plants.embedded.envelope import (
+    COOKING,
+    PEOPLE,
+    WINDOWS,
+    air_and_star,
+    films,
+    radiant_temperature,
+    read_weather,
+    respond,
+    settle,
+)
 from thermoforce_mpc.plants.embedded.heat_pump import heat_pump
+from thermoforce_mpc.plants.embedded.houses import HEAT_PUMP_HOUSE
 from thermoforce_mpc.plants.embedded.schedule import is_occupied
 
 # Default step length, s; also the shortest distance of samples, except for shorter advances.
@@ -38,25 +47,20 @@ RECORD = (
     "T_setpoint", "CO2", "T_out", "solar", "fan", "pump", "Q_evaporator",
 )  # fmt: skip
 
-_SIGMA = 5.670374419e-8
-_CP_AIR = 1006.0 + 1860.0 * 0.006  # dry air with 6 g/kg of vapour
-_AIR_J_K = 1.2 * c.VOLUME_M3 * _CP_AIR
+_FLOOR_M2, _AIR_J_K = HEAT_PUMP_HOUSE.area_m2, HEAT_PUMP_HOUSE.air_J_K
 _AIR_CHANGES_S = 0.5 / 3600.0
-_INFILTRATION_KG_S = 1.2 * c.VOLUME_M3 * _AIR_CHANGES_S
-_INFILTRATION_W_K = _INFILTRATION_KG_S * _CP_AIR
+_INFILTRATION_KG_S = HEAT_PUMP_HOUSE.air_kg * _AIR_CHANGES_S
+_INFILTRATION_W_K = _INFILTRATION_KG_S * HEAT_PUMP_HOUSE.cp
 _OUTDOOR_PPM = 400.0
 _PPM_PER_KG_KG = 1e6 / 1.528635  # the test case's ratio of molar masses, CO2 to moist air
 _CO2_KG_S_PERSON = 1.08167e-5
+_PEOPLE = float(s.HEAT_PUMP_USE.people)
 _GAIN_RADIANT_W, _GAIN_CONVECTIVE_W = 219.0, 146.0  # five people
-
-# Columns of what differs from the schedule, held for 15 min: people, heat of cooking W, air changes by windows 1/h.
-PEOPLE, COOKING, WINDOWS = range(3)
-AS_SCHEDULED = np.zeros((1, 3))
 
 # Floor heating: one circuit, 168.9 kg of water, resistance water to pipe plane after Koschenz and Lehmann (2000).
 _CONDENSER_J_K = 30.0 * hp.WATER_J_KG_K
 _FLOOR_J_K = 168.9 * hp.WATER_J_KG_K
-_FLOOR_W_K = c.AREA_M2 / 0.10207009
+_FLOOR_W_K = _FLOOR_M2 / 0.10207009
 _EVAPORATOR_J_K = 180.0 * hp.AIR_J_KG_K
 # Temperature of the expansion vessel, connected between supply sensor and pump.
 _VESSEL_K = 293.15
@@ -65,58 +69,15 @@ _VESSEL_K = 293.15
 NATIVE_GAIN, _INTEGRAL_S, _ANTI_WINDUP = 0.6, 8000.0, 0.9
 _SWITCH_ON, _SWITCH_OFF = 0.01, 0.005
 
-_WALL_EMISSIVITY = 0.9
-_SKY_VIEW = np.array([0.5 * math.cos(math.pi / 4)] * 4 + [1.0, 0.5 * math.cos(math.pi / 4)])
-_OUTSIDE_M2 = np.array([*c.WALLS_M2, c.AREA_M2, c.WINDOW_M2])
-# Long-wave radiation of the window panes, linearised about 280 K.
-_WINDOW_RADIATION = 0.9 * _SIGMA * (280.0 + 285.0) * (280.0**2 + 285.0**2)
-
-_N_INSIDE = len(c.SURFACES)
-_INSIDE_M2, _SHARE, _EMISSIVITY, _RESISTANCE = np.array(list(c.SURFACES.values())).T.copy()
-_RADIANT_W_K = (2 * 295.15 - 2) * (295.15**2 + 293.15**2) / _RESISTANCE
-_SHARE = _SHARE / sum(_SHARE.tolist())
-_EMITTED = _INSIDE_M2 * _EMISSIVITY / (_INSIDE_M2 * _EMISSIVITY).sum()
-# Beam irradiance falls on the floor, which absorbs 55 % and reflects the rest to all other surfaces.
-_FLOOR, _CEILING = (list(c.SURFACES).index(name) for name in ("floor", "roof"))
-_BEAM = np.where(np.arange(_N_INSIDE) == _FLOOR, 0.0, _SHARE)
-_BEAM = 0.45 * _BEAM / _BEAM.sum()
-_BEAM[_FLOOR] = 0.55
-# Khalifa-type films: A·1.823/Dh^0.121·|dT|^1.293 on walls, with Dh from the perimeter of each wall.
-_DH = 4.0 * _INSIDE_M2 / (2.0 * _INSIDE_M2 / c.HEIGHT_M + 2.0 * c.HEIGHT_M)
-_WALL_FILM = _INSIDE_M2 * 1.823 / _DH**0.121
-_SIDE = math.sqrt(c.AREA_M2)
-_BUOYANT_FILM, _STABLE_FILM = c.AREA_M2 * 2.175 / _SIDE**0.076, c.AREA_M2 * 0.704 / _SIDE**0.601
-_BLEND_K = 0.1
-_ZERO_ROUNDING_K = 1e-4
-
-
-@njit(cache=True)
-def _horizontal_film(buoyant_K: float) -> float:
-    """Return the film conductance of floor or ceiling, W/K; buoyant for positive `buoyant_K`, blended over ±0.1 K."""
-    d = abs(buoyant_K) + _ZERO_ROUNDING_K
-    share = min(max(0.5 + 0.5 * buoyant_K / _BLEND_K, 0.0), 1.0)
-    share = share * share * (3.0 - 2.0 * share)
-    return share * _BUOYANT_FILM * d**0.308 + (1.0 - share) * _STABLE_FILM * d**0.133
-
 
 @njit(cache=True)
 def soil_heat_W(time_s: float) -> float:
     """Return the heat loss at the underside of the slab, W: ISO 13370 edge loss, mean and two periodic parts."""
     month = time_s / 3.1536e7 * 12.0
-    mean = 0.0823985 * c.AREA_M2 * (295.15 - 283.95)
+    mean = 0.0823985 * _FLOOR_M2 * (295.15 - 283.95)
     outside = 11.921 * 2.0 * math.cos(2.0 * math.pi / 12.0 * (month - 1.0 + 0.1322))
     inside = 5.7858 * 4.0 * math.cos(2.0 * math.pi / 12.0 * (month - 1.0 - 2.3167))
     return mean - outside + inside
-
-
-@njit(cache=True, inline="always")
-def _read_weather(grid: np.ndarray, time_s: float, w: np.ndarray) -> None:
-    """Interpolate the exposure linearly at `time_s` into `w` (17,)."""
-    at = (time_s % ((grid.shape[0] - 1) * x.GRID_S)) / x.GRID_S
-    row = int(at)
-    share = at - row
-    for j in range(x.N_COLUMNS):
-        w[j] = (1.0 - share) * grid[row, j] + share * grid[row + 1, j]
 
 
 @njit(cache=True)
@@ -175,10 +136,23 @@ def _note(scalars: np.ndarray, w: np.ndarray, row: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def sample(scalars: np.ndarray, time_s: float, overrides: np.ndarray, grid: np.ndarray, row: np.ndarray) -> None:
-    """Write the sample at `time_s` under `overrides` (4,) into `row` (17,), see `advance`."""
+def start(
+    nodes: np.ndarray,
+    scalars: np.ndarray,
+    time_s: float,
+    overrides: np.ndarray,
+    grid: np.ndarray,
+    env: c.Envelope,
+    row: np.ndarray,
+) -> None:
+    """Set `scalars` (20,) to a begin at `time_s`; write its sample into `row` (17,), see `advance`."""
+    scalars[:] = 0.0
+    scalars[T_AIR] = scalars[T_SUPPLY] = scalars[T_RETURN] = scalars[T_OPERATIVE] = c.START_K
+    scalars[LAST_T_PIPE] = nodes[env.heated[0]]
+    scalars[T_EVAPORATOR] = 278.15
+    scalars[CO2_PPM] = _OUTDOOR_PPM
     w = np.empty(x.N_COLUMNS)
-    _read_weather(grid, time_s, w)
+    read_weather(grid, time_s, w)
     _operate(scalars, time_s, overrides)
     _note(scalars, w, row)
 
@@ -193,30 +167,25 @@ def advance(
     overrides: np.ndarray,
     grid: np.ndarray,
     unannounced: np.ndarray,
-    net: c.Network,
+    env: c.Envelope,
     record: np.ndarray,
 ) -> None:
     """Advance `nodes` (n,) K and `scalars` (20,) in place by `n_steps` of `dt` s; fill `record` (n_steps, 17).
 
     `overrides` (4,) level 0 to 1, set-point K, pump, fan; NaN where not overwritten. Names: see `RECORD`.
-    `unannounced` (n, 3): see `PEOPLE`, periodic; `AS_SCHEDULED` where people keep to the schedule.
+    `unannounced` (n, 3): see `envelope.AS_SCHEDULED`, periodic.
     """
-    capacity, coupling, pipe, slab = net.capacity, net.coupling, net.pipe, net.slab
-    outside, inside = net.outside, net.inside
-    n, n_inside = nodes.size, inside.size
-    w = np.empty(x.N_COLUMNS)
-    diagonal, right = np.empty(n), np.empty((n, 3))
-    factor = np.empty(n)
-    film, absorbed = np.empty(n_inside), np.empty(n_inside)
+    pipe = env.heated[0]
+    w, work, film, heat_W = np.empty(x.N_COLUMNS), np.empty((nodes.size, 5)), np.empty(env.inside.size), np.empty(2)
     _operate(scalars, time_s, overrides)
     for step in range(n_steps):
         t = time_s + (step + 1) * dt
         # Weather at the end of the step.
-        _read_weather(grid, t, w)
+        read_weather(grid, t, w)
         midway = t - 0.5 * dt
         differs = unannounced[int(midway / x.GRID_S) % unannounced.shape[0]]
-        people = max((float(s.PEOPLE) if is_occupied(midway) else 0.0) + differs[PEOPLE], 0.0)
-        gains = people / s.PEOPLE
+        people = max((_PEOPLE if is_occupied(midway) else 0.0) + differs[PEOPLE], 0.0)
+        gains = people / _PEOPLE
         # Air change relative to that through leaks.
         aired = 1.0 + differs[WINDOWS] / 3600.0 / _AIR_CHANGES_S
         ventilation_W_K = _INFILTRATION_W_K * aired
@@ -244,89 +213,16 @@ def advance(
         scalars[T_RETURN] = (a11 * b2 - a21 * b1) / determinant
         floor_W = to_floor * (scalars[T_SUPPLY] - nodes[pipe])
 
-        # Envelope: storage and conduction of every node, then its surface exchange.
-        for i in range(n):
-            diagonal[i] = capacity[i] / dt + coupling[i] + (coupling[i - 1] if i > 0 else 0.0)
-            right[i, 0] = capacity[i] / dt * nodes[i]
-            right[i, 1] = 0.0
-            right[i, 2] = 0.0
-        right[pipe, 0] += floor_W
-        right[slab, 0] -= soil_heat_W(t)
-        for k in range(6):
-            i = outside[k]
-            window = k == 5
-            view = _SKY_VIEW[k]
-            environment = (view * w[x.T_SKY] ** 4 + (1.0 - view) * w[x.T_OUT] ** 4) ** 0.25
-            difference = nodes[i] - w[x.T_OUT]
-            if k == 4:
-                natural = (1.509 if difference > 0.0 else 0.76) * abs(difference) ** (1.0 / 3.0)
-            else:
-                natural = 1.31 * abs(difference) ** (1.0 / 3.0)
-            forced = w[x.FORCED] if window else w[x.FORCED + k]
-            convective = _OUTSIDE_M2[k] * math.sqrt(natural**2 + forced**2)
-            if window:
-                radiative = _OUTSIDE_M2[k] * _WINDOW_RADIATION
-                sun = w[x.PANE_OUTER]
-            else:
-                T = nodes[i]
-                radiative = (
-                    _OUTSIDE_M2[k] * _WALL_EMISSIVITY * _SIGMA * (T + environment) * (T * T + environment * environment)
-                )
-                sun = _OUTSIDE_M2[k] * w[x.ABSORBED + k]
-            diagonal[i] += convective + radiative
-            right[i, 0] += convective * w[x.T_OUT] + radiative * environment + sun
-        radiant_gain = _GAIN_RADIANT_W * gains + 0.5 * differs[COOKING]
-        for k in range(n_inside):
-            i = inside[k]
-            difference = nodes[i] - scalars[T_AIR]
-            if k == _FLOOR:
-                film[k] = _horizontal_film(difference)
-            elif k == _CEILING:
-                film[k] = _horizontal_film(-difference)
-            else:
-                film[k] = _WALL_FILM[k] * (abs(difference) + _ZERO_ROUNDING_K) ** 0.293
-            absorbed[k] = _BEAM[k] * w[x.BEAM_IN] + _SHARE[k] * w[x.DIFFUSE_IN] + _EMITTED[k] * radiant_gain
-            diagonal[i] += film[k] + _RADIANT_W_K[k]
-            right[i, 0] += absorbed[k]
-            right[i, 1] += film[k]
-            right[i, 2] += _RADIANT_W_K[k]
-        right[inside[n_inside - 1], 0] += w[x.PANE_INNER]
-
-        # Thomas algorithm for all constructions at once: couplings between them are zero.
-        factor[0] = diagonal[0]
-        for i in range(1, n):
-            ratio = coupling[i - 1] / factor[i - 1]
-            factor[i] = diagonal[i] - ratio * coupling[i - 1]
-            for j in range(3):
-                right[i, j] += ratio * right[i - 1, j]
-        for j in range(3):
-            right[n - 1, j] /= factor[n - 1]
-        for i in range(n - 2, -1, -1):
-            for j in range(3):
-                right[i, j] = (right[i, j] + coupling[i] * right[i + 1, j]) / factor[i]
-
-        # Heat balances of the air and of the massless radiant node, two equations in these two temperatures.
-        m11, m12, r1 = _AIR_J_K / dt + ventilation_W_K, 0.0, _AIR_J_K / dt * scalars[T_AIR]
-        r1 += ventilation_W_K * w[x.T_OUT] + (_GAIN_CONVECTIVE_W * gains + 0.5 * differs[COOKING])
-        m21, m22, r2 = 0.0, 0.0, 0.0
-        for k in range(n_inside):
-            i = inside[k]
-            m11 += film[k] * (1.0 - right[i, 1])
-            m12 -= film[k] * right[i, 2]
-            r1 += film[k] * right[i, 0]
-            m21 -= _RADIANT_W_K[k] * right[i, 1]
-            m22 += _RADIANT_W_K[k] * (1.0 - right[i, 2])
-            r2 += _RADIANT_W_K[k] * right[i, 0]
-        determinant = m11 * m22 - m12 * m21
-        air = (r1 * m22 - m12 * r2) / determinant
-        star = (m11 * r2 - m21 * r1) / determinant
-        for i in range(n):
-            nodes[i] = right[i, 0] + right[i, 1] * air + right[i, 2] * star
+        heat_W[0], heat_W[1] = floor_W, -soil_heat_W(t)
+        radiant_W = _GAIN_RADIANT_W * gains + 0.5 * differs[COOKING]
+        films(nodes, scalars[T_AIR], env, film)
+        respond(nodes, film, radiant_W, heat_W, dt, w, env, work)
+        stored_W = _AIR_J_K / dt * scalars[T_AIR]
+        convective_W = ventilation_W_K * w[x.T_OUT] + (_GAIN_CONVECTIVE_W * gains + 0.5 * differs[COOKING])
+        air, star = air_and_star(_AIR_J_K / dt + ventilation_W_K, stored_W + convective_W, film, radiant_W, env, work)
+        settle(nodes, air, star, work)
         scalars[T_AIR] = air
-        radiant = 0.0
-        for k in range(n_inside):
-            radiant += _SHARE[k] * nodes[inside[k]]
-        scalars[T_OPERATIVE] = 0.5 * (air + radiant)
+        scalars[T_OPERATIVE] = 0.5 * (air + radiant_temperature(nodes, env))
         steady_ppm = _OUTDOOR_PPM + people * _CO2_KG_S_PERSON / (_INFILTRATION_KG_S * aired) * _PPM_PER_KG_KG
         scalars[CO2_PPM] = steady_ppm + (scalars[CO2_PPM] - steady_ppm) * math.exp(-_AIR_CHANGES_S * aired * dt)
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from boptest_client import Point
-from thermoforce_mpc.boundary.forecast_error import MAX_HORIZON_H, ForecastError
+from thermoforce_mpc.boundary.forecast_error import ForecastError
 from thermoforce_mpc.boundary.periods import centred_window
-from thermoforce_mpc.data import HOUR_S, ZERO_C_K, Array, Block, Boundary, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.data import ZERO_C_K, Array, Block, Boundary, Measurement, Period, PlantInfo, Record
 from thermoforce_mpc.errors import ConfigError
 from thermoforce_mpc.plants.boptest.points import check_points
 from thermoforce_mpc.plants.checks import day_period
@@ -129,10 +129,17 @@ class FmuPlant(WithProcess[FmuRun], RoomSetpointShell):
     def _boundary(self, time_s: Array) -> Boundary:
         self._check_started()
         p, at = self._points, self._archive.boundary.at
-        T_out, solar = at(p.forecast_outdoor, time_s) - ZERO_C_K, at(p.forecast_solar, time_s)
+
+        def outdoor_C(at_s: Array) -> Array:
+            return at(p.forecast_outdoor, at_s) - ZERO_C_K
+
+        def solar_W_m2(at_s: Array) -> Array:
+            return at(p.forecast_solar, at_s)
+
         if self._forecast_error:
-            hours = (math.floor(self._now_s / HOUR_S) + np.arange(MAX_HORIZON_H + 1.0)) * HOUR_S
-            T_out, solar = self._forecast_error.apply(time_s, T_out, at(p.forecast_solar, hours), solar)
+            T_out, solar = self._forecast_error.apply(time_s, outdoor_C, solar_W_m2)
+        else:
+            T_out, solar = outdoor_C(time_s), solar_W_m2(time_s)
         values = {name: at(name, time_s) for name in p.forecast(self._price)}
         return boundary(time_s, values, p, self._price, (T_out, solar))
 

@@ -14,9 +14,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from thermoforce_mpc.data import ZERO_C_K
+from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.plants.drawn_houses import envelope
 from thermoforce_mpc.plants.random_houses.draw import House, ground_C, heat_pump_cop
 

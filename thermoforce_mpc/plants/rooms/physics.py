@@ -14,8 +14,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from thermoforce_mpc.data.compiled import njit
 from thermoforce_mpc.plants.drawn_houses import envelope
 from thermoforce_mpc.plants.random_houses.draw import ground_C, heat_pump_cop
 from thermoforce_mpc.plants.rooms.house import DrawnHouse, core_W_m2K, curve_supply_C, full_capacity_W

@@ -46,9 +46,12 @@ def named_house(name: str) -> DrawnHouse:
     return draw_rooms(int(match[2]), int(match[3] or SEED), USES[match[1]])
 
 
-def house_of_rooms(name: str, people: int | None = None) -> HouseOfRooms:
-    """Return the plant of a house, see `named_house`; `people`: seed of people who do not keep to the schedule."""
-    return HouseOfRooms(named_house(name), people)
+def house_of_rooms(name: str, people: int | None = None, highly_dynamic: tariffs.Tariff | None = None) -> HouseOfRooms:
+    """Return the plant of a house, see `named_house`.
+
+    `people`: seed of people who do not keep to the schedule; `highly_dynamic` replaces the tariff of that name.
+    """
+    return HouseOfRooms(named_house(name), people, highly_dynamic)
 
 
 def house_testcase(name: str) -> TestCase:
@@ -104,7 +107,9 @@ class HouseOfRooms(DrawnHousePlant):
     _kind = "house of rooms"
     _changing = (*DrawnHousePlant._changing, "_T", "_on")
 
-    def __init__(self, house: DrawnHouse, people: int | None = None) -> None:
+    def __init__(
+        self, house: DrawnHouse, people: int | None = None, highly_dynamic: tariffs.Tariff | None = None
+    ) -> None:
         self.house = house
         self.weather = synthetic_weather(house.weather_seed, warmer_K=house.warmer_K, clearer=house.clearer)
         self.layout = testcase_of(house, house.name).layout
@@ -117,7 +122,7 @@ class HouseOfRooms(DrawnHousePlant):
         self._lived = self._scheduled if people is None else _with_people(*self._scheduled, house, people)
         self._setpoints = np.ascontiguousarray(schedule.native_setpoints_C(house, time_s).T)
         self._network = physics.network(house)
-        self._tariffs = tariffs.by_name()
+        self._tariffs = tariffs.by_name(highly_dynamic)
         self.reset(0.0, 0.0)
 
     def _heat_year(self) -> tuple[Array, Array, Array]:

@@ -1,4 +1,4 @@
-"""An office with a light air node, two loops on room set-points, gas heat and a chiller; a plant for tests.
+"""An office with a light air node, two loops on room set-points, gas heat and a chiller; for this bench and tests.
 
 Air and structure are two nodes, sun falls on the structure and the air. The loops deliver the heat that brings the air
 to its set-point within the next minute, within their limits; native control knows the bounds in force only.
@@ -7,6 +7,7 @@ to its set-point within the next minute, within their limits; native control kno
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -34,39 +35,45 @@ DT_S = 60.0
 class LightOffice:
     """Deterministic plant with room set-points; weather is a sine outdoors and a half sine of sun."""
 
-    def __init__(self) -> None:
+    def __init__(self, mean_C: float = 3.0, sun_W_m2: float = 600.0, asleep_until_h: float = 0.0) -> None:
+        """`mean_C` outdoors and most sun: the season; `asleep_until_h`: the unit stands from 0:00 until then, h."""
+        self._mean_C, self._sun_W_m2, self._asleep_until_h = mean_C, sun_W_m2, asleep_until_h
         self.reset(0.0, 0.0)
 
     info = PlantInfo("test", "light office", "air node, structure, two loops", "sine", "1")
 
     def period(self, name: str) -> Period:
+        """Two weeks from the day `name` on."""
         return Period(name, float(name) * DAY_S)
 
-    @staticmethod
-    def weather(time_s: Array) -> tuple[Array, Array]:
+    def weather(self, time_s: Array) -> tuple[Array, Array]:
+        """Outdoor temperature, °C, and irradiance, W/m², at `time_s`."""
         hour = np.mod(time_s, DAY_S) / HOUR_S
         day = np.floor_divide(time_s, DAY_S)
         cloud = 0.6 + 0.4 * np.sin(1.7 * day)
-        return 3.0 + 5.0 * np.sin(2 * np.pi * (hour - 9) / 24), 600.0 * cloud * np.maximum(
-            np.sin(np.pi * (hour - 6) / 12), 0
-        )
+        sun_W_m2 = self._sun_W_m2 * cloud * np.maximum(np.sin(np.pi * (hour - 6) / 12), 0)
+        return self._mean_C + 5.0 * np.sin(2 * np.pi * (hour - 9) / 24), sun_W_m2
 
     @staticmethod
     def bounds_C(time_s: Array) -> tuple[Array, Array]:
+        """Lower and upper comfort bound at `time_s`, °C."""
         hour = np.mod(time_s, DAY_S) / HOUR_S
         busy = (hour >= 8) & (hour < 18)
         return np.where(busy, 21.0, 15.0), np.where(busy, 24.0, 30.0)
 
     def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
+        """See `Plant.reset`."""
         self.now_s = max(start_s - warmup_s, 0.0)
         self.T, self.T_mass = 19.0, 19.0
-        self.begin_s, self.rows, self.kept = self.now_s, [], {"gas": 0.0, "chiller": 0.0, "discomfort": 0.0}
+        self.begin_s, self.rows = self.now_s, list[tuple[float, Measurement]]()
+        self.kept = {"gas": 0.0, "chiller": 0.0, "discomfort": 0.0}
         while self.now_s < start_s - 1e-6:
             self.advance(None, 900.0)
         self.kept = dict.fromkeys(self.kept, 0.0)
         return self._measurement(math.nan, math.nan, math.nan)
 
     def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
+        """See `RoomSetpointPlant.advance`."""
         block = check_levels(u, duration_s, command, lowest=-1.0)
         (level,), (band,) = block.u, block.command
         heat = gas = chiller = 0.0
@@ -82,6 +89,8 @@ class LightOffice:
             )
             # The loops close half of the gap in a step, as a proportional band does.
             q = min(max(0.5 * wanted, -COOLING_W), HEATING_W)
+            if self.now_s % DAY_S < self._asleep_until_h * HOUR_S:
+                q = 0.0
             self.T_mass += DT_S / MASS_J_K * (AIR_MASS_W_K * (self.T - self.T_mass) + 3.0 * sun)
             self.T = drifting + q * DT_S / AIR_J_K
             self.now_s += DT_S
@@ -96,9 +105,11 @@ class LightOffice:
 
     def _measurement(self, u: float, power_W: float, heat_W: float) -> Measurement:
         T_out, sun = (float(w) for w in self.weather(np.array(self.now_s)))
-        return Measurement(self.now_s, self.T, T_out, sun, u, power_W, heat_W)
+        values: tuple[Any, ...] = (self.T, T_out, sun, u, power_W, heat_W)
+        return Measurement(self.now_s, *values)
 
     def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """See `Plant.forecast`."""
         time_s = self.now_s + np.arange(0.0, horizon_s + 1.0, interval_s)
         T_out, sun = self.weather(time_s)
         flat = np.ones(time_s.size)
@@ -106,7 +117,8 @@ class LightOffice:
 
     def past(self, step_s: float) -> Record:
         """Only what a warm-up in whole steps of 900 s left behind."""
-        first = Measurement(self.begin_s, 19.0, *(float(w) for w in self.weather(np.array(self.begin_s))))
+        values: tuple[Any, ...] = (19.0, *(float(w) for w in self.weather(np.array(self.begin_s))))
+        first = Measurement(self.begin_s, *values)
         record = Record.beginning(first)
         for duration_s, found in self.rows:
             assert duration_s == step_s
@@ -114,6 +126,7 @@ class LightOffice:
         return record
 
     def kpis(self) -> dict[str, float]:
+        """See `Plant.kpis`."""
         cost = (GAS_PRICE * self.kept["gas"] + POWER_PRICE * self.kept["chiller"]) / 48.0
         return {"cost_tot": cost, "tdis_tot": self.kept["discomfort"], "ener_tot": self.kept["gas"] / 48.0}
 

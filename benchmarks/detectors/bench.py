@@ -1,0 +1,258 @@
+"""`tf-mpc bench detectors`: what each rule claims of clean plants and what that costs, what it finds and saves.
+
+Each house-week is probed, identified and controlled with all defaults. Where a rule claimed something, and on the
+plants with the fault that it is for, the week is run again without it: the difference is what it cost or saved. Comfort
+counts as the controller counts it, so that cost and discomfort are one figure.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from benchmarks.cases import run_all
+from benchmarks.detectors.panel import BuiltCase, PanelCase, built, clean, faulty
+from benchmarks.detectors.rules import RULES, ControlledWeek, Detector
+from controllers.mpc.config import ObjectiveConfig
+from controllers.registry import build_controller
+from thermoforce_mpc.comparison.results_json import Target, results_json
+from thermoforce_mpc.data import DAY_S
+from thermoforce_mpc.errors import DataError, InputError
+from thermoforce_mpc.execution import Engine
+from thermoforce_mpc.experiment.identifying import chosen_of, identification_settings, identify_on
+from thermoforce_mpc.files import parse_json
+from thermoforce_mpc.loop.closed_loop import run_closed_loop
+from thermoforce_mpc.loop.unit_doubts import UnitDoubts
+from thermoforce_mpc.model.screening import limits_of
+from thermoforce_mpc.scenario.scenario import Scenario
+
+_CONTROLLER = "thermoforce_mpc"
+_DAYS, _PROBED_DAYS = 7.0, 3.0
+# Goals: false claims in 100 house-weeks; what a rule saves on the faults it is for, less what it costs on the panel.
+_MOST_CLAIMS, _LEAST_BALANCE = 1.0, 0.0
+# What is told of a comparison with an earlier run: share of the cost, and K·h.
+_DEARER, _COLDER_KH = 0.003, 0.1
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class WeekOutcome:
+    """A house-week: `cost` per m² and discomfort `K_h`, steps not planned, claims by rule, and the week without a rule.
+
+    `without`: (cost, K·h) by rule; `failed`: the reason where there is one.
+    """
+
+    case: PanelCase
+    cost: float = float("nan")
+    K_h: float = float("nan")
+    not_planned: int = 0
+    claims: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    without: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    failed: str = ""
+    seconds: float = 0.0
+
+    def worth_without(self, rule: str) -> float:
+        """How much less the week would have cost without `rule`, discomfort as the controller counts it, per m²."""
+        cost, K_h = self.without.get(rule, (self.cost, self.K_h))
+        return (self.cost - cost) + ObjectiveConfig().comfort_weight_per_m2 * (self.K_h - K_h)
+
+
+def rule_of(fault: str) -> str:
+    """The rule that a fault of the panel is for."""
+    return re.split(r", | of a unit", fault)[0]
+
+
+def run_detectors_bench(
+    *,
+    weeks: int = 200,
+    faults: int = 4,
+    seed: int = 62,
+    engine: Engine,
+    quick: bool = False,
+    against: Path | None = None,
+    keep: Path | None = None,
+    progress: Callable[[str], None] = lambda line: None,
+) -> dict[str, Any]:
+    """Run the panel.
+
+    Args:
+        weeks: house-weeks of clean plants, the kinds in turn.
+        faults: plants with each fault.
+        seed: of the plants that are drawn.
+        engine: where they are run; the result does not depend on it.
+        quick: one house-week of each of two kinds, and one fault.
+        against: JSON of an earlier run, to compare the weeks that both have.
+        keep: folder in which finished weeks are kept, so that a run that was cut off goes on.
+        progress: callback for progress lines.
+
+    Raises:
+        InputError: no house-weeks, or `against` is no JSON of this bench.
+    """
+    if weeks < 1:
+        raise InputError(f"{weeks} house-weeks: expected at least one")
+    before = _earlier(against) if against else {}
+    cases = clean(weeks, seed) + faulty(faults, seed)
+    if quick:
+        cases = clean(2, seed) + faulty(1, seed)[-1:]
+
+    def on_done(n: int, value: Mapping[str, Any]) -> None:
+        progress(f"[{n}/{len(cases)}] {_line(_outcome(value))}")
+
+    outcomes = [_outcome(value) for value in run_all(run_case, cases, engine, on_done, keep)]
+    rows = rule_rows(outcomes) + [_row(one) for one in outcomes] + _compared(outcomes, before)
+    return results_json("detectors", rows, targets(outcomes))
+
+
+def run_case(case: PanelCase) -> dict[str, Any]:
+    """One house-week as JSON, see `WeekOutcome`; a failure is recorded."""
+    began = time.perf_counter()
+    try:
+        place = built(case)
+        place = replace(place, period=replace(place.period, scored_s=_DAYS * DAY_S))
+        ran = follow(place, None)
+        claims = {rule.name: found for rule in RULES if (found := rule.claims(ran))}
+        if place.fixed:
+            claims.pop("fixed part", None)
+        again = [
+            rule for rule in RULES if rule.can_be_off and (rule.name in claims or rule.name == rule_of(case.fault))
+        ]
+        without = {rule.name: _figures(follow(place, rule)) for rule in again}
+        cost, K_h = _figures(ran)
+        idle = sum(not step.plan.u.size for step in ran.result.steps)
+        outcome = WeekOutcome(case, cost, K_h, idle, claims, without)
+    except Exception as error:  # recorded as failure of this case; the others continue
+        outcome = WeekOutcome(case, failed=f"{type(error).__name__}: {error}")
+    return asdict(replace(outcome, seconds=time.perf_counter() - began))
+
+
+def follow(place: BuiltCase, without: Detector | None) -> ControlledWeek:
+    """The week of a plant, probed and controlled with the defaults, without one rule."""
+    testcase = place.testcase
+    identification = dict(without.identification) if without else {}
+    options = dict(without.controller) if without else {}
+    scenario = Scenario(testcase=testcase.name)
+    spec = scenario.identification
+    probing, config = identification_settings(scenario, chosen_of(scenario, testcase, _CONTROLLER))
+    model: Any
+    try:
+        model = identify_on(
+            place.plant,
+            before=place.period,
+            days=_PROBED_DAYS,
+            most_days=spec.most_days,
+            end_early=spec.end_early,
+            testcase=testcase,
+            seed=scenario.seed,
+            probing=probing,
+            config=config.model_copy(update=identification),
+        )
+    except DataError as error:
+        model = str(error)
+    controller = build_controller(_CONTROLLER, options, testcase, model)
+    units = UnitDoubts(testcase.layout, model, testcase.currency)
+    allowed = limits_of(controller, sum(testcase.layout.floor_area_m2))
+    result = run_closed_loop(place.plant, controller, place.period, allowed=allowed, units=units)
+    doubts = dict.fromkeys(note for step in result.steps for note in step.notes if note.startswith("unit of"))
+    return ControlledWeek(model, result, tuple(doubts), getattr(controller, "actuation_in_words", ""))
+
+
+def rule_rows(outcomes: Sequence[WeekOutcome]) -> list[Row]:
+    """A row for each rule: claims on clean plants and what they cost; hits on its faults, and what it saved there."""
+    rows = []
+    weeks = [one for one in outcomes if not one.case.fault and not one.failed]
+    for rule in RULES:
+        claimed = [one for one in weeks if rule.name in one.claims]
+        faults = [one for one in outcomes if one.case.fault and rule_of(one.case.fault) == rule.name and not one.failed]
+        cost = sum(one.worth_without(rule.name) for one in claimed)
+        saved = -sum(one.worth_without(rule.name) for one in faults)
+        rows.append(
+            {
+                "rule": rule.name,
+                "changes": rule.changes,
+                "house-weeks": len(weeks),
+                "with a false claim": len(claimed),
+                "in 100 house-weeks": 100.0 * len(claimed) / len(weeks) if weeks else float("nan"),
+                "they cost per m²": cost if rule.can_be_off else None,
+                "faults": len(faults),
+                "found": sum(rule.name in one.claims for one in faults),
+                "saved there per m²": saved if rule.can_be_off and faults else None,
+            }
+        )
+    return rows
+
+
+def targets(outcomes: Sequence[WeekOutcome]) -> list[Target]:
+    """Few false claims, and no rule that costs more a week of the panel than it saves a week with its fault."""
+    found = [Target("house-weeks that failed", float(sum(bool(one.failed) for one in outcomes)), 0.0)]
+    for row in rule_rows(outcomes):
+        found.append(Target(f"{row['rule']}: false claims in 100 house-weeks", row["in 100 house-weeks"], _MOST_CLAIMS))
+        if row["saved there per m²"] is not None:
+            a_week = row["they cost per m²"] / max(row["house-weeks"], 1)
+            balance, name = (
+                row["saved there per m²"] / row["faults"] - a_week,
+                f"{row['rule']}: saved less cost, a week",
+            )
+            found.append(Target(name, balance, _LEAST_BALANCE, "at least"))
+    return found
+
+
+def _figures(ran: ControlledWeek) -> tuple[float, float]:
+    return float(ran.result.kpis["cost_tot"]), float(ran.result.kpis["tdis_tot"])
+
+
+def _outcome(value: Mapping[str, Any]) -> WeekOutcome:
+    without = {name: (pair[0], pair[1]) for name, pair in value["without"].items()}
+    return WeekOutcome(**{**value, "case": PanelCase(**value["case"]), "without": without})
+
+
+def _row(one: WeekOutcome) -> Row:
+    told = [f"{rule}: {texts[0]}" for rule, texts in one.claims.items()]
+    changed = [f"{rule} {cost:.4f} / {K_h:.2f}" for rule, (cost, K_h) in one.without.items()]
+    return {
+        "week": one.case.in_words,
+        "cost": one.cost,
+        "K_h": one.K_h,
+        "not planned": one.not_planned,
+        "claims": "; ".join(told) or one.failed,
+        "without": "; ".join(changed),
+    }
+
+
+def _line(one: WeekOutcome) -> str:
+    said = f"{one.cost:.4f} / {one.K_h:.2f}" if not one.failed else f"FAILED, {one.failed}"
+    claims = f", claims: {', '.join(one.claims)}" if one.claims else ""
+    return f"{one.case.in_words}, {one.seconds:.0f} s: {said}{claims}"
+
+
+def _earlier(path: Path) -> dict[str, Row]:
+    """The weeks of an earlier result by name."""
+    rows = parse_json(path.read_bytes(), str(path), InputError).get("rows", [])
+    weeks = {row["week"]: row for row in rows if isinstance(row, dict) and "week" in row}
+    if not weeks:
+        raise InputError(f"{path}: holds no weeks of bench detectors; give the file of its --json")
+    return weeks
+
+
+def _compared(outcomes: Sequence[WeekOutcome], before: Mapping[str, Row]) -> list[Row]:
+    """Weeks that are dearer or less comfortable than before by more than noise."""
+    rows = []
+    for one in outcomes:
+        then = before.get(one.case.in_words)
+        if then is None or one.failed or then["cost"] is None:
+            continue
+        dearer, colder = one.cost / max(then["cost"], 1e-9) - 1.0, one.K_h - then["K_h"]
+        if dearer > _DEARER or colder > _COLDER_KH:
+            rows.append(
+                {
+                    "worse than before": one.case.in_words,
+                    "then": f"{then['cost']:.4f} / {then['K_h']:.2f}",
+                    "now": f"{one.cost:.4f} / {one.K_h:.2f}",
+                    "dearer": f"{dearer:+.1%}",
+                }
+            )
+    return rows

@@ -1,0 +1,222 @@
+"""The plants of the bench: clean ones, on which every claim is false, and the same with one fault each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.detectors.air_unit import LightOffice
+from benchmarks.faults.faulty_plant import FaultyPlant
+from thermoforce_mpc.boundary.weather import synthetic_weather
+from thermoforce_mpc.data import DAY_S, HOUR_S, Boundary, Levels, Measurement, Period, PlantInfo, Record
+from thermoforce_mpc.plants.drawn_houses.plant import WEEKS
+from thermoforce_mpc.plants.embedded import EmbeddedPlant
+from thermoforce_mpc.plants.random_houses import GeneratedHousePlant, draw_house
+from thermoforce_mpc.plants.rooms import house_of_rooms
+from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.scenario.testcase import TestCase
+
+# Start days of the embedded plant: winter, late winter, spring and autumn.
+_SEASONS = ("16", "44", "108", "290")
+# Outdoors in the mean, °C, and most sun, W/m², of an air unit in winter, spring and summer.
+_AIR = ((-4.0, 400.0), (3.0, 600.0), (12.0, 800.0), (24.0, 800.0))
+# A fault begins so long after the run, s; a day of it.
+_AFTER_S = 2.0 * DAY_S
+# Another load on the meter by day, W; sun on a sensor, K; hours until which a machine stands.
+_OTHER_W, _SUN_K, _ASLEEP_H = 400.0, 2.5, 5.0
+
+
+@dataclass(frozen=True)
+class PanelCase:
+    """A house-week: `kind` and `number` of the plant, drawn with `seed`; `fault`: the rule that one is for, or ''."""
+
+    kind: str
+    number: int
+    seed: int
+    fault: str = ""
+
+    @property
+    def in_words(self) -> str:
+        """For people and tables."""
+        return f"{self.kind} {self.number}" + (f", {self.fault}" if self.fault else "")
+
+
+@dataclass(frozen=True)
+class BuiltCase:
+    """A plant with its test case and scored window; `fixed`: whether its machine has a fixed loss."""
+
+    plant: Any
+    testcase: TestCase
+    period: Period
+    fixed: bool = False
+    metered: bool = True
+
+
+def clean(weeks: int, seed: int) -> list[PanelCase]:
+    """So many house-weeks, each kind in turn."""
+    return [PanelCase(list(KINDS)[n % len(KINDS)], n // len(KINDS), seed) for n in range(weeks)]
+
+
+def faulty(each: int, seed: int) -> list[PanelCase]:
+    """`each` plants with each fault."""
+    return [PanelCase(kind, number, seed, fault) for fault, (kind, _) in FAULTS.items() for number in range(each)]
+
+
+def built(case: PanelCase) -> BuiltCase:
+    """The plant of a case."""
+    found = KINDS[case.kind](case)
+    if not case.fault:
+        return found
+    return FAULTS[case.fault][1](found, case)
+
+
+def _embedded(case: PanelCase) -> BuiltCase:
+    """The heat pump of BOPTEST's house, one season after another; from the second round on, days later."""
+    plant = EmbeddedPlant(synthetic_weather())
+    day = int(_SEASONS[case.number % len(_SEASONS)]) + 5 * (case.number // len(_SEASONS))
+    return BuiltCase(plant, load_testcase("bestest_hydronic_heat_pump"), plant.period(str(day)), fixed=True)
+
+
+def _drawn(case: PanelCase) -> BuiltCase:
+    """A generated house whose sensor is not in the sun."""
+    house = replace(draw_house(case.seed, case.number), sun_bias_K=0.0)
+    plant = GeneratedHousePlant(house)
+    fixed = house.machine == "heat pump with fixed loss"
+    return BuiltCase(plant, plant.testcase, plant.period(WEEKS[case.number % 2]), fixed, house.heat_metered)
+
+
+def _air(case: PanelCase) -> BuiltCase:
+    """A unit that heats and cools by room set-points, one season after another."""
+    rng = np.random.default_rng([case.seed, case.number, 11])
+    mean_C, sun = _AIR[case.number % len(_AIR)]
+    plant = LightOffice(mean_C + float(rng.uniform(-2.0, 2.0)), sun * float(rng.uniform(0.8, 1.2)))
+    return BuiltCase(plant, load_testcase("bestest_air"), plant.period(str(30 + int(rng.integers(0, 20)))))
+
+
+def _rooms(use: str) -> Callable[[PanelCase], BuiltCase]:
+    def of(case: PanelCase) -> BuiltCase:
+        name = f"{use}:3rooms:{100 * case.seed + case.number}"
+        plant = house_of_rooms(name)
+        return BuiltCase(plant, load_testcase(name), plant.period(WEEKS[case.number % 2]), fixed=True)
+
+    return of
+
+
+KINDS: dict[str, Callable[[PanelCase], BuiltCase]] = {
+    "generated house": _drawn,
+    "embedded": _embedded,
+    "generated house, other": lambda case: _drawn(replace(case, number=1000 + case.number)),
+    "air unit": _air,
+    "office": _rooms("office"),
+    "house of rooms": _rooms("house"),
+}
+"""Plants by kind; generated houses are drawn twice as often as the rest."""
+
+
+class MeddledPlant:
+    """A plant with `shows` between its meters and who reads them, and `gives` between what is asked and its machine.
+
+    `shows(time_s, duration_s, measurement)`; `gives(time_s, level)`.
+    """
+
+    def __init__(
+        self,
+        plant: Any,
+        shows: Callable[[Measurement], Measurement] = lambda measurement: measurement,
+        gives: Callable[[float, float | None], float | None] = lambda time_s, level: level,
+    ) -> None:
+        self._plant, self._shows, self._gives = plant, shows, gives
+        self._now_s = 0.0
+
+    @property
+    def info(self) -> PlantInfo:
+        """That of the plant."""
+        return self._plant.info
+
+    def period(self, name: str) -> Period:
+        """See `Plant.period`."""
+        return self._plant.period(name)
+
+    def reset(self, start_s: float, warmup_s: float, price: str = "constant") -> Measurement:
+        """See `Plant.reset`."""
+        self._now_s = start_s
+        return self._shows(self._plant.reset(start_s, warmup_s, price))
+
+    def advance(self, u: Levels, duration_s: float) -> Measurement:
+        """See `Plant.advance`; one actuator."""
+        (level,) = u if isinstance(u, tuple | list) else (u,)
+        found = self._shows(self._plant.advance(self._gives(self._now_s, level), duration_s))
+        self._now_s = float(found.time_s)
+        return found
+
+    def forecast(self, horizon_s: float, interval_s: float) -> Boundary:
+        """See `Plant.forecast`."""
+        return self._plant.forecast(horizon_s, interval_s)
+
+    def past(self, step_s: float) -> Record:
+        """See `Plant.past`; the machine was not meddled with then, the meters are left out."""
+        record = self._plant.past(step_s)
+        return replace(record, power_W=np.full_like(record.power_W, np.nan))
+
+    def kpis(self) -> dict[str, float]:
+        """See `Plant.kpis`."""
+        return self._plant.kpis()
+
+    def close(self) -> None:
+        """See `Plant.close`."""
+        self._plant.close()
+
+
+def _in_the_sun(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    house = replace(found.plant.house, sun_bias_K=_SUN_K, sun_facade="south")
+    return replace(found, plant=GeneratedHousePlant(house))
+
+
+def _asleep(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    def gives(time_s: float, u: float | None) -> float | None:
+        return 0.0 if time_s % DAY_S < _ASLEEP_H * HOUR_S - 1.0 else u
+
+    return replace(found, plant=MeddledPlant(found.plant, gives=gives))
+
+
+def _unit_asleep(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    mean_C, sun = _AIR[case.number % 2]
+    return replace(found, plant=LightOffice(mean_C, sun, asleep_until_h=_ASLEEP_H))
+
+
+def _other_load(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    def shows(measurement: Measurement) -> Measurement:
+        by_day = 6.0 <= measurement.time_s % DAY_S / HOUR_S <= 18.0
+        return replace(measurement, power_W=measurement.power_W + (_OTHER_W if by_day else 0.0))
+
+    return replace(found, plant=MeddledPlant(found.plant, shows))
+
+
+def _wh_per_step(found: BuiltCase, case: PanelCase) -> BuiltCase:
+    return replace(found, plant=MeddledPlant(found.plant, lambda seen: replace(seen, power_W=0.25 * seen.power_W)))
+
+
+def _changed(fault: Any, **options: Any) -> Callable[[BuiltCase, PanelCase], BuiltCase]:
+    def of(found: BuiltCase, case: PanelCase) -> BuiltCase:
+        from_s = found.period.start_s + _AFTER_S
+        return replace(found, plant=FaultyPlant(found.plant, fault, from_s, from_s + DAY_S, **options))
+
+    return of
+
+
+FAULTS: dict[str, tuple[str, Callable[[BuiltCase, PanelCase], BuiltCase]]] = {
+    "sun on a sensor": ("generated house", _in_the_sun),
+    "blocked hours": ("generated house", _asleep),
+    "blocked hours of a unit": ("air unit", _unit_asleep),
+    "foreign load": ("generated house", _other_load),
+    "watch": ("embedded", _changed("weak", meters=False)),
+    "watch, actuator stuck": ("embedded", _changed("stuck", level=0.0)),
+    "guard": ("embedded", _changed("window")),
+    "zone sensor": ("embedded", _changed("offset", offset_K=3.0)),
+    "zone sensor, frozen": ("embedded", _changed("frozen")),
+    "units": ("embedded", _wh_per_step),
+}
+"""Faults by the rule they are for (up to a comma or 'of a'): the kind of plant, and what is done to it."""

@@ -1,0 +1,166 @@
+"""Every rule that changes what the controller does because of what it believes of the plant, and when it claims that.
+
+A claim is what the rule says or does where it believes in a fault: on a clean plant each is false. What is learned
+continuously and claims nothing (margins, offset, the return of a model that was adapted while the watch stood back) is
+counted with the rule that it belongs to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from thermoforce_mpc.data import DAY_S, PlanStatus
+from thermoforce_mpc.loop.closed_loop import RunResult
+from thermoforce_mpc.model.thermal_model import ThermalModel
+
+_UNUSED = "unused_capacity"
+# Share of a shared machine from which what is left unused is a claim.
+_LEFT = 0.02
+
+
+@dataclass(frozen=True)
+class ControlledWeek:
+    """A week of the controller: the model it was built with (or why there was none), the run, and doubts of units.
+
+    `actuation`: how it runs the machine and why, in words; `fixed`: whether that has a fixed loss indeed.
+    """
+
+    model: ThermalModel | str
+    result: RunResult
+    doubts: tuple[str, ...] = ()
+    actuation: str = ""
+    fixed: bool = False
+
+    @property
+    def first_s(self) -> float:
+        """When it began, s since 1 January."""
+        return self.result.steps[0].time_s
+
+    def day(self, time_s: float) -> str:
+        """A time of the run, for people."""
+        return f"day {(time_s - self.first_s) / DAY_S:.2f}"
+
+    def news(self, *words: str) -> list[str]:
+        """News of plans that hold one of `words`."""
+        told = [(step.time_s, part) for step in self.result.steps for part in step.plan.news.split("; ")]
+        return [f"{self.day(time_s)}: {part}" for time_s, part in told if any(word in part for word in words)]
+
+    def notes(self, *words: str) -> list[str]:
+        """Notes of the model's cards that hold one of `words`."""
+        if isinstance(self.model, str):
+            return []
+        notes = dict.fromkeys(note for card in self.model.cards for note in card.notes)
+        return [f"card: {note}" for note in notes if any(word in note for word in words)]
+
+    def spells(self, status: PlanStatus) -> list[str]:
+        """Stretches of steps in which `status` acted at an actuator, each by its first reason."""
+        found, before = [], False
+        for step in self.result.steps:
+            acts = status in step.acting
+            if acts and not before:
+                found.append(f"{self.day(step.time_s)}: {step.plan.why[:160]}")
+            before = acts
+        return found
+
+    def reasons(self, *words: str) -> list[str]:
+        """Stretches of steps whose reason holds one of `words`."""
+        found, before = [], False
+        for step in self.result.steps:
+            holds = any(word in step.plan.why for word in words)
+            if holds and not before:
+                found.append(f"{self.day(step.time_s)}: {step.plan.why[:160]}")
+            before = holds
+        return found
+
+    def left_unused(self) -> list[str]:
+        """The first step with a share of a machine that plans leave unused."""
+        for step in self.result.steps:
+            share = float(max(step.plan.margins.get(_UNUSED, [0.0])))
+            if share > _LEFT:
+                return [f"{self.day(step.time_s)}: {share:.0%} of a machine is left unused"]
+        return []
+
+
+@dataclass(frozen=True)
+class Detector:
+    """A rule: what it `changes`, its `claims` in a run, and the options without it.
+
+    `controller`: of the controller, `identification`: of the identification. Without either it cannot be turned off, or
+    only says something.
+    """
+
+    name: str
+    changes: str
+    claims: Callable[[ControlledWeek], list[str]]
+    controller: Mapping[str, Any] = field(default_factory=dict)
+    identification: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def can_be_off(self) -> bool:
+        """Whether there is a run without it."""
+        return bool(self.controller or self.identification)
+
+
+RULES: tuple[Detector, ...] = (
+    Detector(
+        "sun on a sensor",
+        "readings, in identification and control; length of the probing",
+        lambda ran: ran.notes("stands in the sun") + ran.news("sun on the zone sensor", "stands in the sun"),
+        identification={"sun_on_sensor": False},
+    ),
+    Detector(
+        "blocked hours",
+        "hours that plans do without; what the watch expects",
+        lambda ran: ran.notes("whatever is asked for") + ran.news("whatever is asked for"),
+        controller={"watch": {"blocked_hours": False}},
+    ),
+    Detector(
+        "foreign load",
+        "power and heat that laws are fitted to",
+        lambda ran: ran.notes("the meter holds another load"),
+        identification={"foreign_loads": False},
+    ),
+    Detector(
+        "fixed part",
+        "blocks at one level instead of levels that are held",
+        lambda ran: [ran.actuation] if "fixed part" in ran.actuation and "blocks" in ran.actuation else [],
+        controller={"actuation": {"mode": "modulating"}},
+    ),
+    Detector(
+        "shared machine at its limit",
+        "share of a machine's capacity that plans leave unused",
+        ControlledWeek.left_unused,
+        controller={"unused_capacity": False},
+    ),
+    Detector(
+        "watch",
+        "who acts: native control or the rule; afterwards an adapted model",
+        lambda ran: ran.spells(PlanStatus.WATCH),
+        controller={"watch": {"enabled": False}},
+    ),
+    Detector(
+        "gate",
+        "who acts, for the whole run",
+        lambda ran: [ran.model] if isinstance(ran.model, str) else ran.spells(PlanStatus.GATE)[:1],
+        controller={"gate": {"enabled": False}},
+    ),
+    Detector(
+        "guard", "full level or off", lambda ran: ran.spells(PlanStatus.GUARD), controller={"guard": {"enabled": False}}
+    ),
+    Detector(
+        "zone sensor",
+        "readings that are not believed",
+        lambda ran: ran.reasons("zone temperature", "zone sensor does", "reading of the zone"),
+        controller={"sensor": {"enabled": False}},
+    ),
+    Detector(
+        "meters and weather sensors",
+        "readings that are not believed",
+        lambda ran: ran.reasons("rejected", "not believed", "stuck"),
+        controller={"meter": {"enabled": False}},
+    ),
+    Detector("units", "nothing: it says so", lambda ran: list(ran.doubts)),
+)
+"""All of them, in the order of a step."""

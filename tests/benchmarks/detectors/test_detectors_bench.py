@@ -1,0 +1,80 @@
+"""The bench of detectors: its panel, and what it makes of weeks."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from benchmarks.detectors.bench import WeekOutcome, rule_of, rule_rows, run_case, run_detectors_bench, targets
+from benchmarks.detectors.panel import FAULTS, KINDS, PanelCase, clean, faulty
+from benchmarks.detectors.rules import RULES
+from thermoforce_mpc.errors import InputError
+from thermoforce_mpc.execution import LocalEngine
+from thermoforce_mpc.scenario.settings import StrictModel
+
+NAMES = [rule.name for rule in RULES]
+
+
+def week(number: int, cost: float, *claims: str, fault: str = "", **without: tuple[float, float]) -> WeekOutcome:
+    of_rules = {name.replace("_", " "): pair for name, pair in without.items()}
+    return WeekOutcome(
+        PanelCase("embedded", number, 1, fault), cost, 0.5, 0, {name: ["said"] for name in claims}, of_rules
+    )
+
+
+def test_the_panel_takes_every_kind_in_turn_and_every_fault_is_for_a_rule():
+    cases = clean(len(KINDS) + 1, seed=3)
+    assert [case.kind for case in cases] == [*KINDS, next(iter(KINDS))]
+    assert cases[-1].number == 1
+    assert {rule_of(case.fault) for case in faulty(2, seed=3)} <= set(NAMES)
+    assert len(faulty(2, seed=3)) == 2 * len(FAULTS)
+    assert not any(case.fault for case in cases)
+
+
+def test_a_rule_is_charged_for_its_false_claims_and_credited_for_its_faults():
+    weeks = [
+        week(0, 1.0, "watch", watch=(0.9, 0.5)),
+        week(1, 1.0),
+        week(2, 1.0, "watch", fault="watch", watch=(1.0, 10.5)),
+    ]
+    (row,) = [row for row in rule_rows(weeks) if row["rule"] == "watch"]
+    assert row["with a false claim"] == 1
+    assert row["in 100 house-weeks"] == 50.0
+    assert row["they cost per m²"] == pytest.approx(0.1)
+    assert (row["faults"], row["found"]) == (1, 1)
+    assert row["saved there per m²"] == pytest.approx(0.26)  # 10 K·h at 0.026
+    held = {target.name: target.holds for target in targets(weeks)}
+    assert not held["watch: false claims in 100 house-weeks"]
+    assert held["watch: saved less cost, a week"]
+    assert not {t.name: t.holds for t in targets([])}["gate: false claims in 100 house-weeks"], "nothing was run"
+
+
+def test_rules_can_be_turned_off_by_options_that_exist():
+    from controllers.registry import controller_config
+    from thermoforce_mpc.identification.config import IdentificationConfig
+    from thermoforce_mpc.plants.testcases import load_testcase
+
+    testcase = load_testcase("bestest_hydronic_heat_pump")
+    for rule in RULES:
+        if rule.controller:
+            changed = controller_config("thermoforce_mpc", dict(rule.controller), testcase)
+            assert isinstance(changed, StrictModel)
+            assert changed != controller_config("thermoforce_mpc", {}, testcase), rule.name
+        if rule.identification:
+            assert IdentificationConfig.model_validate(rule.identification) != IdentificationConfig(), rule.name
+
+
+def test_an_earlier_result_that_is_none_is_refused(tmp_path):
+    (tmp_path / "other.json").write_text(json.dumps({"rows": [{"rule": "watch"}]}))
+    with pytest.raises(InputError, match=r"other\.json: holds no weeks of bench detectors"):
+        run_detectors_bench(weeks=1, engine=LocalEngine(1), against=tmp_path / "other.json")
+
+
+@pytest.mark.slow
+def test_an_air_unit_in_winter_claims_nothing():
+    """Where cooling was asked for below its set-point, hours were said to be blocked."""
+    outcome = run_case(PanelCase("air unit", 0, 62))
+    assert not outcome["failed"]
+    assert "blocked hours" not in outcome["claims"]
+    assert "sun on a sensor" not in outcome["claims"]

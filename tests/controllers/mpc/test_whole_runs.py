@@ -1,0 +1,75 @@
+"""Plans of on/off machines in runs that keep their minimum times, also towards what ran before."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import groupby
+
+import numpy as np
+import pytest
+from simple_house import OutdoorResponse, SimpleHouse, simple_model
+
+from controllers import ThermoForceMPC
+from controllers.mpc.config import MPCConfig
+from thermoforce_mpc.data import HOUR_S, Observation
+
+HOURS = 4
+
+
+def planned(*, last=(), whole=True, price=None, least_h=HOURS):
+    house = SimpleHouse()
+    house.reset(10 * 86400.0, 2 * 86400.0)
+    record, ahead = house.past(HOUR_S), house.forecast(24 * HOUR_S, HOUR_S)
+    if last:
+        u = record.u.copy()
+        u[0, -len(last) :] = last
+        record = replace(record, u=u)
+    if price is not None:
+        ahead = replace(ahead, price_per_kWh=price[None], heating_price_per_kWh=price[None])
+    actuation = {"mode": "duty", "min_on_s": least_h * HOUR_S, "min_off_s": least_h * HOUR_S}
+    config = MPCConfig(step_s=None, horizon_h=24.0, whole_runs=whole, actuation=actuation)
+    mpc = ThermoForceMPC(simple_model(), config, free_response=OutdoorResponse())
+    return mpc.plan(Observation(record, ahead))
+
+
+def runs_min(plan, before=None):
+    """Minutes of each run, on or off: what runs stops within a step, what stands starts in it."""
+    blocks, running = [], bool(before)
+    for level in plan.u[0]:
+        on = round(level * 12)
+        blocks += [1] * on + [0] * (12 - on) if running else [0] * (12 - on) + [1] * on
+        running = bool(blocks[-1])
+    return [(on, 5 * len(list(same))) for on, same in groupby(blocks)]
+
+
+def test_runs_keep_minimum_on_and_off_times():
+    plan = planned()
+    assert len(np.unique(planned(whole=False).u.round(2))) > 6, "without, shares of steps"
+    runs = runs_min(plan)
+    assert len(runs) > 3
+    assert min(minutes for _, minutes in runs[1:-1]) >= 60 * HOURS
+    # What is said of the plan is of these levels.
+    np.testing.assert_allclose(plan.power_W[0], 1600.0 * plan.u[0] + 2700.0 * plan.u[0], rtol=1e-6)
+    assert plan.slack_K.max() < 0.6
+
+
+@pytest.mark.parametrize("last", [[0.0, 0.0, 0.0, 0.0, 0.0, 1.0], [1.0, 1.0, 1.0, 1.0, 1.0, 0.0]])
+def test_what_ran_before_counts(last):
+    """Of a run that has lasted an hour, three are left."""
+    plan = planned(last=last)
+    assert (plan.u[0, :3] == last[-1]).all()
+    on, minutes = runs_min(plan, before=last[-1])[0]
+    assert on == last[-1]
+    assert minutes >= 180
+
+
+def test_runs_lie_in_cheap_hours():
+    price = np.where((np.arange(25) >= 8) & (np.arange(25) < 14), 0.1, 0.5)
+    plan, flat = planned(price=price), planned()
+    cheap = slice(8, 14)
+    assert plan.u[0, cheap].sum() > flat.u[0, cheap].sum() + 0.5
+    assert min(minutes for _, minutes in runs_min(plan)[1:-1]) >= 60 * HOURS
+
+
+def test_steps_that_hold_both_times_stay_shares():
+    np.testing.assert_array_equal(planned(least_h=0.5).u, planned(whole=False, least_h=0.5).u)

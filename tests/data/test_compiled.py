@@ -1,0 +1,79 @@
+"""Functions that are kept compiled are those of the sources that are there."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import thermoforce_mpc
+from thermoforce_mpc.data.compiled import sources_of
+
+PACKAGE = Path(thermoforce_mpc.__file__).parent
+LAW = """
+from thermoforce_mpc.data.compiled import njit
+from thermoforce_mpc.plants.zz_numbers import FACTOR
+
+@njit(cache=True)
+def law(x):
+    return FACTOR * x
+"""
+PLANT = """
+from thermoforce_mpc.data.compiled import njit
+from thermoforce_mpc.plants.zz_law import law
+
+@njit(cache=True)
+def step(x):
+    return law(x)
+"""
+ASK = """
+from thermoforce_mpc.plants.zz_plant import step
+print(step(1.0), sum(step.stats.cache_hits.values()))
+"""
+
+
+def asked(root: Path, cache: Path) -> tuple[float, int]:
+    """What the compiled plant answers in a process of its own, and how often it was found compiled."""
+    environment = os.environ | {"PYTHONPATH": str(root), "XDG_CACHE_HOME": str(cache)}
+    done = subprocess.run(
+        [sys.executable, "-c", ASK], cwd=root, env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    answer, hits = done.stdout.split()
+    return float(answer), int(hits)
+
+
+@pytest.mark.slow
+def test_a_plant_whose_laws_are_changed_in_another_file_is_compiled_again(tmp_path):
+    """numba looks at the caller's file alone: after `git pull` the plant went on with the law as it was."""
+    root, cache = tmp_path / "root", tmp_path / "cache"
+    shutil.copytree(PACKAGE, root / "thermoforce_mpc", ignore=shutil.ignore_patterns("__pycache__", "configs"))
+    plants = root / "thermoforce_mpc" / "plants"
+    (plants / "zz_numbers.py").write_text("FACTOR = 2.0\n")
+    (plants / "zz_law.py").write_text(LAW)
+    (plants / "zz_plant.py").write_text(PLANT)
+    assert asked(root, cache) == (2.0, 0)
+    assert asked(root, cache) == (2.0, 1)
+    (plants / "zz_numbers.py").write_text("FACTOR = 3.0\n")
+    assert asked(root, cache) == (3.0, 0)
+    assert not list(root.rglob("*.nbi")), "nothing is kept beside the sources"
+    no_folder = tmp_path / "file"
+    no_folder.write_text("")
+    assert asked(root, no_folder) == (3.0, 0), "where nothing can be kept it is compiled each time"
+
+
+def test_sources_are_those_of_all_modules_that_are_imported():
+    names = {path.relative_to(PACKAGE).as_posix() for path in sources_of(PACKAGE / "plants" / "embedded" / "kernel.py")}
+    assert {"plants/embedded/kernel.py", "plants/embedded/heat_pump.py", "data/record.py"} <= names
+    assert not any(name.startswith(("cli/", "identification/")) for name in names)
+
+
+def test_only_one_module_knows_numba():
+    knows = re.compile(r"^\s*(?:from|import)\s+numba\b", re.M)
+    found = [path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py") if knows.search(path.read_text())]
+    assert [name for name in found if "doctor" not in name] == ["data/compiled.py"]

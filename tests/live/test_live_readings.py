@@ -1,0 +1,137 @@
+"""What a running controller makes of tables that are torn, ahead of its clock, in another unit, or end early."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from simulated_building import RULES, START, SimulatedBuilding, mpc
+
+from thermoforce_mpc.cli.live.control import in_words
+from thermoforce_mpc.errors import DataError
+from thermoforce_mpc.live import LiveBuilding, control
+from thermoforce_mpc.measurements.map.mapping import MeasurementMap
+
+HOUR = pd.Timedelta("1h")
+
+
+def controlled(house, steps, rules=RULES):
+    told = []
+    control(
+        LiveBuilding(house, MeasurementMap.model_validate(rules), 3600.0),
+        mpc(),
+        clock=house,
+        steps=steps,
+        told=told.append,
+    )
+    return told
+
+
+def changed(house, change):
+    live = house.measurements
+    house.measurements = lambda: change(live())
+    return house
+
+
+def ahead(by, from_h=0):
+    """Stamps that are `by` ahead of the clock, from an hour of the run on."""
+    house = SimulatedBuilding()
+    return changed(
+        house, lambda table: table.assign(time=table["time"] + by) if house.at >= START + from_h * HOUR else table
+    )
+
+
+@pytest.mark.parametrize("by", ["10h", "1h", "30min"])
+def test_readings_of_times_to_come_are_refused_with_the_zone_named(by):
+    house = ahead(pd.Timedelta(by))
+    with pytest.raises(DataError, match=r"after the clock \(00:00 UTC\): probably time\.zone of the map, UTC"):
+        controlled(house, 2)
+    assert not house.written
+
+
+def test_a_clock_that_goes_ahead_meanwhile_gives_the_building_back():
+    house = ahead(pd.Timedelta("10min"), from_h=2)
+    told = controlled(house, 3)
+    assert [decision.plan.status for decision in told] == ["solved"] * 2 + ["native"]
+    assert "one of the clocks is wrong" in told[2].plan.why
+    assert {levels["actuator"] for at, levels, _ in house.written if at >= START + 2 * HOUR} == {None}
+
+
+def test_clocks_that_differ_by_minutes_are_a_note():
+    told = controlled(ahead(pd.Timedelta("3min")), 2)
+    assert [decision.plan.status for decision in told] == ["solved"] * 2
+    assert any("2.5 min after the clock" in note or "3 min after the clock" in note for note in told[0].notes)
+
+
+def test_a_row_of_nonsense_stops_nothing():
+    def torn(table):
+        table = table.astype({"T": object, "time": object})
+        table.iloc[-5, table.columns.get_loc("T")] = "ERR"
+        table.iloc[-9, table.columns.get_loc("time")] = pd.Timestamp("1970-01-01", tz="UTC")
+        return table.iloc[[*range(len(table) - 20), -18, -19, *range(-17, 0), -1]]
+
+    told = controlled(changed(SimulatedBuilding(), torn), 3)
+    assert [decision.plan.status for decision in told] == ["solved"] * 3
+    said = " ".join(told[0].notes)
+    for words in ("'ERR'", "a time far from those of the rows around", "sorted", "such rows"):
+        assert words in said
+
+
+def test_a_torn_forecast_is_used_without_what_is_torn():
+    house = SimulatedBuilding()
+    live = house.forecast
+
+    def torn():
+        table = live().reset_index().astype({"out": object, "time": object})
+        table.loc[5, "out"] = "n.v."
+        table.loc[7, "time"] = "2025-01-12 0"
+        return table
+
+    house.forecast = torn
+    told = controlled(house, 1)
+    assert told[0].plan.status == "bridged"
+    assert "T_out_C at 2 of 13 instants by interpolation" in told[0].plan.why
+    assert any("'n.v.'" in note for note in told[0].notes)
+    assert any("no time stamp" in note for note in told[0].notes)
+
+
+@pytest.mark.slow
+def test_a_room_in_kelvin_is_left_to_its_own_control_and_the_unit_is_named():
+    house = SimulatedBuilding()
+
+    def kelvin(table):
+        late = table["time"] >= START + HOUR
+        return table.assign(T=table["T"] + 273.15 * late)
+
+    told = controlled(changed(house, kelvin), 9)
+    assert told[0].plan.status == "solved"
+    assert any("zones.zone.temperature (column T)" in note and "in K they were usual" in note for note in told[2].notes)
+    assert told[-1].plan.status in ("native", "thermostat")
+
+
+def test_outdoors_in_another_unit_is_said_and_the_forecast_stands_in():
+    house = SimulatedBuilding()
+    told = controlled(changed(house, lambda table: table.assign(out=table["out"] + 273.15)), 2)
+    assert [decision.plan.status for decision in told] == ["solved"] * 2 or "bridged" in told[0].plan.status
+    assert any("outdoor (column out)" in note and "set unit: 'K'" in note for note in told[0].notes)
+
+
+def test_a_logger_between_the_steps_is_believed():
+    """Rows at 20 and 50 minutes past, decisions at the hour: no reading stands at the instant of one."""
+    house = SimulatedBuilding()
+    told = controlled(changed(house, lambda table: table[table["time"].dt.minute.isin([20, 50])]), 8)
+    assert [decision.plan.status for decision in told] == ["solved"] * 8
+
+
+def test_prices_that_end_first_are_said_with_their_share():
+    rules = {
+        **RULES,
+        "machines": {"machine": {"power": "P"}},
+        "forecast": {"price": {"column": "spot", "unit": "per MWh"}},
+    }
+    house = SimulatedBuilding()
+    live = house.forecast
+    house.forecast = lambda: live().assign(spot=lambda f: np.where(np.arange(len(f)) < 8, 80.0, np.nan))
+    told = controlled(house, 2, rules)
+    assert told[0].plan.status == "bridged"
+    assert "price_per_kWh at 4 of 13 instants by the value before" in in_words(told[0])

@@ -1,0 +1,106 @@
+"""Functions compiled by numba, kept on disk under a hash of all sources that they hold.
+
+numba keeps a function by the file that it stands in. Of functions and constants of other files that it took in when it
+was compiled it knows nothing, and goes on with those as they were.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import re
+import shutil
+import time
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+
+from thermoforce_mpc.data.cache import cache_folder
+
+_LOG = logging.getLogger(__name__)
+_ROOT = Path(__file__).parents[2]
+_PACKAGES = ("thermoforce_mpc", "controllers")
+# Imports of a module itself: what a function compiled takes in stands at its module's own level.
+_IMPORTS = re.compile(r"^(?:from[ ]([\w.]+)[ ]import[ ](\([^)]*\)|[^\n]*)|import[ ]([^\n]*))", re.M)
+# Folders of other sources that no process has used for as long are removed, days.
+_KEPT_DAYS = 30.0
+
+
+def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """`numba.njit` with these options; with `cache=True` kept in the user's cache folder, by `sources_of` its file.
+
+    Where that folder cannot be written nothing is kept.
+    """
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        folder = _folder(str(function.__globals__["__file__"])) if options.get("cache") else None
+        given = options if folder else {**options, "cache": False}
+        before = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = folder or before
+        try:
+            return numba.njit(**given)(function)
+        finally:
+            numba.config.CACHE_DIR = before
+
+    return decorate
+
+
+def sources_of(file: Path, root: Path = _ROOT) -> list[Path]:
+    """A module's file and those of all modules of ours that it imports, below `root`, and so on."""
+    found, left = set[Path](), [file.resolve()]
+    while left:
+        path = left.pop()
+        if path in found:
+            continue
+        found.add(path)
+        for module, names, plain in _IMPORTS.findall(path.read_text(encoding="utf-8")):
+            if plain:
+                imported = [_file(name.split()[0], root) for name in plain.split(",")]
+            else:
+                each = (name.split()[0] for name in names.strip("() \n").split(",") if name.strip())
+                imported = [_file(f"{module}.{name}", root) or _file(module, root) for name in each]
+            left += filter(None, imported)
+    return sorted(found)
+
+
+def _file(module: str, root: Path) -> Path | None:
+    """The file of a module of ours; None where it is of others, or no module."""
+    parts = module.split(".")
+    if parts[0] not in _PACKAGES:
+        return None
+    file = root.joinpath(*parts)
+    return next((each for each in (file.with_suffix(".py"), file / "__init__.py") if each.is_file()), None)
+
+
+@cache
+def _folder(file: str) -> str | None:
+    """Where functions of a file are kept; None where nothing can be."""
+    # numba itself tells processors and Pythons apart.
+    hashed = hashlib.sha256(numba.__version__.encode())
+    for source in sources_of(Path(file)):
+        hashed.update(source.name.encode() + b"\0" + source.read_bytes() + b"\0")
+    try:
+        all_of_them = cache_folder() / "compiled"
+        folder = all_of_them / hashed.hexdigest()[:32]
+        new = not folder.exists()
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+        if not os.access(folder, os.W_OK):
+            raise PermissionError(f"{folder} cannot be written")
+        if new:
+            _clear(all_of_them)
+    except (OSError, RuntimeError) as error:  # RuntimeError: who runs this has no home
+        _LOG.info("compiled functions are not kept: %s", error)
+        return None
+    return str(folder)
+
+
+def _clear(folder: Path) -> None:
+    oldest = time.time() - _KEPT_DAYS * 86400.0
+    for each in folder.iterdir():
+        if each.stat().st_mtime < oldest:
+            shutil.rmtree(each, ignore_errors=True)

@@ -1,0 +1,213 @@
+"""An experiment: a scenario that was resolved, once. Nothing below looks a name up or reads options again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from controllers.entries.entry import Chosen
+from thermoforce_mpc.data import Period
+from thermoforce_mpc.errors import ConfigError
+from thermoforce_mpc.execution.keys import digest
+from thermoforce_mpc.experiment.identifying import (
+    IdentificationTask,
+    SavedModel,
+    chosen_of,
+    identification_task,
+    taken_probing,
+)
+from thermoforce_mpc.experiment.windows import check_prices, check_window, scored_period
+from thermoforce_mpc.loop.closed_loop import RunResult, StepKeeper, StepRecord, run_closed_loop
+from thermoforce_mpc.loop.kept_steps import KeptSteps
+from thermoforce_mpc.loop.unit_doubts import UnitDoubts
+from thermoforce_mpc.model.free_response.registry import build_free_response, needs_identified
+from thermoforce_mpc.model.screening import limits_of
+from thermoforce_mpc.plants.registry import ChosenPlant, choose_plant
+from thermoforce_mpc.plants.testcases import load_testcase
+from thermoforce_mpc.protocols import Controller, Plant
+from thermoforce_mpc.records.own_kpis import OwnKpi, own_kpis
+from thermoforce_mpc.scenario.scenario import Scenario
+from thermoforce_mpc.scenario.testcase import TestCase
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A controller of an experiment, and where its model comes from: a folder, an identification, or nowhere."""
+
+    chosen: Chosen
+    model_from: SavedModel | IdentificationTask | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the controller."""
+        return self.chosen.name
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """What is run: controllers on a plant over a window under a tariff.
+
+    Two experiments are equal, and have one hash, where they are resolved from the same content; a test case counts as
+    it was read, so that a changed file makes another.
+
+    Attributes:
+        testcase: the building.
+        plant: what stands for it.
+        window, days, price: the scored window by its name, its length, and the tariff.
+        contestants: the controllers, the scenario's own first.
+        kpis: KPIs of the user's.
+        equal_comfort: whether a thermostat that is as comfortable is searched.
+        written: the scenario as it is written into run folders, journals and records.
+    """
+
+    testcase: TestCase
+    plant: ChosenPlant
+    window: str
+    days: float
+    price: str
+    contestants: tuple[Contestant, ...]
+    kpis: tuple[OwnKpi, ...]
+    equal_comfort: bool
+    written: Scenario
+
+    @classmethod
+    def of(cls, scenario: Scenario, kpis: Sequence[str | Callable[[pd.DataFrame], float]] = ()) -> Experiment:
+        """Resolve a scenario, with further `kpis`; raises `ConfigError` for whatever of it cannot be run."""
+        testcase = load_testcase(scenario.testcase)
+        check_window(scenario.period)
+        own = _contestant(scenario, testcase, scenario.controller.name)
+        contestants = [own]
+        for name in dict.fromkeys(scenario.baselines):
+            if name == own.name:
+                continue
+            contestants.append(beside := _contestant(scenario, testcase, name))
+            if beside.chosen.needs_model and not own.chosen.needs_model:
+                raise ConfigError(
+                    f"baselines: '{name}' needs a model, but the controller of this scenario identifies none"
+                )
+        plant = choose_plant(scenario.plant, testcase, scenario.seed, scenario.comfort)
+        return cls(
+            testcase,
+            plant,
+            scenario.period,
+            scenario.days,
+            scenario.price,
+            tuple(contestants),
+            own_kpis((*scenario.kpis, *kpis)),
+            # Further runs of an embedded plant take seconds.
+            scenario.plant.kind == "embedded" if scenario.equal_comfort is None else scenario.equal_comfort,
+            scenario,
+        )
+
+    @property
+    def own(self) -> Contestant:
+        """The scenario's own controller."""
+        return self.contestants[0]
+
+    def contestant(self, name: str) -> Contestant | None:
+        """The contestant of this name, if there is one."""
+        return next((one for one in self.contestants if one.name == name), None)
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of all that was resolved, files by their path."""
+        controllers = {one.name: one.chosen.config.model_dump(mode="json") for one in self.contestants}
+        resolved = {
+            "scenario": self.written.model_dump(mode="json"),
+            "testcase": self.testcase.model_dump(mode="json"),
+            "controllers": controllers,
+            "kpis": [kpi.key for kpi in self.kpis],
+        }
+        return digest(resolved)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Experiment) and self.key == other.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+
+def _contestant(scenario: Scenario, testcase: TestCase, name: str) -> Contestant:
+    chosen = chosen_of(scenario, testcase, name)
+    if not chosen.needs_model:
+        return Contestant(chosen)
+    task, saved = identification_task(scenario, chosen), scenario.identification.model
+    return Contestant(chosen, task if saved is None else SavedModel(saved, task.step_s))
+
+
+def check_contestants(experiment: Experiment) -> None:
+    """Build the contestants as far as they can be before probing: what is refused now costs nobody days of it.
+
+    With a saved model that is all of them, without one what they forecast with. The probing that is taken is read too.
+
+    Raises:
+        ConfigError, ArtifactError, JournalError, BackboneError: options, saved model, probing of an earlier run, or the
+            forecaster's weights cannot be used.
+    """
+    sources = [one.model_from for one in experiment.contestants]
+    saved = next((source for source in sources if isinstance(source, SavedModel)), None)
+    model = saved.load() if saved else None
+    for one in experiment.contestants:
+        if one.model_from is None:
+            continue
+        if isinstance(one.model_from, IdentificationTask):
+            taken_probing(one.model_from)
+        if (terms := getattr(one.chosen.config, "terms", None)) is not None:
+            from controllers.optimisation.statement.terms import load_terms  # loads CasADi
+
+            load_terms(terms)
+        if model is not None:
+            one.chosen.build(model)
+            continue
+        method = getattr(one.chosen.config, "free_response", None)
+        if method is not None and not needs_identified(method.name):
+            build_free_response(method.name, **method.options)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """An experiment and the plant that it is made on, over the window `period`."""
+
+    plant: Plant
+    experiment: Experiment
+    period: Period
+
+    @classmethod
+    def of(cls, plant: Plant, experiment: Experiment) -> Setting:
+        """An experiment on its plant; raises `ConfigError` for a window that is none, or prices that end before."""
+        period = scored_period(plant, experiment.window, experiment.days)
+        check_prices(experiment.plant.spec, experiment.price, period)
+        return cls(plant, experiment, period)
+
+    def run(
+        self,
+        controller: Controller,
+        on_step: Callable[[StepRecord], None] | None = None,
+        keeper: StepKeeper | None = None,
+        steps: KeptSteps[StepRecord] | None = None,
+    ) -> RunResult:
+        """The closed loop of a controller, readings judged by size and layout of the building.
+
+        Arguments and errors as of `run_closed_loop`; raises `ConfigError` too where prices end before the forecasts do.
+        """
+        experiment, testcase = self.experiment, self.experiment.testcase
+        spec, lowest = experiment.plant.spec, testcase.layout.lowest
+        check_prices(spec, experiment.price, self.period, max(controller.horizon_s - controller.step_s, 0.0))
+        return run_closed_loop(
+            self.plant,
+            controller,
+            self.period,
+            experiment.price,
+            on_step,
+            limits_of(controller, testcase.area_m2, min(lowest)),
+            lowest,
+            keeper,
+            steps,
+            outage_h=spec.forecast_outage_h,
+            units=UnitDoubts(testcase.layout, getattr(controller, "model", None), testcase.currency),
+        )

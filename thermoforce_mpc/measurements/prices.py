@@ -1,0 +1,86 @@
+"""A file of prices for plans of an own building: stamps of a calendar, or seconds of a year as in simulations."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from thermoforce_mpc.boundary.tariffs import price_doubt, tariff_from_file
+from thermoforce_mpc.data import YEAR_S, Array
+from thermoforce_mpc.data.dataframes import new_year, seconds_since, stamps
+from thermoforce_mpc.errors import ConfigError, DataError
+from thermoforce_mpc.measurements.map.entries import Clock
+from thermoforce_mpc.measurements.tables.clock import timed
+from thermoforce_mpc.measurements.tables.files import guessed_form, head_of, read_table
+from thermoforce_mpc.measurements.tables.readings import Readings, durations_s, held, longest_s, means
+
+# What a column of prices is called, and what its name says of the unit: prices are divided by this.
+_PRICE = re.compile(r"price|preis|prix|prijs|tarif|spot|epex|nordpool|day.?ahead", re.IGNORECASE)
+_UNITS = ((re.compile(r"mwh", re.IGNORECASE), 1000.0), (re.compile(r"\bct\b|cent|ct/", re.IGNORECASE), 100.0))
+_HEAD = 50
+_SHARE = 0.5
+
+
+def prices_over_steps(
+    path: Path, clock: Clock, origin: pd.Timestamp, grid_s: Array, step_s: float
+) -> tuple[Array, str]:
+    """Prices per kWh (n,) over the steps that begin at `grid_s` (n,), s from `origin`, and what was read, in words.
+
+    Stamps without an offset are of the zone of `clock`; NaN where the file has no price. Raises `DataError` for a file
+    whose column of prices or unit is not clear.
+    """
+    form = guessed_form(path)
+    head = head_of(path, _HEAD, form)
+    names = [str(name) for name in head.columns]
+    if len(names) < 2:
+        raise DataError(f"{path}: has one column; expected a time and a price per kWh")
+    if pd.api.types.is_numeric_dtype(head.iloc[:, 0]):
+        return _of_year(path, origin, grid_s), f"{path}: prices of a year, which repeats"
+    numeric = [name for name in names[1:] if pd.to_numeric(head[name], errors="coerce").notna().any()]
+    named = [name for name in numeric if _PRICE.search(name)] or numeric
+    if len(named) != 1:
+        raise DataError(
+            f"{path}: which column is the price? there are {', '.join(names[1:])}; keep one, or call one 'price'"
+        )
+    table = read_table(path, names[0], named, form)
+    rows = timed([table], Clock(zone=clock.zone, order="sort", duplicates="last"))
+    values = rows.columns[named[0]]
+    known = np.isfinite(values)
+    factor, unit = next(
+        ((by, f"{named[0]}, divided by {by:g}") for form, by in _UNITS if form.search(named[0])), (1.0, named[0])
+    )
+    if doubt := price_doubt(values[known] / factor):
+        raise DataError(
+            f"{path}, column '{named[0]}': {doubt} Say the unit in its name, as 'price per MWh' or 'ct/kWh'"
+        )
+    time_s = seconds_since(origin, rows.index[known], str(path))
+    readings = Readings(time_s, values[known] / factor, longest_s(time_s, step_s, None))
+    price = held(readings, grid_s)
+    if time_s.size > 1:
+        lasts = durations_s(time_s, readings.longest_s, "start")
+        over_step = means(time_s, lasts, readings.values, np.append(grid_s, grid_s[-1] + step_s), _SHARE)
+        price = np.where(np.isfinite(over_step), over_step, price)
+    return price, f"{path}: column {unit}, per kWh"
+
+
+def _of_year(path: Path, origin: pd.Timestamp, grid_s: Array) -> Array:
+    """Prices of a file of seconds since 1 January, at the same time of the year; its 366th day is the first again."""
+    tariff = tariff_from_file(path)
+    at = pd.DatetimeIndex(stamps(grid_s, origin))
+    begins = {year: new_year(at[at.year == year], str(path)) for year in dict.fromkeys(at.year)}
+    of_year_s = np.array([(one - begins[one.year]).total_seconds() for one in at])
+    try:
+        return np.asarray(tariff(np.mod(of_year_s, YEAR_S)))
+    except ConfigError:  # it ends within: what it has
+        out = np.full(grid_s.size, np.nan)
+        for k, one_s in enumerate(np.mod(of_year_s, YEAR_S)):
+            try:
+                out[k] = float(tariff(np.array([one_s]))[0])
+            except ConfigError:
+                continue
+        if np.isnan(out).all():
+            raise
+        return out
