@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from controllers.mpc.controller import ThermoForceMPC
 from thermoforce_mpc.commands.loop import CommandRecord, LearnedCommand, learn_command
 from thermoforce_mpc.commands.setpoint import Setpoint
 from thermoforce_mpc.comparison.results_json import Target, results_json
-from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Observation, Record
+from thermoforce_mpc.data import DAY_S, HOUR_S, J_PER_KWH, Array, Boundary, Observation, Record
 from thermoforce_mpc.errors import DataError
 from thermoforce_mpc.execution import Engine
 from thermoforce_mpc.identification import IdentificationConfig, identify
@@ -37,7 +37,6 @@ _START, _ORDINARY, _TRIALS, _DAYS = 36, 25, 3, 7
 # Trials: a set-point that is higher or lower by so much, K, for so long, h.
 _AWAY_K, _TRIAL_H = (-1.0, 0.0, 1.0), 4
 _STEP_S, _HORIZON_H = HOUR_S, 24.0
-_PRICE = "highly_dynamic"
 # A plan may leave rooms outside their bounds by so much more than the house itself, K·h in a week.
 _MORE_KH = 0.5
 
@@ -123,7 +122,7 @@ def learned(record: Record, setpoints_C: Array) -> dict[str, LearnedCommand]:
 def _lived(plant: HouseOfRooms, seed: int) -> Array:
     """Let a house live by its own set-points, at last with trials; the set-points of all hours (Z, n), °C."""
     begin_s = (_START - _ORDINARY - _TRIALS) * DAY_S
-    plant.reset((_START - _TRIALS) * DAY_S, _ORDINARY * DAY_S, _PRICE)
+    plant.reset((_START - _TRIALS) * DAY_S, _ORDINARY * DAY_S)
     hours: Array = begin_s + HOUR_S * np.arange(round((_ORDINARY + _TRIALS) * 24), dtype=np.float64)
     setpoints = native_setpoints_C(plant.house, hours)
     rng, away = np.random.default_rng(seed), np.zeros(len(setpoints))
@@ -141,7 +140,7 @@ def _week(plant: HouseOfRooms, controller: ThermoForceMPC | None, days: int) -> 
     cost = energy = below = above = 0.0
     before: tuple[Any, ...] = ()
     for k in range(round(days * DAY_S / _STEP_S)):
-        ahead = plant.forecast(_HORIZON_H * HOUR_S, _STEP_S)
+        ahead = priced(plant.forecast(_HORIZON_H * HOUR_S, _STEP_S))
         blocks = None
         if controller is not None:
             plan = controller.plan(Observation(plant.past(_STEP_S), ahead), state)
@@ -161,6 +160,14 @@ def _week(plant: HouseOfRooms, controller: ThermoForceMPC | None, days: int) -> 
             below += float(np.maximum(bounds.lower_C[:, 0] - done.T_zone_C, 0.0).sum()) * seconds / HOUR_S
             above += float(np.maximum(done.T_zone_C - bounds.upper_C[:, 0], 0.0).sum()) * seconds / HOUR_S
     return WeekOfHouse(cost, energy, below, above), said
+
+
+def priced(ahead: Boundary) -> Boundary:
+    """A forecast with a day-ahead price of two peaks, 0.12 to 0.36 per kWh."""
+    hour = ahead.time_s / HOUR_S % 24.0
+    peaks = 0.14 * np.exp(-(((hour - 8.0) / 2.0) ** 2)) + 0.18 * np.exp(-(((hour - 18.5) / 2.2) ** 2))
+    price = 0.18 + peaks - 0.06 * np.exp(-(((hour - 13.0) / 2.0) ** 2))
+    return replace(ahead, price_per_kWh=np.atleast_2d(price))
 
 
 def targets(rows: list[Row]) -> list[Target]:

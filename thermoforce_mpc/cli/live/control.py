@@ -159,8 +159,9 @@ def _until_lost(say: Callable[[str], None]) -> Callable[[str], None]:
     return say_until_lost
 
 
-def in_words(decision: Decision, commands: Mapping[str, LearnedCommand]) -> str:
-    """A decision in one line: when, what is set in turn, and why."""
+def in_words(decision: Decision, commands: Mapping[str, LearnedCommand] | None = None) -> str:
+    """A decision in one line: when, what is set in turn, and why; `commands`: of actuators that are set by one."""
+    commands = commands or {}
     names = decision.plan.names.actuators
     parts = []
     for a, name in enumerate(names):
