@@ -75,7 +75,8 @@ class LightOffice:
     def advance(self, u: Levels, duration_s: float, command: Commands = None) -> Measurement:
         """See `RoomSetpointPlant.advance`."""
         block = check_levels(u, duration_s, command, lowest=-1.0)
-        (level,), (band,) = block.u, block.command
+        (level,), (told,) = block.u, block.command
+        band = told if isinstance(told, tuple) else None
         heat = gas = chiller = 0.0
         n = round(duration_s / DT_S)
         for _ in range(n):
